@@ -231,14 +231,13 @@ def _write(
     out = settings.out
     write_failures(out, made.failures)
     write_artifacts(out, store, made.outcomes)
-    results, times, costs = [], [], []
+    results, costs = [], []
     scored = [(one.scene, ref) for one in made.scored for ref in (one.answer, *one.others.values())]
     for scene, ref in scored:
         arrays = store.get(ref)
-        result = result_from_arrays(arrays, ref.meta["times"], with_images=False)
+        result = result_from_arrays(arrays, with_images=False)
         write_predictions(result.rows, predictions_of(arrays), out / "predictions")
         results.append(result)
-        times.append((result.method, scene, result.times))
         shared = made.build_seconds[scene, ""]
         build = {"build_seconds": made.build_seconds.get((scene, result.method), shared)}
         # Results that a store has from an earlier version say nothing of it.
@@ -264,7 +263,7 @@ def _write(
         }
         hard = [] if made.hard_cases is None else store.get(made.hard_cases).to_pylist()
         cases = [HardCase(**row) for row in hard]
-        took = Times(made.stages, times, host, made.machines, costs_of(costs), cases)
+        took = Times(made.stages, host, made.machines, costs_of(costs), cases)
         stored = store.get(made.report)
         forms = {form: stored[form].tobytes().decode() for form in ("html", "markdown")}
         novel = [(r.dataset, r.method, r.scene_metrics["psnr"])
@@ -352,7 +351,7 @@ def _gather(
                 results[one.name] = made["benchmark"]
                 build_seconds[scene, one.name] = _seconds_to_build(made)
         own = refs["benchmark"], refs["truth"], refs["attribution"]
-        scored.append(Scored(scene, *own, results, refs["field"].meta["account"]))
+        scored.append(Scored(scene, *own, results))
     costs = {
         stage.name: StageCost.of(refs[stage.name].meta for refs in ours.refs.values())
         for stage in STAGES

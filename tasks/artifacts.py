@@ -219,9 +219,7 @@ def result_to_arrays(result: SceneResult) -> Arrays:
     }
 
 
-def result_from_arrays(
-    arrays: Arrays, times: Mapping[str, float], with_images: bool = True
-) -> SceneResult:
+def result_from_arrays(arrays: Arrays, with_images: bool = True) -> SceneResult:
     """Inverse of :func:`result_to_arrays`; pictures and masks, slow to decode, only if wanted."""
     masks, pictures = {}, {}
     if with_images:
@@ -234,7 +232,6 @@ def result_from_arrays(
         scene_metrics=json.loads(str(arrays["metrics"])),
         predictions=masks,
         pictures=pictures,
-        times=dict(times),
     )
 
 

@@ -72,5 +72,4 @@ def baselines(
         peak=peak,
     )
     costs = [{**row, "prepare_seconds": prepared} for row in result.costs]
-    meta = {"times": {"prepare": prepared, **result.times}, "costs": costs}
-    return run.store.put("scene_result", result_to_arrays(result), meta)
+    return run.store.put("scene_result", result_to_arrays(result), {"costs": costs})

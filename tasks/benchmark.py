@@ -47,7 +47,7 @@ def benchmark(
         settings,
         gaussians=run.read(gaussians, Gaussians.from_arrays),
     )
-    meta = {"times": result.times, "costs": result.costs, "example": example(result, asked)}
+    meta = {"costs": result.costs, "example": example(result, asked)}
     return run.store.put("scene_result", result_to_arrays(result), meta)
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from slgaussian.benchmark.reports.run_report import run_report
 from slgaussian.benchmark.reports.scenes import Scene
-from slgaussian.storage.statistics import FieldStatistics
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
     Decoded,
@@ -25,18 +24,17 @@ from tasks.stage import stage
 
 @dataclass(frozen=True)
 class Scored:
-    """What was made of one scene: our answers, its truth, what lost our misses, by method the
-    answers of baselines, and the account of its field."""
+    """What was made of one scene: our answers, its truth, what lost our misses, and by method the
+    answers of baselines."""
 
     scene: str
     answer: ArtifactRef
     truth: ArtifactRef
     attribution: ArtifactRef
     others: Mapping[str, ArtifactRef]
-    account: Mapping[str, Any]
 
 
-@stage("report", version=8)
+@stage("report", version=9)
 def report(
     run: RunContext,
     scenes: Sequence[Scored],
@@ -58,14 +56,13 @@ def report(
 
 def _scene(store: ArtifactStore, scored: Scored) -> Scene:
     refs = [scored.answer, *scored.others.values()]
-    own, *others = (result_from_arrays(store.get(ref), {}, with_images=False) for ref in refs)
+    own, *others = (result_from_arrays(store.get(ref), with_images=False) for ref in refs)
 
     return Scene(
         name=scored.scene,
         dataset=own.dataset,
         rows=[row for each in (own, *others) for row in each.rows],
         metrics=own.scene_metrics,
-        account=FieldStatistics(**scored.account),
         pictures=lambda: Decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
         masks=lambda: Decoded(predictions_of(store.get(scored.answer))),

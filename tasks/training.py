@@ -157,7 +157,7 @@ SHOWN = "corrupted"
 """The kind of labels in the pictures: as found, liftings hardly differ to the eye."""
 
 
-@stage("training_report", version=3)
+@stage("training_report", version=4)
 def training_report(
     run: RunContext,
     judgements: ArtifactRef,

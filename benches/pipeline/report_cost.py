@@ -48,7 +48,7 @@ def main() -> None:
 
 def make(store: ArtifactStore, scenes: int, methods: int) -> list[Scored]:
     """What the report is of."""
-    result, truth, account = room_result(store)
+    result, truth = room_result(store)
     lost = store.put("attribution", load_spec("attribution").schema.empty_table())
     made = []
     names = ["slgaussian", *(f"method {k}" for k in range(1, methods))]
@@ -58,12 +58,12 @@ def make(store: ArtifactStore, scenes: int, methods: int) -> list[Scored]:
         for name in names:
             copy = renamed(result, f"scene {k}", name, rng)
             own[name] = store.put("scene_result", result_to_arrays(copy))
-        made.append(Scored(f"scene {k}", own.pop("slgaussian"), truth, lost, own, account))
+        made.append(Scored(f"scene {k}", own.pop("slgaussian"), truth, lost, own))
     return made
 
 
 def room_result(store: ArtifactStore) -> tuple[SceneResult, ArtifactRef, Mapping[str, Any]]:
-    """Of a made-up room, asked in two views; its truth, and the account of its field."""
+    """Of a made-up room, asked in two views; and its truth."""
     scene = datasets.load("procedural", seed=0, objects=8, views=4)
     sample = scene.sample(["view_00", "view_03"], ["view_01", "view_02"])
     field = build_field(sample, Method(keep="all"))
@@ -71,7 +71,7 @@ def room_result(store: ArtifactStore) -> tuple[SceneResult, ArtifactRef, Mapping
     labels = np.stack([view.instances for view in sample.context])
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     result = evaluate(field, sample, maps, truth, gaussians=field.gaussians)
-    return result, store.put("truth", truth_to_arrays(truth, sample)), field.settings["account"]
+    return result, store.put("truth", truth_to_arrays(truth, sample))
 
 
 def renamed(result: SceneResult, scene: str, method: str, rng: np.random.Generator) -> SceneResult:
@@ -87,7 +87,6 @@ def renamed(result: SceneResult, scene: str, method: str, rng: np.random.Generat
         scene_metrics=result.scene_metrics,
         predictions=result.predictions,
         pictures=pictures,
-        times={},
         method=method,
     )
 

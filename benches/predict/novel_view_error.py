@@ -27,7 +27,7 @@ from benches.common.pages import publish
 from benches.common.photograph_pairs import data_folder, load_samples
 from benches.predict.depth_error import depth_errors
 from benches.scores.score_floors import motorcycle
-from slgaussian.benchmark.metrics import psnr, ssim_with_map
+from slgaussian.benchmark.metrics import psnr, ssim
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import Render, rasterize
@@ -101,7 +101,7 @@ def of_pair(sample: Sample) -> dict[str, float]:
     row = {}
     for method, picture in pictures.items():
         row[f"{method}_psnr"] = psnr(picture, target.image)
-        row[f"{method}_ssim"] = ssim_with_map(picture, target.image)[0]
+        row[f"{method}_ssim"] = ssim(picture, target.image)
         row[f"sharp_{method}"] = sharpness(picture, target.image)
     row["ahead"] = row["gaussians_psnr"] - row["warped_psnr"]
     a, b = sample.context

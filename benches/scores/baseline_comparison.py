@@ -21,6 +21,7 @@ from slgaussian import datasets
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
 from slgaussian.build import label_views, lift_field, predict, remember
@@ -49,13 +50,16 @@ def answers_of(out: Path) -> dict[str, dict]:
     return found
 
 
-def costs_of(out: Path) -> dict[str, dict]:
-    """The seconds of each method."""
+def seconds_of(out: Path) -> dict[str, dict]:
+    """The seconds of each method, medians over all scenes."""
+    rows = pq.read_table(out / "times.parquet").to_pylist()
     found = {}
-    for speed in json.loads((out / "times.json").read_text())["seconds_a_query"]:
-        known = {name: value or 0.0 for name, value in speed.items() if name != "method"}
-        ten = known["prepare"] + known["first_query"] + 9 * known["further_query"]
-        found[speed["method"]] = known | {"ten": ten}
+    for cost in costs_of({**row, "dataset": ""} for row in rows):
+        prepare, first, further = (
+            value or 0.0 for value in (cost.prepare, cost.view_query, cost.further_query)
+        )
+        known = {"prepare": prepare, "first_query": first, "further_query": further}
+        found[cost.method] = known | {"ten": prepare + first + 9 * further}
     return found
 
 
@@ -108,7 +112,7 @@ def main() -> None:
     if given.alone:
         run_alone(given.alone, given.data)
         return
-    answers, costs = answers_of(given.run), costs_of(given.run)
+    answers, costs = answers_of(given.run), seconds_of(given.run)
     rows = []
     for name in given.only or answers:
         memory = {"memory": memory_of(name, given.data)}

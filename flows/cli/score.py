@@ -60,19 +60,18 @@ def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of results.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the pages.")] = None,
 ) -> None:
-    """Compare the settings and the scores of two runs, or rank those of more.
+    """Compare the settings, scores and costs of runs, and rank their methods.
 
-    Of two, differences are the second minus the first, for each method, on the queries that both
-    were asked, with bootstrap intervals over scenes. Of more, methods are ranked in a table for
-    each data set, protocol and size; only what was asked the same is in one table.
+    Differences are each run minus the first, for each method, on the queries that both were asked,
+    with bootstrap intervals over scenes. Methods are ranked in a table for each data set, protocol
+    and size; only what was asked the same is in one table.
 
     \b
     slgaussian compare before after -o changes
     slgaussian compare ours theirs another -o board
     """
     from slgaussian.benchmark.outputs import write_file
-    from slgaussian.benchmark.reports.comparison import compare_runs
-    from slgaussian.benchmark.reports.runs import read_run
+    from slgaussian.benchmark.reports.comparison import compare_runs, read_run
 
     report = compare_runs([read_run(folder) for folder in runs])
     typer.echo(report.as_text())

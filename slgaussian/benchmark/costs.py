@@ -132,9 +132,6 @@ class Times:
     Attributes
     ----------
     stages : {stage: StageCost}
-    answers : sequence of (method, scene, {name: float})
-        Measured by :func:`slgaussian.benchmark.evaluate.evaluate`, and ``prepare`` where a method
-        prepares a scene on top of what it shares with ours.
     host : {name: text}
         Where it ran.
     machines : {processor: int}
@@ -147,24 +144,18 @@ class Times:
     """
 
     stages: Mapping[str, StageCost]
-    answers: Sequence[tuple[str, str, Mapping[str, float]]]
     host: Mapping[str, str]
     machines: Mapping[str, int] = field(default_factory=dict)
     costs: Sequence[Cost] = ()
     hard_cases: Sequence[HardCase] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain data, for a file."""
+        """Return plain data, for a file; those of answers are in the table ``times``."""
         return {
             "spec": load_spec("run_times").label,
             "seconds_by_stage": {name: one.seconds for name, one in self.stages.items()},
             "memory_by_stage": {name: one.grown for name, one in self.stages.items()},
             "seconds_of_compiling": self.compiling,
-            "seconds_a_query": self.speeds(),
-            "seconds_by_answer": [
-                {"method": method, "scene": scene, **dict(sorted(times.items()))}
-                for method, scene, times in self.answers
-            ],
             "host": dict(self.host),
             "artifacts_by_machine": dict(self.machines),
             "hard_cases": [{**asdict(case), "good": case.good} for case in self.hard_cases],
@@ -175,38 +166,21 @@ class Times:
         """Seconds of compiling kernels, once an installation, that no other number here has."""
         return sum(one.compiling for one in self.stages.values())
 
-    def speeds(self) -> list[dict[str, Any]]:
-        """Return seconds of each method, medians over scenes, in the order of the answers.
 
-        ``prepare`` is of a scene, on top of what all methods share; ``cold_query`` the very first
-        of a scene, ``first_query`` one in a new view with its rendering, ``further_query`` one more
-        in it; ``paper`` is the paper's, on its GPU.
-        """
-        names = "prepare", "cold_query", "first_query", "further_query"
-        return [
-            {
-                "method": method,
-                **{
-                    name: _median(own.get(name) for by, _, own in self.answers if by == method)
-                    for name in names
-                },
-                "paper": PAPER_SECONDS.get(method),
-            }
-            for method in dict.fromkeys(method for method, *_ in self.answers)
-        ]
+def claim(costs: Iterable[Cost]) -> str:
+    """Compare a query of the paper's two methods with the paper; "" without one of them.
 
-    def claim(self) -> str:
-        """Compare the measured seconds of the paper's two methods with the paper's; "" without."""
-        known = sorted(
-            (one["paper"], one["method"], one["first_query"])
-            for one in self.speeds()
-            if None not in (one["first_query"], one["paper"])
-        )
-        if len(known) < 2 or not known[0][2]:
-            return ""
-        (fast_paper, fast, fast_query), (slow_paper, slow, slow_query) = known
-        return (
-            f"A query in a new view takes {slow} {slow_query / fast_query:.0f} times as long as "
-            f"{fast}, {slow_query:.2g} s against {fast_query:.2g} s; the paper says "
-            f"{slow_paper:g} s against {fast_paper:g} s, on its GPU and with its networks."
-        )
+    ``costs`` are those on one data set.
+    """
+    known = {cost.method: cost.view_query for cost in costs if cost.method in PAPER_SECONDS}
+    (slow, slow_paper), (fast, fast_paper) = sorted(
+        PAPER_SECONDS.items(), key=lambda one: one[1], reverse=True
+    )
+    slow_query, fast_query = known.get(slow), known.get(fast)
+    if not slow_query or not fast_query:
+        return ""
+    return (
+        f"A query in a new view takes {slow} {slow_query / fast_query:.0f} times as long as "
+        f"{fast}, {slow_query:.2g} s against {fast_query:.2g} s; the paper says {slow_paper:g} s "
+        f"against {fast_paper:g} s, on its GPU and with its networks."
+    )

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from dataclasses import field as dataclass_field
 from functools import partial
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -71,15 +70,9 @@ class SceneResult:
         ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds: ``input``, ``labels``, ``depth``,
         ``true_depth``, ``depth_error`` (context views), ``photo``, ``render``, ``ids`` (targets
         and viewpoints along the way), ``relevancy`` and ``mask`` (queries, by the first protocol).
-    times : {stage: float}
-        Seconds, summed over the scene: ``render``, ``query``, ``segment`` by the method, and
-        ``score`` by the protocols. Where something was asked also ``first_query``, that of one
-        query in a new view with its rendering, and ``further_query``, of one more in it: medians
-        over the views, without what is done once a scene; and ``cold_query``, the very first, with
-        that. Volatile.
     costs : list of dict
         One a (frame, query), with the columns of the data spec ``times`` that are known of the
-        scene and method alone. Volatile too.
+        scene and method alone. Volatile.
     """
 
     scene: str
@@ -87,7 +80,6 @@ class SceneResult:
     scene_metrics: dict[str, float]
     predictions: dict[tuple[str, str, str], np.ndarray]
     pictures: dict[str, np.ndarray]
-    times: dict[str, float]
     dataset: str = "scenes"
     method: str = "slgaussian"
     costs: Sequence[Mapping[str, Any]] = ()
@@ -204,7 +196,7 @@ def evaluate(
     queries, drawn = settings.queries, settings.drawn
     record = _Record(sample.scene, settings, peak or Peak())
     for target in sample.targets:
-        with record.stage("render"):
+        with record.timed():
             view = field.render(target.camera)
         masks, boxes = (known.get(target.name, {}) for known in (truth.masks, truth.boxes))
         record.ask(view, target.name, target.image, masks, boxes)
@@ -222,7 +214,7 @@ def evaluate(
         if not drawn and not (queries and frame == "halfway"):
             continue
         camera = between(first, second, step)
-        with record.stage("render"):
+        with record.timed():
             view = field.render(camera)
         if drawn:
             record.draw_view(view, frame)
@@ -255,7 +247,6 @@ class _Record:
         self.rows: list[dict[str, Any]] = []
         self.predictions: dict[tuple[str, str, str], np.ndarray] = {}
         self.pictures: dict[str, np.ndarray] = {}
-        self.seconds = {"render": 0.0, "query": 0.0, "segment": 0.0, "score": 0.0}
         self.latest = 0.0
         self._asked: list[_Asked] = []
         self._measured: dict[str, list[float]] = {}
@@ -269,12 +260,12 @@ class _Record:
         }
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def timed(self) -> Iterator[None]:
+        """Measure memory and seconds, those as ``latest``, of what the method does."""
         with self.peak.watched():
             start = compiling.clock()
             yield
             self.latest = compiling.clock() - start
-        self.seconds[name] += self.latest
 
     def measure(self, name: str, value: float) -> None:
         self._measured.setdefault(name, []).append(value)
@@ -319,8 +310,7 @@ class _Record:
         )
         for protocol in self.protocols:
             how = protocol.how(self.rules, ground.shape[1])
-            with self.stage("score"):
-                scored = protocol.score(asked, how)
+            scored = protocol.score(asked, how)
             leads = protocol is self.protocols[0]
             for (text, mask), one in zip(masks.items(), scored, strict=True):
                 if not leads and not mask.any():
@@ -342,11 +332,11 @@ class _Record:
             self._asked.append(_Asked(frame, asked, texts))
             return {}
         rendered = self.latest
-        with self.stage("query"):
+        with self.timed():
             self._answers(view, texts[:1])
         first = rendered + self.latest
         # Asked again with the others: answers must not depend on what is timed.
-        with self.stage("query"):
+        with self.timed():
             hits = self._answers(view, texts)
         self._asked.append(_Asked(frame, asked, texts, first, self.latest / len(texts)))
         return dict(zip(texts, hits, strict=True))
@@ -377,7 +367,7 @@ class _Record:
         if not texts or not any(mask.any() for mask in masks.values()):
             return np.zeros(view.rgb.shape[:2], np.int32)
         competing = sorted(texts)
-        with self.stage("segment"):
+        with self.timed():
             # By the protocols every pixel has a class, however little it fits.
             rules = {**self.asked, "protocol": "slgaussian", "threshold": 0.0}
             labels = view.segment(competing, **rules)
@@ -413,12 +403,6 @@ class _Record:
     def result(self) -> SceneResult:
         leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]
         means = {name: float(np.mean(values)) for name, values in self._measured.items()}
-        times = {
-            "cold_query": [one.cold for one in self._asked if one.cold is not None],
-            "first_query": [one.seconds for one in self._asked if one.seconds is not None],
-            "further_query": [one.further for one in self._asked if one.further is not None],
-        }
-        medians = {name: median(seconds) for name, seconds in times.items() if seconds}
         held = {"held_bytes": self.peak.before, "peak_bytes": self.peak.most}
         return SceneResult(
             **self._named,
@@ -426,7 +410,6 @@ class _Record:
             scene_metrics=scene_means(leading) | means | self._constants,
             predictions=self.predictions,
             pictures=self.pictures,
-            times=self.seconds | medians,
             costs=[{**self._named, **row, **held} for one in self._asked for row in one.rows()],
         )
 

@@ -263,7 +263,7 @@ def _score_scene(
                 if one is not None:
                     masks[protocol.label, frame, text] = mask
     means = scene_means(of_first_protocol(rows))
-    return SceneResult(judged.scene, rows, means, masks, {}, {}, judged.dataset, method)
+    return SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
 
 
 def _look_up(

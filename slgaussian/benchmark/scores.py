@@ -180,7 +180,8 @@ def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> li
     """Paired differences of two methods, or of one in two runs: ``rows`` minus ``others``.
 
     Only what both were asked counts, the same query of the same frame by the same version of a
-    protocol; settings may differ, as one may be what is compared. Scenes are drawn in pairs.
+    protocol, judged at one size; settings may differ, as one may be what is compared. Scenes are
+    drawn in pairs.
 
     Raises
     ------
@@ -313,15 +314,15 @@ def _settings(rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def _by_sample(rows: Iterable[Row]) -> dict[tuple[str, ...], Row]:
-    keyed: dict[tuple[str, ...], Row] = {}
+def _by_sample(rows: Iterable[Row]) -> dict[tuple[Any, ...], Row]:
+    keyed: dict[tuple[Any, ...], Row] = {}
+    names = "dataset", "protocol", "height", "width", "scene", "frame", "query"
     for row in rows:
-        key = tuple(row[name] for name in ("dataset", "protocol", "scene", "frame", "query"))
+        key = tuple(row[name] for name in names)
         if key in keyed:
-            _, protocol, scene, frame, query = key
             raise InputError(
-                f"differences: {query!r} in {frame!r} of scene {scene!r} is there twice by "
-                f"{protocol}; give the samples of one method of one run"
+                f"differences: {row['query']!r} in {row['frame']!r} of scene {row['scene']!r} is "
+                f"there twice by {row['protocol']}; give the samples of one method of one run"
             )
         keyed[key] = row
     return keyed

@@ -7,8 +7,12 @@ from left import MANIFEST, leave
 from pages import Page, check_alone, tables_of
 
 from slgaussian.benchmark.outputs import write_costs, write_file
-from slgaussian.benchmark.reports.comparison import compare_runs, differing_settings
-from slgaussian.benchmark.reports.runs import rank_methods, read_run
+from slgaussian.benchmark.reports.comparison import (
+    compare_runs,
+    differing_settings,
+    rank_methods,
+    read_run,
+)
 from slgaussian.errors import InputError, SpecError
 from slgaussian.storage.specs import load_spec
 
@@ -17,8 +21,10 @@ def compared(*folders):
     return compare_runs([read_run(folder) for folder in folders])
 
 
-def summary_of(report) -> str:
-    return report.opening[1].text.replace("\\", "")
+def counts_of(report) -> list[list[str]]:
+    """Of each run: scenes, methods, samples, those in A too, and those of them that changed."""
+    (table,) = section(report, "What is compared")
+    return [[cell.value for cell in line.cells[2:]] for line in table.lines]
 
 
 def section(report, title: str):
@@ -35,10 +41,9 @@ def worse(row: dict) -> dict:
 
 
 def test_a_run_and_itself_differ_in_nothing(tmp_path, result):
-    folder = leave(tmp_path / "a", result)
-    report = compared(folder, folder)
-    said = f"{len(result.rows)} samples of 1 method are in both, and all are the same."
-    assert summary_of(report) == said
+    report = compared(leave(tmp_path / "a", result), leave(tmp_path / "b", result))
+    every = str(len(result.rows))
+    assert counts_of(report) == [["1", "1", every, every, "0"]] * 2
     assert not section(report, "IoU that changed") and not section(report, "What they cost")
     (table, more) = section(report, "B minus A")
     for own in (table, *more.blocks):
@@ -55,7 +60,7 @@ def test_a_change_is_named(tmp_path, result):
 
     first, second = leave(tmp_path / "a", result), leave(tmp_path / "b", result, change)
     report = compared(first, second)
-    assert ", 1 of them changed" in summary_of(report)
+    assert counts_of(report)[1][-1] == "1"
     gain = section(report, "B minus A")[0].lines[0].cells[1].value
     assert gain == f"{-0.25 / len(scored(result)):+.3f}"
     (table,) = section(report, "IoU that changed most")
@@ -73,19 +78,18 @@ def test_settings_and_data_are_compared_by_their_leaves():
         "methods": {"query-2d": "query-2d", "lerf-like": "lerf-like"},
         "data": {"procedural_3": {"sample": "aa", "files": {"a.png": "22"}}, "new": {}},
     }
-    assert differing_settings(MANIFEST, other) == [
-        ("settings.share", "0.7", "0.5"),
-        ("methods", "–", "lerf-like"),
-        ("data.procedural_3.files.a.png", "11", "22"),
-        ("data.new", "–", "present"),
+    assert differing_settings([MANIFEST, other, MANIFEST]) == [
+        ["settings.share", "0.7", "0.5", "0.7"],
+        ["methods.lerf-like", "–", "lerf-like", "–"],
+        ["data.procedural_3.files.a.png", "11", "22", "11"],
+        ["data.new", "–", "present", "–"],
     ]
-    one, another = (
-        {**MANIFEST, "data": {f"s{k}": {"sample": f"{k}{side * 70}"} for k in range(5)}}
-        for side in "ab"
-    )
-    more = "… of s0, and others of 4 more scenes"
-    assert differing_settings(one, another) == [
-        ("data.*.sample", f"0aaaaaaaaaaa{more}", f"0bbbbbbbbbbb{more}")
+    runs = [
+        {**MANIFEST, "data": {f"s{k}": {"sample": f"{k}{side}"} for k in range(5)}} for side in "ab"
+    ]
+    assert differing_settings(runs) == [
+        *([f"data.s{k}.sample", f"{k}a", f"{k}b"] for k in range(3)),
+        ["data of 2 more scenes.sample", "differs", "differs"],
     ]
 
 
@@ -94,17 +98,17 @@ def test_only_queries_of_both_judged_at_one_size_are_compared(tmp_path, result):
     left_out = scored(result)[0]["query"]
     less = leave(tmp_path / "b", result, lambda row: None if row["query"] == left_out else row)
     gone = sum(row["query"] == left_out for row in result.rows)
-    assert summary_of(compared(first, less)).endswith(f"; {gone} more in {first}.")
+    every = len(result.rows)
+    assert counts_of(compared(first, less))[1][2:4] == [str(every - gone)] * 2
     mine = leave(tmp_path / "c", result, lambda row: {**row, "method": "mine"})
     report = compared(first, mine)
     assert section(report, "B minus A")[0].lines[0].cells[0].value == "mine − slgaussian"
     attic = {"dataset": "attic", "scene": "x"}
     for name, change in (("small", {"width": 72}), ("attic", attic)):
         report = compared(first, leave(tmp_path / name, result, lambda row, c=change: row | c))
-        assert summary_of(report).startswith("nothing to compare: ") and len(report.sections) == 1
-    assert "1 scene(s) of attic (x)" in summary_of(report)
+        assert counts_of(report)[1][3] == "0" and not section(report, "B minus A")
     empty = leave(tmp_path / "d", result, lambda row: None)
-    assert "has no samples" in summary_of(compared(empty, less))
+    assert counts_of(compared(empty, less))[0] == ["0"] * 5
 
 
 def test_costs_of_both_stand_side_by_side(tmp_path, result):
@@ -137,7 +141,7 @@ def test_all_forms_say_the_same_and_need_nothing_else(tmp_path, result):
     assert report.as_html() == page
     shown = Page(page)
     assert "<b>" in shown.text
-    table = next(t for t in tables_of(markdown) if t[0][0] == "Method")
+    table = next(t for t in tables_of(markdown) if t[0][0] == "Method" and "Run" not in t[0])
     for cell in section(report, "B minus A")[0].lines[0].cells:
         assert cell.value in shown.text and cell.value in text
         assert any(cell.value in own for own in table[1])
@@ -148,22 +152,22 @@ def test_the_better_of_several_runs_stands_first_and_what_differs_is_named(tmp_p
     low, high = leave(tmp_path / "low", result, worse, other), leave(tmp_path / "high", result)
     same = leave(tmp_path / "same", result)
     report = compared(high, low, same)
-    first = report.sections[0].blocks[0]
+    first = section(report, "Methods ranked")[0]
     rows = [[cell.value for cell in line.cells] for line in first.lines]
-    assert [(row[0], row[2]) for row in rows] == [
-        ("1", str(high)),
-        ("1", str(same)),
-        ("3", str(low)),
-    ]
-    assert float(rows[2][3]) < float(rows[0][3]) == float(rows[1][3])
-    (settings,) = section(report, f"{low} differs from {high}")
-    assert [cell.value for cell in settings.lines[0].cells] == ["settings.share", "0.7", "0.5"]
+    ranks = [("1. slgaussian", "A"), ("1. slgaussian", "C"), ("3. slgaussian", "B")]
+    assert [(row[0], row[1]) for row in rows] == ranks
+    assert float(rows[2][2]) < float(rows[0][2]) == float(rows[1][2])
+    (settings,) = section(report, "How they were made")
+    values = [cell.value for cell in settings.lines[0].cells]
+    assert values == ["settings.share", "0.7", "0.5", "0.7"]
+    (gains, _) = section(report, "Each minus A")
+    assert [line.cells[0].value for line in gains.lines] == ["slgaussian, B", "slgaussian, C"]
     check_alone(report.as_html())
 
 
 def test_questions_sizes_and_truths_have_tables_of_their_own(tmp_path, result):
     def ranked(*folders):
-        return rank_methods([read_run(folder) for folder in folders])
+        return rank_methods(dict(zip("ABC", map(read_run, folders), strict=False)))
 
     whole = leave(tmp_path / "all", result)
     query = sorted({row["query"] for row in result.rows})[0]
@@ -177,13 +181,11 @@ def test_questions_sizes_and_truths_have_tables_of_their_own(tmp_path, result):
     for others in ((whole, less), (whole, small), (one, two)):
         tables = ranked(*others)
         assert len(tables) == 2 * protocols
-        assert all([line.cells[0].value for line in t.lines] == ["1"] for t in tables)
+        assert all([line.cells[0].value for line in t.lines] == ["1. slgaussian"] for t in tables)
     assert len(ranked(whole, one)) == protocols
-    bare = leave(tmp_path / "bare", result, lambda row: None)
     for folders, refusal in (
-        ((whole, whole, less), "is given twice"),
-        ((whole, less, bare), "found no scored sample"),
-        ((whole,), "found 1 run, expected two or more"),
+        ((whole, less, whole), "is given twice"),
+        ((whole,), "found 1 run, expected 2 to 26"),
     ):
         with pytest.raises(InputError, match=refusal):
             compared(*folders)

@@ -180,7 +180,7 @@ def row(query: str, frame: str = "a", iou: float | None = 0.9, hit: bool = True,
 
 
 def asked(field: SemanticField, *rows: dict) -> str | None:
-    found = example(SceneResult("room", list(rows), {}, {}, {}, {}), field)
+    found = example(SceneResult("room", list(rows), {}, {}, {}), field)
     return None if found is None else found["text"]
 
 

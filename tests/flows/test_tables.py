@@ -25,7 +25,7 @@ def result_of(scene, *ious, method="m", dataset="d"):
     rows = [empty | {"query": f"q{k}", "iou": iou} for k, iou in enumerate(ious)]
     other = [row | {"protocol": "langsplat@2", "iou": 0.0} for row in rows]
     metrics = scene_means(rows) | {"psnr": 20.0}
-    return SceneResult(scene, rows + other, metrics, {}, {}, {}, dataset, method)
+    return SceneResult(scene, rows + other, metrics, {}, {}, dataset, method)
 
 
 def test_the_mean_has_an_interval_and_says_by_what():
@@ -46,7 +46,7 @@ def test_one_scene_has_no_interval_and_no_scene_no_numbers():
     *_, mean, by = scenes_text([result_of("a", 0.5)]).splitlines()
     assert mean.split() == ["mean", "0.500", "20.0"]
     assert by.endswith("1 sample of 1 scene; one scene: no interval")
-    unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {}, {})
+    unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {})
     assert len(scenes_text([unasked]).splitlines()) == 3
     assert scenes_text([]) == ""
 

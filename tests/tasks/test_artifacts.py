@@ -135,25 +135,20 @@ def test_a_result_keeps_every_pixel(sample, store):
         scene_metrics={"iou": 0.1 + 0.2},
         predictions={("a@1", "f", "red ball"): mask, ("a@1", "f", "größe"): ~mask},
         pictures={"input/f": image},
-        times={"query": 1.5},
     )
     arrays = through(store, "scene_result", result_to_arrays(result))
-    back = result_from_arrays(arrays, result.times)
-    assert (back.rows, back.scene_metrics, back.times) == (
-        result.rows,
-        result.scene_metrics,
-        result.times,
-    )
+    back = result_from_arrays(arrays)
+    assert (back.rows, back.scene_metrics) == (result.rows, result.scene_metrics)
     assert list(back.predictions) == list(result.predictions)
     for key, mask in result.predictions.items():
         assert back.predictions[key].dtype == bool
         np.testing.assert_array_equal(back.predictions[key], mask)
     np.testing.assert_array_equal(back.pictures["input/f"], image)
-    assert result_from_arrays(arrays, {}, with_images=False).pictures == {}
-    nothing = SceneResult("a", [], {}, {}, {}, {})
-    empty = result_from_arrays(through(store, "scene_result", result_to_arrays(nothing)), {})
+    assert result_from_arrays(arrays, with_images=False).pictures == {}
+    nothing = SceneResult("a", [], {}, {}, {})
+    empty = result_from_arrays(through(store, "scene_result", result_to_arrays(nothing)))
     assert vars(empty) == vars(nothing)
-    later = replace(result, times={"query": 9.0})
+    later = replace(result, costs=[{"query_seconds": 9.0}])
     assert store.put("scene_result", result_to_arrays(later)) == store.put(
         "scene_result", result_to_arrays(result)
     )

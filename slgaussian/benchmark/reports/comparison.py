@@ -1,4 +1,4 @@
-"""Runs compared: how they were made, by how much scores differ, and methods ranked.
+"""Runs compared: how they were made, methods ranked, by how much scores differ, and costs.
 
 Only what was asked the same counts: the same query of the same frame, by the same version of a
 protocol, judged at the same size.
@@ -6,9 +6,16 @@ protocol, judged at the same size.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from string import ascii_uppercase
 from typing import Any
 
+import pyarrow as pa
+
+from slgaussian.benchmark.costs import Cost, costs_of
+from slgaussian.benchmark.documents import read_json
 from slgaussian.benchmark.outputs import mask_place
 from slgaussian.benchmark.reports.model import (
     NO_VALUE,
@@ -23,17 +30,21 @@ from slgaussian.benchmark.reports.model import (
     flatten,
     number,
 )
-from slgaussian.benchmark.reports.runs import Run, rank_methods
 from slgaussian.benchmark.reports.score_tables import (
     MAIN,
     MORE,
+    Score,
     difference_tables,
+    score_cell,
 )
-from slgaussian.benchmark.scores import key_of, of_first_protocol
+from slgaussian.benchmark.scores import METRICS, key_of, of_first_protocol, score_table
 from slgaussian.errors import InputError
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.tables import read_table
 
 Row = Mapping[str, Any]
-Pairs = Mapping[str, tuple[Sequence[Row], Sequence[Row]]]
+
+EXPECTED = "expected a folder that benchmark, run or demo wrote"
 
 CHANGED = 8
 """Queries that are shown, those whose IoU changed most."""
@@ -41,7 +52,6 @@ CHANGED = 8
 COSTS = {
     "prepare": ("to prepare a scene, s", 1.0, 4),
     "view_query": ("a query in a new view, s", 1.0, 4),
-    "further_query": ("one more in it, s", 1.0, 4),
     "grown": ("memory, MB", 1e6, 0),
 }
 """Of each :class:`Cost` what is compared: in words, its unit, and digits."""
@@ -49,206 +59,302 @@ COSTS = {
 SCENES = 3
 """Scenes whose data differ that are named one by one, at most."""
 
+OPENING = (
+    "Only what was asked the same is compared, or in one table. Intervals hold 95% of the means if "
+    "scenes are drawn anew; s: median seconds of a query in a new view."
+)
 
-def compare_runs(runs: Sequence[Run]) -> Report:
-    """Compare two runs, the second minus the first, or rank the methods of more.
+
+@dataclass(frozen=True)
+class Run:
+    """What a run left in a folder: samples, manifest, times and costs, empty if there are none."""
+
+    folder: Path
+    rows: list[Row]
+    manifest: Mapping[str, Any]
+    times: Mapping[str, Any] = field(default_factory=dict)
+    costs: Sequence[Cost] = ()
+
+    @property
+    def by_method(self) -> dict[str, list[Row]]:
+        """The samples of each method, ours first."""
+        by_method: dict[str, list[Row]] = {}
+        for row in self.rows:
+            by_method.setdefault(row["method"], []).append(row)
+        return by_method
+
+
+def read_run(folder: str | Path) -> Run:
+    """Read what a run left.
 
     Raises
     ------
     InputError
-        If there are fewer than two, or of more than two one is given twice or has no score.
+        If there is no ``samples.parquet``, or it or the manifest is not what a run leaves.
     """
-    if len(runs) < 2:
-        raise InputError(f"compare: found {len(runs)} run, expected two or more")
-    first, *others = runs
-    if len(runs) > 2:
-        sections = [Section(t.title, [_untitled(t)]) for t in rank_methods(runs)]
-        opening = "Only what was asked the same is in one table. Intervals hold 95% of the means "
-        opening += "if scenes are drawn anew; s: median seconds of a query in a new view."
-        for run in others:
-            if settings := differing_settings(first.manifest, run.manifest):
-                title = f"{run.folder} differs from {first.folder}"
-                sections.append(
-                    Section(title, [_settings_table(settings, "first run", "this one")])
-                )
-        return Report("Runs ranked", [Prose(opening)], sections)
-    second = others[0]
-    pairs = _pairs(first, second)
-    opening = f"A: {escape(first.folder)}. B: {escape(second.folder)}. Differences are B minus A."
-    sections = [_made_section(first, second)]
-    gains = {name: (later, earlier) for name, (earlier, later) in pairs.items()}
-    more = {table.title: table for table in difference_tables(gains, MORE, "Method")}
-    for table in difference_tables(gains, MAIN, "Method"):
-        blocks: list[Block] = [_untitled(table)]
-        if table.title in more:
-            other = _untitled(more[table.title])
-            blocks.append(Fold("By other protocols, and calibration", [other]))
-        sections.append(Section(f"B minus A, {table.title}", blocks))
-    if costs := _costs_table(first, second):
-        sections.append(Section("What they cost", [costs]))
-    if changes := _changes_table(pairs):
+    folder = Path(folder)
+    if not (folder / "samples.parquet").is_file():
+        raise InputError(f"{folder / 'samples.parquet'}: found no such file, {EXPECTED}")
+    manifest, times = (_read_document(folder / name) for name in ("manifest.json", "times.json"))
+    rows, costs = (_read_rows(name, folder / f"{name}.parquet") for name in ("samples", "times"))
+    return Run(folder, rows, manifest, times, costs_of(costs))
+
+
+def _read_document(file: Path) -> dict[str, Any]:
+    content = read_json(file, "document") if file.exists() else {}
+    if not isinstance(content, dict):
+        raise InputError(f"{file}: found no JSON object; run the benchmark again")
+    return content
+
+
+def _read_rows(spec: str, file: Path) -> list[Row]:
+    if not file.is_file():
+        return []
+    try:
+        table = read_table(file)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{file}: cannot be read ({reason}); {EXPECTED}") from error
+    load_spec(spec).check_table(table, str(file))
+    rows: list[Row] = table.to_pylist()
+    return rows
+
+
+def compare_runs(runs: Sequence[Run]) -> Report:
+    """Compare runs, each with the first, and rank their methods.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two, more than the alphabet has letters, or one is given twice.
+    """
+    if not 2 <= len(runs) <= len(ascii_uppercase):
+        raise InputError(
+            f"compare: found {len(runs)} run{'s' if runs[1:] else ''}, expected 2 to "
+            f"{len(ascii_uppercase)}"
+        )
+    for place, run in enumerate(runs):
+        if run.folder.resolve() in [other.folder.resolve() for other in runs[:place]]:
+            raise InputError(f"compare: {run.folder} is given twice; give each folder once")
+    named = dict(zip(ascii_uppercase, runs, strict=False))
+    sections = [Section("What is compared", [_runs_table(named)])]
+    known = {letter: run.manifest for letter, run in named.items() if run.manifest}
+    made: Block = Prose("No setting, version or data is known to differ.")
+    if settings := differing_settings(list(known.values())):
+        made = Table.of([Column(n, is_text=True) for n in ("what differs", *known)], settings)
+    sections.append(Section("How they were made", [made]))
+    if rankings := rank_methods(named):
+        first = [table for table in rankings if f" by {MAIN[0].protocol}@" in table.title]
+        others = [table for table in rankings if table not in first]
+        folds = [Fold("By other protocols", others)] if first and others else others
+        sections.append(Section("Methods ranked", [*first, *folds]))
+    sections += _difference_sections(named)
+    if all(run.times for run in runs):
+        sections.append(Section("What they cost", [_costs_table(runs)]))
+    if len(runs) == 2 and (changes := _changes_table(*runs)):
         sections.append(Section("IoU that changed most", [changes]))
-    summary = escape(_summary(first, second, pairs))
-    return Report("Two runs", [Prose(opening), Prose(f"{summary}.")], sections)
+    return Report("Runs compared", [Prose(OPENING)], sections)
 
 
-def _untitled(table: Table) -> Table:
-    return Table(table.columns, table.lines, "", table.notes)
+def _runs_table(named: Mapping[str, Run]) -> Table:
+    """List the runs, and how much of what each was asked the first was asked too."""
+    first = next(iter(named.values()))
+    rows = []
+    for letter, run in named.items():
+        pairs = [pair for _, mine, theirs in _paired(first, run) for pair in _aligned(mine, theirs)]
+        same = sum({**a, "method": ""} == {**b, "method": ""} for a, b in pairs)
+        scenes = len({row["scene"] for row in run.rows})
+        counts = (scenes, len(run.by_method), len(run.rows), len(pairs), len(pairs) - same)
+        rows.append([letter, str(run.folder), *map(str, counts)])
+    heads = ["", Column("Run", is_text=True), "Scenes", "Methods", "Samples", "As in A", "Changed"]
+    return Table.of(heads, rows)
 
 
-def _pairs(first: Run, second: Run) -> Pairs:
+def _paired(first: Run, second: Run) -> Iterator[tuple[str, list[Row], list[Row]]]:
     """Pair the samples of each method that both have; if none, those of their own methods."""
     earlier, later = first.by_method, second.by_method
-    shared = {name: (earlier[name], later[name]) for name in earlier if name in later}
+    shared = [name for name in earlier if name in later]
+    for name in shared:
+        yield name, earlier[name], later[name]
     if not shared and earlier and later:
         (name, rows), (other, others) = next(iter(earlier.items())), next(iter(later.items()))
-        shared = {f"{other} − {name}": (rows, others)}
-    return {name: pair for name, pair in shared.items() if _aligned(*pair)[0]}
+        yield f"{other} − {name}", rows, others
 
 
-def _summary(first: Run, second: Run, pairs: Pairs) -> str:
-    """Describe in a sentence what both have in common."""
-    if not pairs:
-        return (
-            f"nothing to compare: {first.folder} has {_described(first)}, {second.folder} has "
-            f"{_described(second)}, and no query of the same frame, judged at the same size, is in "
-            "both"
-        )
-    total = same = 0
-    more = [0, 0]
-    for earlier, later in pairs.values():
-        mine, theirs = _aligned(earlier, later)
-        total += len(mine)
-        same += sum(
-            {**a, "method": ""} == {**b, "method": ""} for a, b in zip(mine, theirs, strict=True)
-        )
-        more[0] += len(earlier) - len(mine)
-        more[1] += len(later) - len(mine)
-    text = f"{total} samples of {len(pairs)} method{'s' if len(pairs) > 1 else ''} are in both"
-    text += ", and all are the same" if same == total else f", {total - same} of them changed"
-    alone = [
-        f"{count} more in {run.folder}"
-        for run, count in zip((first, second), more, strict=True)
-        if count
-    ]
-    return "; ".join([text, *alone])
-
-
-def _described(run: Run) -> str:
-    if not run.rows:
-        return "no samples"
-    scenes = list(dict.fromkeys(row["scene"] for row in run.rows))
-    sets = dict.fromkeys(row["dataset"] for row in run.rows)
-    listed = ", ".join(scenes[:3]) + (" ..." if len(scenes) > 3 else "")
-    return f"{len(scenes)} scene(s) of {', '.join(sets)} ({listed})"
-
-
-def _aligned(rows: Sequence[Row], others: Sequence[Row]) -> tuple[list[Row], list[Row]]:
-    """Return the samples that both have, in one order; scores at two sizes do not compare."""
+def _aligned(rows: Sequence[Row], others: Sequence[Row]) -> list[tuple[Row, Row]]:
+    """Return the samples that both have; scores at two sizes do not compare."""
 
     def key(row: Row) -> tuple[Any, ...]:
         return row["dataset"], row["protocol"], row["height"], row["width"], *key_of(row)
 
     theirs = {key(row): row for row in others}
-    mine = [row for row in rows if key(row) in theirs]
-    return mine, [theirs[key(row)] for row in mine]
+    return [(row, theirs[key(row)]) for row in rows if key(row) in theirs]
 
 
-def _made_section(first: Run, second: Run) -> Section:
-    settings = differing_settings(first.manifest, second.manifest)
-    if not settings:
-        note = Prose("No setting, version or data is known to differ.")
-        return Section("How they were made", [note])
-    return Section("How they were made", [_settings_table(settings, "A", "B")])
+def _difference_sections(named: Mapping[str, Run]) -> list[Section]:
+    """Set each run against the first, the later minus the earlier."""
+    (letter, first), *others = named.items()
+    pairs = {}
+    for other, run in others:
+        for name, earlier, later in _paired(first, run):
+            pairs[f"{name}, {other}" if others[1:] else name] = (later, earlier)
+    more = {table.title: table for table in difference_tables(pairs, MORE, "Method")}
+    sections = []
+    for table in difference_tables(pairs, MAIN, "Method"):
+        blocks: list[Block] = [table.untitled]
+        if table.title in more:
+            blocks.append(Fold("By other protocols, and calibration", [more[table.title].untitled]))
+        minus = others[0][0] if len(others) == 1 else "Each"
+        sections.append(Section(f"{minus} minus {letter}, {table.title}", blocks))
+    return sections
 
 
-def _settings_table(settings: Sequence[tuple[str, str, str]], first: str, second: str) -> Table:
-    heads = [Column(name, is_text=True) for name in ("what differs", first, second)]
-    return Table.of(heads, settings)
+def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """List the leaves of manifests that differ: the name, and the value in each.
 
-
-def differing_settings(
-    first: Mapping[str, Any], second: Mapping[str, Any]
-) -> list[tuple[str, str, str]]:
-    """List the leaves of two manifests that differ.
-
-    Those of the data in a line a scene; of more than :data:`SCENES` scenes in one for all.
+    Of the data of more than :data:`SCENES` scenes that differ alike the first ones are listed.
     """
-    if not first or not second:
-        return []
-    data = [dict(run.get("data", {})) for run in (first, second)]
-    one, other = (
-        dict(flatten({k: v for k, v in run.items() if k not in ("data", "methods")}))
-        for run in (first, second)
-    )
-    methods = [run.get("methods", {}) for run in (first, second)]
-    for mine, theirs, values in ((*methods, one), (*methods[::-1], other)):
-        changed = (name for name in mine if mine[name] != theirs.get(name))
-        values["methods"] = "; ".join(changed) or NO_VALUE
-    found = _differences(one, other)
-    differing: dict[str, list[tuple[str, str, str]]] = {}
-    alone = []
-    for scene in dict.fromkeys([*data[0], *data[1]]):
-        if scene not in data[0] or scene not in data[1]:
-            before, after = ("present" if scene in of else NO_VALUE for of in data)
-            alone.append((f"data.{scene}", before, after))
-            continue
-        for leaf, before, after in _differences(*(dict(flatten(of[scene])) for of in data)):
-            differing.setdefault(leaf, []).append((scene, before, after))
-    for leaf, scenes in differing.items():
-        if len(scenes) <= SCENES:
-            found += [(f"data.{scene}.{leaf}", a, b) for scene, a, b in scenes]
+    flat = [dict(flatten({k: v for k, v in own.items() if k != "data"})) for own in manifests]
+    lines = _differences(flat)
+    data = [own.get("data", {}) for own in manifests]
+    by_leaf: dict[str, list[list[str]]] = {}
+    for scene in dict.fromkeys(name for own in data for name in own):
+        if all(scene in own for own in data):
+            leaves = [{f".{k}": v for k, v in flatten(own[scene])} for own in data]
         else:
-            scene, *ends = scenes[0]
-            more = f" of {scene}, and others of {len(scenes) - 1} more scenes"
-            a, b = (end if len(end) <= 16 else f"{end[:12]}…" for end in ends)
-            found.append((f"data.*.{leaf}", a + more, b + more))
-    return found + alone
+            leaves = [{"": "present"} if scene in own else {} for own in data]
+        for leaf, *values in _differences(leaves):
+            by_leaf.setdefault(leaf, []).append([f"data.{scene}{leaf}", *values])
+    for leaf, alike in by_leaf.items():
+        lines += alike[:SCENES]
+        if more := len(alike[SCENES:]):
+            lines.append([f"data of {more} more scenes{leaf}", *["differs"] * len(manifests)])
+    return lines
 
 
-def _differences(one: Mapping[str, str], other: Mapping[str, str]) -> list[tuple[str, str, str]]:
+def _differences(leaves: Sequence[Mapping[str, str]]) -> list[list[str]]:
+    names = dict.fromkeys(name for own in leaves for name in own)
+    every = ([name, *(own.get(name, NO_VALUE) for own in leaves)] for name in names)
+    return [line for line in every if len(set(line[1:])) > 1]
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """A method of a run with what it was asked, the truth's digest by scene, and its scores."""
+
+    letter: str
+    method: str
+    asked: frozenset[tuple[str, str, str]]
+    truth: Mapping[str, str]
+    scores: Mapping[str, Row]
+    seconds: float | None
+
+    def is_like(self, other: _Entry) -> bool:
+        shared = self.truth.keys() & other.truth.keys()
+        same_truth = all(self.truth[scene] == other.truth[scene] for scene in shared)
+        return self.asked == other.asked and same_truth
+
+
+def rank_methods(named: Mapping[str, Run]) -> list[Table]:
+    """Rank the methods of runs by the first score of each protocol; equal as printed is equal.
+
+    There is a table for each data set, protocol, size and list of questions; the truth is the same
+    where the manifests know it.
+    """
+    groups: dict[tuple[str, str, str], list[list[_Entry]]] = {}
+    for letter, run in named.items():
+        for kind, entry in _entries(letter, run):
+            alike = groups.setdefault(kind, [])
+            same = next((group for group in alike if group[0].is_like(entry)), None)
+            if same is None:
+                alike.append([entry])
+            else:
+                same.append(entry)
+    order = list(dict.fromkeys(score.protocol for score in (*MAIN, *MORE)))
     return [
-        (name, one.get(name, NO_VALUE), other.get(name, NO_VALUE))
-        for name in dict.fromkeys([*one, *other])
-        if one.get(name) != other.get(name)
+        _ranking(kind, group)
+        for kind in sorted(groups, key=lambda kind: order.index(kind[1].partition("@")[0]))
+        for group in sorted(groups[kind], key=len, reverse=True)
     ]
 
 
-def _costs_table(first: Run, second: Run) -> Table | None:
-    """Set seconds, memory and machines of both side by side; None where one has no times."""
-    if not first.times or not second.times:
-        return None
+def _entries(letter: str, run: Run) -> Iterator[tuple[tuple[str, str, str], _Entry]]:
+    seconds = {(cost.dataset, cost.method): cost.view_query for cost in run.costs}
+    data = run.manifest.get("data", {})
+    kinds: dict[tuple[str, str, str, str], list[Row]] = {}
+    for row in run.rows:
+        size = f"{row['height']} x {row['width']}"
+        kinds.setdefault((row["method"], row["dataset"], row["protocol"], size), []).append(row)
+    for (method, *kind), rows in kinds.items():
+        dataset, protocol, size = kind
+        scores = {score["metric"]: score for score in score_table(rows).to_pylist()}
+        if not any(score.metric in scores for score in _ranked_scores(protocol)):
+            continue
+        asked = frozenset(
+            key_of(row) for row in rows if any(m.of(row) is not None for m in METRICS)
+        )
+        digests = {scene: data.get(scene, {}).get("truth") for scene, *_ in asked}
+        truth = {scene: digest for scene, digest in digests.items() if digest is not None}
+        spent = seconds.get((dataset, method))
+        entry = _Entry(letter, method, asked, truth, scores, spent)
+        yield (dataset, protocol, size), entry
+
+
+def _ranked_scores(protocol: str) -> list[Score]:
+    """List the scores of a protocol that are the better the greater."""
+    name = protocol.partition("@")[0]
+    return [score for score in (*MAIN, *MORE) if score.protocol == name and score.sign > 0]
+
+
+def _ranking(kind: tuple[str, str, str], group: Sequence[_Entry]) -> Table:
+    shown = [s for s in _ranked_scores(kind[1]) if any(s.metric in e.scores for e in group)]
+
+    def value(entry: _Entry) -> float:
+        score = entry.scores.get(shown[0].metric)
+        return -1.0 if score is None else round(score["value"], shown[0].digits)
+
     rows = []
-    by_method = {(cost.dataset, cost.method): cost for cost in second.costs}
-    for cost in first.costs:
-        other = by_method.get((cost.dataset, cost.method))
+    for entry in sorted(group, key=value, reverse=True):
+        rank = 1 + sum(value(other) > value(entry) for other in group)
+        cells = [score_cell(entry.scores.get(score.metric), score.digits) for score in shown]
+        name = f"{rank}. {entry.method}"
+        rows.append([name, entry.letter, *cells, number(entry.seconds, 3)])
+    names = [Column(name, is_text=True) for name in ("Method", "Run")]
+    scenes = len({scene for scene, *_ in group[0].asked})
+    dataset, protocol, size = kind
+    title = f"{dataset} by {protocol} at {size}: {scenes} scenes, {len(group[0].asked)} queries"
+    return Table.of([*names, *(score.column() for score in shown), "s"], rows, title)
+
+
+def _costs_table(runs: Sequence[Run]) -> Table:
+    """Set seconds, memory and machines side by side."""
+    costs = [{(cost.dataset, cost.method): cost for cost in run.costs} for run in runs]
+    rows = []
+    for key in costs[0]:
         for name, (title, unit, digits) in COSTS.items():
-            values = getattr(cost, name), getattr(other, name, None)
+            values = [getattr(own.get(key), name, None) for own in costs]
             if None not in values:
                 cells = [number(value, digits, unit) for value in values]
-                rows.append([f"{cost.dataset}, {cost.method}: {title}", *cells])
-    both = first.times, second.times
-    stages = [times.get("seconds_by_stage", {}) for times in both]
-    for stage in (name for name in stages[0] if name in stages[1]):
+                rows.append([f"{', '.join(key)}: {title}", *cells])
+    times = [run.times for run in runs]
+    stages = [own.get("seconds_by_stage", {}) for own in times]
+    for stage in (name for name in stages[0] if all(name in own for own in stages)):
         rows.append([f"{stage} of all scenes, s", *(number(own[stage], 2) for own in stages)])
     for name in ("machine", "processor", "workers"):
-        rows.append([name, *(times.get("host", {}).get(name) for times in both)])
+        rows.append([name, *(own.get("host", {}).get(name) for own in times)])
     note = (
         "Medians over scenes, each of when it was made. On two machines, or beside other work, "
         "they do not compare."
     )
-    return Table.of(["", "A", "B"], rows, notes=[note])
+    return Table.of(["", *ascii_uppercase[: len(runs)]], rows, notes=[note])
 
 
-def _changes_table(pairs: Pairs) -> Table | None:
+def _changes_table(first: Run, second: Run) -> Table | None:
     """List the most changed queries of the first method of both, what became worse first."""
-    if not pairs:
-        return None
-    name, (earlier, later) = next(iter(pairs.items()))
-    mine, theirs = _aligned(of_first_protocol(earlier), of_first_protocol(later))
+    name, earlier, later = next(_paired(first, second), ("", [], []))
     changed = [
-        (row, other, other["iou"] - row["iou"])
-        for row, other in zip(mine, theirs, strict=True)
+        (row, other["iou"], other["iou"] - row["iou"])
+        for row, other in _aligned(of_first_protocol(earlier), of_first_protocol(later))
         if None not in (row["iou"], other["iou"]) and row["iou"] != other["iou"]
     ]
     if not changed:
@@ -259,12 +365,11 @@ def _changes_table(pairs: Pairs) -> Table | None:
             row["query"],
             f"{row['scene']}, {row['frame']}",
             number(row["iou"], 3),
-            number(other["iou"], 3),
+            number(after, 3),
             mask_place(row).as_posix(),
         ]
-        for row, other, _ in sorted(changed, key=lambda one: one[2])
+        for row, after, _ in sorted(changed, key=lambda one: one[2])
     ]
-    texts = (Column(title, is_text=True) for title in ("Scene and frame", "Mask, in predictions/"))
-    place, mask = texts
-    note = f"By {escape(name)}, {escape(mine[0]['protocol'])}."
+    place, mask = (Column(n, is_text=True) for n in ("Scene and frame", "Mask, in predictions/"))
+    note = f"By {escape(name)}, {escape(earlier[0]['protocol'])}."
     return Table.of(["Query", place, "IoU of A", "IoU of B", mask], rows, notes=[note])

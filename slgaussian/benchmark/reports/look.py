@@ -20,7 +20,6 @@ from slgaussian.benchmark.reports.model import (
     Cell,
     Column,
     Columns,
-    Fold,
     Gallery,
     Picture,
     Prose,
@@ -47,8 +46,8 @@ LARGE, LETTERS = 960, 24
 SHOWN, ANSWER = 800, 480
 """Width of pictures that open the page, and of answers, pixels."""
 
-WIDE, NARROW = 480, 280
-"""Width of the pictures of a scene in a report of few scenes, and of many, pixels."""
+SMALL = 360
+"""Width of the pictures in the section of a scene, pixels."""
 
 WORST = 8
 """Answers of a run that are shown, those that scored least."""
@@ -58,9 +57,6 @@ OF_A_SCENE = 2
 
 ANSWERS = 4
 """Answers of a scene that are shown."""
-
-TARGETS = 2
-"""Target views of a scene that are shown."""
 
 FAIR = 0.25
 """Least IoU of an answer that is not poor."""
@@ -135,11 +131,10 @@ def answer_card(
     chips = []
     if row["iou"] is not None:
         grade = "good" if row["iou"] >= GOOD else "fair" if row["iou"] >= FAIR else "poor"
-        chips.append((f"IoU {row['iou']:.2f}", grade))
-        point = "–" if row["hit_mask"] is None else "✓" if row["hit_mask"] else "✗"
-        chips.append((f"point {point}", ""))
+        point = {None: "–", True: "✓", False: "✗"}[row["hit_mask"]]
+        chips = [(f"IoU {row['iou']:.2f}", grade), (f"point {point}", "")]
     elif row["score"] is not None:
-        chips.append((f"relevancy {row['score']:.2f}", ""))
+        chips = [(f"relevancy {row['score']:.2f}", "")]
     if lost_by:
         chips.append((f"lost by {lost_by}", "lost"))
     name = f"{row['frame']}/{query}"
@@ -147,8 +142,8 @@ def answer_card(
         picture(images[f"mask/{name}"], width, "found", f"mask found for {query}"),
         picture(images[f"relevancy/{name}"], width, "relevancy", f"relevancy of {query}"),
     ]
-    note = [f"{row['scene']}, {row['frame']}"] if place else []
-    return Card(query, chips, drawn, ": ".join([*note, *filter(None, [row["note"]])]))
+    note = [f"{row['scene']}, {row['frame']}"] * place + [row["note"]] * bool(row["note"])
+    return Card(query, chips, drawn, ": ".join(note))
 
 
 def look_section(
@@ -234,20 +229,17 @@ def scene_section(
     rows: Sequence[Row],
     metrics: Mapping[str, float],
     images: Images,
-    few: bool,
     exhibited: bool,
 ) -> Section:
     """Return all of a scene: photographs, objects, depth, new views, answers and every query.
 
-    Of many scenes, that are not ``few``, pictures are smaller; without ``images`` there are only
-    tables. Of a scene that is ``exhibited`` at the top the pictures there are not repeated.
+    Without ``images`` there are only tables. Of a scene that is ``exhibited`` at the top the
+    pictures there are not repeated.
     """
-    width = WIDE if few else NARROW
     blocks: list[Block] = []
     if images:
-        blocks += _depth_blocks(images, metrics, width)
-        if not exhibited:
-            blocks += _view_blocks(images, width, few)
+        blocks += _depth_blocks(images, metrics)
+        blocks += [] if exhibited else _view_blocks(images)
     elif rows:
         blocks.append(Prose("Answered better than the scenes that are drawn here."))
     drawn = [row for row in rows if f"mask/{row['frame']}/{row['query']}" in images]
@@ -255,59 +247,59 @@ def scene_section(
         worst_first = ranked(drawn)
         half = ANSWERS // 2
         chosen = [*worst_first[:half], *worst_first[half:][-half:]] or drawn[:ANSWERS]
-        blocks.append(Cards([answer_card(row, images, width) for row in chosen], "few"))
+        blocks.append(Cards([answer_card(row, images, SMALL) for row in chosen], "narrow"))
         if len(chosen) < len(rows):
             blocks.append(Prose(f"The worst and the best of {len(rows)} questions."))
     if rows:
-        queries = _queries_table(rows)
-        blocks.append(
-            Fold(f"Every query of {scene} ({len(rows)})", [queries], few and len(rows) <= 12)
-        )
+        blocks.append(_queries_table(rows))
     note = f"IoU {metrics['iou']:.3f}; " if "iou" in metrics else ""
     note += f"objects, depth and {len(rows)} queries"
-    folded = not few or exhibited
-    return Section(scene, blocks, id, note, is_folded=folded, only_html=True)
+    return Section(scene, blocks, id, note, is_folded=True, only_html=True)
 
 
-def _depth_blocks(images: Images, metrics: Mapping[str, float], width: int) -> list[Block]:
-    inputs = _frames(images, "input")
-    kinds = {"labels": "objects", "depth": "depth", "true_depth": "true depth",
-             "depth_error": "depth error"}  # fmt: skip
-    terms = {"objects": "one colour and number an object, the same in all photographs, as "
-             "`slgaussian objects` has them"}  # fmt: skip
+def _depth_blocks(images: Images, metrics: Mapping[str, float]) -> list[Block]:
+    terms = {
+        "objects": "one colour and number an object, the same in all photographs, as "
+        "`slgaussian objects` has them"
+    }
     if "near" in metrics:
         terms["depth"] = f"{metrics['near']:.3g} (red) to {metrics['far']:.3g} scene units (blue)"
     if _frames(images, "depth_error"):
         terms["depth error"] = f"relative, 0 (black) to {ERROR_TOP} and more (white)"
-    blocks: list[Block] = [Terms(terms)]
-    for name in inputs:
-        shown = [picture(images[f"input/{name}"], width, name)]
-        shown += [
-            picture(images[f"{kind}/{name}"], width, title, f"{title} of {name}")
-            for kind, title in kinds.items()
-            if f"{kind}/{name}" in images
-        ]
-        blocks.append(Gallery(shown, "grid five" if len(shown) == 5 else "grid three"))
-    return blocks
+    kinds = {
+        "input": "",
+        "labels": "objects",
+        "depth": "depth",
+        "true_depth": "true depth",
+        "depth_error": "depth error",
+    }
+    return [Terms(terms), *(_row(images, kinds, name) for name in _frames(images, "input"))]
 
 
-def _view_blocks(images: Images, width: int, few: bool) -> list[Block]:
+def _view_blocks(images: Images) -> list[Block]:
+    """Return new views: the photographs, which the method never saw, or those along the way."""
     targets = _frames(images, "photo")
-    blocks: list[Block] = [Prose("**Seen from new viewpoints**", "")]
-    for name in targets[: TARGETS if few else 1]:
-        shown = [
-            picture(
-                images[f"photo/{name}"], width, f"photograph {name}, never shown to the method"
-            ),
-            picture(images[f"render/{name}"], width, "rendered", f"{name}, rendered"),
-            picture(images[f"ids/{name}"], width, "objects, rendered", f"objects of {name}"),
-        ]
-        blocks.append(Gallery(shown, "grid three"))
-    if few or not targets:
+    if targets:
+        kinds = {"photo": "photograph, never shown to the method", "render": "rendered",
+                 "ids": "objects, rendered"}  # fmt: skip
+        rows = [_row(images, kinds, name) for name in targets]
+    else:
         path = [way for way in ALONG_THE_WAY if f"render/{way}" in images]
-        shown = [picture(images[f"render/{way}"], width, way) for way in path]
-        blocks.append(Gallery(shown, "grid three"))
-    return blocks
+        shown = [picture(images[f"render/{way}"], SMALL, way) for way in path]
+        rows = [Gallery(shown, "grid three")]
+    return [Prose("**Seen from new viewpoints**", ""), *rows]
+
+
+def _row(images: Images, kinds: Mapping[str, str], name: str) -> Gallery:
+    """Return what there is of a frame, a picture a kind."""
+    shown = [
+        picture(
+            images[f"{kind}/{name}"], SMALL, title or name, f"{title} of {name}" if title else name
+        )
+        for kind, title in kinds.items()
+        if f"{kind}/{name}" in images
+    ]
+    return Gallery(shown, "grid five" if len(shown) == 5 else "grid three")
 
 
 def _queries_table(rows: Sequence[Row]) -> Table:
@@ -354,12 +346,8 @@ def _named(
     """Return the view, enlarged, with the mask of each text in its colour."""
     size = LARGE, round(ground.shape[0] * LARGE / ground.shape[1])
     large = cv2.resize(ground, size, interpolation=cv2.INTER_CUBIC)
-
-    def enlarged(mask: np.ndarray) -> np.ndarray:
-        return cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_LINEAR) > 0.5
-
     named = [
-        Named(text, enlarged(mask), place)
+        Named(text, cv2.resize(mask.astype(np.float32), size) > 0.5, place)
         for place, (text, mask) in enumerate(zip(texts, masks, strict=True), 1)
         if mask is not None
     ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import groupby
 from typing import Any, ClassVar
@@ -119,6 +119,11 @@ class Table:
         return Table(tuple(heads), tuple(map(line_of, rows)), title, tuple(notes))
 
     @property
+    def untitled(self) -> Table:
+        """The table without its title, for where something else says it."""
+        return replace(self, title="")
+
+    @property
     def groups(self) -> list[tuple[str, int]]:
         """The headings above the columns, and of how many; empty where no column has one."""
         spans = [(name, len(list(own))) for name, own in groupby(c.group for c in self.columns)]
@@ -170,14 +175,6 @@ class Prose:
     text: str
     style: str = "soft"
     kind: ClassVar[str] = "prose"
-
-
-@dataclass(frozen=True)
-class Points:
-    """Sentences in a list, each with its mark, as a :class:`Cell` has it."""
-
-    points: Sequence[tuple[str, str]]
-    kind: ClassVar[str] = "points"
 
 
 @dataclass(frozen=True)
@@ -268,7 +265,7 @@ class Slot:
     kind: ClassVar[str] = "slot"
 
 
-Block = Table | Prose | Points | Terms | Gallery | Cards | Plots | Columns | Fold | Numbers | Slot
+Block = Table | Prose | Terms | Gallery | Cards | Plots | Columns | Fold | Numbers | Slot
 
 
 @dataclass(frozen=True)
@@ -322,9 +319,10 @@ class Report:
         """Return sentences and tables of the report as text for a terminal."""
         parts = [plain(block.text) for block in self.opening if isinstance(block, Prose)]
         for section in self.sections:
-            tables = [block.as_text() for block in section.blocks if isinstance(block, Table)]
-            if tables:
-                parts.append("\n".join([section.title, *tables]))
+            tables = [block for block in section.blocks if isinstance(block, Table)]
+            texts = ["\n".join(filter(None, (table.title, table.as_text()))) for table in tables]
+            if texts:
+                parts.append("\n".join([section.title, "\n\n".join(texts)]))
         return "\n\n".join(parts)
 
 

@@ -20,10 +20,10 @@ from slgaussian.benchmark.outputs import mask_place
 from slgaussian.benchmark.reports import look
 from slgaussian.benchmark.reports.model import (
     Block,
+    Card,
     Cards,
     Column,
     Fold,
-    Points,
     Prose,
     Report,
     Section,
@@ -37,25 +37,27 @@ from slgaussian.benchmark.reports.model import (
     number,
 )
 from slgaussian.benchmark.reports.paper_tables import paper_section
-from slgaussian.benchmark.reports.scenes import Scene, accounts_table, metrics_table
+from slgaussian.benchmark.reports.scenes import Scene, metrics_table
 from slgaussian.benchmark.reports.score_tables import (
     MAIN,
     MORE,
-    claims,
     conditions,
-    difference_tables,
+    gain_cell,
     method_tables,
 )
 from slgaussian.benchmark.reports.speed import speed_blocks
 from slgaussian.benchmark.reports.summary import summarize
-from slgaussian.benchmark.scores import GOOD, key_of, of_first_protocol, score_table
+from slgaussian.benchmark.scores import (
+    GOOD,
+    differences,
+    key_of,
+    of_first_protocol,
+    score_table,
+)
 from slgaussian.datasets.published import Standing
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
-
-FEW = 6
-"""Scenes up to which all are shown at once, with large pictures."""
 
 MOST = 24
 """Scenes that get pictures: of more, those answered worst. All are in the tables."""
@@ -99,7 +101,7 @@ def run_report(
     scores = [score for own in by_method.values() for score in score_table(own).to_pylist()]
     leading = [score for score in scores if asked and score["protocol"] == asked[0]["protocol"]]
     lost_by = {key_of(row): row["lost"] or "" for row in attribution}
-    drawn = _drawn(scenes, asked, lost_by)
+    drawn = _draw(scenes, asked, lost_by)
     sections = [*drawn.looks, *_score_sections(by_method, scores, leading)]
     if failures:
         sections.append(_failures_section(failures))
@@ -154,40 +156,36 @@ class _Drawn:
     """The sections of pictures: scenes that open the page, the worst answers, and all scenes."""
 
     looks: list[Section]
-    worst: list[Any]
+    worst: list[tuple[Row, Card]]
     scenes: list[Section]
 
 
-def _drawn(
-    scenes: Sequence[Scene], asked: Sequence[Row], lost_by: Mapping[look.Key, str]
-) -> _Drawn:
+def _draw(scenes: Sequence[Scene], asked: Sequence[Row], lost_by: Mapping[look.Key, str]) -> _Drawn:
     """Draw the pictures of all scenes, of which one is in memory at a time."""
     worst = look.few_a_scene(look.ranked(asked), look.WORST)
-    cards: dict[look.Key, Any] = {}
+    cards: dict[look.Key, Card] = {}
     opens = look.choose_scenes((one.name, one.dataset, one.metrics) for one in scenes)
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
     pictured = {scene.name for scene in worst_first[:MOST]}
-    few = len(scenes) <= FEW
     drawn = _Drawn([], [], [])
     for place, scene in enumerate(scenes):
         rows = [row for row in asked if row["scene"] == scene.name]
         chosen = [row for row in worst if row["scene"] == scene.name]
-        images: Images = {}
-        if scene.name in pictured | opens.keys() or chosen:
-            images = scene.pictures()
+        shown = scene.name in pictured | opens.keys() or chosen
+        images = scene.pictures() if shown else {}
         if scene.name in opens:
             reason = opens[scene.name]
             truth, masks = scene.truth(), scene.masks()
-            shown = look.look_section(scene.name, reason, rows, images, truth, masks, lost_by)
-            drawn.looks.append(shown)
+            drawn.looks.append(
+                look.look_section(scene.name, reason, rows, images, truth, masks, lost_by)
+            )
         for row in chosen:
             lost = lost_by.get(key_of(row), "")
             cards[key_of(row)] = look.answer_card(row, images, look.ANSWER, lost)
         own = images if scene.name in pictured else {}
+        id = f"scene-{place}"
         drawn.scenes.append(
-            look.scene_section(
-                scene.name, f"scene-{place}", rows, scene.metrics, own, few, scene.name in opens
-            )
+            look.scene_section(scene.name, id, rows, scene.metrics, own, scene.name in opens)
         )
     if drawn.looks:
         drawn.looks[0] = replace(drawn.looks[0], id="look", link="Look")
@@ -198,7 +196,7 @@ def _drawn(
 def _score_sections(
     by_method: Mapping[str, Sequence[Row]], scores: Sequence[Row], leading: Sequence[Row]
 ) -> Iterator[Section]:
-    """Return one table a data set, and all others folded up below."""
+    """Return one table a data set, and all scores folded up below."""
     if not leading:
         return
     ours, *others = by_method
@@ -209,24 +207,29 @@ def _score_sections(
         for score in (*MAIN, *MORE)
         if score.metric == metric and score.protocol == protocol.partition("@")[0]
     ]
-    pairs = {method: (by_method[ours], by_method[method]) for method in others}
-    gains = {table.title: table for table in difference_tables(pairs)}
-    more = {table.title: table for table in method_tables(scores, MORE)}
+    first = {m: [r for r in rows if r["protocol"] == protocol] for m, rows in by_method.items()}
+    gains = {
+        (one.dataset, method): one
+        for method in others
+        for one in differences(first[ours], first[method])
+        if one.metric == shown[0].metric
+    }
+    gain = Column(f"{ours} minus it", f"{shown[0].title}, on the queries and scenes that both have")
     blocks: list[Block] = []
     for table in method_tables(leading, shown):
-        best_first = sorted(table.lines, key=lambda line: line.cells[1].value, reverse=True)
-        lines = tuple(
-            replace(line, style="ours" if others and line.cells[0].value == ours else "")
-            for line in best_first
-        )
-        blocks.append(replace(table, lines=lines))
-        if points := claims(gains[table.title]) if table.title in gains else []:
-            blocks += [Prose(f"By {MAIN[0].title}, {escape(ours)} is", ""), Points(points)]
-    terms = {score.title: score.help for score in shown}
-    terms["near-best"] = (
-        "all objects that lead the canonical phrases by the given share of the best "
-    )
-    terms["near-best"] += "one's lead"
+        lines = []
+        for line in sorted(table.lines, key=lambda line: line.cells[1].value, reverse=True):
+            method = line.cells[0].value
+            cells, style = list(line.cells), "ours" if others and method == ours else ""
+            if gains:
+                cells.append(gain_cell(gains.get((table.title, method)), shown[0], is_worded=True))
+            lines.append(replace(line, cells=tuple(cells), style=style))
+        columns = (*table.columns, gain) if gains else table.columns
+        blocks.append(replace(table, columns=columns, lines=tuple(lines)))
+    terms = {score.title: score.help for score in shown} | {
+        "near-best": "all objects that lead the canonical phrases by the given share of the best "
+        "one's lead"
+    }
     blocks.append(Terms(terms))
     if others:
         note = "Best IoU first; the best of each column is bold. What is called “like” is not the "
@@ -234,15 +237,13 @@ def _score_sections(
         blocks.append(Prose(note))
     title = "How good, by method" if others else "How good"
     yield Section(title, blocks, "scores", link="Scores")
+    more = {table.title: table for table in method_tables(scores, MORE)}
     every: list[Block] = []
     for table in method_tables(scores):
         every.append(table)
         if table.title in more:
             every.append(replace(more[table.title], title="By other protocols, and calibration"))
-        if table.title in gains:
-            every.append(replace(gains[table.title], title=f"{ours} minus each other method"))
-    note = f"by every protocol{', and differences' if others else ''}"
-    yield Section("Every score", every, note=note, is_folded=True)
+    yield Section("Every score", every, note="by every protocol", is_folded=True)
 
 
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
@@ -264,16 +265,12 @@ def _worst_section(asked: Sequence[Row], drawn: _Drawn, attribution: Sequence[Ro
     blocks: list[Block] = []
     for dataset in dict.fromkeys(row["dataset"] for row in asked):
         scored = [r for r in asked if r["dataset"] == dataset and r["iou"] is not None]
+        low = {key_of(row) for row in scored if row["iou"] < GOOD}
+        beside = {key_of(row) for row in scored if not row["hit_mask"]}
         if scored:
-            low = {key_of(row) for row in scored if row["iou"] < GOOD}
-            beside = {key_of(row) for row in scored if not row["hit_mask"]}
-            blocks.append(
-                Prose(
-                    f"**{escape(dataset)}**: {len(low | beside)} of {len(scored)} queries are "
-                    f"missed, {len(low)} with an IoU below {GOOD} and {len(beside)} with a "
-                    "point beside the object."
-                )
-            )
+            text = f"**{escape(dataset)}**: {len(low | beside)} of {len(scored)} queries are "
+            text += f"missed, {len(low)} with an IoU below {GOOD} and {len(beside)} with a point "
+            blocks.append(Prose(f"{text}beside the object."))
     by = f"{escape(asked[0]['protocol'])} ({escape(conditions(asked[0]))})"
     blocks.append(Prose(f"Here are the lowest, a few of a scene, by {by}."))
     blocks += [look.ANSWER_TERMS, Cards([card for _, card in drawn.worst])]
@@ -286,9 +283,8 @@ def _worst_section(asked: Sequence[Row], drawn: _Drawn, attribution: Sequence[Ro
         ]
         for row, _ in drawn.worst
     ]
-    places = [Column(name, is_text=True) for name in ("Scene and frame", "Mask")]
-    table = Table.of(["Query", places[0], "IoU", places[1]], rows)
-    blocks.append(Fold("Where their masks are", [table]))
+    place, mask = (Column(name, is_text=True) for name in ("Scene and frame", "Mask"))
+    blocks.append(Fold("Where their masks are", [Table.of(["Query", place, "IoU", mask], rows)]))
     if attribution:
         blocks += _attribution_blocks(attribution)
     return Section("Answered worst", blocks, "worst", link="Worst answers")
@@ -309,25 +305,21 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
         own = [row for row in attribution if row["dataset"] == dataset]
         counts = Counter(row["lost"] or "no miss" for row in own)
         lines = []
-        for lost in sorted(counts, key=lambda name: (name == "no miss", -counts[name])):
-            rows = [row for row in own if (row["lost"] or "no miss") == lost]
-            lines.append(line_of([lost, str(len(rows)), *_mean_ious(rows)]))
-        lines.append(line_of(["all", str(len(own)), *_mean_ious(own)], style="mean"))
-        title = f"Which stage lost them, {dataset}"
-        blocks.append(Table(tuple(columns), tuple(lines), title))
+        for lost in [*sorted(counts, key=lambda one: (one == "no miss", -counts[one])), "all"]:
+            rows = [row for row in own if lost in (row["lost"] or "no miss", "all")]
+            ious = ([row[n] for row in rows if row[n] is not None] for n in STAND_INS)
+            means = [number(float(np.mean(one)), 3) if one else None for one in ious]
+            style = "mean" if lost == "all" else ""
+            lines.append(line_of([lost, str(len(rows)), *means], style=style))
+        blocks.append(Table(tuple(columns), tuple(lines), f"Which stage lost them, {dataset}"))
     blocks.append(Terms({title: help for title, help in STAND_INS.values() if help}))
     return blocks
-
-
-def _mean_ious(rows: Sequence[Row]) -> list[str | None]:
-    known = ([row[name] for row in rows if row[name] is not None] for name in STAND_INS)
-    return [number(float(np.mean(ious)), 3) if ious else None for ious in known]
 
 
 def _scenes_section(
     scenes: Sequence[Scene], leading: Sequence[Row], ours: str, manifest: Mapping[str, Any]
 ) -> Section:
-    """List the metrics of every scene, and what its field is made of."""
+    """List the metrics of every scene."""
     blocks: list[Block] = [
         Prose(
             "Each scene's field is a folder below `fields/`, by the name that `fields.csv` has; "
@@ -335,8 +327,14 @@ def _scenes_section(
             "weight."
         )
     ]
-    if cameras := _estimated(manifest):
-        blocks.append(Prose(f"Cameras were not given, but found, of {', '.join(cameras)}."))
+    estimated = []
+    for name, of in manifest.get("data", {}).items():
+        if (cameras := of.get("cameras", "given")) != "given":
+            left_out = ", ".join(of.get("left_out", {}))
+            aside = f"; without {left_out}, which cannot be placed" if left_out else ""
+            estimated.append(f"{escape(name)} ({escape(cameras + aside)})")
+    if estimated:
+        blocks.append(Prose(f"Cameras were not given, but found, of {', '.join(estimated)}."))
     links = {scene.name: f"scene-{place}" for place, scene in enumerate(scenes)}
     tables = []
     for dataset in dict.fromkeys(scene.dataset for scene in scenes):
@@ -344,33 +342,16 @@ def _scenes_section(
         scores = [s for s in leading if (s["dataset"], s["method"]) == (dataset, ours)]
         tables.append(metrics_table(metrics, scores, dataset, links))
     terms = {c.title: c.help for table in tables for c in table.columns if c.help}
-    accounts = accounts_table({scene.name: scene.account for scene in scenes})
-    blocks += [*tables, Terms(terms), Fold("What the fields are made of", [accounts])]
-    return Section("Scene by scene", blocks, "scenes", link="Scene by scene")
-
-
-def _estimated(manifest: Mapping[str, Any]) -> list[str]:
-    """Describe the scenes whose cameras were not given."""
-    texts = []
-    for name, of in manifest.get("data", {}).items():
-        cameras, left_out = of.get("cameras", "given"), list(of.get("left_out", {}))
-        aside = f"; without {', '.join(left_out)}, which cannot be placed" if left_out else ""
-        if cameras != "given":
-            texts.append(f"{escape(name)} ({escape(cameras + aside)})")
-    return texts
+    return Section(
+        "Scene by scene", [*blocks, *tables, Terms(terms)], "scenes", link="Scene by scene"
+    )
 
 
 def _manifest_section(manifest: Mapping[str, Any]) -> Section:
     """List settings, methods, versions and data."""
-    rows = flatten({k: v for k, v in manifest.items() if k != "data"})
-    data = [
-        (f"{name}, {key}", value)
-        for name, entry in manifest.get("data", {}).items()
-        for key, value in flatten(entry)
-    ]
     heads = [Column("", is_text=True)] * 2
-    blocks: list[Block] = [Table.of(heads, rows)]
-    if data:
+    blocks: list[Block] = [Table.of(heads, flatten({**manifest, "data": {}}))]
+    if data := flatten(manifest.get("data", {})):
         blocks.append(Fold("Data of each scene, by digest", [Table.of(heads, data)]))
     note = "settings, methods, versions, data: with these it can be run again"
     return Section("What ran", blocks, "ran", note, "What ran", is_folded=True)

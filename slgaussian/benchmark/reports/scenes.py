@@ -1,4 +1,4 @@
-"""Tables of scenes: metrics of each, and what their fields are made of."""
+"""A scene of a report, and the table of scenes with their metrics."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from slgaussian.benchmark.reports.model import Cell, Column, Line, Table, line_of, number
 from slgaussian.benchmark.reports.score_tables import score_cell
-from slgaussian.storage.statistics import FieldStatistics
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
@@ -27,8 +26,6 @@ class Scene:
         Of the spec ``samples``: of our method, then of each of the others.
     metrics : {name: float}
         The ``scene_metrics`` of our result.
-    account : FieldStatistics
-        Counts and sizes of our field.
     pictures : function giving {name: uint8 [H, W, 3]}
         The pictures of our result.
     truth : function giving {frame: {query: bool [H, W]}}
@@ -40,7 +37,6 @@ class Scene:
     dataset: str
     rows: Sequence[Row]
     metrics: Mapping[str, float]
-    account: FieldStatistics
     pictures: Callable[[], Images]
     truth: Callable[[], Mapping[str, Images]]
     masks: Callable[[], Mapping[tuple[str, str, str], np.ndarray]]
@@ -112,36 +108,3 @@ def metrics_table(
         means.append(Cell(f"{mean:.{m.digits}f}", below))
     columns = [Column("scene", is_text=True), *(Column(m.title, m.help) for m in shown)]
     return Table(tuple(columns), (*lines, Line(tuple(means), style="mean")), title)
-
-
-def accounts_table(accounts: Mapping[str, FieldStatistics]) -> Table:
-    """Return what the field of each scene is made of."""
-    rows = []
-    for scene, account in accounts.items():
-        counts = account.gaussians_made, account.gaussians_kept
-        changes = account.change_mean, account.change_rms, account.change_greatest
-        sizes = account.bytes_gaussians, account.bytes_bank
-        rest = (
-            account.depths_tried, account.depths_possible, account.code_dimensions,
-            account.replicas_computed, account.replicas_asked,
-        )  # fmt: skip
-        rows.append(
-            [
-                scene,
-                *(f"{count:,}" for count in counts),
-                f"{counts[1] / max(counts[0], 1):.0%}",
-                *(f"{change:.2f}" for change in changes),
-                *(number(one, 0) for one in rest),
-                *(f"{size / 1e6:.1f}" for size in sizes),
-            ]
-        )
-    heads = [
-        "Scene", "Gaussians made", "kept", "share", "mean change", "RMS", "greatest",
-        "depths tried", "possible", "code numbers", "replicas computed", "asked",
-        "MB of Gaussians", "MB of bank",
-    ]  # fmt: skip
-    note = (
-        "Changes are those of the context views by keeping fewer Gaussians, in grey levels, "
-        "measured."
-    )
-    return Table.of(heads, rows, notes=[note])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from slgaussian.benchmark.baselines import ROWS
@@ -13,6 +13,7 @@ from slgaussian.benchmark.scores import SCORE_CALIBRATION, Difference, differenc
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 
 Row = Mapping[str, Any]
+Pairs = Mapping[str, tuple[Sequence[Row], Sequence[Row]]]
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,11 @@ class Score:
     digits: int
     help: str
     sign: int = 1
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Protocol and metric."""
+        return self.protocol, self.metric
 
     def column(self, group: str = "", note: str = "") -> Column:
         """Return the column of the score in a table."""
@@ -60,9 +66,16 @@ MORE = (
 )
 """The scores that follow."""
 
-
 SELECTIONS = {"none": "no mask", "given": "masks as given"}
 """What some selections are called in place of their names."""
+
+VERDICTS = {
+    "better": "ahead",
+    "worse": "behind",
+    "noise": "no difference beyond noise",
+    "few": "too few places to tell",
+}
+"""Words by the mark of a difference, see :func:`gain_cell`."""
 
 
 def method_tables(scores: Sequence[Row], shown: Sequence[Score] = MAIN) -> list[Table]:
@@ -73,51 +86,53 @@ def method_tables(scores: Sequence[Row], shown: Sequence[Score] = MAIN) -> list[
     """
     tables = []
     for dataset in dict.fromkeys(row["dataset"] for row in scores):
-        by_key = {
-            (row["method"], row["protocol"].partition("@")[0], row["metric"]): row
-            for row in scores
-            if row["dataset"] == dataset and not is_of_curve(row)
-        }
-        methods = list(dict.fromkeys(method for method, *_ in by_key))
-        columns, notes = [], []
-        cells: dict[str, list[Cell]] = {method: [] for method in methods}
-        differing: dict[str, list[str]] = {method: [] for method in methods}
+        by_method: dict[str, dict[tuple[str, str], Row]] = {}
+        for row in scores:
+            if row["dataset"] == dataset and not is_of_curve(row):
+                key = row["protocol"].partition("@")[0], row["metric"]
+                by_method.setdefault(row["method"], {})[key] = row
+        columns = [Column("Method", is_text=True)]
+        cells = {method: [Cell(method)] for method in by_method}
+        apart: dict[str, dict[str, None]] = {method: {} for method in by_method}
         common: dict[str, str] = {}
         for score in shown:
-            by_method = {m: by_key.get((m, score.protocol, score.metric)) for m in methods}
-            present = [row for row in by_method.values() if row is not None]
+            present = [own[score.key] for own in by_method.values() if score.key in own]
             if not present:
                 continue
-            label = _most(row["protocol"] for row in present)
-            if label not in common:
-                common[label] = _most(conditions(row) for row in present)
-                notes.append(f"{escape(label)}: {escape(common[label])}.")
-            count = _most(f"n {row['samples']}" for row in present)
+            label, count = (_most(texts) for texts in zip(*map(_labels, present), strict=True))
+            common.setdefault(label, _most(conditions(row) for row in present))
             columns.append(score.column(label, count))
-            best = None
-            if len(methods) > 1:
-                best = max(round(row["value"], score.digits) * score.sign for row in present)
-            for method, row in by_method.items():
-                cells[method].append(_cell(row, score, best, common[label], count))
-                if row is not None:
-                    parts = common[label].split(", ")
-                    differing[method] += [
-                        part for part in conditions(row).split(", ") if part not in parts
-                    ]
-        if not columns:
+            best = max(round(row["value"], score.digits) * score.sign for row in present)
+            for method, own in by_method.items():
+                cell = score_cell(own.get(score.key), score.digits)
+                if score.key in own:
+                    found = own[score.key]
+                    is_best = round(found["value"], score.digits) * score.sign == best
+                    samples = _labels(found)[1]
+                    apart_from = filter(None, [found["note"], "" if samples == count else samples])
+                    mark = "best" if is_best and len(by_method) > 1 else ""
+                    cell = replace(cell, mark=mark, note="; ".join(apart_from))
+                    usual = common[label].split(", ")
+                    differing = (c for c in conditions(found).split(", ") if c not in usual)
+                    apart[method] |= dict.fromkeys(differing)
+                cells[method].append(cell)
+        if len(columns) == 1:
             continue
-        lines = []
-        for method in methods:
-            apart = ", ".join(dict.fromkeys(differing[method]))
-            description = "; ".join(filter(None, (about(method), apart)))
-            lines.append(Line((Cell(method), *cells[method]), description))
-        scenes, places = (
-            max(row[name] for row in by_key.values()) for name in ("scenes", "places")
+        lines = [
+            Line(tuple(own), "; ".join(filter(None, (about(method), ", ".join(apart[method])))))
+            for method, own in cells.items()
+        ]
+        every = [row for own in by_method.values() for row in own.values()]
+        notes = [f"{escape(label)}: {escape(text)}." for label, text in common.items()]
+        notes.append(
+            _described(*(max(row[unit] for row in every) for unit in ("scenes", "places")))
         )
-        notes.append(_described(scenes, places))
-        head = Column("Method", is_text=True)
-        tables.append(Table((head, *columns), tuple(lines), dataset, tuple(notes)))
+        tables.append(Table(tuple(columns), tuple(lines), dataset, tuple(notes)))
     return tables
+
+
+def _labels(row: Row) -> tuple[str, str]:
+    return row["protocol"], f"n {row['samples']}"
 
 
 def _described(scenes: int, places: int) -> str:
@@ -128,20 +143,16 @@ def _described(scenes: int, places: int) -> str:
     elif places == 1:
         text += "; scenes of one place have no interval"
     else:
-        drawn = (
-            f"{places} places that they show, and of scenes within these,"
-            if places < scenes
-            else "scenes"
-        )
-        text += f"; below it where {LEVEL:.0%} of the resamplings of the {drawn} lie"
+        drawn = "scenes"
+        if places < scenes:
+            drawn = f"{places} places that they show, and of scenes within these,"
+        text += f"; with it where {LEVEL:.0%} of the resamplings of the {drawn} lie"
         text += ", rough with so few" if places < LEAST else ""
     return f"{text}. n are queries, each in one frame."
 
 
 def difference_tables(
-    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]],
-    shown: Sequence[Score] = MAIN,
-    head: str = "Minus",
+    pairs: Pairs, shown: Sequence[Score] = MAIN, head: str = "Minus"
 ) -> list[Table]:
     """Return a table for each data set: a line a pair of samples, the one minus the other."""
     by_dataset: dict[str, dict[str, dict[tuple[str, str], Difference]]] = {}
@@ -152,56 +163,53 @@ def difference_tables(
                 by_dataset.setdefault(one.dataset, {}).setdefault(name, {})[key] = one
     tables = []
     for dataset, by_name in by_dataset.items():
-        columns = [Column(head, is_text=True)]
-        cells: dict[str, list[Cell]] = {name: [Cell(name)] for name in by_name}
-        for score in shown:
-            key = score.protocol, score.metric
-            present = [known[key] for known in by_name.values() if key in known]
-            if not present:
-                continue
-            columns.append(score.column(present[0].protocol))
-            for name, known in by_name.items():
-                cell = Cell(NO_VALUE) if key not in known else gain_cell(known[key], score)
-                cells[name].append(cell)
-        gains = [one.gain for known in by_name.values() for one in known.values()]
+        present = [score for score in shown if any(score.key in own for own in by_name.values())]
+        if not present:
+            continue
+        labels = {key: one.protocol for own in by_name.values() for key, one in own.items()}
+        columns = [Column(head, is_text=True), *(s.column(labels[s.key]) for s in present)]
+        lines = [
+            Line((Cell(name), *(gain_cell(own.get(score.key), score) for score in present)))
+            for name, own in by_name.items()
+        ]
+        gains = [one.gain for own in by_name.values() for one in own.values()]
         scenes, places = max(g.samples for g in gains), max(g.drawn for g in gains)
         unit = "places that they show" if places < scenes else "scenes"
         note = (
             f"On the queries that both were asked, in {scenes} scene{'s' if scenes > 1 else ''}; "
-            f"below it where {LEVEL:.0%} of the resamplings of the {unit}, drawn in pairs, lie. "
+            f"with it where {LEVEL:.0%} of the resamplings of the {unit}, drawn in pairs, lie. "
         )
-        if places < LEAST:
-            note += f"Of fewer than {LEAST} an interval says little."
-        else:
-            note += (
-                "Green is better beyond noise, red is worse; of so many comparisons one in twenty "
-                "is so by chance."
-            )
-        if len(columns) > 1:
-            lines = tuple(Line(tuple(own)) for own in cells.values())
-            tables.append(Table(tuple(columns), lines, dataset, (note,)))
+        note += (
+            f"Of fewer than {LEAST} an interval says little."
+            if places < LEAST
+            else "Green is better beyond noise, red is worse; of so many comparisons one in twenty "
+            "is so by chance."
+        )
+        tables.append(Table(tuple(columns), tuple(lines), dataset, (note,)))
     return tables
 
 
-def gain_cell(difference: Difference, score: Score) -> Cell:
-    """Return a difference as it is printed.
+def gain_cell(difference: Difference | None, score: Score, is_worded: bool = False) -> Cell:
+    """Return a difference as it is printed; if ``is_worded`` with what it bears out.
 
-    It is beyond noise if the interval is, as it is printed: one that ends at 0.000 is not.
+    It is beyond noise if the interval is, as it is printed: one that ends at 0.000 is not. Of
+    fewer than :data:`LEAST` places it is not, whatever its interval.
     """
+    if difference is None:
+        return Cell(NO_VALUE)
     gain, digits = difference.gain, score.digits
     value, start, end = (
         round(number, digits) + 0.0  # and not -0.000
         for number in (gain.difference, gain.low, gain.high)
     )
     note = f"{difference.samples} samples of {gain.samples} scene{'s' if gain.samples > 1 else ''}"
-    text = f"{value:+.{digits}f}"
-    if gain.drawn < 2:
-        return Cell(text, "", "few", note)
     low, high = sorted((score.sign * start, score.sign * end))
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
-    if gain.drawn < LEAST and mark != "noise":
+    if gain.drawn < 2 or (gain.drawn < LEAST and mark != "noise"):
         mark = "few"
-    return Cell(text, f"{start:+.{digits}f} to {end:+.{digits}f}", mark, note)
+    below = [f"{start:+.{digits}f} to {end:+.{digits}f}"] * (gain.drawn > 1)
+    below += [VERDICTS[mark]] * is_worded
+    return Cell(f"{value:+.{digits}f}", ", ".join(below), mark, note)
 
 
 def about(method: str) -> str:
@@ -231,19 +239,6 @@ def score_cell(row: Row | None, digits: int) -> Cell:
     return Cell(f"{row['value']:.{digits}f}", below)
 
 
-def _cell(row: Row | None, score: Score, best: float | None, common: str, count: str) -> Cell:
-    if row is None:
-        return Cell(NO_VALUE)
-    notes = [row["note"]]
-    if conditions(row) != common:
-        notes.append(conditions(row))
-    if f"n {row['samples']}" != count:
-        notes.append(f"n {row['samples']}")
-    printed = score_cell(row, score.digits)
-    mark = "best" if round(row["value"], score.digits) * score.sign == best else ""
-    return Cell(printed.value, printed.below, mark, "; ".join(filter(None, notes)))
-
-
 def is_of_curve(row: Row) -> bool:
     """Tell whether a score is of a threshold that was tried."""
     return row["protocol"].startswith("threshold-free") and row["threshold"] is not None
@@ -252,33 +247,3 @@ def is_of_curve(row: Row) -> bool:
 def _most(texts: Iterable[str]) -> str:
     """Return the commonest, the first of several."""
     return Counter(texts).most_common(1)[0][0]
-
-
-CLAIMS = {
-    "better": "ahead of {other} by {gain}",
-    "worse": "behind {other}: {gain}",
-    "noise": "no difference beyond noise from {other}: {gain}",
-    "few": "too few places to tell from {other}: {gain}",
-}
-"""Sentences by the mark of a difference, see :func:`gain_cell`."""
-
-
-def claims(gains: Table) -> list[tuple[str, str]]:
-    """Return what differences bear out by the first of :data:`MAIN`: (sentence, mark) a method.
-
-    ``gains`` is of :func:`difference_tables`; without that score there is no claim. Where all of
-    many bear out nothing, for want of places, one claim says so.
-    """
-    keys = [(column.group.partition("@")[0], column.title) for column in gains.columns]
-    if (MAIN[0].protocol, MAIN[0].title) not in keys:
-        return []
-    place = keys.index((MAIN[0].protocol, MAIN[0].title))
-    found = []
-    for line in gains.lines:
-        cell = line.cells[place]
-        if cell.mark in CLAIMS:
-            text = CLAIMS[cell.mark].format(other=escape(line.cells[0].value), gain=cell.text)
-            found.append((text, cell.mark))
-    if len(found) > 2 and all(mark == "few" for _, mark in found):
-        return [(f"too few places to tell from any of the {len(found)} others", "few")]
-    return found

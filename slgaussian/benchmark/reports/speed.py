@@ -7,7 +7,7 @@ from statistics import fmean
 from typing import Any
 
 from slgaussian.benchmark.baselines import is_swept
-from slgaussian.benchmark.costs import Cost, Times
+from slgaussian.benchmark.costs import Cost, Times, claim
 from slgaussian.benchmark.reports.model import (
     Block,
     Cell,
@@ -18,7 +18,6 @@ from slgaussian.benchmark.reports.model import (
     Table,
     escape,
     flatten,
-    line_of,
     number,
 )
 from slgaussian.benchmark.reports.plots import plot_worth
@@ -33,6 +32,13 @@ FRONT = (
     "been worked on. Methods share the Gaussians and the field; to prepare is what a method does "
     "to a scene beyond that. Where methods have fields of their own, the time of the front is that "
     "of building and a query."
+)
+
+STAGES = (
+    "**A scene**: the median; of baselines, that of one method in one scene. **Memory**: the most "
+    "beyond what was held when the stage began. Geometry, masks, supervision and field build the "
+    "scene. Of when each result was made, which may have been in an earlier run; scenes that were "
+    "worked on at the same time count each."
 )
 
 
@@ -50,27 +56,26 @@ def speed_blocks(
         PSNR of new views, dB, a scene at a time.
     """
     first = of_first_protocol(rows)
-    methods = dict.fromkeys(row["method"] for row in first)
-    scores = [
-        score
-        for method in methods
-        for score in score_table([row for row in first if row["method"] == method]).to_pylist()
-    ]
+    scores: dict[tuple[str, str], Row] = {}
+    for method in dict.fromkeys(row["method"] for row in first):
+        table = score_table([row for row in first if row["method"] == method])
+        scores |= {
+            (score["dataset"], method): score
+            for score in table.to_pylist()
+            if score["metric"] == "iou" and score["threshold"] is None
+        }
     blocks: list[Block] = [
         Prose("Two runs on the same input differ in this section and in the seconds above alone.")
     ]
     for dataset in dict.fromkeys(cost.dataset for cost in times.costs):
-        own = [score for score in scores if score["dataset"] == dataset]
         sizes = dict.fromkeys(
             f"{row['height']} x {row['width']}" for row in first if row["dataset"] == dataset
         )
         title = f"{dataset}, judged at {', '.join(sizes)} pixels (height x width)"
         costs = [cost for cost in times.costs if cost.dataset == dataset]
-        blocks += _tradeoff(title, costs, own, novel)
+        blocks += _tradeoff(title, costs, scores, novel)
     if len(blocks) > 1:
         blocks.append(Prose(FRONT))
-    if claim := times.claim():
-        blocks.append(Prose(f"**{claim}**", ""))
     if times.stages:
         blocks.append(_stages_table(times))
     if times.hard_cases:
@@ -87,17 +92,16 @@ def speed_blocks(
 def _tradeoff(
     title: str,
     costs: Sequence[Cost],
-    scores: Sequence[Row],
+    scores: Mapping[tuple[str, str], Row],
     novel: Sequence[tuple[str, str, float]],
 ) -> list[Block]:
     """Set the scores of the methods of a data set against their costs, best first."""
-    by_key = {(score["method"], score["metric"]): score for score in scores}
-    psnr: dict[str, float] = {}
-    for cost in costs:
-        values = [v for dataset, by, v in novel if (dataset, by) == (cost.dataset, cost.method)]
-        if values:
-            psnr[cost.method] = fmean(values)
-    ious = {cost.method: by_key.get((cost.method, "iou")) for cost in costs}
+    psnr = {
+        cost.method: fmean(values)
+        for cost in costs
+        if (values := [v for *by, v in novel if by == [cost.dataset, cost.method]])
+    }
+    ious = {cost.method: scores.get((cost.dataset, cost.method)) for cost in costs}
     scored = any(ious.values())
     merits = {name: iou["value"] for name, iou in ious.items() if iou} if scored else psnr
     shown = [cost for cost in costs if cost.method in merits and cost.view_query]
@@ -109,32 +113,19 @@ def _tradeoff(
     seconds = [cost.whole if built else cost.view_query for cost in shown]
     memory = [None if cost.grown is None else cost.grown / 1e6 for cost in shown]
     fronts = {"time": front(seconds, values), "memory": front(memory, values)}
-    lines = []
-    for place, cost in enumerate(shown):
-        hit = by_key.get((cost.method, "hit_mask"))
-        lines.append(
-            line_of(
-                [
-                    cost.method,
-                    score_cell(ious[cost.method], 3),
-                    score_cell(hit, 2),
-                    number(psnr.get(cost.method), 1),
-                    number(cost.build, 2),
-                    number(cost.prepare, 3),
-                    number(cost.cold_query, 3),
-                    number(cost.view_query, 4),
-                    number(cost.further_query, 4),
-                    number(cost.grown, 0, 1e6),
-                    ", ".join(name for name, on in fronts.items() if on[place]),
-                ]
-            )
-        )
-    heads = [
-        "Method", "IoU", "Point in mask", "New view, PSNR", "To build, s", "To prepare, s",
-        "Very first query, s", "Query in a new view, s", "One more in it, s", "Memory, MB",
-    ]  # fmt: skip
-    columns = [Column(head, is_text=not k) for k, head in enumerate(heads)]
-    columns.append(Column("Front", is_text=True))
+    columns: dict[str, list[Cell | str | None]] = {
+        "Method": [cost.method for cost in shown],
+        "IoU": [score_cell(ious[cost.method], 3) for cost in shown],
+        "New view, PSNR": [number(psnr.get(cost.method), 1) for cost in shown],
+        "To build, s": [number(cost.build, 2) for cost in shown],
+        "To prepare, s": [number(cost.prepare, 3) for cost in shown],
+        "Query in a new view, s": [number(cost.view_query, 4) for cost in shown],
+        "Memory, MB": [number(value, 0) for value in memory],
+        "Front": [
+            ", ".join(name for name, on in fronts.items() if on[place])
+            for place in range(len(shown))
+        ],
+    }
     score = "IoU" if scored else "PSNR of new views, dB"
     whole = "seconds from photographs to an answer" if built else "seconds of a query in a new view"
     plots = {}
@@ -147,7 +138,10 @@ def _tradeoff(
         if points:
             caption = f"{score} over {label}; the line is the front"
             plots[caption] = plot_worth(points, costs[0].method, label, score)
-    return [Table(tuple(columns), tuple(lines), title), Plots(plots)]
+    heads = [Column(head, is_text=head in ("Method", "Front")) for head in columns]
+    table = Table.of(heads, list(zip(*columns.values(), strict=True)), title)
+    sentence = claim(costs)
+    return [table, Plots(plots), *[Prose(f"**{sentence}**", "")] * bool(sentence)]
 
 
 def front(costs: Sequence[float | None], values: Sequence[float]) -> list[bool]:
@@ -180,17 +174,12 @@ def _stages_table(times: Times) -> Table:
         ]
         for stage, cost in times.stages.items()
     ]
-    note = (
-        "**A scene**: the median; of baselines, that of one method in one scene. **Memory**: the "
-        "most beyond what was held when the stage began. Geometry, masks, supervision and field "
-        "build the scene. Of when each result was made, which may have been in an earlier run; "
-        "scenes that were worked on at the same time count each."
-    )
+    note = STAGES
     if times.compiling >= 0.5:
         note += (
             f" Compiling kernels, once an installation, took {times.compiling:.0f} s more; it is "
+            "in no number here."
         )
-        note += "in no number here."
     heads = ["Stage", "A scene, s", "All, s", "Share", "Memory, MB"]
     return Table.of(heads, rows, "Where the time goes, by stage", [note])
 
@@ -199,11 +188,9 @@ def _hard_cases(times: Times) -> list[Block]:
     cases = times.hard_cases
     beyond = [f"{case.case} ({case.part})" for case in cases if not case.good]
     processor = escape(times.host.get("processor") or "this machine")
-    text = f"Of {len(cases)} hard cases on {processor}, "
+    verdict = "all are within their bounds."
     if beyond:
-        text += f"**{len(beyond)} are beyond their bounds**: {', '.join(beyond)}."
-    else:
-        text += "all are within their bounds."
+        verdict = f"**{len(beyond)} are beyond their bounds**: {', '.join(beyond)}."
     rows = [
         [
             Cell(case.case, note=case.about),
@@ -220,4 +207,4 @@ def _hard_cases(times: Times) -> list[Block]:
     )
     heads = ["Hard case", Column("Computed by", is_text=True), "Error", "Bound", ""]
     fold = Fold("Each case, its error and its bound", [Table.of(heads, rows, notes=[note])])
-    return [Prose(text, ""), fold]
+    return [Prose(f"Of {len(cases)} hard cases on {processor}, {verdict}", ""), fold]

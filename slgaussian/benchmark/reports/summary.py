@@ -65,18 +65,15 @@ def summarize(
     ours, *others = by_method or [""]
     data = list(manifest.get("data", {}).values())
     counts = {len(of["context"]) for of in data if "context" in of}
-    photographs = "photographs"
-    if counts:
-        ends = dict.fromkeys(map(str, (min(counts), max(counts))))
-        photographs = f"{' to '.join(ends)} photographs"
-    each = "one scene" if len(scenes) == 1 else f"each of {len(scenes)} scenes"
-    names = dict.fromkeys(scene.dataset for scene in scenes)
-    if len(scenes) == 1:
-        names = {scenes[0].name: None}
+    ends = dict.fromkeys(map(str, (min(counts), max(counts)))) if counts else {}
+    photographs = " ".join(filter(None, (" to ".join(ends), "photographs")))
+    alone = len(scenes) == 1
+    names = dict.fromkeys(scene.name if alone else scene.dataset for scene in scenes)
+    each = "one scene" if alone else f"each of {len(scenes)} scenes"
     text = f"From {photographs} of {each} ({', '.join(map(escape, names))}), a 3D scene was built "
     text += "that answers words. "
     scored = sum(row["iou"] is not None for row in asked)
-    things = f"{scored or len(asked)} thing{'' if (scored or len(asked)) == 1 else 's'}"
+    things = _counted(scored or len(asked), "thing")
     if scored:
         unseen = all(set(of.get("context", ())).isdisjoint(of.get("targets", ())) for of in data)
         text += f"It was asked for {things}"
@@ -87,21 +84,24 @@ def summarize(
         text += f"It was asked for {things}; without labels nothing is scored."
     else:
         text += "Nothing was asked of it."
-    parts = [f"{len(scenes)} scene{'' if len(scenes) == 1 else 's'}"]
-    if left_out:
-        parts.append(f"[{left_out} left out](#left-out)")
-    if asked:
-        parts.append(f"{scored} scored quer{'y' if scored == 1 else 'ies'}")
-    if len(asked) > scored:
-        parts.append(f"{len(asked) - scored} asked without truth")
-    if unknown := sum(row["note"].startswith(NOT_UNDERSTOOD) for row in asked):
-        parts.append(f"{unknown} not understood (IoU 0)")
-    blocks: list[Block] = [Prose(text, "lead"), Prose(f"{', '.join(parts)}.", "soft fine")]
-    numbers = key_numbers(scenes, leading, ours)
-    if numbers:
+    unknown = sum(row["note"].startswith(NOT_UNDERSTOOD) for row in asked)
+    parts = {
+        _counted(len(scenes), "scene"): True,
+        f"[{left_out} left out](#left-out)": left_out,
+        f"{scored} scored quer{'y' if scored == 1 else 'ies'}": asked,
+        f"{len(asked) - scored} asked without truth": len(asked) > scored,
+        f"{unknown} not understood (IoU 0)": unknown,
+    }
+    fine = ", ".join(part for part, holds in parts.items() if holds)
+    blocks: list[Block] = [Prose(text, "lead"), Prose(f"{fine}.", "soft fine")]
+    if numbers := key_numbers(scenes, leading, ours):
         shown = {title: TERMS[title] for title in (*numbers, "small numbers")}
         blocks += [Numbers(numbers), Fold("What these numbers mean", [Terms(shown)])]
     return blocks
+
+
+def _counted(count: int, unit: str) -> str:
+    return f"{count} {unit}{'' if count == 1 else 's'}"
 
 
 def compared(others: Sequence[str]) -> str:
@@ -109,15 +109,14 @@ def compared(others: Sequence[str]) -> str:
 
     A variant is ours with one part changed. More than :data:`NAMED_METHODS` are not named.
     """
-    parts = []
-    for kind, names in (
-        ("other method", [name for name in others if not is_variant(name)]),
-        ("variant", [name for name in others if is_variant(name)]),
-    ):
-        if names:
-            listed = f" ({'; '.join(map(escape, names))})" if len(others) <= NAMED_METHODS else ""
-            parts.append(f"{len(names)} {kind}{'' if len(names) == 1 else 's'}{listed}")
-    return " and ".join(parts)
+    variants = [name for name in others if is_variant(name)]
+    methods = [name for name in others if name not in variants]
+    return " and ".join(
+        _counted(len(names), kind)
+        + (f" ({'; '.join(map(escape, names))})" if len(others) <= NAMED_METHODS else "")
+        for kind, names in (("other method", methods), ("variant", variants))
+        if names
+    )
 
 
 def key_numbers(
@@ -129,13 +128,14 @@ def key_numbers(
     """
     numbers: dict[str, list[tuple[str, str | Slot, str, str]]] = {}
     sets = list(dict.fromkeys(scene.dataset for scene in scenes))
+    _, _, view, query, build, _ = TERMS
     for dataset in sets[:SHOWN_SETS]:
         name = dataset if len(sets) > 1 else ""
         for (metric, form, factor), title in zip(SCORES, TERMS, strict=False):
             by_method = {
                 score["method"]: score
                 for score in scores
-                if score["metric"] == metric and score["dataset"] == dataset
+                if (score["metric"], score["dataset"]) == (metric, dataset)
             }
             mine = by_method.pop(ours, None)
             if mine is None:
@@ -146,19 +146,15 @@ def key_numbers(
                 interval = f"{low.removesuffix(' %')} to {high}"
             if by_method:
                 rivals = [method for method in by_method if not is_variant(method)]
-                best = max(
-                    (by_method[one] for one in rivals or by_method), key=lambda s: s["value"]
-                )
+                best = max((by_method[m] for m in rivals or by_method), key=lambda s: s["value"])
                 kind = "best other" if rivals else "best variant"
                 other = f"{kind}: {form.format(factor * best['value'])}, {best['method']}"
             value = form.format(factor * mine["value"])
             numbers.setdefault(title, []).append((name, value, interval, other))
-        _, _, view, query, build, _ = TERMS
         near = [s.metrics["psnr"] for s in scenes if s.dataset == dataset and "psnr" in s.metrics]
         if near:
             numbers.setdefault(view, []).append((name, f"{float(np.mean(near)):.1f} dB", "", ""))
-        if ours:
-            for title, cost in ((query, "view_query"), (build, "build")):
-                slot = Slot(f"<!-- {cost} {dataset.encode().hex()} {ours.encode().hex()} -->")
-                numbers.setdefault(title, []).append((name, slot, "", ""))
+        for title, cost in ((query, "view_query"), (build, "build")) if ours else ():
+            slot = Slot(f"<!-- {cost} {dataset.encode().hex()} {ours.encode().hex()} -->")
+            numbers.setdefault(title, []).append((name, slot, "", ""))
     return numbers

@@ -74,18 +74,10 @@ def training_report(
     manifest : mapping
         Numbers of lessons and settings, nested mappings allowed.
     """
-    kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
-    plots = {
-        "Loss of every step and its running mean; grey: learning rate": as_svg(
-            lambda: _loss_curve(metrics)
-        ),
-        "A point a held-out clip; above the line the branch is better": as_svg(
-            lambda: _gain_by_clip(judgements, kinds)
-        ),
-    }
+    course = "Loss of every step and its running mean; grey: learning rate"
     sections = [
-        Section("Scores", [scores_table(judgements), _gains_table(judgements, kinds)]),
-        Section("Course", [Plots(plots)]),
+        Section("Scores", [scores_table(judgements)]),
+        Section("Course", [Plots({course: as_svg(lambda: _loss_curve(metrics))})]),
     ]
     if examples:
         note = (
@@ -96,50 +88,37 @@ def training_report(
         for example in examples:
             shown += [Prose(escape(example.sample)), Gallery(_pictures(example), "labels")]
         sections.append(Section("Held-out lessons", shown))
-    sections.append(Section("What ran", [Table.of(["", _text("")], flatten(manifest))]))
+    manifest_table = Table.of(["", Column("", is_text=True)], flatten(manifest))
+    sections.append(Section("What ran", [manifest_table]))
     opening = "Judged by the objects seen in new views of clips that it was not trained on."
     return Report("Training of the semantic branch", [Prose(opening)], sections)
 
 
 def scores_table(judgements: pa.Table) -> Table:
-    """Return the mean IoU of each lifting by kind of labels."""
-    kinds = dict.fromkeys(judgements["labels"].to_pylist())
+    """Return the mean IoU of each lifting by kind of labels, and what the branch gains over it."""
+    kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
     scores = {kind: clip_scores(judgements, kind) for kind in kinds}
-    rows = [
-        [name, *(f"{np.mean(scores[kind][name]):.4f}" for kind in kinds), ABOUT[name]]
-        for name in dict.fromkeys(judgements["lifting"].to_pylist())
-    ]
-    return Table.of(["lifting", *(f"IoU, labels {kind}" for kind in kinds), _text("")], rows)
-
-
-def _gains_table(judgements: pa.Table, kinds: Sequence[str]) -> Table:
-    others = [n for n in dict.fromkeys(judgements["lifting"].to_pylist()) if n != "branch"]
-    gains = [(other, kind, gain(judgements, other, kind)) for other in others for kind in kinds]
-    rows = [
-        [
-            other,
-            kind,
-            Cell(f"{one.difference:+.4f}", f"{one.low:+.4f} to {one.high:+.4f}", _mark(one)),
-            str(one.samples),
-        ]
-        for other, kind, one in gains
-    ]
+    rows = []
+    for name in dict.fromkeys(judgements["lifting"].to_pylist()):
+        row: list[Cell | str | None] = [name]
+        for kind in kinds:
+            found = gain(judgements, name, kind)
+            ends = f"{found.low:+.4f} to {found.high:+.4f}"
+            cell = Cell(f"{found.difference:+.4f}", ends, _mark(found), f"{found.samples} clips")
+            row += [f"{np.mean(scores[kind][name]):.4f}", None if name == "branch" else cell]
+        rows.append([*row, ABOUT[name]])
+    heads = [head for kind in kinds for head in (f"IoU, labels {kind}", "branch minus it")]
     note = (
-        f"Below a difference: where it lies in {LEVEL:.0%} of the resamplings of a paired "
-        f"bootstrap over clips; of fewer than {LEAST} it says little."
+        f"With a difference: where it lies in {LEVEL:.0%} of the resamplings of a paired bootstrap "
+        f"over clips; of fewer than {LEAST} it says little."
     )
-    heads = ["Against", _text("Labels"), "Difference", "Clips"]
-    return Table.of(heads, rows, "What the branch gains", [note])
+    return Table.of(["lifting", *heads, Column("", is_text=True)], rows, notes=[note])
 
 
 def _mark(found: Comparison) -> str:
     if found.samples < LEAST:
         return "few"
     return "better" if found.low > 0 else "worse" if found.high < 0 else "noise"
-
-
-def _text(title: str) -> Column:
-    return Column(title, is_text=True)
 
 
 def _loss_curve(metrics: pa.Table) -> Figure:
@@ -162,19 +141,6 @@ def _loss_curve(metrics: pa.Table) -> Figure:
     rate.plot(steps, metrics["rate"].to_numpy(), color="#b3bac6", lw=1)
     rate.set_ylabel("learning rate", color="#667085")
     rate.set_ylim(0)
-    return figure
-
-
-def _gain_by_clip(judgements: pa.Table, kinds: Sequence[str]) -> Figure:
-    figure = Figure((7.4, 3.0), layout="constrained")
-    axes = figure.subplots()
-    for kind, colour in zip(kinds, ("#12833f", "#3b5bdb"), strict=False):
-        scores = clip_scores(judgements, kind)
-        axes.plot(scores["hard"], scores["branch"], ".", color=colour, label=f"labels {kind}")
-    low, high = axes.get_xlim()
-    axes.plot((low, high), (low, high), color="#b3bac6", lw=1, zorder=0)
-    axes.set(xlabel="IoU of hard", ylabel="IoU of branch")
-    axes.legend(frameon=False)
     return figure
 
 
