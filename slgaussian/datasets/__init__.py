@@ -33,14 +33,14 @@ FILES = {
     "re10k": "slgaussian.datasets.re10k:files",
     "photographs": "slgaussian.datasets.unposed:files",
 }
-"""What lists the files of a scene that takes long to read, by format."""
+"""Functions that list the files of a scene that takes long to read, by format."""
 
 SETS = {
     "lerf_ovs": "slgaussian.datasets.labelled_sets:lerf_ovs_scenes",
     "ovs3d": "slgaussian.datasets.labelled_sets:ovs3d_scenes",
     "re10k": "slgaussian.datasets.re10k:scenes",
 }
-"""What lists the scenes of a folder that holds several, by format."""
+"""Functions that list the scenes of a folder that holds several, by format."""
 
 
 SOURCES = {

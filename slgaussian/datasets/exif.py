@@ -41,7 +41,7 @@ TRANSPOSED = dict(zip(range(2, 9), map(Image.Transpose, (0, 3, 1, 5, 4, 6, 2)), 
 """By EXIF orientation, what makes the upright photograph of the stored one."""
 
 APPLE = b"Apple iOS\0\0\1MM"
-"""How an iPhone's maker note begins; a directory in big-endian order follows."""
+"""The beginning of an iPhone's maker note; a directory in big-endian order follows."""
 
 ACCELERATION = 8
 SIGNED_RATIONAL = 10
@@ -83,58 +83,60 @@ def read_lens(image: Image.Image) -> LensData:
     """Read the header of an opened image; nonsense counts as nothing said."""
     try:
         exif = image.getexif()
-        base, own = dict(exif), exif.get_ifd(ExifTags.IFD.Exif)
+        base, exif_ifd = dict(exif), exif.get_ifd(ExifTags.IFD.Exif)
         # pillow-heif turns pixels upright itself, and keeps here how they had been.
         orientation = image.info.get("original_orientation") or orientation_of(image)
-        lens = _lens_name(base, own)
-        note = own.get(ExifTags.Base.MakerNote)
+        lens = _lens_name(base, exif_ifd)
+        note = exif_ifd.get(ExifTags.Base.MakerNote)
         up = None if "front" in lens.lower() else _up(note, orientation)
-        return LensData(lens, _focal(own, *image.size), up)
+        return LensData(lens, _focal(exif_ifd, *image.size), up)
     except Exception:  # a damaged header raises almost anything, and the pixels may be good
         return LensData()
 
 
-def _lens_name(base: Mapping[int, Any], own: Mapping[int, Any]) -> str:
+def _lens_name(base: Mapping[int, Any], exif_ifd: Mapping[int, Any]) -> str:
     tags = ExifTags.Base
-    named = [base.get(tags.Make), base.get(tags.Model), own.get(tags.LensModel)]
+    named = [base.get(tags.Make), base.get(tags.Model), exif_ifd.get(tags.LensModel)]
     words = [" ".join(name.replace("\0", " ").split()) for name in named if isinstance(name, str)]
     lengths = {"mm": tags.FocalLength, "mm of 35": tags.FocalLengthIn35mmFilm}
-    numbers = {unit: _number(own.get(tag)) for unit, tag in lengths.items()}
+    numbers = {unit: _number(exif_ifd.get(tag)) for unit, tag in lengths.items()}
     words += [f"{number:.4g} {unit}" for unit, number in numbers.items() if number]
     return ", ".join(filter(None, words))
 
 
-def _focal(own: Mapping[int, Any], width: int, height: int) -> float | None:
+def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None:
     """Return the focal length in pixels of a photograph of that size, upright or not."""
     tags = ExifTags.Base
-    across, down = (_number(own.get(t)) for t in (tags.ExifImageWidth, tags.ExifImageHeight))
+    across, down = (_number(exif_ifd.get(t)) for t in (tags.ExifImageWidth, tags.ExifImageHeight))
     taken = (across, down) if across and down else (float(width), float(height))
     # A photograph of another shape than was taken is cropped: nobody knows where, and how shrunk.
     was, is_now = max(taken) / min(taken), max(width, height) / min(width, height)
     if abs(np.log(was / is_now)) > 0.01:
         return None
-    film = _number(own.get(tags.FocalLengthIn35mmFilm))  # of the same angle; digital zoom is in it
+    film = _number(
+        exif_ifd.get(tags.FocalLengthIn35mmFilm)
+    )  # of the same angle; digital zoom is in it
     by_film = film * float(np.hypot(width, height)) / FILM_DIAGONAL if film else None
-    for focal in (by_film, _focal_by_sensor(own, taken, max(width, height))):
+    for focal in (by_film, _focal_by_sensor(exif_ifd, taken, max(width, height))):
         if focal is not None and WIDEST <= focal / max(width, height) <= LONGEST_FOCAL:
             return focal
     return None
 
 
 def _focal_by_sensor(
-    own: Mapping[int, Any], taken: tuple[float, float], longest: int
+    exif_ifd: Mapping[int, Any], taken: tuple[float, float], longest: int
 ) -> float | None:
     """Return it by its millimetres and the pixels of the sensor in one, both ways alike."""
     tags = ExifTags.Base
-    focal = _number(own.get(tags.FocalLength))
-    across = _number(own.get(tags.FocalPlaneXResolution))
-    down = _number(own.get(tags.FocalPlaneYResolution))
-    unit = UNITS.get(own.get(tags.FocalPlaneResolutionUnit, 2))
+    focal = _number(exif_ifd.get(tags.FocalLength))
+    across = _number(exif_ifd.get(tags.FocalPlaneXResolution))
+    down = _number(exif_ifd.get(tags.FocalPlaneYResolution))
+    unit = UNITS.get(exif_ifd.get(tags.FocalPlaneResolutionUnit, 2))
     if not (focal and across and down and unit) or abs(np.log(across / down)) > 0.05:
         return None
     if not SENSOR_WIDTHS[0] <= max(taken) * unit / across <= SENSOR_WIDTHS[1]:
         return None
-    zoom = _number(own.get(tags.DigitalZoomRatio)) or 1.0
+    zoom = _number(exif_ifd.get(tags.DigitalZoomRatio)) or 1.0
     return focal * zoom * across / unit * longest / max(taken)
 
 
@@ -154,10 +156,12 @@ def _up(note: Any, orientation: Any) -> np.ndarray | None:
     the bottom and into the phone (ExifTool), and stored rows lie along its side: the sensor's right
     is the phone's bottom, and its bottom the phone's left.
     """
-    measured = _acceleration(note) if isinstance(note, bytes) else None
-    if measured is None or orientation not in TURNS:
+    if not isinstance(note, bytes) or not note.startswith(APPLE) or orientation not in TURNS:
         return None
-    left, bottom, into = measured
+    try:
+        left, bottom, into = _acceleration(note)
+    except (struct.error, ZeroDivisionError):
+        return None
     up = np.array([*(np.array(TURNS[orientation], float) @ (bottom, left)), into])
     length = float(np.linalg.norm(up))
     # The orientation comes from the same sensor. Where they disagree, the file was edited.
@@ -167,17 +171,13 @@ def _up(note: Any, orientation: Any) -> np.ndarray | None:
     return up / length
 
 
-def _acceleration(note: bytes) -> tuple[float, float, float] | None:
-    if not note.startswith(APPLE):
-        return None
-    try:
-        (count,) = struct.unpack_from(">H", note, len(APPLE))
-        for at in range(len(APPLE) + 2, len(APPLE) + 2 + 12 * count, 12):
-            tag, kind, many, place = struct.unpack_from(">HHII", note, at)
-            if (tag, kind, many) == (ACCELERATION, SIGNED_RATIONAL, 3):
-                parts = struct.unpack_from(">6i", note, place)
-                x, y, z = (float(Fraction(*parts[k : k + 2])) for k in (0, 2, 4))
-                return x, y, z
-    except (struct.error, ZeroDivisionError):
-        pass
-    return None
+def _acceleration(note: bytes) -> tuple[float, float, float]:
+    """Read what the accelerometer measured; struct.error if the note does not hold it."""
+    (count,) = struct.unpack_from(">H", note, len(APPLE))
+    for at in range(len(APPLE) + 2, len(APPLE) + 2 + 12 * count, 12):
+        tag, kind, many, place = struct.unpack_from(">HHII", note, at)
+        if (tag, kind, many) == (ACCELERATION, SIGNED_RATIONAL, 3):
+            parts = struct.unpack_from(">6i", note, place)
+            x, y, z = (float(Fraction(*parts[k : k + 2])) for k in (0, 2, 4))
+            return x, y, z
+    raise struct.error("it has no such entry")

@@ -37,7 +37,8 @@ def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
     unit = "fractions of width and height" if fractions else "pixels"
     for axis, focal, side in (("x", camera.K[0, 0], width), ("y", camera.K[1, 1], height)):
         stated = focal / side if fractions else focal
-        view, longest_view = (_field_of_view(focal, s) for s in (side, max(width, height)))
+        sides = (side, max(width, height))
+        view, longest_view = (math.degrees(2 * math.atan2(s / 2, focal)) for s in sides)
         if view > WIDEST:
             is_fraction = not fractions and stated < LEAST_MILLIMETRES
             likely = "a fraction of the size" if is_fraction else "in millimetres"
@@ -62,8 +63,3 @@ def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
         f"principal point is ({stated_x:.6g}, {stated_y:.6g}), far from the middle of {size}; it "
         f"is likely {likely}, give it in {unit}"
     )
-
-
-def _field_of_view(focal: float, side: float) -> float:
-    """Degrees that a side of so many pixels takes in."""
-    return math.degrees(2 * math.atan2(side / 2, focal))

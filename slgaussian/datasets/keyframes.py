@@ -46,10 +46,10 @@ def choose_keyframes(
     off = np.abs(part - number - 0.5)
     chosen = []
     for k in range(count):
-        own = np.flatnonzero(number == k)
-        middle = own[off[own] <= MIDDLE / 2]
-        if len(own):
-            among = middle if len(middle) else own
+        inside = np.flatnonzero(number == k)
+        middle = inside[off[inside] <= MIDDLE / 2]
+        if len(inside):
+            among = middle if len(middle) else inside
             chosen.append(int(among[np.argmin(np.asarray(blurs)[among])]))
     return chosen
 

@@ -130,12 +130,12 @@ def write(file: Path, photographs: Mapping[str, Path], found: EstimatedCameras) 
     frames = []
     for name, camera in found.cameras.items():
         (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-        own: dict[str, Any] = {"near": camera.near, "far": camera.far}
+        extra: dict[str, Any] = {"near": camera.near, "far": camera.far}
         if camera.estimated is not None:
-            own["estimated"] = asdict(camera.estimated)
+            extra["estimated"] = asdict(camera.estimated)
         frame = {"file_path": paths[name], "transform_matrix": (camera.c2w * OPENGL).tolist()}
         frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
-        frame |= {"w": camera.width, "h": camera.height, "k1": found.k1[name], OWN: own}
+        frame |= {"w": camera.width, "h": camera.height, "k1": found.k1[name], OWN: extra}
         frames.append(frame)
     about = found.as_json()
     for key in ("focals", "k1", "left_out"):

@@ -61,7 +61,7 @@ CHANGES_PIXELS = re.compile(
     r"|^f(l?_?[xy])?$|^c_?[xy]$|^[kpsb]_?\d+$|^xi$",
     re.IGNORECASE,
 )
-"""What names of keys have in them that say a lens, a distortion, a mask, a shutter or a scale."""
+"""Parts of names of keys that say a lens, a distortion, a mask, a shutter or a scale."""
 
 NEUTRAL = ("", "none", "pinhole", "perspective", "global")
 """Values of such keys, besides 0, false and null, that change nothing."""
@@ -90,9 +90,9 @@ class Frame:
         stated = ({k: v for k, v in level.items() if v is not None} for level in levels)
         return Frame(file, name, ChainMap(*stated))
 
-    def error(self, what: str) -> InputError:
+    def error(self, problem: str) -> InputError:
         """Return an error that names file and frame."""
-        return InputError(f"{self.file}: frame {self.name!r}: {what}")
+        return InputError(f"{self.file}: frame {self.name!r}: {problem}")
 
     def number(self, key: str, default: Any = None) -> Any:
         """Return a finite number as float, or the default where there is none."""
@@ -144,9 +144,20 @@ class Frame:
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         try:
             camera = checked_camera(Camera(K, c2w, int(w), int(h)))
-            return camera if self.own is None else self._more(camera, self.own)
+            if self.extra is None:
+                return camera
+            more = Frame.of(self.file, self.name, self.extra)
+            near, far, estimate = (
+                more.number("near"),
+                more.number("far"),
+                self.extra.get("estimated"),
+            )
+            estimated = None if estimate is None else Estimated.of(estimate)
+            return replace(camera, near=near, far=far, estimated=estimated)
         except InputError as bad:
             raise self.error(str(bad)) from None
+        except ValueError as bad:
+            raise self.error(f"estimated {bad}") from None
 
     def _refuse_unread(self) -> None:
         for key, value in self.values.items():
@@ -210,23 +221,12 @@ class Frame:
         return False
 
     @property
-    def own(self) -> dict[str, Any] | None:
+    def extra(self) -> dict[str, Any] | None:
         """Entries that :func:`slgaussian.datasets.nerfstudio.write` added; None in other files."""
-        own = self.values.get(OWN)
-        if own is not None and not isinstance(own, dict):
-            raise self.error(f"{OWN} is {own!r}, expected an object")
-        return own
-
-    def _more(self, camera: Camera, own: Mapping[str, Any]) -> Camera:
-        more = Frame.of(self.file, self.name, own)
-        estimate = own.get("estimated")
-        try:
-            estimated = None if estimate is None else Estimated.of(estimate)
-        except ValueError as bad:
-            raise self.error(f"estimated {bad}") from None
-        return replace(
-            camera, near=more.number("near"), far=more.number("far"), estimated=estimated
-        )
+        extra = self.values.get(OWN)
+        if extra is not None and not isinstance(extra, dict):
+            raise self.error(f"{OWN} is {extra!r}, expected an object")
+        return extra
 
     def undistortion(self, camera: Camera) -> Maps | None:
         """Make the maps of the lens, see :mod:`slgaussian.datasets.lens`; None for a pinhole."""
@@ -253,7 +253,7 @@ class Frame:
     def image(self, path: Path, camera: Camera) -> tuple[np.ndarray, np.ndarray | None]:
         """Open the photograph as uint8 [H, W, 3], and what of it is opaque, bool [H, W] or None."""
         size = (camera.width, camera.height)
-        pixels, opaque = open_photograph(path, size, upright=self.own is not None)
+        pixels, opaque = open_photograph(path, size, upright=self.extra is not None)
         if pixels.shape[:2] != (camera.height, camera.width):
             raise InputError(
                 f"{path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "

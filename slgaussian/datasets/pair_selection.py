@@ -83,8 +83,8 @@ class Rule:
     def described(self) -> dict[str, Any]:
         """Return the rule and its settings, for an index file."""
         bounds = {name: value for name, value in asdict(self.bounds).items() if name != "most"}
-        own = {"min_cover": self.min_cover, "max_aside": self.max_aside}
-        return {"name": NAME, "version": VERSION, **bounds, **own}
+        cover = {"min_cover": self.min_cover, "max_aside": self.max_aside}
+        return {"name": NAME, "version": VERSION, **bounds, **cover}
 
 
 @dataclass(frozen=True, eq=False)

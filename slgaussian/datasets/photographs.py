@@ -138,9 +138,9 @@ def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
     return not _has_shape(image.size, size) and _has_shape(image.size[::-1], size)
 
 
-def _has_shape(found: tuple[int, int], size: tuple[int, int]) -> bool:
+def _has_shape(stored: tuple[int, int], size: tuple[int, int]) -> bool:
     """Tell whether one size is the other's shape, up to whole pixels."""
-    (w, h), (width, height) = found, size
+    (w, h), (width, height) = stored, size
     return abs(w / width - h / height) <= 1 / width + 1 / height
 
 

@@ -93,7 +93,7 @@ class Standing:
     why: str = ""
 
 
-def standing(found: Found) -> Standing | None:
+def standing(labelled: Found) -> Standing | None:
     """Return the published scene that this is, or is called like and is not; None if neither.
 
     Any folder may hold a published scene. Where its texts are not published, it must have the
@@ -101,32 +101,34 @@ def standing(found: Found) -> Standing | None:
     """
     for format, scenes in SETS.items():
         for name, scene in scenes.items():
-            if scene.texts and not _differs(found, scene):
+            if scene.texts and not _differs(labelled, scene):
                 return Standing(RECOGNISED, format, name)
-    named = SETS.get(found.format, {}).get(found.name)
+    named = SETS.get(labelled.format, {}).get(labelled.name)
     if named is None:
         return None
-    why = _differs(found, named)
-    return Standing(ANOTHER if why else UNVERIFIED, found.format, found.name, why)
+    why = _differs(labelled, named)
+    return Standing(ANOTHER if why else UNVERIFIED, labelled.format, labelled.name, why)
 
 
-def _differs(found: Found, scene: LabelledScene) -> str:
+def _differs(labelled: Found, scene: LabelledScene) -> str:
     """Return the first thing that differs from a published scene; empty if nothing does."""
-    strange = [frame for frame in found.asked if frame not in scene.frames]
-    if not found.asked or strange:
+    strange = [frame for frame in labelled.asked if frame not in scene.frames]
+    if not labelled.asked or strange:
         return f"found labelled frames {_some(strange) or 'none'}, expected {_some(scene.frames)}"
-    if not scene.texts and set(found.frames) != set(scene.frames):
-        return f"found labelled frames {_some(found.frames)}, expected {_some(scene.frames)}"
+    if not scene.texts and set(labelled.frames) != set(scene.frames):
+        return f"found labelled frames {_some(labelled.frames)}, expected {_some(scene.frames)}"
     if scene.texts:
-        texts = list(dict.fromkeys(text.casefold() for own in found.asked.values() for text in own))
+        texts = list(
+            dict.fromkeys(text.casefold() for texts in labelled.asked.values() for text in texts)
+        )
         known = {text.casefold() for text in scene.texts}
         strange = [text for text in texts if text not in known]
         if not texts or len(strange) > (1 - SHARE) * len(texts):
             return f"found labels of {_some(strange) or 'nothing'}, expected {_some(scene.texts)}"
     if scene.size is not None:
-        for frame in found.asked:
-            if found.sizes.get(frame) != scene.size:
-                has = "x".join(map(str, found.sizes.get(frame, ()))) or "no size"
+        for frame in labelled.asked:
+            if labelled.sizes.get(frame) != scene.size:
+                has = "x".join(map(str, labelled.sizes.get(frame, ()))) or "no size"
                 return f"found {frame} of {has} pixels, expected {'x'.join(map(str, scene.size))}"
     return ""
 

@@ -13,7 +13,6 @@ from __future__ import annotations
 import codecs
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from slgaussian.errors import InputError
 from slgaussian.formats.text import read_lines
 from slgaussian.scene import Scene
 
+ROLES = ("context", "target")
 CAMERAS, FRAMES = "cameras", "frames"
 """Folders beside each other that hold the camera files and, under the same names, the frames."""
 
@@ -127,19 +127,14 @@ def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
     for key, entry in re10k.read_json(file).items():
         if entry is None:
             continue
-        frames = [_frames(entry, name) for name in ("context", "target")]
-        if not all(frames):
+        lists = [entry.get(name) if isinstance(entry, dict) else None for name in ROLES]
+        frames = [numbers if isinstance(numbers, list) else [] for numbers in lists]
+        if not all(
+            numbers and all(type(n) is int and n >= 0 for n in numbers) for numbers in frames
+        ):
             raise InputError(
                 f"{file}: clip {key!r}: found {entry!r:.80}, expected frame numbers as "
                 '{"context": [0, 40], "target": [10, 20, 30]}, or null'
             )
-        index[key] = frames[0], frames[1]
+        index[key] = list(map(str, frames[0])), list(map(str, frames[1]))
     return index
-
-
-def _frames(entry: Any, name: str) -> list[str]:
-    """Return the frame numbers of an entry as text; none if they have another form."""
-    frames = entry.get(name) if isinstance(entry, dict) else None
-    if not isinstance(frames, list) or not all(type(f) is int and f >= 0 for f in frames):
-        return []
-    return [str(frame) for frame in frames]

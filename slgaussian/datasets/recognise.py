@@ -145,7 +145,7 @@ def _clip(place: Path, photographs: Sequence[str]) -> Scene:
     def read(name: str) -> View:
         return replace(clip.read(name.rpartition("/")[2]), name=name)
 
-    cameras: dict[str, Any] = {f"{keys[0]}/{name}": own for name, own in clip.cameras.items()}
+    cameras: dict[str, Any] = {f"{keys[0]}/{name}": camera for name, camera in clip.cameras.items()}
     return replace(clip, cameras=cameras, read=read)
 
 

@@ -47,24 +47,20 @@ class Places:
         count = len(self._nodes)
         if not count:
             return {}
-        joined = np.array([*self._joined, *self._sharing()], np.int64).reshape(-1, 2).T
-        graph = coo_matrix((np.ones(joined.shape[1]), joined), (count, count))
-        _, place = connected_components(graph, directed=False)
-        names: dict[int, tuple[int, str]] = {}
-        for (kind, name), node in self._nodes.items():
-            own = KINDS.index(kind), name
-            names[place[node]] = min(names.get(place[node], own), own)
-        clips = ((name, node) for (kind, name), node in self._nodes.items() if kind == "clip")
-        return {clip: names[place[node]][1] for clip, node in clips}
-
-    def _sharing(self) -> list[tuple[int, int]]:
-        """Return the pairs of clips that share a photograph."""
         photographs = np.concatenate([np.zeros(0, np.uint64), *self._photographs])
         owners = np.concatenate([np.zeros(0, np.int64), *self._owners])
         order = np.argsort(photographs, kind="stable")
         same = photographs[order][1:] == photographs[order][:-1]
-        pairs = np.stack([owners[order][1:][same], owners[order][:-1][same]], 1)
-        return [(int(a), int(b)) for a, b in pairs]
+        sharing = np.stack([owners[order][1:][same], owners[order][:-1][same]])
+        joined = np.concatenate([np.array(self._joined, np.int64).reshape(-1, 2).T, sharing], 1)
+        graph = coo_matrix((np.ones(joined.shape[1]), joined), (count, count))
+        _, place = connected_components(graph, directed=False)
+        names: dict[int, tuple[int, str]] = {}
+        for (kind, name), node in self._nodes.items():
+            named = KINDS.index(kind), name
+            names[place[node]] = min(names.get(place[node], named), named)
+        clips = ((name, node) for (kind, name), node in self._nodes.items() if kind == "clip")
+        return {clip: names[place[node]][1] for clip, node in clips}
 
     def _node(self, kind: str, name: str) -> int:
         return self._nodes.setdefault((kind, name), len(self._nodes))

@@ -14,7 +14,7 @@ import tarfile
 from collections.abc import Mapping
 
 END = bytes(2 * tarfile.BLOCKSIZE)
-"""What ends a tar file."""
+"""The end of a tar file."""
 
 LONGEST = 48
 """Letters of a key that are a clip's own."""

@@ -45,7 +45,7 @@ SPECS = {
 
 ANEW = "make the set anew with `slgaussian dataset`"
 RAGGED = ("objects", "gaussians")
-"""What samples have different numbers of."""
+"""Parts of items of which samples have different numbers."""
 
 
 class TrainingSet(Dataset[dict[str, Any]]):

@@ -78,14 +78,14 @@ def _in_memory(images: Sequence[Any]) -> Scene:
         pictures[f"image_{i}"] = image
     if len(pictures) < 2:
         raise InputError(f"photographs: found {len(pictures)} image, expected at least two")
-    found = find_cameras([_photograph(image, name) for name, image in pictures.items()])
+    estimated = find_cameras([_photograph(image, name) for name, image in pictures.items()])
 
     def read_view(name: str) -> View:
         image = pictures[name]
         pixels = rgb(upright(image, orientation_of(image)))
-        return _straight(View(name, found.cameras[name], pixels), found)
+        return _straight(View(name, estimated.cameras[name], pixels), estimated)
 
-    return Scene("images", found.cameras, read_view, found=found.as_json())
+    return Scene("images", estimated.cameras, read_view, found=estimated.as_json())
 
 
 def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Scene:
@@ -220,16 +220,18 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
     return Photograph(name, pixels, width, height, stated.lens, stated.focal, stated.up)
 
 
-def posed(files: Mapping[str, Path], found: EstimatedCameras) -> Scene:
+def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
     """Return the scene of photographs by name, and of the cameras that were found for them.
 
     Views are straight where a lens distortion was found.
     """
 
-    maps = {name: partial(_lens, found.cameras[name], k1) for name, k1 in found.k1.items() if k1}
+    maps = {
+        name: partial(_lens, estimated.cameras[name], k1) for name, k1 in estimated.k1.items() if k1
+    }
     name = folder_of(files).name or "photographs"
-    about = found.as_json()
-    return scene_of(name, found.cameras, files, "photographs", (), maps, True, about)
+    about = estimated.as_json()
+    return scene_of(name, estimated.cameras, files, "photographs", (), maps, True, about)
 
 
 def refined(
@@ -251,18 +253,18 @@ def refined(
         If cameras cannot be found, or those of the scene all stand at one place.
     """
     taken = [_of_view(scene.read(name), files.get(name)) for name in names]
-    given = {name: scene.cameras[name] for name in names}
-    found = find_cameras(taken).in_frame_of(given)
+    before = {name: scene.cameras[name] for name in names}
+    estimated = find_cameras(taken).in_frame_of(before)
 
     def read(name: str) -> View:
-        return _straight(scene.read(name), found)
+        return _straight(scene.read(name), estimated)
 
-    return Scene(scene.name, found.cameras, read, scene.phrases, found.as_json()), found
+    return Scene(scene.name, estimated.cameras, read, scene.phrases, estimated.as_json()), estimated
 
 
-def _straight(view: View, found: EstimatedCameras) -> View:
+def _straight(view: View, estimated: EstimatedCameras) -> View:
     """Return a view with the camera that was found for it, its lens distortion undone."""
-    camera, k1 = found.cameras[view.name], found.k1[view.name]
+    camera, k1 = estimated.cameras[view.name], estimated.k1[view.name]
     view = replace(view, camera=camera)
     return straightened(view, _lens(camera, k1)) if k1 else view
 

@@ -23,7 +23,7 @@ MOST_PIXELS = 2**30 // 12
 from where on Pillow warns of files that are made to fill the memory."""
 
 KINDS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")
-"""What Pillow calls the kinds of file that are opened; HEIC too where a package reads it."""
+"""Pillow's names of the kinds of file that are opened; HEIC too where a package reads it."""
 
 
 class TooLargeError(ValueError):
@@ -177,7 +177,7 @@ def _phone_kind(path: str | Path) -> str | None:
 
 @cache
 def _reads_heic() -> bool:
-    """Whether the package of the extra `heic` is here; Pillow then knows the kind too."""
+    """Tell whether the package of the extra `heic` is here; Pillow then knows the kind too."""
     try:
         from pillow_heif import register_heif_opener
     except ImportError:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from functools import partial
 from itertools import takewhile
 from pathlib import Path
 
@@ -177,13 +177,13 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             "than they are here; export it as plain 3D Gaussian splatting, or remove what changes "
             "no picture"
         )
-    if said := [comment for comment in comments if _ANTIALIASED.search(comment)]:
+    if warnings := [comment for comment in comments if _ANTIALIASED.search(comment)]:
         raise InputError(
-            f"{path}: says {said[0]!r:.80}: it was trained with anti-aliasing, without which its "
-            "small Gaussians are drawn too thick; train or export it without"
+            f"{path}: says {warnings[0]!r:.80}: it was trained with anti-aliasing, without which "
+            "its small Gaussians are drawn too thick; train or export it without"
         )
-    columns = _Columns(path, table)
-    quats = columns.read(_ROTATIONS).astype(np.float64)
+    read = partial(_finite, path, table)
+    quats = read(_ROTATIONS).astype(np.float64)
     lengths = np.linalg.norm(quats, axis=1, keepdims=True)
     if not lengths.all():
         raise InputError(
@@ -192,14 +192,14 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
         )
     higher = len(rest) // 3
     sh = np.empty((n, 1 + higher, 3), np.float32)
-    sh[:, 0] = columns.read(_DC)
-    sh[:, 1:] = columns.read(rest).reshape(n, 3, higher).transpose(0, 2, 1)
+    sh[:, 0] = read(_DC)
+    sh[:, 1:] = read(rest).reshape(n, 3, higher).transpose(0, 2, 1)
     source = _whole(table["source"]) if "source" in names else None
-    scales, opacities = columns.read(_SCALES, np.exp), columns.read(["opacity"], expit)[:, 0]
+    scales, opacities = read(_SCALES, np.exp), read(["opacity"], expit)[:, 0]
     if _SMOOTHING in names:
-        scales, opacities = _smoothed(scales, opacities, columns.read([_SMOOTHING]))
+        scales, opacities = _smoothed(scales, opacities, read([_SMOOTHING]))
     arrays = {
-        "means": columns.read(_MEANS),
+        "means": read(_MEANS),
         "scales": scales,
         "quats": (quats / lengths).astype(np.float32),
         "opacities": opacities,
@@ -207,7 +207,7 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
         "source": np.arange(n, dtype=np.int32) if source is None else source,
     }
     if semantic:
-        arrays["features"] = columns.read(semantic)
+        arrays["features"] = read(semantic)
     if source is not None:
         used.add("source")
     extra = {name: table[name] for name in fields if name not in used}
@@ -218,34 +218,33 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     return Gaussians.from_arrays(arrays), extra
 
 
-@dataclass(frozen=True, eq=False)
-class _Columns:
-    """Columns of a table side by side, every number finite."""
+def _finite(
+    path: str | Path,
+    table: np.ndarray,
+    names: Sequence[str],
+    convert: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> np.ndarray:
+    """Return columns side by side, float32 [N, len(names)], through ``convert`` in float64.
 
-    path: str | Path
-    table: np.ndarray
-
-    def read(
-        self, names: Sequence[str], convert: Callable[[np.ndarray], np.ndarray] | None = None
-    ) -> np.ndarray:
-        """Float32 [N, len(names)], through ``convert`` in float64 if given."""
-        values = np.empty((len(self.table), len(names)), np.float32)
-        with np.errstate(over="ignore"):  # becomes infinite, and is refused below
-            for start in range(0, len(self.table), _BLOCK):
-                block = self.table[start : start + _BLOCK]
-                for column, name in enumerate(names):
-                    raw = block[name]
-                    if convert is not None:
-                        raw = convert(raw.astype(np.float64))
-                    values[start : start + _BLOCK, column] = raw
-        finite = np.isfinite(values)
-        if not finite.all():
-            row, column = np.argwhere(~finite)[0]
-            raise InputError(
-                f"{self.path}: vertex {row} has {names[column]} {self.table[names[column]][row]}, "
-                "which makes no Gaussian; remove it, or write the file again"
-            )
-        return values
+    InputError if a number is not finite.
+    """
+    values = np.empty((len(table), len(names)), np.float32)
+    with np.errstate(over="ignore"):  # becomes infinite, and is refused below
+        for start in range(0, len(table), _BLOCK):
+            block = table[start : start + _BLOCK]
+            for column, name in enumerate(names):
+                raw = block[name]
+                if convert is not None:
+                    raw = convert(raw.astype(np.float64))
+                values[start : start + _BLOCK, column] = raw
+    finite = np.isfinite(values)
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0]
+        raise InputError(
+            f"{path}: vertex {row} has {names[column]} {table[names[column]][row]}, which makes no "
+            "Gaussian; remove it, or write the file again"
+        )
+    return values
 
 
 def _smoothed(
@@ -262,7 +261,7 @@ def _smoothed(
 
 
 def _advice(path: str | Path, missing: Sequence[str], names: Sequence[str]) -> str:
-    """What a file is that lacks properties of Gaussians, and what to do."""
+    """Say of a file that lacks properties of Gaussians which kind it is, and how to go on."""
     if "packed_position" in names:
         plain = f"{Path(path).stem.removesuffix('.compressed')}.plain.ply"
         return (
@@ -286,13 +285,15 @@ def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:
         why = error.strerror or error
         raise InputError(f"{path}: cannot be read ({why}); give a .ply file") from error
     except Exception as error:  # a damaged file raises almost anything
-        said = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise InputError(
-            f"{path}: is not a whole .ply file ({said}); copy or write it again"
+            f"{path}: is not a whole .ply file ({reason}); copy or write it again"
         ) from error
     if "vertex" not in data:
-        found = _some([element.name for element in data])
-        raise InputError(f"{path}: has no element vertex, only {found}; give a .ply of Gaussians")
+        elements = _some([element.name for element in data])
+        raise InputError(
+            f"{path}: has no element vertex, only {elements}; give a .ply of Gaussians"
+        )
     vertex = data["vertex"]
     return vertex.data, [*data.comments, *data.obj_info, *vertex.comments]
 

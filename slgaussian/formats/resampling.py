@@ -101,8 +101,10 @@ class Window:
         return Window(self.photo_width, self.photo_height, left, top, right, bottom)
 
     def has_shape(self, width: int, height: int) -> bool:
-        """Whether ``width`` x ``height`` is the photograph's shape, to :data:`MOST_ASPECT` or what
-        rounding of the smaller of both to whole pixels makes of it."""
+        """Tell whether ``width`` x ``height`` is the photograph's shape.
+
+        To :data:`MOST_ASPECT`, or what rounding of the smaller to whole pixels makes of it.
+        """
         a, b = width * self.photo_height, height * self.photo_width
         smaller = min(width + height, self.photo_width + self.photo_height)
         rounding = (width + height) * (self.photo_width + self.photo_height) / smaller / 2

@@ -55,7 +55,7 @@ def decode(counts: str | Sequence[int], height: int, width: int) -> np.ndarray:
 
 def _lengths(text: str) -> list[int]:
     """The numbers of a text; ValueError if it breaks off or holds another character."""
-    found: list[int] = []
+    lengths: list[int] = []
     value = groups = 0
     for character in text:
         bits = ord(character) - _FIRST
@@ -69,8 +69,8 @@ def _lengths(text: str) -> list[int]:
             continue
         if bits & 16:
             value -= 1 << 5 * groups
-        found.append(value + found[-2] if len(found) > 2 else value)
+        lengths.append(value + lengths[-2] if len(lengths) > 2 else value)
         value = groups = 0
     if groups:
         raise ValueError("its counts break off within a number")
-    return found
+    return lengths

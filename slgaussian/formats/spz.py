@@ -39,7 +39,7 @@ TURN = np.array([1, -1, -1], np.float32)
 """From x right, y down, z forward to x right, y up, z backward, and back."""
 
 _TURN_SH = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""What that does to the harmonics 1 to 15: degree 1 holds y, z, x; and so on."""
+"""Signs that :data:`TURN` gives the harmonics 1 to 15: degree 1 holds y, z, x; and so on."""
 
 
 def save_spz(gaussians: Gaussians, path: str | Path) -> None:
@@ -107,14 +107,32 @@ def load_spz(path: str | Path) -> Gaussians:
             terms = (degree + 1) ** 2
             wide = [9, 1, 3, 3, 4, 3 * (terms - 1)]
             size = n * sum(wide)
-            _check_header(path, magic, degree, bits, flags, size)
+            for wrong, reason in (
+                (magic != MAGIC, f"found {magic:#x}, expected an .spz ({MAGIC:#x})"),
+                (degree > 3, f"found harmonics of degree {degree}, expected 0 to 3"),
+                (bits > 24, f"found {bits} fractional bits, expected at most 24"),
+                (
+                    flags & ANTIALIASED,
+                    "was trained with anti-aliasing (flag 0x1), without which its small Gaussians "
+                    "are drawn too thick; train or export it without",
+                ),
+                (flags == EXTENDED, "has extensions (flag 0x2), which may change its axes"),
+                (flags, f"has unknown flags ({flags:#x}), expected none"),
+                (
+                    size > MOST_UNPACKED,
+                    f"unpacks to {size / 2**30:.1f} GiB, of which at most {MOST_UNPACKED >> 30} is "
+                    "read; divide it, or convert it to .ply",
+                ),
+            ):
+                if wrong:
+                    raise InputError(f"{path}: {reason}")
             data = file.read(size + 1)
     except (OSError, EOFError, zlib.error, struct.error) as error:
         raise InputError(f"{path}: is not a whole .spz file ({error}); write it again") from error
     if len(data) != size:
-        found = "more" if len(data) > size else f"{len(data):,}"
+        amount = "more" if len(data) > size else f"{len(data):,}"
         raise InputError(
-            f"{path}: found {found} bytes of {n:,} Gaussians, expected {size:,}; write it again"
+            f"{path}: found {amount} bytes of {n:,} Gaussians, expected {size:,}; write it again"
         )
     ends = n * np.cumsum(wide)
     columns = [
@@ -146,32 +164,6 @@ def _other_version(path: str | Path, version: int) -> InputError:
         f"{path}: is an .spz of version {version}, and only version {VERSION} is read; convert it, "
         f"as with `splat-transform {Path(path).name} {Path(path).stem}.ply`, and load the .ply"
     )
-
-
-def _check_header(
-    path: str | Path, magic: int, degree: int, bits: int, flags: int, size: int
-) -> None:
-    """InputError unless a header tells of Gaussians that can be read, drawn and held in memory."""
-    if magic != MAGIC or degree > 3 or bits > 24:
-        raise InputError(
-            f"{path}: found {magic:#x}, harmonics of degree {degree} and {bits} fractional bits, "
-            f"expected an .spz ({MAGIC:#x}) of degree 0 to 3 and at most 24 bits; write it again"
-        )
-    if flags & ANTIALIASED:
-        raise InputError(
-            f"{path}: was trained with anti-aliasing (flag 0x1), without which its small Gaussians "
-            "are drawn too thick; train or export it without"
-        )
-    if flags:
-        what = "extensions, which may change its axes" if flags == EXTENDED else "unknown flags"
-        raise InputError(
-            f"{path}: has {what} (flags {flags:#x}), expected none; write it again without"
-        )
-    if size > MOST_UNPACKED:
-        raise InputError(
-            f"{path}: unpacks to {size / 2**30:.1f} GiB, of which at most {MOST_UNPACKED >> 30} "
-            "is read; divide it, or convert it to .ply"
-        )
 
 
 def _bytes(values: np.ndarray) -> bytes:

@@ -42,10 +42,8 @@ def parse(text: str | bytes) -> Any:
     try:
         content = json.loads(text, parse_int=whole, parse_float=real)
         # None where a later value of the same key has taken its place.
-        if odd and (found := next(_not_finite(content), None)):
-            raise ValueError(
-                f"{found[0] or 'it'} is {found[1]}, expected a number that 64 bits hold"
-            )
+        if odd and (bad := next(_not_finite(content), None)):
+            raise ValueError(f"{bad[0] or 'it'} is {bad[1]}, expected a number that 64 bits hold")
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     if _HALF.search(text):

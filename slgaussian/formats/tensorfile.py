@@ -22,7 +22,7 @@ SCRIPTED = (
     "it is a TorchScript archive, which holds code; if you trust it, save its tensors alone: "
     "torch.save(torch.jit.load(FILE, map_location='cpu').state_dict(), NEW_FILE)"
 )
-"""What is said of what ``torch.jit.save`` wrote, as OpenAI publishes CLIP."""
+"""The reason to refuse a file of ``torch.jit.save``, as OpenAI publishes CLIP."""
 
 
 class CodeError(ValueError):
@@ -30,7 +30,7 @@ class CodeError(ValueError):
 
 
 def load(source: Path | bytes, mapped: bool = False) -> Any:
-    """What a file holds, on the CPU, by PyTorch's restricted unpickler.
+    """Load a file on the CPU, by PyTorch's restricted unpickler.
 
     Parameters
     ----------
@@ -81,8 +81,8 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
     except Exception as bad:  # a damaged file raises almost anything
         if isinstance(bad, OSError) and bad.errno is not None:
             raise
-        said = str(bad).strip().splitlines()
-        reason = f"{type(bad).__name__} {said[0][:200] if said else ''}"
+        lines = str(bad).strip().splitlines()
+        reason = f"{type(bad).__name__} {lines[0][:200] if lines else ''}"
         raise ValueError(reason.removeprefix("ValueError ").strip()) from None
 
 

@@ -14,7 +14,7 @@ TYPES: Mapping[str, str | None] = {
     "text": "string", "integer": "integer", "number": "number", "bool": "boolean",
     "object": "object", "list": "array", "any": None,
 }  # fmt: skip
-"""What JSON Schema calls the types of keys."""
+"""JSON Schema's names of the types of keys."""
 
 
 def read_document(data: bytes, spec: Spec, file: str) -> Any:
@@ -56,20 +56,20 @@ def json_schema(spec: Spec) -> dict[str, Any]:
     """
     schemas: dict[str, dict[str, Any]] = {"": {"type": "object"}}
     for place, key in sorted(spec.keys.items()):  # whatever holds a key comes before it
-        own = schemas[place] = {}
+        schema = schemas[place] = {}
         if key.type != "any":
-            own["type"] = [TYPES[key.type], *["null"] * key.nullable]
+            schema["type"] = [TYPES[key.type], *["null"] * key.nullable]
         values = [*key.values, None] if key.values else None
         bounds = {"minimum": key.low, "maximum": key.high, "enum": values}
-        own |= {name: bound for name, bound in bounds.items() if bound is not None}
+        schema |= {name: bound for name, bound in bounds.items() if bound is not None}
         if place.endswith("[]"):
-            schemas[place[:-2]]["items"] = own
+            schemas[place[:-2]]["items"] = schema
             continue
         above, _, name = place.rpartition(".")
         if name == "*":
-            schemas[above]["additionalProperties"] = own
+            schemas[above]["additionalProperties"] = schema
             continue
-        schemas[above].setdefault("properties", {})[name] = own
+        schemas[above].setdefault("properties", {})[name] = schema
         schemas[above].setdefault("additionalProperties", False)
         if not key.optional:
             schemas[above].setdefault("required", []).append(name)

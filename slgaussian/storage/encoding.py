@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # a field is read without Arrow, which takes long to import
 Arrays = dict[str, np.ndarray]
 
 REPAIR = "delete the file and run again to have it made anew"
-"""What to do about a damaged artifact."""
+"""The advice on a damaged artifact."""
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold; now would change the bytes
 
@@ -179,5 +179,5 @@ def _whole(data: bytes, file: str, spec: Spec, repair: str) -> Iterator[None]:
         yield
     except Exception as error:  # a damaged file raises almost anything
         why = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        found = f"{len(data)} bytes that cannot be read ({why})"
-        raise mismatch(file, "file", found, f"a whole {spec.suffix} file; {repair}") from error
+        problem = f"{len(data)} bytes that cannot be read ({why})"
+        raise mismatch(file, "file", problem, f"a whole {spec.suffix} file; {repair}") from error

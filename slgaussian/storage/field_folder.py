@@ -91,7 +91,7 @@ class About:
                 stated = "none" if version is None else repr(version)[:40]
                 by = f", made by {maker:.60}" if isinstance(maker, str) else ""
                 raise mismatch(file, "format", f"{stated}{by}", f"{FORMAT}; {AGAIN}")
-            cameras = {name: _camera_of(own) for name, own in content["cameras"].items()}
+            cameras = {name: _camera_of(values) for name, values in content["cameras"].items()}
             settings, places = dict(content["settings"]), dict(content["places"])
             settings["encoder"], settings.get(settings["encoder"], {}).items()
             if not all(isinstance(place, str) for place in places.values()):
@@ -105,17 +105,17 @@ class About:
 
 
 def _camera_json(camera: Camera) -> dict[str, Any]:
-    own = {field.name: getattr(camera, field.name) for field in fields(camera)}
-    own |= {"K": camera.K.tolist(), "c2w": camera.c2w.tolist()}
-    estimated = own.pop("estimated")
-    return own if estimated is None else {**own, "estimated": asdict(estimated)}
+    values = {field.name: getattr(camera, field.name) for field in fields(camera)}
+    values |= {"K": camera.K.tolist(), "c2w": camera.c2w.tolist()}
+    estimated = values.pop("estimated")
+    return values if estimated is None else {**values, "estimated": asdict(estimated)}
 
 
-def _camera_of(own: Mapping[str, Any]) -> Camera:
-    arrays: dict[str, Any] = {name: np.array(own[name]) for name in ("K", "c2w")}
-    if own.get("estimated") is not None:
-        arrays["estimated"] = Estimated.of(own["estimated"])
-    return Camera(**{**own, **arrays})
+def _camera_of(values: Mapping[str, Any]) -> Camera:
+    arrays: dict[str, Any] = {name: np.array(values[name]) for name in ("K", "c2w")}
+    if values.get("estimated") is not None:
+        arrays["estimated"] = Estimated.of(values["estimated"])
+    return Camera(**{**values, **arrays})
 
 
 def write(
@@ -179,17 +179,17 @@ def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
     except OSError as error:
         raise SpecError(f"{file}: {error.strerror}; {AGAIN}") from error
     arrays = decode_arrays(data, rules, str(file), repair=AGAIN)
-    found = arrays_digest(arrays)
-    if found != digest:
+    actual = arrays_digest(arrays)
+    if actual != digest:
         expected = f"{digest[:12]} as {ABOUT} says: it was changed, or is of another field; {AGAIN}"
-        raise mismatch(str(file), "digest", f"content {found[:12]}", expected)
+        raise mismatch(str(file), "digest", f"content {actual[:12]}", expected)
     return arrays
 
 
-def check_target(path: Path, marker: str = ABOUT, what: str = "a field") -> None:
+def check_target(path: Path, marker: str = ABOUT, kind: str = "a field") -> None:
     """Make the parents of ``path`` and see that a field may be written there.
 
-    Or another folder that is known by the file ``marker`` in it; ``what`` names it.
+    Or another folder that is known by the file ``marker`` in it; ``kind`` names it.
 
     Call it before the work, so that hours are not lost to a folder that cannot be written.
 
@@ -198,7 +198,7 @@ def check_target(path: Path, marker: str = ABOUT, what: str = "a field") -> None
     InputError
         If a parent cannot be made or written, or ``path`` holds something that is no such folder.
     """
-    check_free(path, marker, what)
+    check_free(path, marker, kind)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         os.rmdir(tempfile.mkdtemp(prefix=".probe-", dir=path.parent))
@@ -209,8 +209,8 @@ def check_target(path: Path, marker: str = ABOUT, what: str = "a field") -> None
         ) from error
 
 
-def check_free(path: Path, marker: str = ABOUT, what: str = "a field") -> None:
-    """Raise :class:`InputError` if ``path`` holds something that is not ``what``."""
+def check_free(path: Path, marker: str = ABOUT, kind: str = "a field") -> None:
+    """Raise :class:`InputError` if ``path`` holds something that is not ``kind``."""
     empty = path.is_dir() and not any(path.iterdir())
     if path.exists() and not (path / marker).is_file() and not empty:
-        raise InputError(f"{path}: exists and is not {what}; choose another folder, or remove it")
+        raise InputError(f"{path}: exists and is not {kind}; choose another folder, or remove it")

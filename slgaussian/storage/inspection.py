@@ -59,7 +59,7 @@ def _read(path: Path) -> dict[str, Any]:
     except Exception as error:  # a damaged file raises almost anything
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise SpecError(f"{path}: is damaged ({reason}); {REPAIR}") from error
-    file, digest, made = str(path), hashlib.sha256(data).hexdigest(), about.get("made", {})
+    file, digest, origin = str(path), hashlib.sha256(data).hexdigest(), about.get("made", {})
     if path.suffix == ".safetensors":
         return {"meaning": "Weights.", "digest": digest, "made": about.get("__metadata__", {})}
     by_file = {load_spec(name).file: name for name in spec_names()}
@@ -75,7 +75,7 @@ def _read(path: Path) -> dict[str, Any]:
     else:
         read_document(data, spec, file)
         keys = ("made_by", "slgaussian", "command", "settings")
-        made = {key: about[key] for key in keys if key in about}
+        origin = {key: about[key] for key in keys if key in about}
     if len(path.stem) == len(digest) and path.stem != digest:
         raise mismatch(file, "digest", digest[:12], "that of its name")
-    return {"spec": spec.label, "meaning": spec.doc, "digest": digest, "made": made}
+    return {"spec": spec.label, "meaning": spec.doc, "digest": digest, "made": origin}

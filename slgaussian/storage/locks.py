@@ -16,7 +16,7 @@ class BusyError(InputError):
 
 
 @contextmanager
-def held(file: Path, what: str, wait: bool = False) -> Iterator[None]:
+def held(file: Path, action: str, wait: bool = False) -> Iterator[None]:
     """Hold a lock for the time of the block; ``kill -9`` releases it too.
 
     Parameters
@@ -24,7 +24,7 @@ def held(file: Path, what: str, wait: bool = False) -> Iterator[None]:
     file : Path
         The lock, made if it is not there, in a folder that is made likewise. It stays behind, and
         means nothing then.
-    what : str
+    action : str
         What is to be done, to begin the message with.
     wait : bool
         Wait for whoever holds it.
@@ -41,7 +41,7 @@ def held(file: Path, what: str, wait: bool = False) -> Iterator[None]:
         file.parent.mkdir(parents=True, exist_ok=True)
         lock.acquire()
     except Timeout as error:
-        raise BusyError(f"{what}: {file.parent} is in use by another process") from error
+        raise BusyError(f"{action}: {file.parent} is in use by another process") from error
     except OSError as error:
         raise InputError(f"{file}: cannot be written ({error.strerror})") from error
     try:

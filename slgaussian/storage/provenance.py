@@ -62,9 +62,9 @@ _made: ContextVar[Made | None] = ContextVar("made", default=None)
 
 
 @contextmanager
-def making(made: Made) -> Iterator[None]:
+def making(work: Made) -> Iterator[None]:
     """Have the files that are written within the block say that this made them."""
-    token = _made.set(made)
+    token = _made.set(work)
     try:
         yield
     finally:
@@ -74,8 +74,8 @@ def making(made: Made) -> Iterator[None]:
 @contextmanager
 def saying(source: str, licence: str) -> Iterator[None]:
     """Have the files that are written within the block also say where their data come from."""
-    made = current()
-    with nullcontext() if made is None else making(replace(made, source=source, licence=licence)):
+    work = current()
+    with nullcontext() if work is None else making(replace(work, source=source, licence=licence)):
         yield
 
 
@@ -89,17 +89,17 @@ def statement(digest: str = "") -> dict[str, Any]:
 
     The latter where they are known.
     """
-    made = current()
-    if made is not None and digest in made.given:
-        made = None
+    work = current()
+    if work is not None and digest in work.given:
+        work = None
     about: dict[str, Any] = {"program": f"slgaussian {__version__}"}
     origin = {}
-    if made is not None:
-        about["stage"] = made.stage
-        if made.version is not None:
-            about["stage_version"] = made.version
-        about |= {"settings": dict(made.settings), "of": dict(made.of)}
-        origin = {"source": made.source, "licence": made.licence}
+    if work is not None:
+        about["stage"] = work.stage
+        if work.version is not None:
+            about["stage_version"] = work.version
+        about |= {"settings": dict(work.settings), "of": dict(work.of)}
+        origin = {"source": work.source, "licence": work.licence}
     about["software"] = software()
     return {"made": about, **{name: text for name, text in origin.items() if text}}
 
@@ -107,8 +107,10 @@ def statement(digest: str = "") -> dict[str, Any]:
 def speaking(schema: pa.Schema, digest: str = "") -> pa.Schema:
     """Return a schema of a data spec that says what makes the table, as a Parquet file has it."""
     entries = {
-        name: own if isinstance(own, str) else json.dumps(own, sort_keys=True, ensure_ascii=False)
-        for name, own in statement(digest).items()
+        name: entry
+        if isinstance(entry, str)
+        else json.dumps(entry, sort_keys=True, ensure_ascii=False)
+        for name, entry in statement(digest).items()
     }
     return schema.with_metadata({**(schema.metadata or {}), **entries})
 

@@ -98,7 +98,7 @@ class Entry:
 
     @property
     def is_bounded(self) -> bool:
-        """Whether not every value of the type may be."""
+        """Tell whether some values of the type may not be."""
         return bool(self.values) or self.low is not None or self.high is not None
 
     def describe(self, plain: bool = False) -> dict[str, Any]:
@@ -170,14 +170,14 @@ class Spec:
     def about(self, names: Iterable[str]) -> dict[str, Any]:
         """Return what an ``.npz`` file with the arrays ``names`` says of itself, as plain data."""
         listed = {name: self.fields[name] for name in names if name in self.fields}
-        letters = {axis for own in listed.values() for axis in own.shape}
+        letters = {axis for entry in listed.values() for axis in entry.shape}
         return {
             "spec": self.label,
             "meaning": self.doc,
-            "axes": {letter: said for letter, said in self.axes.items() if letter in letters},
+            "axes": {letter: text for letter, text in self.axes.items() if letter in letters},
             "fields": {
-                name: {"axes": list(own.shape), **own.describe(plain=True)}
-                for name, own in listed.items()
+                name: {"axes": list(entry.shape), **entry.describe(plain=True)}
+                for name, entry in listed.items()
             },
         }
 
@@ -192,8 +192,8 @@ class Spec:
         if name != self.name:
             raise mismatch(file, "spec", f"{label:.80}", f"{self.label}; {repair}")
         if version > self.version:
-            said = f"{self.label} at most: a later {OWNER} wrote it, so install that one"
-            raise mismatch(file, "spec", label, f"{said}, or {repair}")
+            text = f"{self.label} at most: a later {OWNER} wrote it, so install that one"
+            raise mismatch(file, "spec", label, f"{text}, or {repair}")
 
     def check_arrays(self, arrays: Mapping[str, np.ndarray], file: str) -> None:
         """Raise :class:`SpecError` at the first array that is not what this spec says."""
@@ -203,11 +203,11 @@ class Spec:
         if unknown:
             raise mismatch(file, unknown[0], "an unknown field", f"only {', '.join(self.fields)}")
         sizes: dict[str, tuple[int, str]] = {}
-        for name, own in self.fields.items():
+        for name, entry in self.fields.items():
             if name in arrays:
-                _check_array(arrays[name], own, name, file, sizes)
-            elif not own.optional:
-                raise mismatch(file, name, "no such field", _shape_text(own))
+                _check_array(arrays[name], entry, name, file, sizes)
+            elif not entry.optional:
+                raise mismatch(file, name, "no such field", _shape_text(entry))
 
     def check_table(self, table: pa.Table, file: str) -> None:
         """Raise :class:`SpecError` at the first column that is not what this spec says."""
@@ -290,10 +290,10 @@ def _check_array(
     array: np.ndarray, field: Entry, name: str, file: str, sizes: dict[str, tuple[int, str]]
 ) -> None:
     """``sizes`` has the size of each letter so far, and the array that it is from."""
-    found, expected = f"{array.dtype} {list(array.shape)}", _shape_text(field)
+    actual, expected = f"{array.dtype} {list(array.shape)}", _shape_text(field)
     fits = array.dtype.kind == "U" if field.type == "str" else array.dtype == field.type
     if not fits or array.ndim != len(field.shape):
-        raise mismatch(file, name, found, expected)
+        raise mismatch(file, name, actual, expected)
     for axis, size in zip(field.shape, array.shape, strict=True):
         if isinstance(axis, int):
             needed, reason = axis, f"{axis} entries"
@@ -301,7 +301,7 @@ def _check_array(
             needed, first = sizes.get(axis, (size, name))
             reason = f"{axis} = {needed} as in {first}"
         if size != needed:
-            raise mismatch(file, name, found, f"{expected} with {reason}")
+            raise mismatch(file, name, actual, f"{expected} with {reason}")
     for axis, size in zip(field.shape, array.shape, strict=True):
         sizes.setdefault(str(axis), (size, name))
     _check_values(array, field, name, file)

@@ -212,22 +212,22 @@ class ArtifactStore:
         except SpecError as error:
             raise DamagedError(str(error), ref.uri) from error
         if digest != ref.digest:
-            found, expected = f"content {digest[:12]}", f"{ref.digest[:12]}; {REPAIR}"
-            raise self._damaged(ref.uri, found, expected, "digest")
+            actual, expected = f"content {digest[:12]}", f"{ref.digest[:12]}; {REPAIR}"
+            raise self._damaged(ref.uri, actual, expected, "digest")
         return content
 
-    def read(self, uri: str, what: str = "a file") -> bytes:
-        """Read a file; DamagedError if it is not there, ``what`` says what was expected."""
-        told = OSError if self.local else FileNotFoundError
+    def read(self, uri: str, expected: str = "a file") -> bytes:
+        """Read a file; DamagedError if it is not there, ``expected`` names it."""
+        passed = OSError if self.local else FileNotFoundError
         try:
-            return self._ask("read", lambda: self.fs.cat_file(f"{self.path}/{uri}"), told)
+            return self._ask("read", lambda: self.fs.cat_file(f"{self.path}/{uri}"), passed)
         except FileNotFoundError as error:
-            raise self._damaged(uri, "nothing", what) from error
+            raise self._damaged(uri, "nothing", expected) from error
         except OSError as error:
             raise self._damaged(uri, explained(error), "a readable file") from error
 
     def fetch(
-        self, uri: str, what: str, understood: Callable[[bytes], Result]
+        self, uri: str, expected: str, understood: Callable[[bytes], Result]
     ) -> tuple[bytes, Result]:
         """Return the bytes of a file, and what ``understood`` makes of them.
 
@@ -236,7 +236,7 @@ class ArtifactStore:
         :meth:`read`.
         """
         for left in reversed(range(1 if self.near else READINGS)):
-            data = self.read(uri, what)
+            data = self.read(uri, expected)
             try:
                 return data, understood(data)
             except SpecError:
@@ -288,10 +288,10 @@ class ArtifactStore:
             self.at_once(self.check_there, ref.uris)
             return
         for uri in ref.uris:
-            own = ref_of(uri)
-            if own is None:
+            part = ref_of(uri)
+            if part is None:
                 raise self._damaged(uri, "another path", "that of an artifact")
-            self.get(own)
+            self.get(part)
 
     def stamp(self, uri: str) -> str | None:
         """Return bytes and time (ns) of a file of a local store; None without one, or elsewhere."""
@@ -388,8 +388,8 @@ class ArtifactStore:
             raise InputError(message) from error
 
     def _fetch_artifact(self, ref: ArtifactRef) -> tuple[bytes, Any]:
-        what = f"a {ref.spec} artifact"
-        return self.fetch(ref.uri, what, lambda data: self.understood(ref, data))
+        expected = f"a {ref.spec} artifact"
+        return self.fetch(ref.uri, expected, lambda data: self.understood(ref, data))
 
     def _list(self, uri: str) -> tuple[list[File], list[str]]:
         """Return the files in a folder and the folders in it, each sorted."""
@@ -401,13 +401,13 @@ class ArtifactStore:
         except (FileNotFoundError, NotADirectoryError):
             return [], []
         for entry in entries:
-            own = entry["name"].rstrip("/").removeprefix(f"{self.path}/")
-            if own == uri:
+            inside = entry["name"].rstrip("/").removeprefix(f"{self.path}/")
+            if inside == uri:
                 continue  # an object store may have a file of the folder's name
             if entry["type"] == "directory":
-                folders.append(own)
+                folders.append(inside)
             else:
-                files.append(File(own, entry["size"], _written(entry)))
+                files.append(File(inside, entry["size"], _written(entry)))
         return sorted(files, key=lambda file: file.uri), sorted(folders)
 
     def _check_address(self, ref: ArtifactRef) -> None:
@@ -447,7 +447,7 @@ def _written(info: Mapping[str, Any]) -> float:
 def _precedence(data: bytes) -> tuple[bool, str]:
     """Return what orders two files of the same content: one that names its maker is first."""
     try:
-        made = stated(data).get("made", {})
-        return "stage" not in made, json.dumps(made, sort_keys=True)
+        maker = stated(data).get("made", {})
+        return "stage" not in maker, json.dumps(maker, sort_keys=True)
     except Exception:  # a damaged file raises almost anything
         return True, "~"

@@ -66,13 +66,23 @@ def read(
         If an argument is out of its range.
     """
     compiling.watch()
-    _check("objects", objects, 1, MOST_OBJECTS)
-    _check("views", views, 2, 1000)
-    _check("height", height, 16, 8192)
-    _check("width", width, 16, 8192)
-    _check("baseline", baseline, 0.01, 2.0)
-    _check("noise", noise, 0.0, 1.0)
-    _check("exposure", exposure, 0.0, 1.0)
+    limits: dict[str, tuple[float, float, float]] = {
+        "objects": (objects, 1, MOST_OBJECTS),
+        "views": (views, 2, 1000),
+        "height": (height, 16, 8192),
+        "width": (width, 16, 8192),
+        "baseline": (baseline, 0.01, 2.0),
+        "noise": (noise, 0.0, 1.0),
+        "exposure": (exposure, 0.0, 1.0),
+    }
+    for option, (value, least, most) in limits.items():
+        whole = isinstance(least, int)
+        if not least <= value <= most or (whole and value != int(value)):
+            kind = "whole number" if whole else "number"
+            raise InputError(
+                f"procedural scene {option}: found {value}, expected a {kind} from {least} to "
+                f"{most}"
+            )
     name = f"procedural_{seed}"
     arc = rng_for(seed, name, "arc")
     start, lift, distance = arc.uniform((-0.12, 1.25, 3.15), (0.12, 1.55, 3.4))
@@ -113,15 +123,6 @@ def _read(
         srgb += rng.normal(0.0, noise, srgb.shape)
     image = np.round(np.clip(srgb, 0, 1) * 255).astype(np.uint8)
     return View(name, camera, image, depth.astype(np.float32), room.owners()[index])
-
-
-def _check(name: str, value: float, least: float, most: float) -> None:
-    whole = isinstance(least, int)
-    if not least <= value <= most or (whole and value != int(value)):
-        kind = "whole number" if whole else "number"
-        raise InputError(
-            f"procedural scene {name}: found {value}, expected a {kind} from {least} to {most}"
-        )
 
 
 def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:

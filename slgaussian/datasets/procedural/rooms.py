@@ -36,7 +36,7 @@ _THICK = 0.012  # of a carpet
 _SEEN = 0.0035  # smallest fraction of each end view that an object must fill
 
 FOCUS = np.array([0.0, 0.15, 0.45])
-"""What the cameras look at."""
+"""The point that the cameras look at."""
 
 
 @dataclass(frozen=True, eq=False)
