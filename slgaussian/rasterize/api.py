@@ -8,7 +8,7 @@ rounded to float32, and of the index where these are equal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -68,19 +68,6 @@ class Render:
     label_weights: torch.Tensor | None = None
 
     __repr__ = short_repr
-
-    def over(self, background: torch.Tensor) -> Render:
-        """The picture with ``background`` float [C] seen through what is not opaque.
-
-        Differentiable in it. InputError if it has another shape.
-        """
-        if background.shape != self.values.shape[2:]:
-            raise InputError(
-                f"rasterize background: found shape {tuple(background.shape)}, expected "
-                f"({self.values.shape[2]},)"
-            )
-        behind = background.to(self.values) * (1 - self.alpha)[..., None]
-        return replace(self, values=self.values + behind)
 
 
 def rasterize(

@@ -43,7 +43,7 @@ def render(
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32, on the device of the input.
 
-    ``near``, ``low_pass`` and ``compensate`` are honoured, and any number of channels; see the top
+    ``near`` and ``low_pass`` are honoured, and any number of channels; see the top
     of this module for what differs.
 
     Raises
@@ -81,7 +81,6 @@ def render(
         far_plane=FAR,
         eps2d=settings.low_pass,
         packed=False,
-        rasterize_mode="antialiased" if settings.compensate else "classic",
     )
     image, alpha = image[0], alpha[0, ..., 0]
     # Where anything is drawn alpha is at least 1/255, so this is 0 elsewhere and nowhere biased.

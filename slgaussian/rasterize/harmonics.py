@@ -88,7 +88,7 @@ def turned(R: np.ndarray) -> np.ndarray:
     return D
 
 
-def colors(gaussians: Gaussians, camera: Camera, degree: int | None = None) -> torch.Tensor:
+def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
     """RGB of every Gaussian as ``camera`` sees it, differentiable in ``sh`` and ``means``.
 
     Parameters
@@ -97,8 +97,6 @@ def colors(gaussians: Gaussians, camera: Camera, degree: int | None = None) -> t
         With 1, 4, 9 or 16 coefficients a colour.
     camera : Camera
         Only its centre matters.
-    degree : int, optional
-        Leave out what is above it. All that there is, if not given.
 
     Returns
     -------
@@ -110,7 +108,7 @@ def colors(gaussians: Gaussians, camera: Camera, degree: int | None = None) -> t
     Raises
     ------
     InputError
-        If there are other numbers of coefficients, or they do not reach ``degree``.
+        If there are other numbers of coefficients.
     """
     count = gaussians.sh.shape[1]
     if count not in COUNTS:
@@ -118,18 +116,11 @@ def colors(gaussians: Gaussians, camera: Camera, degree: int | None = None) -> t
             f"gaussians sh: found {count} coefficients a colour, expected one of "
             f"{', '.join(map(str, COUNTS))}"
         )
-    stored = math.isqrt(count) - 1
-    degree = stored if degree is None else degree
-    if degree not in range(stored + 1):
-        raise InputError(
-            f"harmonics: asked for degree {degree}, expected 0 to {stored} with {count} "
-            "coefficients a colour"
-        )
-    if degree == 0:
+    if count == 1:
         return (gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(min=0)
     directions = _directions(gaussians.means, camera).to(gaussians.sh.dtype)
-    sh = gaussians.sh[:, : (degree + 1) ** 2]
-    return (torch.einsum("kn,nkc->nc", basis(directions, degree), sh) + 0.5).clamp(min=0)
+    harmonics = basis(directions, math.isqrt(count) - 1)
+    return (torch.einsum("kn,nkc->nc", harmonics, gaussians.sh) + 0.5).clamp(min=0)
 
 
 def _directions(means: torch.Tensor, camera: Camera) -> torch.Tensor:

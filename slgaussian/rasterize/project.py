@@ -74,7 +74,6 @@ class Eye(NamedTuple):
     bottom: float
     near: float
     low_pass: float
-    compensate: bool
     alpha_min: float
     cut: float
     """The log2 of alpha_min."""
@@ -103,7 +102,6 @@ def eye_of(camera: Camera, settings: Settings) -> Eye:
         bottom=(camera.height - cy) / fy + margin_y,
         near=settings.near,
         low_pass=settings.low_pass,
-        compensate=settings.compensate,
         alpha_min=settings.alpha_min,
         cut=math.log2(settings.alpha_min) if settings.alpha_min > 0 else -math.inf,
         fraction=-HALF_LOG2_E * settings.sigmas**2,
@@ -211,8 +209,6 @@ def _project_vector(given, eye, made):
     xx, xy, yy, det = _covariance(px, py)
     wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
     opacity = _column(given, 10)
-    if eye.compensate:
-        opacity = opacity * vsqrt(det / wide)
     xx = xx + eye.low_pass
     yy = yy + eye.low_pass
     u, v = _to_pixel(x, y, eye)
@@ -315,7 +311,6 @@ def _gaussian_backward(
         dz += grads[row, MOMENTS + channels]
     root, slope, row_root = splats[i, ROOT], splats[i, SLOPE], splats[i, ROW_ROOT]
     row_precision = row_root * row_root / HALF_LOG2_E
-    d_opacity = m0 / math.exp2(splats[i, POWER])
     du = root * m1 / HALF_LOG2_E
     dv = row_root * m3 / HALF_LOG2_E - slope * du
     # var = xx - xy^2 / yy, slope = xy / yy.
@@ -331,20 +326,7 @@ def _gaussian_backward(
     qw, qx, qy, qz = quats[i]
     R = _rotation(np.float64(qw), np.float64(qx), np.float64(qy), np.float64(qz))
     px, py = _spread(A, R, *_three(scales[i]))
-    if eye.compensate:
-        # opacity = given sqrt(det / wide), wide = det + low_pass (xx + yy) + low_pass^2.
-        xx, xy, yy, det = _covariance(px, py)
-        wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
-        fraction = math.sqrt(det / wide)
-        d_fraction = d_opacity * opacities[i]
-        d_opacity *= fraction
-        if fraction > 0:
-            d_det = d_fraction / (2 * fraction) * (wide - det) / (wide * wide)
-            d_trace = -d_fraction / (2 * fraction) * det / (wide * wide) * eye.low_pass
-            dxx += d_det * yy + d_trace
-            dxy -= d_det * 2 * xy
-            dyy += d_det * xx + d_trace
-    d_opacities[i] = d_opacity
+    d_opacities[i] = m0 / math.exp2(splats[i, POWER])
 
     dAx0 = dAx1 = dAx2 = dAy0 = dAy1 = dAy2 = 0.0
     dR = np.empty((3, 3))

@@ -47,14 +47,7 @@ def project(
     # The axes of each Gaussian on the image: two rows of three.
     axes = jacobian @ R @ rotation_matrices(gaussians.quats) * gaussians.scales[:, None, :]
     cov = axes @ axes.mT + settings.low_pass * torch.eye(2, dtype=torch.float64, device=device)
-    opacities = gaussians.opacities
-    if settings.compensate:
-        # The determinant before the low-pass as a sum of squares (Cauchy and Binet): no noise where
-        # the Gaussian is a line.
-        sharp = torch.linalg.cross(axes[:, 0], axes[:, 1]).square().sum(-1)
-        fraction = sharp / torch.linalg.det(cov)
-        opacities = opacities * fraction.clamp_min(1e-30).sqrt()
-    return torch.stack([fx * x + skew * y + cx, fy * y + cy], -1), cov, opacities, depth
+    return torch.stack([fx * x + skew * y + cx, fy * y + cy], -1), cov, gaussians.opacities, depth
 
 
 def render(

@@ -12,7 +12,7 @@ from slgaussian.errors import InputError, did_you_mean
 class Settings:
     """How Gaussians become pixels.
 
-    The first four define the picture; every backend and the float64 reference follow them. The
+    The first three define the picture; every backend and the float64 reference follow them. The
     others are cut-offs: what they leave out is the error of a fast backend, and the reference
     leaves out nothing.
 
@@ -23,9 +23,6 @@ class Settings:
     low_pass : float
         Added to the diagonal of every projected covariance, px^2, above 0, so that no Gaussian is
         lost between pixel centres (Kerbl et al. 2023 use 0.3).
-    compensate : bool
-        Scale each opacity by ``sqrt(det(cov) / det(cov + low_pass I))``, so that the low-pass does
-        not thicken what is smaller than a pixel (Yu et al., "Mip-Splatting", CVPR 2024).
     alpha_max : float
         Alphas are clamped to this, in (0, 1]; 1 leaves them alone.
     alpha_min : float
@@ -44,7 +41,6 @@ class Settings:
 
     near: float = 0.01
     low_pass: float = 0.3
-    compensate: bool = False
     alpha_max: float = 1.0
     alpha_min: float = 1 / 4096
     sigmas: float = math.inf

@@ -39,12 +39,12 @@ OFF_AXIS = torch.tensor([[3.0, -2.0, 1.0], [-4.0, 0.5, 0.8]], dtype=torch.float6
     ("seen", "chosen"),
     [
         (camera(4, 3, 4), EXACT),
-        (camera(4, 3, 4, c2w=rotated(1, (1, 2, 3))), replace(EXACT, compensate=True)),
+        (camera(4, 3, 4, c2w=rotated(1, (1, 2, 3))), EXACT),
         (camera(4, 3, 4, cx=-6, cy=9), EXACT),
-        (camera(4, 3, 4, skew=1.5, aspect=1.4), replace(EXACT, compensate=True)),
+        (camera(4, 3, 4, skew=1.5, aspect=1.4), EXACT),
         (camera(4, 3, 4, c2w=rotated(2)), replace(EXACT, alpha_max=0.3)),
     ],
-    ids=["plain", "compensated", "principal-point", "skew-compensated", "clamped"],
+    ids=["plain", "turned", "principal-point", "skew", "clamped"],
 )
 def test_reference(seen, chosen):
     def draw(means, scales, quats, opacities, values):
@@ -70,18 +70,6 @@ def test_reference_off_axis():
         return drawn.values, drawn.alpha, drawn.depth
 
     assert torch.autograd.gradcheck(draw, [t.requires_grad_() for t in (means, scales, *others)])
-
-
-def test_reference_background():
-    seen = camera(4, 3, 4)
-    behind = torch.tensor([0.3, -0.7], dtype=torch.float64)
-
-    def draw(means, scales, quats, opacities, values, background):
-        made = with_geometry(means, scales, quats, opacities)
-        return rasterize(made, values, seen, backend="reference").over(background).values
-
-    inputs = [t.requires_grad_() for t in (*tiny(seen), behind)]
-    assert torch.autograd.gradcheck(draw, inputs)
 
 
 # The cpu backend.
@@ -122,13 +110,12 @@ def gradients(
 
 
 @cache
-def truth(name: str, compensate: bool) -> tuple[Render, dict[str, torch.Tensor]]:
+def truth(name: str) -> tuple[Render, dict[str, torch.Tensor]]:
     """What the reference draws, and its gradients."""
     made = case(name)
-    chosen = replace(EXACT, compensate=compensate)
     inputs = made.gaussians, made.values, made.camera
-    true = rasterize(*inputs, backend="reference", settings=chosen)
-    return true, gradients(*inputs, "reference", chosen, true)
+    true = rasterize(*inputs, backend="reference", settings=EXACT)
+    return true, gradients(*inputs, "reference", EXACT, true)
 
 
 def errors(name: str, chosen: Settings) -> dict[str, float]:
@@ -138,7 +125,7 @@ def errors(name: str, chosen: Settings) -> dict[str, float]:
     gradient of a ball's rotation is zero. A Gaussian of opacity 0 is not drawn, and has none.
     """
     made = case(name)
-    drawn, true = truth(name, chosen.compensate)
+    drawn, true = truth(name)
     fast = gradients(made.gaussians, made.values, made.camera, "cpu", chosen, drawn)
     found = {}
     for field, t in true.items():
@@ -167,11 +154,6 @@ CASES = [
     "image_of_17x33", "principal_point_far_outside", "skewed_pixels", "no_channel",
     "seven_channels",
 ]  # fmt: skip
-COMPENSATED = [
-    "behind_the_near_plane", "far_off_axis", "needles", "scales_of_nine_decades", "scales_of_zero",
-    "subpixel", "opacity_1", "skewed_pixels", "image_of_17x33",
-]  # fmt: skip
-
 LOOSER = {
     ("reaching_through_the_near_plane", "means"): 1e-5,  # measured 4e-6
     ("one_covers_the_image", "means"): 2e-5,  # measured 7e-6: what is behind gets 1e-5 of the light
@@ -189,12 +171,6 @@ def test_exact(name):
     for field, error in errors(name, EXACT).items():
         tolerance = LOOSER.get((name, field), TOLERANCE)
         assert tolerance is None or error < tolerance, field
-
-
-@pytest.mark.parametrize("name", COMPENSATED)
-def test_exact_with_compensation(name):
-    for field, error in errors(name, replace(EXACT, compensate=True)).items():
-        assert error < LOOSER.get((name, field), TOLERANCE), field
 
 
 FAST_TOLERANCE = {"values": 3e-3, "means": 0.015, "scales": 0.02, "quats": 0.02, "opacities": 0.03}
@@ -268,7 +244,7 @@ def test_each_output_alone(output):
 def test_what_is_not_drawn_gets_zero():
     means = [[0, 0, 3.0], [0, 0, -3.0], [0, 0, 0.0], [0, 0, 0.01], [500, 0, 1.0], [0, 0, 3.0]]
     made = splats(means, 0.1, [0.8, 0.8, 0.8, 0.8, 0.8, 0.0])
-    for chosen in (EXACT, replace(EXACT, compensate=True), PRESETS["fast"]):
+    for chosen in (EXACT, PRESETS["fast"]):
         found = gradients(made, torch.ones(6, 3), camera(), "cpu", chosen)
         for field, gradient in found.items():
             assert torch.isfinite(gradient).all(), field
@@ -327,26 +303,6 @@ def test_spherical_harmonics():
     for fast, true in zip(*found, strict=True):
         assert true.abs().max() > 0
         # Measured 4e-7.
-        assert (fast - true).norm() / true.norm() < 2e-6
-
-
-def test_background():
-    made, values = cloud(40)
-    found = []
-    for backend in ("cpu", "reference"):
-        opacities = made.opacities.clone().requires_grad_()
-        behind = torch.linspace(-1, 1, 5).requires_grad_()
-        drawn = rasterize(
-            replace(made, opacities=opacities),
-            values,
-            camera(),
-            backend=backend,
-            settings=EXACT,
-        ).over(behind)
-        drawn.values.square().sum().backward()
-        found.append((opacities.grad, behind.grad))
-    for fast, true in zip(*found, strict=True):
-        # Measured 3e-7.
         assert (fast - true).norm() / true.norm() < 2e-6
 
 

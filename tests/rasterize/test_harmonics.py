@@ -112,13 +112,6 @@ def test_a_turned_scene_looks_the_same_from_a_turned_camera():
     )
 
 
-def test_a_lower_degree_leaves_out_what_is_above_it():
-    made = some()
-    fewer = with_sh(made.means, made.sh[:, :4])
-    assert torch.equal(colors(made, camera(), degree=1), colors(fewer, camera()))
-    assert torch.equal(colors(made, camera(), degree=0), made.colors().clamp(min=0))
-
-
 @pytest.mark.parametrize("count", [4, 16])
 def test_gradients_are_those_of_finite_differences(count):
     made = some(6, count, torch.float64, size=0.05)  # small, so that no colour is at the clamp
@@ -163,15 +156,12 @@ def test_no_gaussians_have_no_colours():
 
 
 @pytest.mark.parametrize(
-    ("count", "options", "sentence"),
+    ("count", "sentence"),
     [
-        (25, {}, "found 25 coefficients a colour, expected one of 1, 4, 9, 16"),
-        (5, {}, "found 5 coefficients"),
-        (4, {"degree": 2}, "asked for degree 2, expected 0 to 1 with 4 coefficients"),
-        (4, {"degree": -1}, "asked for degree -1"),
-        (16, {"degree": 4}, "asked for degree 4, expected 0 to 3"),
+        (25, "found 25 coefficients a colour, expected one of 1, 4, 9, 16"),
+        (5, "found 5 coefficients"),
     ],
 )
-def test_what_does_not_fit_is_one_sentence(count, options, sentence):
+def test_what_does_not_fit_is_one_sentence(count, sentence):
     with pytest.raises(InputError, match=sentence):
-        colors(some(count=count), camera(), **options)
+        colors(some(count=count), camera())

@@ -44,13 +44,6 @@ def test_exact(name):
     assert errors.depth < most.depth
 
 
-@pytest.mark.parametrize("name", names())
-def test_exact_with_compensation(name):
-    """Measured as without; the reference's own determinants are good for 6e-8."""
-    errors = measure(name, replace(EXACT, compensate=True))
-    assert max(errors.values, errors.alpha, errors.depth) < bounds(name, "exact").values
-
-
 @pytest.mark.parametrize("name", [n for n in names() if n != ALL_CUT])
 def test_fast(name):
     errors, most = measure(name, "fast"), bounds(name, "fast")
@@ -107,9 +100,6 @@ def plain(made: Gaussians, values: torch.Tensor, seen: Camera, chosen: Settings)
         for axis, length in zip(np.eye(3), scale, strict=True):
             turned = axis + 2 * w * np.cross(v, axis) + 2 * np.cross(v, np.cross(v, axis))
             cov += np.outer(J @ turned, J @ turned) * length**2
-        if chosen.compensate:
-            sharp = cov - chosen.low_pass * np.eye(2)
-            opacity *= math.sqrt(np.linalg.det(sharp) / np.linalg.det(cov))
         drawn.append((np.float32(z), i, z, place, np.linalg.inv(cov), opacity))
     drawn.sort(key=lambda splat: splat[:2])
 
@@ -144,7 +134,7 @@ def plain_scene() -> tuple[Gaussians, torch.Tensor, Camera]:
     return made, values, seen
 
 
-@pytest.mark.parametrize("chosen", [EXACT, replace(EXACT, compensate=True, alpha_max=0.6)])
+@pytest.mark.parametrize("chosen", [EXACT, replace(EXACT, alpha_max=0.6)])
 def test_reference_is_the_formula(chosen):
     made, values, seen = plain_scene()
     image, alpha, depth = plain(made, values, seen, chosen)
@@ -159,11 +149,10 @@ def test_reference_is_the_formula(chosen):
     "chosen",
     [
         PRESETS["3dgs"],
-        replace(PRESETS["3dgs"], compensate=True, low_pass=0.1),
         Settings(),
         Settings(sigmas=1.5, alpha_min=0.0, pass_min=0.3, alpha_max=0.7, near=3.0),
     ],
-    ids=["3dgs", "3dgs-compensated", "fast", "coarse"],
+    ids=["3dgs", "fast", "coarse"],
 )
 def test_cpu_cuts_exactly_where_the_settings_say(chosen):
     made, values, seen = plain_scene()
@@ -177,29 +166,7 @@ def test_cpu_cuts_exactly_where_the_settings_say(chosen):
     np.testing.assert_allclose(drawn.depth, depth, rtol=4e-6)
 
 
-def test_compensation_keeps_the_light_of_a_splat_whatever_the_low_pass():
-    """The sum over all pixels is that of the unfiltered Gaussian, ``2 pi opacity sigma^2``."""
-    sigma = 0.4  # pixels
-    made = splats([[0.03, 0.01, 3.0]], sigma * 3.0 / 30, 0.5)
-    for low_pass in (0.6, 1.0, 2.0):
-        chosen = replace(EXACT, compensate=True, low_pass=low_pass)
-        drawn = rasterize(made, torch.ones(1, 1), camera(), settings=chosen)
-        assert float(drawn.alpha.sum()) == pytest.approx(2 * np.pi * 0.5 * sigma**2, rel=1e-4)
-
-
 # What is asked besides values.
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_background_is_seen_through_what_is_not_opaque(backend):
-    made, values = cloud(40)
-    behind = torch.tensor([0.1, 0.9, -2.0, 0.0, 1.0])
-    without = rasterize(made, values, camera(), backend=backend)
-    drawn = rasterize(made, values, camera(), backend=backend).over(behind)
-    expected = without.values + (1 - without.alpha)[..., None] * behind.to(without.values)
-    assert torch.equal(drawn.values, expected)
-    assert torch.equal(drawn.alpha, without.alpha)
-    assert torch.equal(drawn.depth, without.depth)
 
 
 @pytest.mark.parametrize(
@@ -473,7 +440,7 @@ def test_inputs_need_not_be_contiguous():
 def test_inputs_are_left_alone():
     made, values = cloud(40)
     before = {name: t.clone() for name, t in [*made.items(), ("values", values)]}
-    rasterize(made, values, camera(), median=True).over(torch.ones(5))
+    rasterize(made, values, camera(), median=True)
     for name, t in [*made.items(), ("values", values)]:
         assert torch.equal(t, before[name]), name
 
@@ -522,13 +489,6 @@ def test_values_of_the_wrong_shape_are_refused(shape):
     made, _ = cloud(5)
     with pytest.raises(InputError, match=r"rasterize values: found shape .*expected \(5, C\)"):
         rasterize(made, torch.zeros(shape), camera())
-
-
-@pytest.mark.parametrize("shape", [(4,), (1, 5), ()])
-def test_a_background_of_the_wrong_shape_is_refused(shape):
-    made, values = cloud(5)
-    with pytest.raises(InputError, match=r"rasterize background: found shape .*expected \(5,\)"):
-        rasterize(made, values, camera()).over(torch.zeros(shape))
 
 
 def test_unknown_names_are_refused_with_those_that_are_known():
