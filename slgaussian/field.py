@@ -44,9 +44,9 @@ from slgaussian.storage.specs import load_spec
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from slgaussian.objects import Thing
     from slgaussian.rasterize.picture import Picture
     from slgaussian.semantic.decode import Decoder, NearestCode
-    from slgaussian.things import Thing
 
 HATCH = 5
 """Pixels across a stripe of the pattern that stands for what is not known."""
@@ -249,7 +249,7 @@ class SemanticField:
         InputError
             If a text cannot be used.
         """
-        from slgaussian.things import list_things, small
+        from slgaussian.objects import list_things, small
 
         cameras = [small(camera) for camera in self.cameras.values()]
         things = list_things(
@@ -271,7 +271,7 @@ class SemanticField:
 
         Arguments as of :meth:`inventory`.
         """
-        from slgaussian.things import BEST, words_for
+        from slgaussian.objects import BEST, words_for
 
         asked = list(dict.fromkeys([*self.taught, *(texts or words_for(self.encoder))]))
         relevancies = self.reader.relevancies(asked, Rules(**rules)).T

@@ -35,7 +35,7 @@ from benches.common.machine import measured
 from benches.common.markdown_tables import percent, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.photograph import Photograph
+from slgaussian.cameras.two_view import Photograph
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 

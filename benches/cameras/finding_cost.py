@@ -23,9 +23,16 @@ from benches.cameras import plain_opencv
 from slgaussian.cameras.epipolar import solve
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.matches import find_features, match
-from slgaussian.cameras.photograph import Photograph
 from slgaussian.cameras.subpixel import sharpen
-from slgaussian.cameras.two_view import CONTRAST, FEATURES, RATIO, Described, find_pair, focal_prior
+from slgaussian.cameras.two_view import (
+    CONTRAST,
+    FEATURES,
+    RATIO,
+    Described,
+    Photograph,
+    find_pair,
+    focal_prior,
+)
 from slgaussian.datasets.unposed import photograph
 
 SIZES = (480, 720, 960, 1200)

@@ -10,7 +10,7 @@ import numpy as np
 import skimage.data
 
 from benches.cameras.rendered_rooms import MIDDLE, RenderedRoom, encoded, looking, pinhole
-from slgaussian.cameras.photograph import Photograph
+from slgaussian.cameras.two_view import Photograph
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Camera
 

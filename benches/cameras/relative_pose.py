@@ -37,8 +37,7 @@ from slgaussian.benchmark.statistics import LEVEL, interval, resamplings
 from slgaussian.cameras.epipolar import FocalPrior
 from slgaussian.cameras.estimated import DOUBTFUL, UNUSED
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.photograph import Photograph
-from slgaussian.cameras.two_view import Described, find_pair
+from slgaussian.cameras.two_view import Described, Photograph, find_pair
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 

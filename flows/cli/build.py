@@ -73,7 +73,7 @@ def field(
     slgaussian field a.jpg b.jpg --encoder clip --set clip.model=models/clip -o field/
     """
     from flows.cli.photographs import load_photographs
-    from slgaussian import ahead
+    from slgaussian import precompile
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import Quality
     from slgaussian.storage.field_folder import check_target
@@ -85,7 +85,7 @@ def field(
     start = time.perf_counter()
     sample, places = load_photographs(photos, cameras, refine, settings, keyframes)
     seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
-    ahead.begin()
+    precompile.begin()
     height, width = sample.context[0].image.shape[:2]
     names = ", ".join(component.name for component in settings.built_by.components)
     views = f"{len(sample.context)} views of {width}x{height}"
@@ -108,7 +108,7 @@ def field(
 
 def choose_word(field: SemanticField) -> str | None:
     """Choose the common thing that a query finds most surely in the first view; None if none is."""
-    from slgaussian.things import COMMON_THINGS
+    from slgaussian.objects import COMMON_THINGS
 
     if field.settings["encoder"] != "lexicon":  # nobody measured how sure others are
         return None

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from slgaussian.field import SemanticField
-    from slgaussian.things import Thing
+    from slgaussian.objects import Thing
 
 EVEN = 0.5
 """Relevancy of what fits a text as well as it fits the canonical phrases."""
@@ -271,7 +271,7 @@ def _row(thing: Thing) -> dict[str, Any]:
 
     ``words`` are best first, with their ``relevancies``. ``centre`` [3], ``axes`` [9] (longer side,
     shorter side and up) and ``half_sizes`` [3] of its box are in scene units, None without
-    Gaussians. ``metres`` as :class:`slgaussian.things.Thing` has it.
+    Gaussians. ``metres`` as :class:`slgaussian.objects.Thing` has it.
     """
     box = thing.box
     return {

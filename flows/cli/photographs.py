@@ -16,8 +16,8 @@ from slgaussian.datasets.keyframes import choose_keyframes
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.sharpness import blur, glance, small
 from slgaussian.errors import InputError
+from slgaussian.objects import COMMON_THINGS
 from slgaussian.scene import Camera, Sample, Scene
-from slgaussian.things import COMMON_THINGS
 
 POSED = ("nerfstudio", "colmap", "llff")
 """Formats of cameras that are read beside the photographs of a benchmark."""

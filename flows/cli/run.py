@@ -112,9 +112,9 @@ def run_flow(command: str, settings: Any, verbose: bool) -> Any:
 
 def run_scenes(command: str, settings: Any, verbose: bool) -> None:
     """Run scenes, and print scores, report and what was left out; exit with 1 if anything was."""
-    from slgaussian import ahead
+    from slgaussian import precompile
 
-    ahead.begin()
+    precompile.begin()
     results = run_flow(command, settings, verbose)
     from flows.cli.score_tables import scenes_text
 

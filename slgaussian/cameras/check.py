@@ -272,19 +272,25 @@ def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera, Came
     return lambda a, b: (replace(a, c2w=change(a.c2w)), replace(b, c2w=change(b.c2w)))
 
 
-def _focal(factor: float) -> Callable[[Camera, Camera], Pair]:
-    def change(camera: Camera) -> Camera:
-        K = camera.K.copy()
-        K[:2, :2] *= factor
-        return replace(camera, K=K)
-
-    return lambda a, b: (change(a), change(b))
+def _scaled(factor: float, centre: bool) -> Callable[[Camera, Camera], Pair]:
+    """Return the change of focal lengths, and of principal points if ``centre``, by a factor."""
+    scale = np.ones((3, 3))
+    scale[:2, : 3 if centre else 2] = factor
+    return lambda a, b: (replace(a, K=scale * a.K), replace(b, K=scale * b.K))
 
 
-def _scaled(factor: float) -> Callable[[Camera, Camera], Pair]:
-    scale = np.diag([factor, factor, 1.0])
-    return lambda a, b: (replace(a, K=scale @ a.K), replace(b, K=scale @ b.K))
-
+_FACTORS = {
+    1 / 4: "divided by 4",
+    1 / 3: "divided by 3",
+    1 / 2: "halved",
+    2 / 3: "divided by 1.5",
+    3 / 4: "divided by 1.33",
+    4 / 3: "multiplied by 1.33",
+    3 / 2: "multiplied by 1.5",
+    2: "doubled",
+    3: "multiplied by 3",
+    4: "multiplied by 4",
+}
 
 _INVERTED = (
     "if every pose is inverted, in the axes of {}: they are world-to-camera where "
@@ -308,32 +314,19 @@ CORRECTIONS = (
     Correction(_INVERTED.format("OpenGL"), _posed(lambda c2w: _YZ @ np.linalg.inv(c2w) @ _YZ)),
     *(
         Correction(
-            f"if the focal length is {how}: it is too {wrong} for these photographs", _focal(factor)
+            f"if the focal length is {_FACTORS[factor]}: it is too "
+            f"{'long' if factor < 1 else 'short'} for these photographs",
+            _scaled(factor, centre=False),
         )
-        for factor, how, wrong in (
-            (1 / 4, "divided by 4", "long"),
-            (1 / 3, "divided by 3", "long"),
-            (1 / 2, "halved", "long"),
-            (2 / 3, "divided by 1.5", "long"),
-            (3 / 4, "divided by 1.33", "long"),
-            (4 / 3, "multiplied by 1.33", "short"),
-            (3 / 2, "multiplied by 1.5", "short"),
-            (2, "doubled", "short"),
-            (3, "multiplied by 3", "short"),
-            (4, "multiplied by 4", "short"),
-        )
+        for factor in _FACTORS
     ),
     *(
         Correction(
-            f"if focal length and principal point are {how}: they are those of a {of} photograph",
-            _scaled(factor),
+            f"if focal length and principal point are {_FACTORS[factor]}: they are those of a "
+            f"{'larger' if factor < 1 else 'smaller'} photograph",
+            _scaled(factor, centre=True),
         )
-        for factor, how, of in (
-            (1 / 4, "divided by 4", "larger"),
-            (1 / 2, "halved", "larger"),
-            (2, "doubled", "smaller"),
-            (4, "multiplied by 4", "smaller"),
-        )
+        for factor in (1 / 4, 1 / 2, 2, 4)
     ),
 )
 """The usual mistakes undone, one at a time."""

@@ -9,8 +9,7 @@ import numpy as np
 
 from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, EstimatedPair, Focal
 from slgaussian.cameras.multi_view import Many, Solved, Unplaced, find_many
-from slgaussian.cameras.photograph import Photograph
-from slgaussian.cameras.two_view import EXIF_SPREAD, SPREAD, Described, confidence
+from slgaussian.cameras.two_view import EXIF_SPREAD, SPREAD, Described, Photograph, confidence
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
 

@@ -97,13 +97,10 @@ class Placed:
         The views that were placed; those of ``adjusted`` in its order.
     adjusted : Adjusted
         Its world is the first of ``order``, and the first two are at distance 1.
-    tracks : int64 [N]
-        How many views each of its points is seen in.
     """
 
     order: np.ndarray
     adjusted: Adjusted
-    tracks: np.ndarray
 
     __repr__ = short_repr
 
@@ -249,8 +246,7 @@ class _Growing:
                 self.k1_sigma = DISTORTION
                 self._take(bent)
                 last = self._adjust(1.0, MANY) or bent
-        sizes = np.bincount(last.bundle.point, minlength=len(last.bundle.points))
-        return Placed(np.array(self.placed), last, sizes)
+        return Placed(np.array(self.placed), last)
 
     def explained(self) -> int:
         """How many observations lie where their points land."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from slgaussian.cameras.check import TURNED, WIDE, PairCheck, enough
-from slgaussian.cameras.neighbours import neighbours
+from slgaussian.cameras.match_graph import neighbours
 from slgaussian.geometry import SceneGeometry
 
 LITTLE_SHARED = 0.3

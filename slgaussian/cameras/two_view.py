@@ -20,9 +20,11 @@ from slgaussian.cameras.degeneracy import why_no_depth
 from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve
 from slgaussian.cameras.estimated import DOUBTFUL, GOOD, UNUSED, EstimatedPair
 from slgaussian.cameras.matches import Features, find_features, match
-from slgaussian.cameras.photograph import Photograph
 from slgaussian.cameras.subpixel import sharpen
 from slgaussian.io import short_repr
+
+LONGEST = 1200
+"""Pixels of the longer side to which readers shrink what features are found in."""
 
 FEATURES, CONTRAST, RATIO = 6000, 0.01, 0.85
 """Of SIFT: dark and plain walls have few strong ones."""
@@ -70,6 +72,38 @@ MIRRORED = 3
 
 SUSPECT = 0.35
 """Share of matches that agree below which a mirrored photograph is looked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Photograph:
+    """One photograph, upright, and what its file says of the lens.
+
+    Attributes
+    ----------
+    name : str
+        Unique among those that are looked at together.
+    image : uint8 [h, w, 3]
+        RGB; may be smaller than the photograph, its shape kept.
+    width, height : int
+        Size of the whole photograph, upright, pixels.
+    lens : str
+        What tells lenses apart: maker, model, lens and focal length by EXIF; "" if nothing is said.
+        Photographs of one size and one lens share a focal length.
+    focal : float or None
+        Focal length by EXIF, pixels of the whole photograph.
+    up : float64 [3] or None
+        Unit vector against gravity in the camera's axes (OpenCV's), where a phone measured it.
+    """
+
+    name: str
+    image: np.ndarray
+    width: int
+    height: int
+    lens: str = ""
+    focal: float | None = None
+    up: np.ndarray | None = None
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,7 +54,7 @@ class LensData:
     Attributes
     ----------
     lens, focal, up
-        As :class:`slgaussian.cameras.photograph.Photograph` has them.
+        As :class:`slgaussian.cameras.two_view.Photograph` has them.
     """
 
     lens: str = ""

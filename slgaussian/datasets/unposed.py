@@ -20,7 +20,7 @@ from PIL import Image
 
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.photograph import LONGEST, Photograph
+from slgaussian.cameras.two_view import LONGEST, Photograph
 from slgaussian.datasets.exif import SIDEWAYS, orientation_of, read_lens, upright
 from slgaussian.datasets.lens import Maps, perspective_maps, straightened
 from slgaussian.datasets.photographs import photographs_of, rgb, scene_of

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.cameras.neighbours import neighbours
+from slgaussian.cameras.match_graph import MatchGraph, neighbours
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError, listed
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES

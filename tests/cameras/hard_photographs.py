@@ -14,7 +14,7 @@ import skimage.data
 from scipy.spatial.transform import Rotation
 
 from benches.cameras.rendered_rooms import RenderedRoom, encoded, looking, pinhole
-from slgaussian.cameras.photograph import Photograph
+from slgaussian.cameras.two_view import Photograph
 
 WIDTH, HEIGHT = 640, 480
 FOCAL = 0.9 * WIDTH

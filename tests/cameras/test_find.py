@@ -10,7 +10,7 @@ import pytest
 
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import MODEL, OPTIMISM, camera_of, find_cameras, focal_of, with_up
-from slgaussian.cameras.photograph import Photograph
+from slgaussian.cameras.two_view import Photograph
 
 
 @cache

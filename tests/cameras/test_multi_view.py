@@ -12,8 +12,7 @@ from slgaussian.cameras import multi_view
 from slgaussian.cameras.estimated import UNUSED
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.multi_view import worth_solving
-from slgaussian.cameras.photograph import Photograph
-from slgaussian.cameras.two_view import Described
+from slgaussian.cameras.two_view import Described, Photograph
 from slgaussian.errors import InputError
 
 

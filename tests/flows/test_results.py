@@ -18,10 +18,10 @@ from slgaussian.build import build_field
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
+from slgaussian.objects import COMMON_THINGS
 from slgaussian.storage.housekeeping import collect, verify
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore, DamagedError
-from slgaussian.things import COMMON_THINGS
 from tasks.artifacts import about_field, put_field
 from tasks.benchmark import example
 

@@ -20,7 +20,7 @@ from slgaussian.language.confidence import Calibration
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.query import Rules, unmeasured
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary
-from slgaussian.things import words_for
+from slgaussian.objects import words_for
 
 MOST = 2**20
 """Numbers that answers to pairs of words may take; without room for all pairs there are none."""

@@ -33,10 +33,10 @@ from slgaussian.geometry.room import find_room
 from slgaussian.language.confidence import ABSENT, EVEN_OUT, TYPICAL, Calibration
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import Rules
+from slgaussian.objects import Thing
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
-from slgaussian.things import Thing
 from slgaussian.viewer.page.answers import Answers, answers_of
 from slgaussian.viewer.page.packed import BLOCK, packed
 

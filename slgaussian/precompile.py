@@ -5,7 +5,7 @@ Those that it needs after that are compiled meanwhile, by having them do a littl
 compiled is kept on disk, where the first process finds it. One that both compile at the same time
 costs what it takes and changes nothing.
 
-    python -m slgaussian.ahead
+    python -m slgaussian.precompile
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def begin() -> subprocess.Popen[bytes] | None:
         return None
     quiet = subprocess.DEVNULL
     begun = subprocess.Popen(
-        [sys.executable, "-m", "slgaussian.ahead"], stdin=quiet, stdout=quiet, stderr=quiet
+        [sys.executable, "-m", "slgaussian.precompile"], stdin=quiet, stdout=quiet, stderr=quiet
     )
     atexit.register(begun.poll)  # its seconds are counted with those of the first
     return begun

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from slgaussian import ahead
+from slgaussian import precompile
 from slgaussian.kernels import threads
 
 AFTERWARDS = """
@@ -40,9 +40,9 @@ LATER = (
 @pytest.mark.skipif(threads.cores() < 2, reason="needs two cores")
 def test_nothing_that_was_compiled_ahead_is_compiled_again(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    begun = ahead.begin()
+    begun = precompile.begin()
     assert begun is not None and begun.wait(300) == 0
-    assert ahead.begin() is None  # there are kernels now
+    assert precompile.begin() is None  # there are kernels now
     done = subprocess.run(
         [sys.executable, "-c", AFTERWARDS], capture_output=True, text=True, env=dict(os.environ)
     )
