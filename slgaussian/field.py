@@ -44,7 +44,7 @@ from slgaussian.storage.specs import load_spec
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from slgaussian.objects import Thing
+    from slgaussian.objects import SceneObject
     from slgaussian.rasterize.picture import Picture
     from slgaussian.semantic.decode import Decoder, NearestCode
 
@@ -233,7 +233,7 @@ class SemanticField:
         there = ~np.isin(self.bank.ids, list(self.removed))
         return find(text, self.reader, Rules(**rules), there)
 
-    def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[Thing]:
+    def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[SceneObject]:
         """What there is: every object with its best words, place and size, by id.
 
         Parameters
@@ -249,10 +249,10 @@ class SemanticField:
         InputError
             If a text cannot be used.
         """
-        from slgaussian.objects import list_things, small
+        from slgaussian.objects import list_objects, small
 
         cameras = [small(camera) for camera in self.cameras.values()]
-        things = list_things(
+        things = list_objects(
             self.bank,
             self.best_words(texts, **rules),
             [(look.ids, look.confidence, look.depth) for look in map(self.render, cameras)],

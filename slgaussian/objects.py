@@ -1,4 +1,4 @@
-"""The things of a field: what each is called, how large it is, where, and how sure all that is."""
+"""Describe the objects of a field: best words, size, place and confidence of each."""
 
 from __future__ import annotations
 
@@ -16,29 +16,20 @@ from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.vocabulary import load_vocabulary
 from slgaussian.scene import Camera
 
-COMMON_THINGS = (
-    "floor",
-    "wall",
-    "table",
-    "chair",
-    "sofa",
-    "door",
-    "window",
-    "plant",
-    "box",
-    "book",
-)
+COMMON_OBJECTS = (
+    "floor", "wall", "table", "chair", "sofa", "door", "window", "plant", "box", "book",
+)  # fmt: skip
 """What is looked for where an encoder has no list of words of its own."""
 
 BEST = 3
-"""Words that are said of a thing."""
+"""Words that an object is described by."""
 
 LOOK = 320
 """Longest side, in pixels, of the pictures in which confidence and the room are looked at."""
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class SceneObject:
     """One object of a field.
 
     Attributes
@@ -75,7 +66,7 @@ class Thing:
     __repr__ = short_repr
 
 
-def list_things(
+def list_objects(
     bank: MemoryBank,
     words: Sequence[tuple[tuple[str, float], ...]],
     looks: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
@@ -84,7 +75,7 @@ def list_things(
     labels: np.ndarray,
     means: np.ndarray,
     names: Mapping[int, str],
-) -> list[Thing]:
+) -> list[SceneObject]:
     """Describe every object of a bank, by id.
 
     Parameters
@@ -110,11 +101,11 @@ def list_things(
     up = find_room(list(cameras), [depth for _, _, depth in looks]).up
     order = np.argsort(labels, kind="stable")
     estimated = any(camera.estimated for camera in cameras)
-    things = []
+    objects = []
     for row, id_ in enumerate(bank.ids.tolist()):
         own = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
-        things.append(
-            Thing(
+        objects.append(
+            SceneObject(
                 id=id_,
                 name=names.get(id_),
                 words=words[row],
@@ -125,16 +116,16 @@ def list_things(
                 views=tuple(views[view] for view in np.flatnonzero(bank.present[row]).tolist()),
             )
         )
-    return things
+    return objects
 
 
 def words_for(encoder: Encoder) -> tuple[str, ...]:
-    """Return the words that things are told by: colours, and the lexicon's nouns for naming.
+    """Return the words that objects are described by: colours, and the lexicon's nouns for naming.
 
-    For another encoder, which knows any word, some common things.
+    For another encoder, which knows any word, some common objects.
     """
     if not isinstance(encoder, Lexicon):
-        return COMMON_THINGS
+        return COMMON_OBJECTS
     known = load_vocabulary()
     return tuple(sorted([*known.colours, *known.naming]))
 

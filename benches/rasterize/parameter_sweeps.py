@@ -20,8 +20,8 @@ from benches.rasterize.plain_loop import splat_in_order
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import PRESETS, Settings, plan, rasterize
 from slgaussian.rasterize.blend import draw
-from slgaussian.rasterize.cpu import project_checked
-from slgaussian.rasterize.project import eye_of
+from slgaussian.rasterize.picture import GEOMETRY
+from slgaussian.rasterize.project import eye_of, project
 from slgaussian.rasterize.tiles import bin_splats
 from slgaussian.scene import Camera
 from tests.rasterize import hard_cases
@@ -165,17 +165,19 @@ def windows(subject: Subject) -> Iterator[Subject]:
 def stages_row(subject: Subject) -> dict:
     """Seconds of the three stages of a picture, and Gaussians listed for a block of pixels."""
     eye = eye_of(subject.camera, DEFAULT)
-    splats, boxes = project_checked(subject.gaussians, subject.values, eye)
+    geometry = [getattr(subject.gaussians, name).numpy() for name in GEOMETRY]
+    values = subject.values.numpy()
+    splats, boxes, _ = project(geometry, values, eye)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(DEFAULT.alpha_max), np.float32(DEFAULT.pass_min)
     no_labels = np.empty(0, np.int32)
     scene = (
-        splats, boxes, subject.values.numpy(), bins, eye.width, eye.height, *limits, False,
+        splats, boxes, values, bins, eye.width, eye.height, *limits, False,
         no_labels, -1,
     )  # fmt: skip
     spent = paired_times(
         {
-            "project": lambda: project_checked(subject.gaussians, subject.values, eye),
+            "project": lambda: project(geometry, values, eye),
             "bin": lambda: bin_splats(boxes, eye.width, eye.height),
             "draw": lambda: draw(*scene),
         }

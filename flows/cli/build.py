@@ -108,14 +108,14 @@ def field(
 
 def choose_word(field: SemanticField) -> str | None:
     """Choose the common thing that a query finds most surely in the first view; None if none is."""
-    from slgaussian.objects import COMMON_THINGS
+    from slgaussian.objects import COMMON_OBJECTS
 
     if field.settings["encoder"] != "lexicon":  # nobody measured how sure others are
         return None
     view = field.render(next(iter(field.cameras.values())))
     sure = {
         hit.text: hit.confidence.mask
-        for hit in view.query_all(COMMON_THINGS)
+        for hit in view.query_all(COMMON_OBJECTS)
         if hit.found and hit.confidence is not None
     }
     return max(sure, key=sure.__getitem__, default=None)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from slgaussian.field import SemanticField
-    from slgaussian.objects import Thing
+    from slgaussian.objects import SceneObject
 
 EVEN = 0.5
 """Relevancy of what fits a text as well as it fits the canonical phrases."""
@@ -266,12 +266,12 @@ def _listed(hits: Hits) -> str:
     return ", ".join(f"{id_} ({score:.3f})" for id_, score in hits)
 
 
-def _row(thing: Thing) -> dict[str, Any]:
+def _row(thing: SceneObject) -> dict[str, Any]:
     """Return what ``--json`` prints of an object.
 
     ``words`` are best first, with their ``relevancies``. ``centre`` [3], ``axes`` [9] (longer side,
     shorter side and up) and ``half_sizes`` [3] of its box are in scene units, None without
-    Gaussians. ``metres`` as :class:`slgaussian.objects.Thing` has it.
+    Gaussians. ``metres`` as :class:`slgaussian.objects.SceneObject` has it.
     """
     box = thing.box
     return {
@@ -299,7 +299,7 @@ def _cells(row: Mapping[str, Any]) -> Sequence[str]:
     return str(row["id"]), words, f"{row['confidence']:.2f}", size, ", ".join(row["views"])
 
 
-def _picture(folder: Path, field: SemanticField, things: Sequence[Thing]) -> np.ndarray:
+def _picture(folder: Path, field: SemanticField, things: Sequence[SceneObject]) -> np.ndarray:
     """Draw how each object looks in the view that shows most of it."""
     import numpy as np
 

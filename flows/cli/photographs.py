@@ -16,7 +16,7 @@ from slgaussian.datasets.keyframes import choose_keyframes
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.sharpness import blur, glance, small
 from slgaussian.errors import InputError
-from slgaussian.objects import COMMON_THINGS
+from slgaussian.objects import COMMON_OBJECTS
 from slgaussian.scene import Camera, Sample, Scene
 
 POSED = ("nerfstudio", "colmap", "llff")
@@ -172,7 +172,7 @@ def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings
         path=place,
         context=names,
         targets=[target],
-        queries=list(COMMON_THINGS),
+        queries=list(COMMON_OBJECTS),
     )
 
 

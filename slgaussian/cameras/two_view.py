@@ -16,6 +16,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from slgaussian.cameras.check import agree
 from slgaussian.cameras.degeneracy import why_no_depth
 from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve
 from slgaussian.cameras.estimated import DOUBTFUL, GOOD, UNUSED, EstimatedPair
@@ -243,7 +244,10 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         return _refused(pose, *flaw)
     if count < SUSPECT * len(i) and (mirrored := _mirrored(pose)) is not None:
         return mirrored
-    angle, uncertainty = float(np.median(best.angles(pose.x, pose.y))), _uncertainty(best)
+    assert best.covariance is not None
+    # Of turn or direction, one deviation of all axes together.
+    uncertainty = float(np.degrees(np.sqrt(np.trace(best.covariance[:5, :5]))))
+    angle = float(np.median(best.angles(pose.x, pose.y)))
     probability = _probability(answers)
     said = replace(pose.found, angle=angle, uncertainty=uncertainty)
     pose = replace(pose, found=said, probability=probability)
@@ -308,12 +312,6 @@ def _probability(answers: list[TwoViews]) -> float:
     return float(odds[near].sum() / odds.sum())
 
 
-def _uncertainty(views: TwoViews) -> float:
-    """Degrees by which turn or direction may be off, one deviation of all axes together."""
-    assert views.covariance is not None
-    return float(np.degrees(np.sqrt(np.trace(views.covariance[:5, :5]))))
-
-
 def _flaw_of_points(
     pose: PairPose, least: float, which: Callable[[float, float], float]
 ) -> tuple[str, str] | None:
@@ -370,7 +368,9 @@ def _few(pose: PairPose) -> PairPose:
 
 def _mirrored(pose: PairPose) -> PairPose | None:
     """The refusal of a pair of which one is mirrored, as more matches agree then."""
-    agreeing = _agreeing(pose.first, pose.second.mirrored)
+    first, mirrored = pose.first.features, pose.second.mirrored.features
+    i, j, _ = match(first, mirrored, RATIO)
+    agreeing = int(agree(first.points[i], mirrored.points[j], 1.0).sum())
     if agreeing < max(2 * LEAST, MIRRORED * pose.found.inliers):
         return None
     return _refused(
@@ -378,15 +378,3 @@ def _mirrored(pose: PairPose) -> PairPose | None:
         f"{agreeing} matches agree if one is mirrored, and {pose.found.inliers} as they are",
         "give both as they were taken",
     )
-
-
-def _agreeing(a: Described, b: Described) -> int:
-    i, j, _ = match(a.features, b.features, RATIO)
-    if len(i) < 8:
-        return 0
-    points = a.features.points[i], b.features.points[j]
-    try:
-        _, kept = cv2.findFundamentalMat(*points, cv2.USAC_ACCURATE, 1.0, 0.999, 2000)
-    except cv2.error:
-        return 0
-    return 0 if kept is None else int(kept.sum())

@@ -47,14 +47,6 @@ class Box:
 
     __repr__ = short_repr
 
-    def corners(self) -> np.ndarray:
-        """The eight corners, float64 [8, 3]: of every four the lower ones first, going around."""
-        signs = np.array(
-            [(x, y, z) for z in (-1, 1) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        )
-        corners: np.ndarray = self.centre + (signs * self.half_sizes) @ self.axes
-        return corners
-
 
 def upright_box(points: np.ndarray, up: np.ndarray) -> Box:
     """The upright box of points float [N, 3], N at least 1, with ``up`` a unit vector [3].

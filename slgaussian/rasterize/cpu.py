@@ -16,7 +16,7 @@ import torch
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize.api import Render
 from slgaussian.rasterize.blend import draw_backward
-from slgaussian.rasterize.picture import GEOMETRY, checked, splatted
+from slgaussian.rasterize.picture import GEOMETRY, splatted
 from slgaussian.rasterize.project import Eye, eye_of, project_backward
 from slgaussian.rasterize.render_settings import Settings
 from slgaussian.rasterize.tiles import count_tiles
@@ -53,14 +53,6 @@ def as_kernels_take_them(
         name: getattr(gaussians, name).to("cpu", torch.float32).contiguous() for name in GEOMETRY
     }
     return replace(gaussians, **geometry), values.to("cpu", torch.float32).contiguous()
-
-
-def project_checked(
-    gaussians: Gaussians, values: torch.Tensor, eye: Eye
-) -> tuple[np.ndarray, np.ndarray]:
-    """As :func:`slgaussian.rasterize.picture.checked`, of tensors."""
-    arrays = [getattr(gaussians, name).detach().numpy() for name in GEOMETRY]
-    return checked(gaussians, arrays, values.detach().numpy(), eye)
 
 
 class _Splatting(torch.autograd.Function):

@@ -247,11 +247,9 @@ class _Grid:
             )
         rows = np.full(shape, -1, np.int64)
         rows.ravel()[source[::-1]] = np.arange(len(source) - 1, -1, -1)
-        traits = _traits(gaussians)
-        first = _Level(*_spread(rows, arrays["means"], traits, arrays["scales"]))
-        levels = [first]
+        levels = [_pixels(rows, gaussians)]
         for _ in range(HALVINGS):
-            levels.append(_Level(*_halve(*levels[-1], np.float32(APART), np.float32(BENT))))
+            levels.append(_halved(levels[-1]))
         return _Grid(rows, levels)
 
     def sizes(self) -> np.ndarray:
@@ -262,57 +260,50 @@ class _Grid:
         return sizes
 
 
-def _traits(gaussians: Gaussians) -> np.ndarray:
-    """What must be alike, float32 [N, C], in units of what it may differ by."""
-    arrays = gaussians.to_arrays()
-    columns = [
+def _pixels(rows: np.ndarray, gaussians: Gaussians) -> _Level:
+    """Return the level of single pixels.
+
+    Its traits are what must be alike, in units of what it may differ by.
+    """
+    arrays, there = gaussians.to_arrays(), rows >= 0
+    traits = [
         arrays["sh"].reshape(len(gaussians), 3 * arrays["sh"].shape[1]) * (SH_C0 / COLOUR),
         arrays["opacities"][:, None] / OPACITY,
     ]
     if "features" in arrays:
-        columns.append(arrays["features"] / FEATURE)
-    return np.concatenate(columns, 1).astype(np.float32, copy=False)
+        traits.append(arrays["features"] / FEATURE)
+
+    def image(table: np.ndarray) -> np.ndarray:
+        made = np.zeros((*rows.shape, *table.shape[1:]), np.float32)
+        made[there] = table[rows[there]]
+        return made
+
+    low = image(np.concatenate(traits, 1).astype(np.float32, copy=False))
+    widest = image(arrays["scales"].max(1, initial=0))
+    return _Level(there, image(arrays["means"]), low, low, widest)
 
 
-def _spread(
-    rows: np.ndarray, means: np.ndarray, traits: np.ndarray, scales: np.ndarray
-) -> tuple[np.ndarray, ...]:
-    """The arrays of a :class:`_Level` of single pixels."""
-    there = rows >= 0
-    made = []
-    for table in (means, traits, scales.max(1, initial=0)):
-        image = np.zeros((*rows.shape, *table.shape[1:]), np.float32)
-        image[there] = table[rows[there]]
-        made.append(image)
-    places, low, widest = made
-    return there, places, low, low, widest
-
-
-def _halve(
-    there: np.ndarray,
-    means: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    widest: np.ndarray,
-    apart: np.float32,
-    bent: np.float32,
-) -> tuple[np.ndarray, ...]:
-    """The arrays of the next :class:`_Level`: cells of which four may become one.
+def _halved(level: _Level) -> _Level:
+    """Return the level of cells twice as large, of which four may become one.
 
     They are there and alike with the cells around them, close, and nearly a parallelogram.
     """
-    a, b, c, d = _corners(means)
-    reach = np.maximum.reduce(_corners(widest))
-    around = _around(np.minimum, there)
-    spread = _around(np.maximum, high) - _around(np.minimum, low)
-    joined = around & (spread <= 1).all(-1)
-    joined &= _flat(a, b, c, d, reach * apart, bent)
+    a, b, c, d = _corners(level.means)
+    reach = np.maximum.reduce(_corners(level.widest))
+    spread = _around(np.maximum, level.high) - _around(np.minimum, level.low)
+    joined = _around(np.minimum, level.there) & (spread <= 1).all(-1)
+    across, down = (np.square(one.astype(np.float64) / 2) for one in (b - a + d - c, c - a + d - b))
+    twist = np.square(a - b - c + d)
+    wide, high, off = (one[..., 0] + one[..., 1] + one[..., 2] for one in (across, down, twist))
+    joined &= np.maximum(wide, high) <= np.square(reach * np.float32(APART))
+    joined &= off <= np.float32(BENT) ** 2 * np.minimum(wide, high)
 
     def only(values: np.ndarray) -> np.ndarray:
         return np.where(joined.reshape(joined.shape + (1,) * (values.ndim - 3)), values, 0)
 
-    least, most = np.minimum.reduce(_corners(low)), np.maximum.reduce(_corners(high))
-    return joined, only((a + b + c + d) / 4), only(least), only(most), only(2 * reach)
+    low = only(np.minimum.reduce(_corners(level.low)))
+    high = only(np.maximum.reduce(_corners(level.high)))
+    return _Level(joined, only((a + b + c + d) / 4), low, high, only(2 * reach))
 
 
 def _corners(values: np.ndarray) -> list[np.ndarray]:
@@ -336,17 +327,6 @@ def _around(best: np.ufunc, values: np.ndarray) -> np.ndarray:
     return values
 
 
-def _flat(
-    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, apart: np.ndarray, bent: np.float32
-) -> np.ndarray:
-    """Whether 2x2 places [..., 3] are close, and nearly a parallelogram: bool [...]."""
-    across, down = (np.square(one.astype(np.float64) / 2) for one in (b - a + d - c, c - a + d - b))
-    twist = np.square(a - b - c + d)
-    wide, high, off = (one[..., 0] + one[..., 1] + one[..., 2] for one in (across, down, twist))
-    close = np.maximum(wide, high) <= apart * apart
-    return close & (off <= bent * bent * np.minimum(wide, high))
-
-
 def _mark(sizes: np.ndarray, there: np.ndarray, side: int, size: int) -> None:
     """Say of the pixels of cells of so many along a side what size they have."""
     whole = there.repeat(side, 1).repeat(side, 2)
@@ -367,7 +347,9 @@ def _take_back(
     for power, level in enumerate(grid.levels[1:], 1):
         size = 2**power
         back = np.zeros(level.there.shape, bool)
-        v, y, x = np.nonzero(level.there & (sizes[:, ::size, ::size] == size)[_within(level)])
+        _, height, width = level.there.shape  # whole cells: the last row and column may be ragged
+        marked = sizes[:, ::size, ::size][:, :height, :width] == size
+        v, y, x = np.nonzero(level.there & marked)
         for where, behind, camera in zip(over, depths, cameras, strict=True):
             pixels, z = camera.project(level.means[v, y, x].astype(np.float64))
             # What lies beyond the border reaches the blocks at it, as far as it is wide.
@@ -379,11 +361,6 @@ def _take_back(
             row, column = row.clip(0, where.shape[0] - 1), column.clip(0, where.shape[1] - 1)
             back[v, y, x] |= inside & where[row, column] & (z <= (1 + BEHIND) * behind[row, column])
         _mark(sizes, back, size, 1)
-
-
-def _within(level: _Level) -> tuple[slice, ...]:
-    """The whole cells of a grid, of which the last row and column may be ragged."""
-    return (slice(None), *(slice(side) for side in level.there.shape[1:]))
 
 
 def _block_means(change: np.ndarray) -> np.ndarray:

@@ -19,7 +19,8 @@ from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
 from slgaussian.kernels.work_sharing import share, take
 from slgaussian.rasterize.blend import weigh_block
-from slgaussian.rasterize.cpu import as_kernels_take_them, project_checked
+from slgaussian.rasterize.cpu import as_kernels_take_them
+from slgaussian.rasterize.picture import GEOMETRY, checked
 from slgaussian.rasterize.project import SHARE, eye_of
 from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.rasterize.tiles import (
@@ -104,7 +105,8 @@ def plan(gaussians: Gaussians, camera: Camera, settings: Settings | str = "fast"
     settings = find_settings(settings)
     gaussians, nothing = as_kernels_take_them(gaussians, torch.zeros(len(gaussians), 0))
     eye = eye_of(camera, settings)
-    splats, boxes = project_checked(gaussians, nothing, eye)
+    geometry = [getattr(gaussians, name).detach().numpy() for name in GEOMETRY]
+    splats, boxes = checked(gaussians, geometry, nothing.numpy(), eye)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
     blocks = -(-eye.height // BLOCK) * -(-eye.width // BLOCK)

@@ -18,7 +18,7 @@ from slgaussian.build import build_field
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.objects import COMMON_THINGS
+from slgaussian.objects import COMMON_OBJECTS
 from slgaussian.storage.housekeeping import collect, verify
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore, DamagedError
@@ -186,7 +186,7 @@ def asked(field: SemanticField, *rows: dict) -> str | None:
 
 def test_the_question_to_begin_with_is_one_that_is_answered_rightly(field):
     first, *_ = field.cameras.values()
-    texts = [*COMMON_THINGS, "blue wall", "grey floor", "ball", "cone"]
+    texts = [*COMMON_OBJECTS, "blue wall", "grey floor", "ball", "cone"]
     hits = field.render(first).query_all(texts)
     one, two, *_ = (hit.text for hit in hits if hit.found)
     unsure = next(hit.text for hit in hits if hit.objects and not hit.found)

@@ -51,11 +51,3 @@ def test_one_point_and_points_in_a_line_have_boxes():
     np.testing.assert_allclose(one.centre, [1, 2, 3])
     line = upright_box(np.outer(np.linspace(0, 1, 500), [3.0, 0, 4]), up)
     np.testing.assert_allclose(line.half_sizes, [0.94 * 2.5, 0, 0], atol=0.05)
-
-
-def test_the_corners_are_those_of_the_box():
-    box = upright_box(inside(np.eye(3), np.array([0.6, 0.3, 0.2]), 3), np.array([0.0, 0, 1]))
-    corners = (box.corners() - box.centre) @ box.axes.T
-    assert len(np.unique(corners.round(6), axis=0)) == 8
-    np.testing.assert_allclose(np.abs(corners), np.tile(box.half_sizes, (8, 1)))
-    assert (corners[:4, 2] < 0).all()

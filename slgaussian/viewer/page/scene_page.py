@@ -33,7 +33,7 @@ from slgaussian.geometry.room import find_room
 from slgaussian.language.confidence import ABSENT, EVEN_OUT, TYPICAL, Calibration
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import Rules
-from slgaussian.objects import Thing
+from slgaussian.objects import SceneObject
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
@@ -237,7 +237,7 @@ def _view(
 
 
 def _thing(
-    thing: Thing, field: SemanticField, labels: np.ndarray, views: list[str]
+    thing: SceneObject, field: SemanticField, labels: np.ndarray, views: list[str]
 ) -> dict[str, Any]:
     guessed = 0.0
     if field.gaussians.guessed is not None:
