@@ -28,7 +28,7 @@ from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.formats.text import read_lines
 from slgaussian.kernels import threads
-from slgaussian.language.configs import ClipConfig, GridConfig, SeparatedConfig
+from slgaussian.language.configs import ClipConfig, GridConfig, LexiconConfig, SeparatedConfig
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig
@@ -202,6 +202,7 @@ class MethodSettings(QueryRules):
     sam2: Sam2Config = Sam2Config()
     sam2_video: Sam2VideoConfig = Sam2VideoConfig()
     precomputed: PrecomputedConfig = PrecomputedConfig()
+    lexicon: LexiconConfig = LexiconConfig()
     clip: ClipConfig = ClipConfig()
     grid: GridConfig = GridConfig()
     separated: SeparatedConfig = SeparatedConfig()

@@ -213,8 +213,8 @@ def error_rows(data: Path | None = None) -> list[dict]:
 
 TEXTS = {
     "a plain one": "red ball",
-    "an unseen word": "red zeppelin",
-    "only unseen words": "zeppelin",
+    "an unseen word": "red zyzzyva",
+    "only unseen words": "zyzzyva",
     "empty": "",
     "blank": " \t\n",
     "no letters": "!? ...",

@@ -29,6 +29,7 @@ SEEN = {"03", "05", "06", "08", "13", "15", "17", "20", "27"}
 PERSON = "18"
 
 USUAL = {
+    "ball, cone, cylinder, ring": "",
     "bag": "plastic bag, backpack, purse, mailbag",
     "bin, trash can, garbage can, dustbin, wastebasket, waste bin": "ashcan",
     "bike, bicycle": "mountain bike, bicycle-built-for-two",
@@ -77,7 +78,8 @@ USUAL = {
     "window": "window screen, window shade",
 }
 """Words to the names of classes whose pictures show such things, by general knowledge: pictures of
-a flowerpot show plants; and words whose senses in the tree are not the usual one."""
+a flowerpot show plants; words whose senses in the tree are not the usual one; and shapes, which are
+told by their outline."""
 
 FIRST = 2
 """The first sense with classes counts if it is one of so many that can be seen."""

@@ -42,7 +42,7 @@ def query(
     Takes the objects that fit the text about as well as the best one does, and none if no object
     fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
     Says how likely that is right. The exit status is 0 if each text is found in a view, 3 if one is
-    not sure or not here in all, 1 if one is refused.
+    in none (not sure, not here, or cannot tell), 1 if one is refused.
 
     \b
     slgaussian query field/ "red basket" -o hit.png
@@ -93,14 +93,14 @@ def query(
 def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str, Any]:
     """Return what ``--json`` prints of a text in a view, beside the view and the picture.
 
-    ``text``, whether it is ``found``, ``verdict`` (``found``, ``not sure``, ``not here``; None if
-    refused), ``summary`` of both in a line, ``confidence`` (``mask``, ``point``) or None, for what
-    that is ``uncalibrated`` or None, ``score``, ``point`` [x, y] and ``pixels`` of the mask, None
-    and 0 if it is not here, ``objects`` (``id``, ``relevancy``), of what is not here those most
-    like it, what the text is ``read_as``, ``unknown`` words, ``unused`` ones (word: reason), who
-    answered (``kind``: ``known``, ``named``, ``taught``, ``unknown``, ``picture``) by how many
-    ``examples``, what a name or a taught word would mean otherwise (``instead_of``), and why it was
-    ``refused`` or None.
+    ``text``, whether it is ``found``, ``verdict`` (``found``, ``not sure``, ``not here``,
+    ``cannot tell``; None if refused), ``summary`` of both in a line, ``confidence`` (``mask``,
+    ``point``) or None, for what that is ``uncalibrated`` or None, ``score``, ``point`` [x, y] and
+    ``pixels`` of the mask, None and 0 unless it is found or not sure, ``objects`` (``id``,
+    ``relevancy``), of what is not here those most like it, what the text is ``read_as``,
+    ``unknown`` words, ``unused`` ones (word: reason), who answered (``kind``: ``known``, ``named``,
+    ``taught``, ``unknown``, ``picture``) by how many ``examples``, what a name or a taught word
+    would mean otherwise (``instead_of``), and why it was ``refused`` or None.
     """
     answer: dict[str, Any] = {
         "text": text,
@@ -123,7 +123,6 @@ def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str
     }
     if hit is None:
         return answer
-    here = hit.verdict != "not here"
     return answer | {
         "found": hit.found,
         "verdict": hit.verdict,
@@ -131,9 +130,9 @@ def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str
         "confidence": None if hit.confidence is None else asdict(hit.confidence),
         "uncalibrated": hit.uncalibrated or None,
         "score": hit.score,
-        "point": list(hit.point) if here and hit.point is not None else None,
+        "point": list(hit.point) if hit.shown and hit.point is not None else None,
         "objects": [{"id": id_, "relevancy": score} for id_, score in hit.objects],
-        "pixels": int(hit.mask.sum()) if here else 0,
+        "pixels": int(hit.mask.sum()) if hit.shown else 0,
         "read_as": hit.understood.read_as,
         "unknown": list(hit.unknown),
         "unused": dict(hit.understood.unused),
@@ -308,14 +307,27 @@ def _labels_picture(
     return pictures.with_legend(pictures.side_by_side(panels), legend)
 
 
-def words() -> None:
-    """List the words that the encoder lexicon knows, synonyms in brackets.
+def words(
+    texts: Annotated[list[str] | None, typer.Argument(metavar="[WORD]...")] = None,
+) -> None:
+    """List the words that the encoder lexicon knows, synonyms in brackets, or say how some are.
+
+    A word is known by its look, by the classifier, by both or not at all. The exit status is 0 if
+    all are known, 3 if one is not.
 
     \b
     slgaussian words
+    slgaussian words radiator "red basket" skull
     """
     from slgaussian.language.vocabulary import load_vocabulary
 
-    for family, spellings in load_vocabulary().families().items():
-        listed = (f"{name} ({', '.join(o)})" if o else name for name, o in spellings.items())
-        typer.echo(f"{family}: {', '.join(listed)}")
+    vocabulary = load_vocabulary()
+    if not texts:
+        for family, spellings in vocabulary.families().items():
+            listed = (f"{name} ({', '.join(o)})" if o else name for name, o in spellings.items())
+            typer.echo(f"{family}: {', '.join(listed)}")
+        return
+    explained = [(text, *vocabulary.explain(text)) for text in texts]
+    for text, _, how in explained:
+        typer.echo(f"{text}: {how}")
+    raise typer.Exit(0 if all(known for _, known, _ in explained) else 3)

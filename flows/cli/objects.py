@@ -241,7 +241,7 @@ def extract(
 def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> Hits:
     """Return the objects that a text means: that of this id, those of this name, or those it fits.
 
-    None where the scene as a whole answers the text with "not here".
+    None where the scene as a whole answers the text with "not here" or "cannot tell".
     """
     import numpy as np
 
@@ -259,7 +259,7 @@ def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> H
     labels = np.where(np.isin(labels, list(field.removed)), 0, labels)
     seen = ObjectMap(labels[None], field.bank.ids)
     (answer,) = ask([text], seen, field.reader, Rules(**rules))
-    return () if answer.verdict == "not here" else field.find(text, **rules)
+    return field.find(text, **rules) if answer.shown else ()
 
 
 def _listed(hits: Hits) -> str:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for
     from slgaussian.language.confidence import Calibration
 
 ENCODERS = {
-    "lexicon": "slgaussian.language.lexicon:Lexicon",
+    "lexicon": "slgaussian.language.configs:LexiconConfig",
     "clip": "slgaussian.language.configs:ClipConfig",
 }
 CODES = {
@@ -30,10 +30,13 @@ class Encoder(Protocol):
 
     ``name`` says what ran; it is written into every artifact and report row. ``canonical`` are the
     phrases that a query competes with (the paper's "object", "things", "stuff", "texture").
-    ``calibration`` says how likely its answers are right, None where that was not measured. One
-    with a calibration may have a method ``measurements(text)``: how many the text asks for, of
-    which its evidence is the sum. One whose cosines lie closer together than the lexicon's may have
-    a number ``soft``, as :class:`slgaussian.language.relevancy.Scorer` takes it.
+    ``calibration`` says how likely its answers are right, None where that was not measured.
+    One with a calibration may have a method ``measurements(text)``: how many the text asks for, of
+    which its evidence is the sum. One that names things by a classifier has methods
+    ``class_scores(image, masks)``, ``classes(text)`` and ``describing(text)``, and one that knows
+    when nothing can be said of a text ``untold(text, by_class)`` and ``question(text)``; see
+    :class:`slgaussian.language.lexicon.Lexicon`. One whose cosines lie closer together than the
+    lexicon's may have a number ``soft``, as :class:`slgaussian.language.relevancy.Scorer` takes it.
     """
 
     name: str

@@ -51,6 +51,11 @@ class MemoryBank:
         :class:`slgaussian.language.relevancy.Scorer`.
     group_features : float32 [G, V, C], with ``levels``
         Unit vectors of the groups, zero where a view holds none of a group's objects.
+    class_scores : uint8 [N + G, V, 1000], optional
+        Log-probabilities of the classes of ImageNet in objects and, after them, groups, as
+        :func:`slgaussian.language.nouns.quantised` has them; zeros where absent.
+    photograph_scores : uint8 [V, 1000], with ``class_scores``
+        Their means over whole photographs.
 
     Raises
     ------
@@ -65,6 +70,8 @@ class MemoryBank:
     boxes: np.ndarray | None = None
     levels: np.ndarray | None = None
     group_features: np.ndarray | None = None
+    class_scores: np.ndarray | None = None
+    photograph_scores: np.ndarray | None = None
 
     __repr__ = short_repr
 
@@ -86,6 +93,13 @@ class MemoryBank:
             groups = len(self.group_features)
             expected["levels"] = ("int32", (len(self.levels), n))
             expected["group_features"] = ("float32", (groups, views, width))
+        if (self.class_scores is None) != (self.photograph_scores is None):
+            raise InputError(
+                "memory bank: class_scores and photograph_scores go together, found only one"
+            )
+        if self.class_scores is not None:
+            expected["class_scores"] = ("uint8", (n + groups, views, 1000))
+            expected["photograph_scores"] = ("uint8", (views, 1000))
         for name, (dtype, shape) in expected.items():
             array = getattr(self, name)
             if array.dtype != dtype or array.shape != shape:
@@ -210,6 +224,7 @@ def build_bank(
         [None] * len(views) if surroundings is None else surroundings
     )
     columns, boxes, unions = [], np.zeros((*present.shape, 4), np.int32), []
+    classify, classes, photographs = getattr(encoder, "class_scores", None), [], []
     of_views = zip(views, label_maps.labels, present.T, arounds, strict=True)
     for v, (view, labels, held, around) in enumerate(of_views):
         masks = labels == ids[held][:, None, None]
@@ -220,13 +235,21 @@ def build_bank(
             inside = labels > 0
             groups_here[:, inside] = members[shown][:, np.searchsorted(ids, labels[inside])]
         # Together: what an encoder derives of the photograph, it derives once.
-        encoded = encoder.encode_regions(view.image, np.concatenate([masks, groups_here]), around)
+        regions = np.concatenate([masks, groups_here])
+        encoded = encoder.encode_regions(view.image, regions, around)
         columns.append(_half_rounded(encoded[: len(masks)], held))
         unions.append(_half_rounded(encoded[len(masks) :], shown))
+        scores = None if classify is None else classify(view.image, regions)
+        if scores is not None:
+            column = np.zeros((len(ids) + len(shown), scores[0].shape[1]), np.uint8)
+            column[np.concatenate([held, shown])] = scores[0]
+            classes.append(column)
+            photographs.append(scores[1])
     features = np.stack(columns, 1)
     together = np.stack(unions, 1) if members is not None else None
     codes = np.asarray(codes, np.float32)
-    return MemoryBank(ids, codes, features, present, boxes, levels, together)
+    named = (np.stack(classes, 1), np.stack(photographs)) if classes else (None, None)
+    return MemoryBank(ids, codes, features, present, boxes, levels, together, *named)
 
 
 def merge(first: MemoryBank, later: MemoryBank) -> MemoryBank:

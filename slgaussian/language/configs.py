@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from slgaussian.components.config import ComponentConfig, File
 from slgaussian.components.pretrained import model_digest, tokenizer_digest
@@ -17,6 +17,30 @@ MOST_DIMENSIONS = 3
 """Most numbers a code: channels that are rendered."""
 
 Dimension = Annotated[int, Field(ge=1, le=MOST_DIMENSIONS)]
+
+
+class LexiconConfig(ComponentConfig, title="lexicon"):
+    """Regions and texts by the words of an explicit vocabulary, without weights of its own."""
+
+    target = "slgaussian.language.lexicon:Lexicon"
+
+    classifier: Literal["auto", "lite0", "none"] = Field(
+        "auto",
+        validate_default=True,
+        description="What tells nouns that look does not tell: lite0, an ImageNet classifier of "
+        "a package of its own; none; or auto, lite0 where that is installed.",
+    )
+
+    @field_validator("classifier")
+    @classmethod
+    def _installed(cls, name: str) -> str:
+        from slgaussian.language.weights import INSTALL, find_weights
+
+        if name == "none" or find_weights() is not None:
+            return "none" if name == "none" else "lite0"
+        if name == "lite0":
+            raise ValueError(f"lite0 is not installed; get it with {INSTALL}")
+        return "none"
 
 
 class ClipConfig(ComponentConfig, title="clip"):

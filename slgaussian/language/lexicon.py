@@ -15,7 +15,8 @@ silent. Two more axes make this work with cosines:
   and does not outbid a text that says more: relevancies of different texts compare.
 
 What cannot be seen is not claimed: an unknown word is left out and named, never guessed. The words
-and how each is measured are listed in docs/reference/lexicon.md.
+and how each is measured are listed in docs/reference/lexicon.md. Nouns that a look does not tell,
+an ImageNet classifier does (:mod:`slgaussian.language.classifier`).
 """
 
 from __future__ import annotations
@@ -29,10 +30,18 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.language.confidence import Calibration, Curve
-from slgaussian.language.vocabulary import load_vocabulary
+from slgaussian.language.nouns import quantised
+from slgaussian.language.vocabulary import NOUNS, load_vocabulary, unusable
+from slgaussian.language.weights import INSTALL
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
+
+OTHERS = "teach it by examples, or build the field with --encoder clip, which knows any word"
+"""What to do about a word that nothing tells."""
+
+MENTIONED = 3
+"""Unknown words of a text that are mentioned."""
 
 REMEMBERED = 64
 """Texts whose reading is kept."""
@@ -48,11 +57,16 @@ The order of objects for one text does not depend on it."""
 
 @dataclass(eq=False)
 class Lexicon:
-    """Regions and texts by the words of an explicit vocabulary, without weights.
+    """Regions and texts by the words of an explicit vocabulary, without weights; see the module.
 
-    See the module.
+    Attributes
+    ----------
+    classifier : str
+        ``lite0`` if regions are also named by :mod:`slgaussian.language.classifier`; its weights
+        are needed for regions, not for texts. Else ``none``.
     """
 
+    classifier: str = "none"
     name: ClassVar[str] = "lexicon"
     calibration: ClassVar[Calibration] = Calibration(
         mask=Curve(6.71, 1.82, -1.81, -5.11), point=Curve(8.82, 1.18, -1.19, -4.09)
@@ -115,17 +129,47 @@ class Lexicon:
         vectors[:, axes] = np.sqrt(1 - (vectors**2).sum(1))
         return vectors.astype(np.float32)
 
+    def class_scores(
+        self, image: np.ndarray, masks: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """What the classifier sees in regions bool [M, H, W], and in the whole uint8 photograph.
+
+        uint8 [M, 1000] and [1000], as :func:`slgaussian.language.nouns.quantised` has them;
+        None without a classifier. InputError if its weights are missing or not those known.
+        """
+        if self.classifier == "none":
+            return None
+        from slgaussian.language import classifier
+
+        loaded = classifier.load()
+        if loaded is None:
+            raise InputError(f"lexicon: its classifier is not installed; {INSTALL}")
+        scores = loaded.class_map(image)
+        pooled = classifier.pool(scores, masks)
+        return quantised(pooled), quantised(scores.mean((0, 1)))
+
+    def classes(self, text: str) -> tuple[int, ...]:
+        """The classes that the noun of ``text`` means; InputError as in :meth:`encode_text`."""
+        return self._read(text).classes
+
+    def describing(self, text: str) -> int:
+        """How many words of ``text`` describe its noun; InputError as in :meth:`encode_text`."""
+        return sum(word.family not in NOUNS for word in self._read(text).words)
+
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Unit vectors float32 [Q, C] of texts.
 
         Raises
         ------
         InputError
-            If a text is empty, has no known word or holds a negation.
+            As :meth:`slgaussian.language.vocabulary.Vocabulary.read`, or if no word is known.
         """
         vectors = np.zeros((len(texts), self.width))
         for vector, text in zip(vectors, texts, strict=True):
-            for word in self._read(text).words:
+            reading = self._read(text)
+            if not reading.words:
+                raise unusable(text, reading.unknown)
+            for word in reading.words:
                 total = sum(abs(weight) for weight in word.weights.values())
                 for name, weight in word.weights.items():
                     vector[self._axis[name]] += weight / total
@@ -133,6 +177,29 @@ class Lexicon:
             vector /= max(1.0, float(np.linalg.norm(vector)))
             vector[-1] = np.sqrt(max(0.0, float(1.0 - vector @ vector)))
         return vectors.astype(np.float32)
+
+    def untold(self, text: str, by_class: bool) -> str:
+        """Why nothing can be said of what ``text`` asks for; empty if something can.
+
+        ``by_class``: whether a classifier has seen the regions. InputError as in
+        :meth:`encode_text`.
+        """
+        reading = self._read(text)
+        if reading.unknown and not reading.noun:
+            unknown = ", ".join(map(repr, reading.unknown[:MENTIONED]))[:100]
+            return f"no word {unknown} is known here{self.question(text)}; {OTHERS}"
+        if reading.classes and not by_class and not any(w.weights for w in reading.words):
+            return (
+                f"{reading.noun!r} is told by the classifier alone, which this field was built "
+                f"without; {INSTALL}, and build it again"
+            )
+        return ""
+
+    def question(self, text: str) -> str:
+        """Ask for the known words that are spelled as unknown ones of ``text`` nearly are."""
+        near = map(self._vocabulary.nearest, self._read(text).unknown[:MENTIONED])
+        words = " and ".join(repr(word) for word in near if word is not None)
+        return f"; did you mean {words}?" if words else ""
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that are not known; InputError as in :meth:`encode_text`."""

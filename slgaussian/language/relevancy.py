@@ -109,12 +109,13 @@ class Scorer:
         if levels is not None:
             self._rows = np.concatenate([np.arange(levels.shape[1])[None], levels])
 
-    def gaps(self, queries: np.ndarray) -> np.ndarray:
+    def gaps(self, queries: np.ndarray, more: np.ndarray | float = 0.0) -> np.ndarray:
         """The gap of the module's formula, float64 [Q, N]; -inf for an object that no view holds.
 
-        ``queries`` float [Q, C] are unit vectors of texts; errors as in the class.
+        ``queries`` float [Q, C] are unit vectors of texts; ``more`` [Q, P] is added to the leads of
+        the looks. Errors as in the class.
         """
-        return self.combined(self._cosines(queries, "queries") - self._rival)
+        return self.combined(self._cosines(queries, "queries") - self._rival + more)
 
     def combined(self, leads: np.ndarray) -> np.ndarray:
         """The gaps of :meth:`gaps` of leads float64 [Q, P], one a look and text, however made."""

@@ -325,10 +325,12 @@ def spelled(word: str) -> str:
 def encoder_identity(settings: Mapping[str, Any]) -> str:
     """Which encoder made a field's features, of the settings of the field: JSON, name and settings.
 
-    Files are there by content, so that words pass between machines. What is not set is left out.
+    Files are there by content, so that words pass between machines. What is not set is left out,
+    and so is the lexicon's classifier, which changes no feature.
     """
     name = settings["encoder"]
     known = {"encoder": name, **dict(settings.get(name, {}))}
+    known.pop("classifier", None)
     return json.dumps({k: v for k, v in known.items() if v is not None}, sort_keys=True)
 
 

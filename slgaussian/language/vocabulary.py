@@ -5,6 +5,7 @@ The data are in two files: ``nouns.toml`` has the nouns, ``vocabulary.toml`` all
 
 from __future__ import annotations
 
+import difflib
 import re
 import tomllib
 import unicodedata
@@ -14,14 +15,22 @@ from functools import cache, cached_property
 from importlib.resources import files
 
 from slgaussian.errors import InputError
+from slgaussian.language.nouns import noun_classes
 
 NOUNS = frozenset(
     {
         "solid", "building", "nature", "street", "vehicle", "animal", "person", "clothing",
-        "furniture", "kitchen", "food", "container", "device", "tool", "leisure",
+        "furniture", "kitchen", "food", "container", "device", "tool", "leisure", "class",
     }
 )  # fmt: skip
-"""Families whose words name an object; words of the other families describe it."""
+"""Families whose words name an object; words of the other families describe it. Those of ``class``
+are names of classes of ImageNet, which look alone does not tell."""
+
+NEAR = 0.8
+"""Share of letters in order that a misspelt word has in common with the one that is meant."""
+
+LONGEST = 40
+"""Letters of a word that may be a misspelt one."""
 
 _WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*")
 
@@ -47,11 +56,18 @@ class Reading:
         Spellings that are no word of the vocabulary.
     unused : {spelling: why}
         Those that do not count although they may be known.
+    noun : str
+        The word among them that names the thing, as it is spelled; empty if none does, or an
+        unknown word may.
+    classes : tuple of int
+        Those of ImageNet that the noun means; see :mod:`slgaussian.language.nouns`.
     """
 
     words: tuple[Word, ...]
     unknown: tuple[str, ...]
     unused: Mapping[str, str]
+    noun: str = ""
+    classes: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -104,7 +120,8 @@ class Vocabulary:
         Raises
         ------
         InputError
-            If the text is empty, holds a negation, or has no word that counts.
+            If the text is empty, holds a negation, asks for two things, or has neither a word that
+        counts nor one that is unknown.
         """
         spelled = spellings(text)
         if not spelled:
@@ -115,13 +132,14 @@ class Vocabulary:
                     f"query {_short(text)!r}: {spelling!r} cannot be understood, because objects "
                     "are found by what they are, not by what they are not; leave that part out"
                 )
+        self._check_one_thing(text, spelled)
         spelled, places = self._take_phrases(spelled)
         end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
         meant = [s for s in spelled[:end] if s not in self.stop]
-        known = [(s, self._look_up(s)) for s in meant]
+        known = [(s, self._look_up(s)) for s in _join_names(meant)]
         nouns = [i for i, (_, word) in enumerate(known) if word and word.family in NOUNS]
         # In "a picture of a plant" the first thing is meant, in "a plant pot" the last.
-        whole = len(meant)
+        whole = len(known)
         if "of" in spelled[:end]:
             whole = sum(s not in self.stop for s in spelled[: spelled.index("of")])
         head = next((i for i in reversed(nouns) if i < whole), nouns[-1] if nouns else None)
@@ -133,13 +151,8 @@ class Vocabulary:
         words |= {word.name: word for word in places}
         left_out = [(s, word) for s, word in known if word is None or word.name not in words]
         elsewhere = [s for s in spelled[end:] if s not in self.stop]
-        if not words:
-            idle = _short(", ".join([s for s, _ in left_out] + elsewhere))
-            raise InputError(
-                f"query {_short(text)!r}: none of its words can be used "
-                f"({idle or 'they carry no meaning here'}); use the lexicon's words, which "
-                "`slgaussian words` lists"
-            )
+        if not words and all(word is not None or s in self.unseen for s, word in known):
+            raise unusable(text, [s for s, _ in left_out] + elsewhere)
         unseen = {s: self.unseen[s] for s, _ in left_out if s in self.unseen}
         unknown = [s for s, word in left_out if word is None and s not in unseen]
         sought = "" if head is None else known[head][0]
@@ -151,7 +164,61 @@ class Vocabulary:
         unused |= unseen
         after = f"said of another thing, after {spelled[end]!r}" if elsewhere else ""
         unused |= dict.fromkeys(elsewhere, after)
-        return Reading(tuple(words.values()), tuple(dict.fromkeys(unknown)), unused)
+        head_word = None if head is None else known[head][1]
+        classes = () if head_word is None else classes_of(sought) or classes_of(head_word.name)
+        # An unknown word after a noun is what the noun describes.
+        last = [s for s, _ in known[:whole] if s not in unseen][-1:]
+        if head is None or set(last) & set(unknown):
+            sought, classes = "", ()
+        return Reading(
+            tuple(words.values()), tuple(dict.fromkeys(unknown)), unused, sought, classes
+        )
+
+    def _check_one_thing(self, text: str, spelled: Sequence[str]) -> None:
+        """InputError if "and" joins two things."""
+        end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
+        if "and" not in spelled[:end]:
+            return
+        middle = spelled.index("and")
+        sides = spelled[:middle], spelled[middle + 1 : end]
+        meant = [[w for w in side if w not in self.stop and w not in self.unseen] for side in sides]
+        known = [[self._look_up(w) for w in side] for side in meant]
+        if all(any(w is None or w.family in NOUNS for w in side) for side in known):
+            one, other = map(" ".join, sides)
+            raise InputError(
+                f"query {_short(text)!r}: asks for two things; ask for {_short(one)!r} and for "
+                f"{_short(other)!r} one at a time"
+            )
+
+    def explain(self, text: str) -> tuple[bool, str]:
+        """Whether all of ``text`` is known, and how its words are, in a line."""
+        try:
+            reading = self.read(text)
+        except InputError as refusal:
+            return False, f"refused: {refusal}"
+        parts = []
+        for word in reading.words:
+            ways = [f"by its look ({', '.join(word.weights)})"] if word.weights else []
+            if reading.noun and word.family in NOUNS and reading.classes:
+                count = len(reading.classes)
+                ways.append(f"by the classifier ({count} class{'es' * (count > 1)} of ImageNet)")
+            parts.append(f"{word.name}, {word.family}: {' and '.join(ways) or 'says nothing'}")
+        for spelling in reading.unknown:
+            near = self.nearest(spelling)
+            parts.append(f"{spelling} is not known{f', did you mean {near!r}?' if near else ''}")
+        parts += [f"{word} is set aside: {reason}" for word, reason in reading.unused.items()]
+        return not reading.unknown, "; ".join(parts)
+
+    def nearest(self, spelling: str) -> str | None:
+        """The known word that is spelled nearly so, None if there is none."""
+        if len(spelling) > LONGEST:
+            return None
+        describing = [*self.words, *self.unseen]
+        for known in (describing, noun_classes()):
+            near = difflib.get_close_matches(spelling, known, n=1, cutoff=NEAR)
+            if near:
+                return near[0]
+        return None
 
     def _relates(self, spelled: Sequence[str], i: int) -> bool:
         """Whether what follows describes another object: after "on", or "left of" after a thing."""
@@ -208,7 +275,11 @@ class Vocabulary:
         for form in _singulars(spelling):
             if form in self.words:
                 return self.words[form]
-        return None
+        if not classes_of(spelling):
+            return None
+        *first, last = spelling.split()
+        plainer = self._look_up(last) if first else None
+        return plainer or Word(spelling, "class", {})
 
 
 @cache
@@ -249,6 +320,24 @@ def spellings(text: str) -> list[str]:
     return _WORD.findall(unicodedata.normalize("NFKC", text).replace("’", "'").lower())
 
 
+def classes_of(noun: str) -> tuple[int, ...]:
+    """The classes of ImageNet that a noun means, which may be a plural; empty if it means none."""
+    *first, last = noun.split()
+    forms = (" ".join([*first, form]) for form in _singulars(last))
+    return next((noun_classes()[form] for form in forms if form in noun_classes()), ())
+
+
+def _join_names(spelled: Sequence[str]) -> list[str]:
+    """Make one of several spellings in a row that name classes together, as "space shuttle"."""
+    joined = list(spelled)
+    for length in (3, 2):
+        for start in range(len(joined) - length, -1, -1):
+            name = " ".join(joined[start : start + length])
+            if classes_of(name):
+                joined[start : start + length] = [name]
+    return joined
+
+
 def _singulars(word: str) -> list[str]:
     """The word and what it may be the plural of, in the order to try them."""
     forms = [word]
@@ -256,6 +345,15 @@ def _singulars(word: str) -> list[str]:
         if word.endswith(ending) and len(word) > len(ending) + 1:
             forms.append(word.removesuffix(ending) + singular)
     return forms
+
+
+def unusable(text: str, words: Sequence[str]) -> InputError:
+    """The error of a text of which none of these words can be used."""
+    idle = _short(", ".join(words)) or "they carry no meaning here"
+    return InputError(
+        f"query {_short(text)!r}: none of its words can be used ({idle}); use the lexicon's words, "
+        "which `slgaussian words` lists"
+    )
 
 
 def _short(text: str) -> str:

@@ -115,7 +115,8 @@ class LiveField:
                 for gap, held in zip(gaps.tolist(), there, strict=True)
             ],
             "measurements": read.measurements,
-            "alone": f", for {read.read_as!r} alone" if read.unknown else "",
+            "alone": read.alone,
+            "untold": read.untold,
             "unknown": list(read.unknown),
         }
 

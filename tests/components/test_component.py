@@ -36,9 +36,11 @@ def test_the_identity_is_flat_plain_and_complete():
         "keep": "needed",
         "bank": "groups",
         "planesweep": {"depth_candidates": 144},
+        "lexicon": {"classifier": "none"},
         "separated": {"dimension": 3, "error": 0.01},
     }
-    assert json.dumps(Method().identity()) == json.dumps(expected)
+    method = Method(settings={"lexicon": {"classifier": "none"}})
+    assert json.dumps(method.identity()) == json.dumps(expected)
 
 
 def test_a_file_is_known_by_its_content_wherever_it_is(weights, tmp_path):

@@ -22,6 +22,9 @@ CASES = [
     ("basket", "not here", 3),  # an object fits, and is probably something else
     ("turquoise", "not here", 3),  # none fits
     ("quixotic floor", "found", 0),
+    ("qwxyz", "cannot tell", 3),
+    ("green qwxyz", "cannot tell", 3),
+    ("radiater", "cannot tell", 3),  # did you mean?
     ("the floor of plants", "found", 0),
 ]
 
@@ -59,15 +62,14 @@ def test_who_reads_an_answer_reads_the_same(field, folder, tmp_path, ask, text, 
     answer = json.loads(printed)
     assert code == status and answer["found"] is (code == 0)
     assert (answer["verdict"], answer["summary"]) == (verdict, hit.summary)
-    assert (answer["point"] is None) == (answer["pixels"] == 0) == (verdict == "not here")
-    assert ("for 'floor' alone" in hit.summary) == bool(hit.unknown)
+    assert (answer["point"] is None) == (answer["pixels"] == 0) == (not hit.shown)
+    assert ("for 'floor' alone" in hit.summary) == (hit.unknown == ("quixotic",))
     # The last panel: what is drawn, and its caption.
     bold = pictures.draw_outline(view.rgb, hit.mask, pictures.PREDICTED)
     where = {
         "found": pictures.draw_point(bold, hit.point),
         "not sure": pictures.draw_dashed(view.rgb, hit.mask, pictures.PREDICTED),
-        "not here": view.rgb,
-    }[verdict]
+    }.get(verdict, view.rgb)
     panels = [("", view.rgb), ("", view.rgb), (hit.summary, where)]
     width = view.rgb.shape[1] + 12
     drawn, expected = np.asarray(Image.open(tmp_path / "a.png")), pictures.side_by_side(panels)
@@ -95,8 +97,9 @@ def test_an_unsure_outline_is_thinner_than_a_sure_one():
         (["floor", "wall"], 0),
         (["floor", "cabinet"], 3),
         (["floor", "turquoise"], 3),
-        (["floor", "zorp"], 1),
-        (["turquoise", "zorp"], 1),
+        (["floor", "zorp"], 3),
+        (["floor", "not red"], 1),
+        (["turquoise", "floor and wall"], 1),
     ],
 )
 def test_the_status_of_several_texts_is_zero_if_each_is_found(folder, ask, texts, status):

@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from slgaussian.errors import InputError
-from slgaussian.language import classifier
-from slgaussian.language.nouns import noun_classes
+from slgaussian.language import classifier, weights
+from slgaussian.language.nouns import STEP, evidence, noun_classes, quantised
 
 needs_weights = pytest.mark.skipif(
-    classifier.find_weights() is None, reason=f"needs the weights: {classifier.INSTALL}"
+    weights.find_weights() is None, reason=f"needs the weights: {weights.INSTALL}"
 )
 
 
@@ -33,11 +33,11 @@ def test_regions_have_the_mean_of_their_cells():
 def test_evidence_is_the_log_of_how_much_likelier_the_classes_are():
     rng = np.random.default_rng(1)
     regions, photographs = rng.uniform(-9, -1, (2, 3, 1000)), rng.uniform(-9, -1, (3, 1000))
-    stored = classifier.quantised(regions), classifier.quantised(photographs)
-    lead = classifier.evidence(*stored, (4, 9))
+    stored = quantised(regions), quantised(photographs)
+    lead = evidence(*stored, (4, 9))
     sums = [np.exp(x[..., [4, 9]]).sum(-1) for x in (regions, photographs)]
     assert lead.shape == (2, 3)
-    assert np.allclose(lead, np.log(sums[0] / sums[1]), atol=classifier.STEP)
+    assert np.allclose(lead, np.log(sums[0] / sums[1]), atol=STEP)
 
 
 @needs_weights

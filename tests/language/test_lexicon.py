@@ -99,7 +99,7 @@ def test_no_spelling_has_two_roles():
         roles += family
     assert [spelling for spelling, count in Counter(roles).items() if count > 1] == []
     assert named == set(), "things are told by nouns"
-    assert set(nouns) == NOUNS
+    assert {*nouns, "class"} == NOUNS
 
 
 @pytest.mark.parametrize(
@@ -182,13 +182,13 @@ def test_words_that_are_not_known_are_named(lexicon, text, unknown):
     ("text", "read_as", "unused"),
     [
         ("red ball", "red ball", ()),
-        ("plant pot", "pot", ("plant",)),
-        ("plant pots", "pot", ("plant",)),
+        ("plant pot", "pot", ()),
+        ("plant pots", "pot", ()),
         ("sofa cushion", "pillow", ("sofa",)),
-        ("table lamp", "lamp", ("table",)),
-        ("wall clock", "clock", ("wall",)),
+        ("table lamp", "lamp", ()),
+        ("wall clock", "clock", ()),
         ("wooden door frame", "wooden frame", ("door",)),
-        ("computer screen table", "table", ("computer", "screen")),
+        ("computer screen table", "table", ("computer screen",)),
         ("door escutcheon", "door", ()),
         ("picture frame", "picture", ()),
         ("black picture frames", "black picture", ()),
@@ -208,7 +208,7 @@ def test_words_that_are_not_known_are_named(lexicon, text, unknown):
         ("cloudy blue sky", "blue sky", ()),
         ("woman wearing a hat", "person", ("wearing", "hat")),
         ("cup on the wooden table", "cup", ("on", "wooden", "table")),
-        ("plant pot on the table", "pot", ("plant", "on", "table")),
+        ("door pot on the table", "pot", ("door", "on", "table")),
     ],
 )
 def test_of_several_things_one_is_looked_for(lexicon, text, read_as, unused):
@@ -218,8 +218,8 @@ def test_of_several_things_one_is_looked_for(lexicon, text, read_as, unused):
 
 
 def test_why_a_known_word_does_not_count_is_said(lexicon):
-    why = lexicon.unused_words("plant pot on the table")
-    assert why["plant"] == "another thing, while 'pot' is looked for"
+    why = lexicon.unused_words("door pot on the table")
+    assert why["door"] == "another thing, while 'pot' is looked for"
     assert why["table"] == "said of another thing, after 'on'"
 
 
@@ -237,7 +237,7 @@ def test_a_text_without_words_is_refused(lexicon, text):
         lexicon.encode_text([text])
 
 
-@pytest.mark.parametrize("text", ["zeppelin", "röd boll", "on the table", "the of"])
+@pytest.mark.parametrize("text", ["zyzzyva", "röd boll", "on the table", "the of"])
 def test_a_text_without_a_usable_word_is_refused_and_points_to_the_list(lexicon, text):
     with pytest.raises(InputError, match=r"slgaussian words") as error:
         lexicon.encode_text(["red", text])
@@ -254,7 +254,7 @@ def test_a_very_long_text_is_read_and_a_long_useless_one_gives_a_short_message(l
     long = "red " * 50_000 + "ball"
     np.testing.assert_array_equal(*lexicon.encode_text([long, "red ball"]))
     with pytest.raises(InputError) as error:
-        lexicon.encode_text(["zeppelin " * 50_000])
+        lexicon.encode_text(["zyzzyva " * 50_000])
     assert len(str(error.value)) < 300
 
 

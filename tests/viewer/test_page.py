@@ -57,7 +57,8 @@ def room(keep: int | None = None) -> SemanticField:
         guessed=torch.tensor(rng.uniform(size=n) < 0.2),
     )
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
-    return known_field(sample, gaussians, maps, Method(codes="exact", keep="all"))
+    method = Method(codes="exact", keep="all", settings={"lexicon": {"classifier": "none"}})
+    return known_field(sample, gaussians, maps, method)
 
 
 @pytest.fixture(scope="module")

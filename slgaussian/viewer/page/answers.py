@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.confidence import Calibration
 from slgaussian.language.lexicon import Lexicon
@@ -71,7 +72,7 @@ def answers_of(
     """What the things of ``ids`` answer to all that a page can be asked, ``more`` texts among it.
 
     A ``live`` page asks its server: of texts it has only the words of a lexicon, to offer them.
-    InputError if the encoder cannot use one of these, or is not there.
+    InputError if the encoder cannot use one of these, knows nothing of it, or is not there.
     """
     kinds: dict[str, str] = {}
     spellings: dict[str, str] = {}
@@ -101,6 +102,9 @@ def answers_of(
     if live:
         nothing = np.zeros((0, len(ids)), np.float32)
         return Answers((), nothing, kinds, {}, (), bool(pairs), (), calibration, doubt)
+    for text in more:
+        if untold := field.reader.understood(text).untold:
+            raise InputError(f"text {text!r}: {untold}")
     kinds |= {_plain(text): "text" for text in more if _plain(text) not in kinds}
     kinds |= {_plain(word): "taught" for word in field.taught}
     kinds |= {_plain(field.names[id_]): "named" for id_ in ids if id_ in field.names}

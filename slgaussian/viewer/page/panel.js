@@ -21,7 +21,7 @@ const percent = (share) => `${Math.round(100 * share)}%`;
 
 /** How sure an answer is, in a word or two, for a legend. */
 function brief({ taken, sure, verdict, summary }) {
-  if (!sure || !taken.includes(true)) return summary.split(":")[0];
+  if (!sure || !taken.includes(true) || verdict === "cannot tell") return summary.split(":")[0];
   return verdict === "not here" ? `probably ${verdict} ${sure.point.toFixed(2)}`
     : `${verdict} ${sure.mask.toFixed(2)}`;
 }
@@ -133,7 +133,7 @@ class Page {
         ? (winners[k] < 0 ? [0, 0, 0, 0] : [...this.asked[winners[k]].hue, 190])
         : [...thing.colour, 170],
       relevancy: single ? single.scores[k] : 0,
-      taken: single && single.taken[k] && single.verdict !== "not here" ? 1 : 0,
+      taken: single && single.taken[k] && single.shown ? 1 : 0,
       picked: this.picked === k + 1 ? 1 : 0,
     })));
     this.wish();
@@ -230,17 +230,18 @@ class Page {
   }
 
   /** What one text found, in a sentence. */
-  said({ text, kind, unknown, scores, taken, best, verdict, summary }) {
+  said({ text, kind, unknown, scores, taken, best, verdict, shown, summary }) {
     if (best < 0) return "There are no objects in this file.";
     const kinds = { taught: " (taught by example)", named: " (a name that was given)" };
     const asked = `“${text}”${kinds[kind] || ""}`;
     const rest = unknown?.length ? ` Not known and left out: ${unknown.join(", ")}.` : "";
     const found = taken.flatMap((own, k) => (own ? [k] : [])).sort((a, b) => scores[b] - scores[a]);
+    if (verdict === "cannot tell") return `${asked}: ${summary}.`;
     if (!found.length) return `${asked}: ${summary} (0.5 is as good as any phrase).${rest}`;
     const objects = `${found.length === 1 ? "object" : "objects"} `
       + found.map((k) => this.called(k + 1)).join(", ");
     const score = `${scores[best].toFixed(3)} (0.5 is as good as any phrase)`;
-    const like = verdict === "not here" ? "; most like it: " : ", ";
+    const like = shown ? ", " : "; most like it: ";
     return `${asked}: ${summary}; score ${score}${like}${objects}.${rest}`;
   }
 

@@ -71,11 +71,11 @@ class Words {
 
   /**
    * What an answer takes by the rule of a query: all whose gap is above 0 and at least this.share of
-   * the best. {scores, taken, best, sure, verdict, summary}; sure as of confidence(), null where that
-   * is not known: of a name, or where it was not measured. Verdict and summary are those of
+   * the best. {scores, taken, best, sure, verdict, shown, summary}; sure as of confidence(), null
+   * where that is not known: of a name, or where it was not measured. The last three are those of
    * QueryResult (slgaussian/language/query.py).
    */
-  judged({ kind, gaps, measurements, alone = "" }) {
+  judged({ kind, gaps, measurements, alone = "", untold = "" }) {
     const top = Math.max(-Infinity, ...gaps);
     const taken = gaps.map((gap) => gap > 0 && gap >= this.share * top);
     const named = kind === "named";
@@ -83,16 +83,18 @@ class Words {
     const sure = doubted ? confidence(gaps, taken, top, measurements) : null;
     const scores = gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap)));
     const best = gaps.indexOf(top), any = taken.includes(true);
-    const verdict = any ? verdictOf(sure) : "not here";
+    const verdict = untold ? "cannot tell" : any ? verdictOf(sure) : "not here";
     let summary = named || !about.uncalibrated ? verdict : `found, uncalibrated for ${about.uncalibrated}`;
-    if (!any) summary = `not here: the best object scores ${(scores[best] || 0).toFixed(3)}`;
+    if (untold) summary = `cannot tell: ${untold}`;
+    else if (!any) summary = `not here: the best object scores ${(scores[best] || 0).toFixed(3)}`;
     else if (verdict === "not here") {
       summary = `probably not here: ${sure.point.toFixed(2)} that the best object is it`;
     } else if (sure) {
       summary = `${verdict}: ${sure.mask.toFixed(2)} that the mask is right, `
         + `${sure.point.toFixed(2)} that the point is${alone}`;
     }
-    return { scores, taken, best, sure, verdict, summary };
+    const shown = verdict === "found" || verdict === "not sure";
+    return { scores, taken, best, sure, verdict, shown, summary };
   }
 }
 
