@@ -65,7 +65,7 @@ def list_(
     if out is not None:
         check_picture(out)
     rules, opened = open_field(field, options.settings_from(ctx, Method), words)
-    accepted, refused = sort_texts(opened, texts or [])
+    accepted, refused = sort_texts(opened, texts or [], untold=False)
     things = opened.inventory(accepted or None, **rules)
     if out is not None:
         write_picture(out, _picture(field, opened, things))

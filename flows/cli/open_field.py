@@ -63,15 +63,20 @@ def open_field(
     return chosen, field
 
 
-def sort_texts(field: SemanticField, texts: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+def sort_texts(
+    field: SemanticField, texts: Sequence[str], untold: bool = True
+) -> tuple[list[str], dict[str, str]]:
     """Return the texts that can be asked, each once, and the reason of each that cannot.
 
-    InputError if there are texts and none can.
+    Those of which nothing can be told are among the first if ``untold``. InputError if there are
+    texts and none can be asked.
     """
     refused = {}
     for text in dict.fromkeys(texts):
         try:
-            field.reader.understood(text)
+            read = field.reader.understood(text)
+            if read.untold and not untold:
+                refused[text] = f"query {text!r}: {read.untold}"
         except InputError as error:
             refused[text] = str(error)
     accepted = [text for text in dict.fromkeys(texts) if text not in refused]

@@ -157,6 +157,8 @@ class Understood:
         Of a name or a taught word that the encoder knows too: what it would have read.
     measurements : int
         How many the text asks for, or as many as most do where nobody counts them.
+    describing : int
+        How many words describe the noun.
     untold : str
         Why nothing can be said of what the text asks for; empty if something can.
     question : str
@@ -170,6 +172,7 @@ class Understood:
     examples: int = 0
     instead_of: str = ""
     measurements: int = USUAL
+    describing: int = 0
     untold: str = ""
     question: str = ""
 
@@ -229,6 +232,7 @@ class TextReader:
             encoder.unused_words(text),
             "unknown" if unknown else "known",
             measurements=getattr(encoder, "measurements", lambda _: USUAL)(text),
+            describing=getattr(encoder, "describing", lambda _: 0)(text),
             untold=untold,
             question=getattr(encoder, "question", lambda _: "")(text) if unknown else "",
         )
@@ -294,7 +298,7 @@ class BankReader(TextReader):
         nats = self.class_evidence(text)
         if nats is None:
             return np.zeros(self._present.shape)
-        most = CLASS_LEAD / (1 + DESCRIBED * self.encoder.describing(text))
+        most = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
         leads: np.ndarray = most * np.tanh(nats / CLASS_SCALE)
         return leads
 

@@ -177,18 +177,20 @@ class Vocabulary:
     def _check_one_thing(self, text: str, spelled: Sequence[str]) -> None:
         """InputError if "and" joins two things."""
         end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
-        if "and" not in spelled[:end]:
-            return
-        middle = spelled.index("and")
-        sides = spelled[:middle], spelled[middle + 1 : end]
-        meant = [[w for w in side if w not in self.stop and w not in self.unseen] for side in sides]
-        known = [[self._look_up(w) for w in side] for side in meant]
-        if all(any(w is None or w.family in NOUNS for w in side) for side in known):
-            one, other = map(" ".join, sides)
-            raise InputError(
-                f"query {_short(text)!r}: asks for two things; ask for {_short(one)!r} and for "
-                f"{_short(other)!r} one at a time"
-            )
+        for middle in (i for i in range(end) if spelled[i] == "and"):
+            sides = spelled[:middle], spelled[middle + 1 : end]
+            meant = [[self._look_up(w) for w in side if self._names(w)] for side in sides]
+            nouns = [any(word and word.family in NOUNS for word in side) for side in meant]
+            unknown = bool(meant[1]) and all(word is None for word in meant[1])
+            if nouns[0] and (nouns[1] or unknown):
+                one, other = map(" ".join, sides)
+                raise InputError(
+                    f"query {_short(text)!r}: asks for two things; ask for {_short(one)!r} and for "
+                    f"{_short(other)!r} one at a time"
+                )
+
+    def _names(self, spelling: str) -> bool:
+        return spelling not in self.stop and spelling not in self.unseen
 
     def explain(self, text: str) -> tuple[bool, str]:
         """Whether all of ``text`` is known, and how its words are, in a line."""

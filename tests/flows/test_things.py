@@ -141,7 +141,8 @@ def test_what_cannot_be_removed_is_said_and_nothing_is_written(
 
 
 def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch, capsys):
-    assert run(monkeypatch, "query", field, "zorp") == 2
+    assert run(monkeypatch, "query", field, "zorp") == 3
+    assert capsys.readouterr().out.startswith("cannot tell: no word 'zorp' is known here")
     assert run(monkeypatch, "objects", "teach", field, "Zorp", "--at", 8, 16) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[:2] == ["'Zorp' is object 1", "examples  1"]

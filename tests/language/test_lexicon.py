@@ -608,3 +608,65 @@ def test_bad_regions_are_refused(lexicon):
     masks[1] = False
     with pytest.raises(InputError, match="mask 1 is empty"):
         lexicon.encode_regions(image, masks)
+
+
+@pytest.mark.parametrize(
+    ("text", "noun", "classes"),
+    [
+        ("radiators", "radiators", {753, 811}),
+        ("small red sofa", "sofa", {831}),
+        ("golden retriever", "golden retriever", {207}),
+        ("abacus", "abacus", {398}),
+        ("picture of a fox", "picture", set()),
+        ("tiled floor", "floor", set()),
+        ("red", "", set()),
+    ],
+)
+def test_the_noun_of_a_text_has_its_classes(lexicon, text, noun, classes):
+    reading = load_vocabulary().read(text)
+    assert (reading.noun, set(reading.classes)) == (noun, classes)
+    assert lexicon.classes(text) == reading.classes
+
+
+@pytest.mark.parametrize(
+    "text", ["beige building and tree", "a chair and a qwxyz", "cups and mugs"]
+)
+def test_two_things_are_asked_for_one_at_a_time(lexicon, text):
+    with pytest.raises(InputError, match="asks for two things"):
+        lexicon.encode_text([text])
+
+
+def test_and_may_join_what_describes_one_thing(lexicon):
+    assert lexicon.read_as("black and white cup on the chair and table") == "black white cup"
+
+
+@pytest.mark.parametrize(
+    ("text", "by_class", "sentence"),
+    [
+        ("biulding", True, "no word 'biulding' is known here; did you mean 'building'?"),
+        ("red qwxyz", True, "no word 'qwxyz' is known here; teach it"),
+        ("chair qwxyz", True, "no word 'qwxyz' is known here"),
+        ("abacus", False, "'abacus' is told by the classifier alone"),
+        ("abacus", True, ""),
+        ("yelow chair", True, ""),
+        ("red", False, ""),
+    ],
+)
+def test_of_what_nothing_is_known_nothing_is_told(lexicon, text, by_class, sentence):
+    told = lexicon.untold(text, by_class)
+    assert told.startswith(sentence) and bool(told) == bool(sentence)
+
+
+def test_a_misspelt_word_is_asked_back(lexicon):
+    assert lexicon.question("yelow chair") == "; did you mean 'yellow'?"
+    assert lexicon.question("qwxyz chair") == ""
+
+
+def test_how_a_word_is_known_is_explained():
+    explain = load_vocabulary().explain
+    known, how = explain("red radiator")
+    assert known and "by its look" in how and "by the classifier (2 classes of ImageNet)" in how
+    assert explain("abacus")[1] == "abacus, class: by the classifier (1 class of ImageNet)"
+    known, how = explain("yelow chair")
+    assert not known and how.endswith("; yelow is not known, did you mean 'yellow'?")
+    assert explain("not red")[1].startswith("refused: ")
