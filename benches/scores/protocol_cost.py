@@ -52,12 +52,12 @@ def main() -> None:
     def score(name: str, asked: Frame) -> None:
         # A new frame, so that what protocols share is worked out for each.
         fresh = Frame(asked.answers, asked.masks, asked.boxes, asked.labels)
-        PROTOCOLS[name].score(fresh, PROTOCOLS[name].how(Rules(), WIDTH))
+        PROTOCOLS[name].score(fresh, PROTOCOLS[name].mask_settings(Rules(), WIDTH))
 
     def score_all(asked: Frame) -> None:
         fresh = Frame(asked.answers, asked.masks, asked.boxes, asked.labels)
         for protocol in PROTOCOLS.values():
-            protocol.score(fresh, protocol.how(Rules(), WIDTH))
+            protocol.score(fresh, protocol.mask_settings(Rules(), WIDTH))
 
     spent = {}
     for kind in ("objects", "pixels"):

@@ -37,7 +37,7 @@ from slgaussian.scene import View
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What is labelled in the target views of one scene.
+    """Labels of the target views of one scene.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ def boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
 
 
 def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
-    """What is labelled in a folder: the categories of each frame, in the order of the frames.
+    """List what is labelled in a folder: the categories of each frame, in the order of the frames.
 
     Frames are named by the path of their labels below the folder, without an extension. Categories
     of class masks are those of ``classes.txt``, whether a frame shows them or not.
@@ -139,7 +139,7 @@ def frame_names(folder: str | Path) -> list[str]:
 
 
 def categories_of(folder: str | Path, view_name: str) -> tuple[str, ...]:
-    """What is labelled in one frame, as :func:`labelled_frames` says it of all.
+    """List the categories of one frame, as :func:`labelled_frames` does it of all.
 
     Raises
     ------

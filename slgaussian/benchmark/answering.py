@@ -1,4 +1,4 @@
-"""What a method must be able to do to be compared: answer texts, from any camera.
+"""Interface that a method has to have, to be compared: answer texts, from any camera.
 
 A :class:`slgaussian.field.SemanticField` and its views are of these shapes as they are. Whatever
 scores a method asks no more of it than this.
@@ -16,7 +16,7 @@ from slgaussian.scene import Camera
 
 @runtime_checkable
 class Reader(Protocol):
-    """What is understood of a text."""
+    """Says which words of a text are understood."""
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that are left out; InputError if none can be used."""
@@ -24,7 +24,7 @@ class Reader(Protocol):
 
 @runtime_checkable
 class Result(Protocol):
-    """What a text found in one image of ``height`` H and ``width`` W.
+    """Answer to a text in one image of ``height`` H and ``width`` W.
 
     Attributes
     ----------
@@ -80,13 +80,13 @@ class AnsweringView(Protocol):
     def reader(self) -> Reader: ...  # noqa: D102
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> Sequence[Result]:
-        """Where each of ``texts`` is; ``rules`` are :class:`slgaussian.language.query.Rules`.
+        """Find each of ``texts``; ``rules`` are :class:`slgaussian.language.query.Rules`.
 
         InputError if there is no text, or one that cannot be used.
         """
 
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
-        """Which text fits each pixel best: int32 [H, W], 0 = nothing known, k + 1 = ``texts[k]``.
+        """Label pixels by the best text: int32 [H, W], 0 = nothing known, k + 1 = ``texts[k]``.
 
         InputError as :meth:`query_all`.
         """

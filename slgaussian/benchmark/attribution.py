@@ -1,4 +1,4 @@
-"""Which stage lost a miss: truth takes the place of one stage after the other, from the end.
+"""Attribution of misses: truth takes the place of one stage after the other, from the end.
 
 A replacement keeps all those made before it. The first one that mends the miss names the stage that
 lost it: with everything after that stage true it was still a miss, with the stage itself true it is
@@ -238,7 +238,7 @@ def elect(gaussians: Gaussians, labels: np.ndarray, camera: Camera) -> np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class ContextTruth:
-    """What the queries of a target frame mean in the context views.
+    """The meaning of the queries of a target frame in the context views.
 
     Attributes
     ----------

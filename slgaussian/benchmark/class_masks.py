@@ -22,7 +22,7 @@ INSIDE = 255
 
 
 def are_in(folder: str | Path) -> bool:
-    """Whether a folder of labels is one of class masks."""
+    """Tell whether a folder of labels is one of class masks."""
     return (Path(folder) / FILE).is_file()
 
 

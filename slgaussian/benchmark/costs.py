@@ -1,4 +1,4 @@
-"""What answers, stages and runs cost, kept apart from the scores: no run repeats it."""
+"""Costs of answers, stages and runs, kept apart from the scores: no run repeats it."""
 
 from __future__ import annotations
 

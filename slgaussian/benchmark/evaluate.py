@@ -89,7 +89,7 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """What is asked of a method, and how its rows are marked.
+    """Queries of a method, and the marks of its rows.
 
     Attributes
     ----------
@@ -194,47 +194,49 @@ def evaluate(
     _check_truth(sample, truth.masks)
     settings = settings or EvaluationSettings()
     queries, drawn = settings.queries, settings.drawn
-    record = _Record(sample.scene, settings, peak or Peak())
+    recorder = _Recorder(sample.scene, settings, peak or Peak())
     for target in sample.targets:
-        with record.timed():
+        with recorder.timed():
             view = field.render(target.camera)
         masks, boxes = (known.get(target.name, {}) for known in (truth.masks, truth.boxes))
-        record.ask(view, target.name, target.image, masks, boxes)
-        record.ask_again(partial(field.render, target.camera))
-        record.measure("psnr", metrics.psnr(view.rgb, target.image))
-        record.measure("ssim", metrics.ssim(view.rgb, target.image))
+        recorder.ask(view, target.name, target.image, masks, boxes)
+        recorder.ask_again(partial(field.render, target.camera))
+        recorder.measure("psnr", metrics.psnr(view.rgb, target.image))
+        recorder.measure("ssim", metrics.ssim(view.rgb, target.image))
         if view.depth.any():
-            record.measure_depth(view.depth, target, prefix="target_")
+            recorder.measure_depth(view.depth, target, prefix="target_")
         if drawn:
-            record.pictures[f"photo/{target.name}"] = target.image
-            record.draw_view(view, target.name)
+            recorder.pictures[f"photo/{target.name}"] = target.image
+            recorder.draw_view(view, target.name)
 
     first, second = (view.camera for view in sample.context[:2])
     for frame, step in ALONG_THE_WAY.items():
         if not drawn and not (queries and frame == "halfway"):
             continue
         camera = between(first, second, step)
-        with record.timed():
+        with recorder.timed():
             view = field.render(camera)
         if drawn:
-            record.draw_view(view, frame)
+            recorder.draw_view(view, frame)
         if frame == "halfway" and queries:
             nothing = np.zeros(view.rgb.shape[:2], bool)
-            record.ask(view, frame, view.rgb, dict.fromkeys(queries, nothing), {}, told=False)
-            record.ask_again(partial(field.render, camera))
+            recorder.ask(
+                view, frame, view.rgb, dict.fromkeys(queries, nothing), {}, has_truth=False
+            )
+            recorder.ask_again(partial(field.render, camera))
 
     if gaussians is not None:
-        record.look_at_depths(sample, gaussians)
+        recorder.look_at_depths(sample, gaussians)
     if not drawn:
-        return record.result()
+        return recorder.result()
     for context, labels in zip(sample.context, label_maps.labels, strict=True):
-        record.pictures[f"input/{context.name}"] = context.image
-        record.pictures[f"labels/{context.name}"] = pictures.name_objects(labels, context.image)
-    return record.result()
+        recorder.pictures[f"input/{context.name}"] = context.image
+        recorder.pictures[f"labels/{context.name}"] = pictures.name_objects(labels, context.image)
+    return recorder.result()
 
 
-class _Record:
-    """What has been found out so far."""
+class _Recorder:
+    """Rows, pictures and costs of a scene, as they are found."""
 
     def __init__(self, scene: str, settings: EvaluationSettings, peak: Peak):
         self.peak = peak
@@ -242,13 +244,13 @@ class _Record:
         self._named = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
         # Of a method its own masks and points are wanted; LangSplat's are made of relevancies.
         self.rules = replace(rules, protocol="slgaussian")
-        self.asked = asdict(self.rules)
+        self.query_rules = asdict(self.rules)
         self.protocols = settings.load_protocols()
         self.rows: list[dict[str, Any]] = []
         self.predictions: dict[tuple[str, str, str], np.ndarray] = {}
         self.pictures: dict[str, np.ndarray] = {}
         self.latest = 0.0
-        self._asked: list[_Asked] = []
+        self._frames: list[_FrameTimes] = []
         self._measured: dict[str, list[float]] = {}
         self._constants: dict[str, float] = {}
         self._common = {
@@ -294,42 +296,42 @@ class _Record:
         ground: np.ndarray,
         masks: Mapping[str, np.ndarray],
         boxes: Mapping[str, np.ndarray],
-        told: bool = True,
+        has_truth: bool = True,
     ) -> None:
         """Answer, score and draw the queries of a frame, all of ``masks``.
 
-        An empty mask is no truth; unless ``told``, there never was any.
+        An empty mask is no truth; unless ``has_truth``, there never was any.
         """
         texts = [text for text in masks if _understands(text, view)]
         hits = self._query(view, frame, list(masks), texts)
-        asked = Frame(
+        queried = Frame(
             [_answer(hits.get(text), mask, f"{frame!r}: {text!r}") for text, mask in masks.items()],
             list(masks.values()),
             [boxes_of(mask, boxes.get(text)) for text, mask in masks.items()],
             self._segment(view, texts, masks),
         )
         for protocol in self.protocols:
-            how = protocol.how(self.rules, ground.shape[1])
-            scored = protocol.score(asked, how)
+            mask_settings = protocol.mask_settings(self.rules, ground.shape[1])
+            scored = protocol.score(queried, mask_settings)
             leads = protocol is self.protocols[0]
-            for (text, mask), one in zip(masks.items(), scored, strict=True):
+            for (text, mask), score in zip(masks.items(), scored, strict=True):
                 if not leads and not mask.any():
                     continue
                 named = {"frame": frame, "query": text, "protocol": protocol.label}
                 named |= dict(zip(("height", "width"), mask.shape, strict=True))
-                note = _note(hits.get(text), absent=told and not mask.any())
-                self._add_row(named | asdict(how), one, hits.get(text), note)
-                if one.mask is not None:
-                    self.predictions[protocol.label, frame, text] = one.mask
+                note = _note(hits.get(text), absent=has_truth and not mask.any())
+                self._add_row(named | asdict(mask_settings), score, hits.get(text), note)
+                if score.mask is not None:
+                    self.predictions[protocol.label, frame, text] = score.mask
                 if leads and self.drawn:
-                    self._draw_query(f"{frame}/{text}", hits.get(text), one, mask, ground)
+                    self._draw_query(f"{frame}/{text}", hits.get(text), score, mask, ground)
 
     def _query(
         self, view: AnsweringView, frame: str, asked: Sequence[str], texts: Sequence[str]
     ) -> dict[str, Result]:
-        """What the view answers to ``texts``, those of ``asked`` that it understands."""
+        """Ask the view ``texts``, those of ``asked`` that it understands."""
         if not texts:
-            self._asked.append(_Asked(frame, asked, texts))
+            self._frames.append(_FrameTimes(frame, asked, texts))
             return {}
         rendered = self.latest
         with self.timed():
@@ -338,7 +340,7 @@ class _Record:
         # Asked again with the others: answers must not depend on what is timed.
         with self.timed():
             hits = self._answers(view, texts)
-        self._asked.append(_Asked(frame, asked, texts, first, self.latest / len(texts)))
+        self._frames.append(_FrameTimes(frame, asked, texts, first, self.latest / len(texts)))
         return dict(zip(texts, hits, strict=True))
 
     def ask_again(self, render: Callable[[], AnsweringView]) -> None:
@@ -346,16 +348,16 @@ class _Record:
 
         Then what is made once a scene, or once a process, is there.
         """
-        *before, last = self._asked
+        *before, last = self._frames
         if last.seconds is None or any(one.seconds is not None for one in before):
             return
         start = compiling.clock()
         self._answers(render(), last.texts[:1])
         warm = compiling.clock() - start
-        self._asked[-1] = replace(last, cold=last.seconds, seconds=warm)
+        self._frames[-1] = replace(last, cold=last.seconds, seconds=warm)
 
     def _answers(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:
-        hits = view.query_all(texts, **self.asked)
+        hits = view.query_all(texts, **self.query_rules)
         for hit in hits:
             hit.mask, hit.relevancy, hit.point  # noqa: B018  (drawn when first looked at)
         return hits
@@ -363,13 +365,13 @@ class _Record:
     def _segment(
         self, view: AnsweringView, texts: Sequence[str], masks: Mapping[str, np.ndarray]
     ) -> np.ndarray:
-        """Which query of ``masks`` wins, int32 [H, W]; those not in ``texts`` win no pixel."""
+        """Label pixels by queries of ``masks``, int32 [H, W]; those not in ``texts`` win none."""
         if not texts or not any(mask.any() for mask in masks.values()):
             return np.zeros(view.rgb.shape[:2], np.int32)
         competing = sorted(texts)
         with self.timed():
             # By the protocols every pixel has a class, however little it fits.
-            rules = {**self.asked, "protocol": "slgaussian", "threshold": 0.0}
+            rules = {**self.query_rules, "protocol": "slgaussian", "threshold": 0.0}
             labels = view.segment(competing, **rules)
         places = {text: k + 1 for k, text in enumerate(masks)}
         return np.array([0, *(places[text] for text in competing)], np.int32)[labels]
@@ -410,13 +412,13 @@ class _Record:
             scene_metrics=scene_means(leading) | means | self._constants,
             predictions=self.predictions,
             pictures=self.pictures,
-            costs=[{**self._named, **row, **held} for one in self._asked for row in one.rows()],
+            costs=[{**self._named, **row, **held} for one in self._frames for row in one.rows()],
         )
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """How long the answers in one view took: ``texts`` are those of ``asked`` that were understood.
+class _FrameTimes:
+    """Seconds of the answers in one view: ``texts`` are those of ``asked`` that were understood.
 
     ``seconds`` are those of the first with drawing the view, ``cold`` the same if it was the first
     of the scene, and ``further`` those of one more.
@@ -456,7 +458,7 @@ def _depth_pictures(
 
 
 def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
-    """What protocols score of a result; of a text that is not understood, nothing."""
+    """Return what protocols score of a result; of a text that is not understood, nothing."""
     if hit is None:
         nothing = np.zeros(truth.shape, np.float32)
         return Answer(nothing, nothing.astype(bool), None, understood=False)

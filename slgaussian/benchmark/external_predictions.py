@@ -32,7 +32,7 @@ from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.benchmark.evaluate import ABSENT, SceneResult
 from slgaussian.benchmark.outputs import file_name
-from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, How, ScoringProtocol
+from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, MaskSettings, ScoringProtocol
 from slgaussian.benchmark.scores import of_first_protocol, scene_means
 from slgaussian.errors import InputError
 from slgaussian.formats import rle
@@ -213,9 +213,9 @@ def _score_scene(
     protocols: Sequence[ScoringProtocol],
     tally: Tally,
 ) -> SceneResult:
-    how = How("given")
+    mask_settings = MaskSettings("given")
     common: dict[str, Any] = {"dataset": judged.dataset, "scene": judged.scene}
-    common |= {"method": method, "place": judged.place, **asdict(how)}
+    common |= {"method": method, "place": judged.place, **asdict(mask_settings)}
     columns = dict.fromkeys(load_spec("samples").columns)
     rows: list[dict[str, Any]] = []
     masks: dict[tuple[str, str, str], np.ndarray] = {}
@@ -242,7 +242,10 @@ def _score_scene(
                 external=True,
             )
             for (text, truth), scored, (one, mask) in zip(
-                truths.items(), protocol.score(asked, how), given[protocol.name], strict=True
+                truths.items(),
+                protocol.score(asked, mask_settings),
+                given[protocol.name],
+                strict=True,
             ):
                 absent = not truth.any()
                 if absent and protocol is not protocols[0]:

@@ -33,7 +33,7 @@ EPS = float(np.finfo(np.float32).eps)
 
 @dataclass(frozen=True)
 class HardCase:
-    """What was measured of one input.
+    """Measured error of one input.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class HardCase:
 
     @property
     def good(self) -> bool:
-        """Whether the error is below its bound."""
+        """True if the error is below its bound."""
         return self.error < self.bound
 
 

@@ -88,7 +88,7 @@ def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
 
 
 def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:
-    """Whether the pixel that holds ``point`` (x, y) is set; False for no point."""
+    """Tell whether the pixel that holds ``point`` (x, y) is set; False for no point."""
     if point is None:
         return False
     x, y = int(np.floor(point[0])), int(np.floor(point[1]))
@@ -96,7 +96,7 @@ def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:
 
 
 def point_in_boxes(point: tuple[float, float] | None, boxes: np.ndarray) -> bool:
-    """Whether ``point`` lies in any box [n, 4] (x0, y0, x1, y1), bounds included, as LERF counts.
+    """Tell whether ``point`` lies in any box [n, 4] (x0, y0, x1, y1), bounds included, as LERF.
 
     False for no point.
     """
@@ -108,7 +108,7 @@ def point_in_boxes(point: tuple[float, float] | None, boxes: np.ndarray) -> bool
 
 
 def any_in_boxes(mask: np.ndarray, boxes: np.ndarray) -> bool:
-    """Whether any set pixel of a bool mask [H, W] lies in any box [n, 4], as LangSplat counts.
+    """Tell whether any set pixel of a bool mask [H, W] lies in any box [n, 4], as LangSplat counts.
 
     Of all pixels where relevancy is greatest one is enough, which is lenient: a whole wall may be.
     Bounds are included.

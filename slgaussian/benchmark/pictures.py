@@ -105,7 +105,7 @@ def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def _heat_weight(share: np.ndarray) -> np.ndarray:
-    """How much of the colour is seen, of the photograph the rest."""
+    """Return how much of the colour is seen, of the photograph the rest."""
     return np.clip((share - 0.5) / 0.15, 0, 0.82)
 
 
@@ -181,7 +181,7 @@ def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarr
 
 
 def show_named(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarray:
-    """What has a name in its colours, outlined and named; everything else grey and dim."""
+    """Draw what has a name in its colours, outlined and named; everything else grey and dim."""
     union = np.zeros(image.shape[:2], bool)
     for one in named:
         union |= one.mask
@@ -248,7 +248,7 @@ def cut_out(
     ids: np.ndarray,
     boxes: np.ndarray,
 ) -> list[np.ndarray]:
-    """What each of N objects looks like, in the one of V images where its box is largest.
+    """Cut each of N objects out, of the one of V images where its box is largest.
 
     ``labels`` are the object ids of the images' pixels; what is not the object is pale. ``boxes``
     [N, V, 4] are the first column and row and those after the last, as a memory bank keeps them.

@@ -97,8 +97,8 @@ class Scored:
 
 
 @dataclass(frozen=True)
-class How:
-    """How a mask is made of relevancy, by the columns of the data spec ``samples``.
+class MaskSettings:
+    """Settings that make a mask of relevancy, by the columns of the data spec ``samples``.
 
     Attributes
     ----------
@@ -127,9 +127,9 @@ class ScoringProtocol:
     name : str
     version : int
         Raised whenever another number could come out.
-    how : function (Rules, int) -> How
+    mask_settings : function (Rules, int) -> MaskSettings
         In images of that many pixels' width, if methods are asked with those rules.
-    score_query : function (Frame, int, How) -> Scored
+    score_query : function (Frame, int, MaskSettings) -> Scored
         Query number k of a frame.
     scores_masks : bool
         Whether masks without relevancies can be scored.
@@ -137,16 +137,16 @@ class ScoringProtocol:
 
     name: str
     version: int
-    how: Callable[[Rules, int], How]
-    score_query: Callable[[Frame, int, How], Scored]
+    mask_settings: Callable[[Rules, int], MaskSettings]
+    score_query: Callable[[Frame, int, MaskSettings], Scored]
     scores_masks: bool = True
 
     @property
     def label(self) -> str:
-        """What rows and tables call it: ``name@version``."""
+        """Name in rows and tables: ``name@version``."""
         return f"{self.name}@{self.version}"
 
-    def score(self, frame: Frame, how: How) -> list[Scored]:
+    def score(self, frame: Frame, settings: MaskSettings) -> list[Scored]:
         """Score each query, in their order; without a pixel of truth it has no scores.
 
         InputError if masks were made elsewhere and say nothing by this protocol.
@@ -157,7 +157,7 @@ class ScoringProtocol:
                 f"protocol: {self.name!r} scores relevancies, of which masks say nothing; expected "
                 f"one of {able}"
             )
-        scored = [self.score_query(frame, k, how) for k in range(len(frame.masks))]
+        scored = [self.score_query(frame, k, settings) for k in range(len(frame.masks))]
         return [
             one if truth.any() else replace(one, scores={})
             for one, truth in zip(scored, frame.masks, strict=True)
@@ -168,7 +168,7 @@ def _overlap(mask: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
     return {"iou": metrics.iou(mask, truth), "boundary_iou": metrics.boundary_iou(mask, truth)}
 
 
-def _slgaussian(frame: Frame, k: int, how: How) -> Scored:
+def _slgaussian(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     answer, truth = frame.answers[k], frame.masks[k]
     scores = _overlap(answer.mask, truth) | {"class_iou": frame.class_ious[k]}
     if answer.point is not None or not frame.external:
@@ -177,7 +177,7 @@ def _slgaussian(frame: Frame, k: int, how: How) -> Scored:
     return Scored(scores, answer.mask, answer.point)
 
 
-def _langsplat(frame: Frame, k: int, how: How) -> Scored:
+def _langsplat(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     answer, truth, boxes = frame.answers[k], frame.masks[k], frame.boxes[k]
     if frame.external:
         scores = _overlap(answer.mask, truth)
@@ -185,7 +185,7 @@ def _langsplat(frame: Frame, k: int, how: How) -> Scored:
             scores["hit_box"] = metrics.point_in_boxes(answer.point, boxes)
         return Scored(scores, answer.mask, answer.point)
     relevancy = answer.relevancy
-    side = langsplat.FILTER if how.filter is None else how.filter
+    side = langsplat.FILTER if settings.filter is None else settings.filter
     mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
     known = relevancy > 0
     if known.any():
@@ -200,7 +200,7 @@ def _langsplat(frame: Frame, k: int, how: How) -> Scored:
     return Scored(scores, mask, point)
 
 
-def _three_d_ovs(frame: Frame, k: int, how: How) -> Scored:
+def _three_d_ovs(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     assert frame.labels is not None  # by this protocol texts always compete
     region = frame.labels == k + 1
     scores = {
@@ -211,7 +211,7 @@ def _three_d_ovs(frame: Frame, k: int, how: How) -> Scored:
     return Scored(scores, region, frame.answers[k].point if frame.external else None)
 
 
-def _threshold_free(frame: Frame, k: int, how: How) -> Scored:
+def _threshold_free(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     if not frame.answers[k].understood:
         zeros = dict.fromkeys(("average_precision", "auc", "best_iou"), 0.0)
         return Scored(zeros | {"iou_curve": [0.0] * len(THRESHOLDS)})
@@ -227,16 +227,16 @@ def _threshold_free(frame: Frame, k: int, how: How) -> Scored:
     )
 
 
-def _by_rules(rules: Rules, width: int) -> How:
+def _by_rules(rules: Rules, width: int) -> MaskSettings:
     share = rules.share if rules.selection == "near-best" else None
-    return How(rules.selection, rules.threshold, share)
+    return MaskSettings(rules.selection, rules.threshold, share)
 
 
-def _stretched(rules: Rules, width: int) -> How:
-    return How("stretched", langsplat.MASK_THRESHOLD, filter=langsplat.FILTER)
+def _stretched(rules: Rules, width: int) -> MaskSettings:
+    return MaskSettings("stretched", langsplat.MASK_THRESHOLD, filter=langsplat.FILTER)
 
 
-def _stretched_rescaled(rules: Rules, width: int) -> How:
+def _stretched_rescaled(rules: Rules, width: int) -> MaskSettings:
     return replace(_stretched(rules, width), filter=langsplat.rescaled_filter(width))
 
 
@@ -246,9 +246,9 @@ PROTOCOLS: Mapping[str, ScoringProtocol] = {
         ScoringProtocol("slgaussian", 2, _by_rules, _slgaussian),
         ScoringProtocol("langsplat", 2, _stretched, _langsplat),
         ScoringProtocol("langsplat-rescaled", 2, _stretched_rescaled, _langsplat),
-        ScoringProtocol("3d-ovs", 2, lambda rules, width: How("arg-max"), _three_d_ovs),
+        ScoringProtocol("3d-ovs", 2, lambda rules, width: MaskSettings("arg-max"), _three_d_ovs),
         ScoringProtocol(
-            "threshold-free", 2, lambda rules, width: How("none"), _threshold_free, False
+            "threshold-free", 2, lambda rules, width: MaskSettings("none"), _threshold_free, False
         ),
     )
 }

@@ -64,7 +64,7 @@ def average_precision(ranking: Ranking) -> float | None:
 
 
 def area_under_roc(ranking: Ranking) -> float | None:
-    """How often a pixel of the truth is more relevant than one outside, ties counting half.
+    """Return how often a pixel of the truth is more relevant than one outside, ties counting half.
 
     In [0, 1]; an image of one value scores 0.5. None if the truth is empty, or everything.
     """

@@ -1,4 +1,4 @@
-"""How much memory this process holds, from the kernel's own counts, which Linux has."""
+"""Memory that this process holds, from the kernel's own counts, which Linux has."""
 
 from __future__ import annotations
 

@@ -132,10 +132,10 @@ def score_table(rows: Iterable[Row], seed: int = 0) -> pa.Table:
     InputError
         If samples of one method and protocol were made with different settings.
     """
-    found: list[dict[str, Any]] = []
-    for names, own in _grouped(rows, *GROUPS).items():
-        common = {**dict(zip(GROUPS, names, strict=True)), "level": LEVEL, **_settings(own)}
-        scenes = list(_grouped(own, "scene").values())
+    table: list[dict[str, Any]] = []
+    for names, group in _grouped(rows, *GROUPS).items():
+        common = {**dict(zip(GROUPS, names, strict=True)), "level": LEVEL, **_settings(group)}
+        scenes = list(_grouped(group, "scene").values())
         for metric in (*METRICS, *CURVE):
             means = [(_scene_mean(scene, metric), scene) for scene in scenes]
             known = [(mean, scene) for mean, scene in means if mean is not None]
@@ -148,9 +148,9 @@ def score_table(rows: Iterable[Row], seed: int = 0) -> pa.Table:
             if metric.threshold is not None:
                 row["threshold"] = metric.threshold
             ends = interval_of_mean(values, seed, places) if len(set(places)) > 1 else None
-            found.append(row | _trust(ends, places, samples))
-        found += [common | row for row in _score_calibration(scenes, seed)]
-    return pa.Table.from_pylist(found, schema=load_spec("scores").schema)
+            table.append(row | _trust(ends, places, samples))
+        table += [common | row for row in _score_calibration(scenes, seed)]
+    return pa.Table.from_pylist(table, schema=load_spec("scores").schema)
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> li
 
 @dataclass(frozen=True)
 class Reliability:
-    """How often the point was on the object, by how sure the method was.
+    """Share of points on the object, by how sure the method was.
 
     Attributes
     ----------
@@ -273,12 +273,12 @@ def _score_calibration(scenes: Sequence[Sequence[Row]], seed: int) -> list[dict[
 
 
 def place_of(row: Row) -> str:
-    """What a sample shows: the place that its data name, or its scene."""
+    """Return the place that the data of a sample name, or its scene."""
     return row.get("place") or row["scene"]
 
 
 def _trust(ends: tuple[float, float] | None, places: Sequence[str], samples: int) -> dict[str, Any]:
-    """What says how far a score can be trusted; ``places`` are those of its scenes."""
+    """Return what says how far a score can be trusted; ``places`` are those of its scenes."""
     low, high = ends or (None, None)
     scenes, own = len(places), len(set(places))
     one, few = (ONE_SCENE, FEW_SCENES) if own == scenes else (ONE_PLACE, FEW_PLACES)
@@ -299,7 +299,7 @@ def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:
 
 
 def _settings(rows: Sequence[Row]) -> dict[str, Any]:
-    """What all samples of a method and protocol were made with."""
+    """Return the settings that all samples of a method and protocol were made with."""
     for name in SETTINGS:
         values = {row[name] for row in rows}
         if len(values) > 1:

@@ -15,7 +15,7 @@ from slgaussian.errors import InputError
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a gain is beyond noise, and a sentence that says so with its numbers."""
+    """Judgement whether a gain is beyond noise, and a sentence that says so with its numbers."""
 
     better: bool
     why: str

@@ -1,4 +1,4 @@
-"""How far a mean can be trusted: the bootstrap (Efron 1979) over independent samples.
+"""Confidence intervals of means: the bootstrap (Efron 1979) over independent samples.
 
 Percentile intervals, of resamplings that are the same for the same number of samples and seed.
 Where samples come in groups, such as pairs of views of one place, groups are drawn, and then
@@ -89,7 +89,7 @@ def compare(
 def interval_of_mean(
     values: np.ndarray, seed: int = 0, groups: Sequence[Hashable] | None = None
 ) -> tuple[float, float]:
-    """Where the mean of float [n] lies for :data:`LEVEL` of the resamplings; n is at least 1.
+    """Return where the mean of float [n], n > 0, lies for :data:`LEVEL` of the resamplings.
 
     With ``groups``, one a value, groups are drawn and then values within them, as :func:`drawn`
     says, and the mean is that of all values drawn, each of one weight. Of one value or group the
@@ -109,7 +109,7 @@ def interval(statistics: np.ndarray) -> tuple[float, float]:
 
 @lru_cache(4)
 def drawn(groups: tuple[Hashable, ...], seed: int = 0) -> np.ndarray:
-    """How often each resampling holds each sample: int32 [DRAWS, n], not to be changed.
+    """Count how often each resampling holds each sample: int32 [DRAWS, n], not to be changed.
 
     The hierarchical bootstrap (Davison and Hinkley 1997, section 3.8, with replacement twice): as
     many groups as there are, then of each, every time that it was drawn, as many of its samples as
@@ -133,7 +133,7 @@ def drawn(groups: tuple[Hashable, ...], seed: int = 0) -> np.ndarray:
 
 @lru_cache(4)
 def resamplings(count: int, seed: int = 0) -> np.ndarray:
-    """Which of ``count`` samples each resampling holds: int32 [DRAWS, count], not to be changed."""
+    """Draw the samples of each resampling: int32 [DRAWS, count] below ``count``, read-only."""
     drawn = rng_for(seed, "", "bootstrap").integers(count, size=(DRAWS, count)).astype(np.int32)
     drawn.flags.writeable = False
     return drawn

@@ -22,7 +22,7 @@ most that differed was 2.3e-16; counts, hits and IoUs are equal."""
 
 def scored(name, frame, rules=None):
     protocol = load_protocol(name)
-    return protocol.score(frame, protocol.how(rules or Rules(), frame.labels.shape[1]))
+    return protocol.score(frame, protocol.mask_settings(rules or Rules(), frame.labels.shape[1]))
 
 
 def check(frame, names=tuple(PROTOCOLS)):
@@ -219,7 +219,7 @@ def test_the_filter_is_30_pixels_or_its_share_of_the_width():
     relevancy, truth = square()
     frame = single(relevancy, truth)
     for name, side in (("langsplat", 30), ("langsplat-rescaled", 8)):
-        how = load_protocol(name).how(Rules(), 260)
+        how = load_protocol(name).mask_settings(Rules(), 260)
         assert (how.selection, how.threshold, how.share, how.filter) == (
             "stretched",
             0.4,
@@ -227,13 +227,16 @@ def test_the_filter_is_30_pixels_or_its_share_of_the_width():
             side,
         )
         assert np.array_equal(one(name, frame).mask, plain.langsplat(relevancy, side)[0])
-    assert load_protocol("langsplat-rescaled").how(Rules(), 988).filter == 30
-    assert load_protocol("langsplat-rescaled").how(Rules(), 576).filter == 17
+    assert load_protocol("langsplat-rescaled").mask_settings(Rules(), 988).filter == 30
+    assert load_protocol("langsplat-rescaled").mask_settings(Rules(), 576).filter == 17
 
 
 def test_the_paper_scores_what_the_method_selects_and_says_by_which_rule():
     protocol = load_protocol("slgaussian")
-    near, cut = protocol.how(Rules(share=0.8), 576), protocol.how(Rules(threshold=0.6), 576)
+    near, cut = (
+        protocol.mask_settings(Rules(share=0.8), 576),
+        protocol.mask_settings(Rules(threshold=0.6), 576),
+    )
     assert (near.selection, near.threshold, near.share) == ("near-best", None, 0.8)
     assert (cut.selection, cut.threshold, cut.share) == ("threshold", 0.6, None)
     relevancy, truth = square()

@@ -137,7 +137,7 @@ class DenseView:
 
 @dataclass(frozen=True, eq=False)
 class DenseResult:
-    """What a text found; see :class:`slgaussian.benchmark.answering.Result`.
+    """Answer to a text; see :class:`slgaussian.benchmark.answering.Result`.
 
     Attributes
     ----------

@@ -67,7 +67,7 @@ OPENING = (
 
 @dataclass(frozen=True)
 class Run:
-    """What a run left in a folder: samples, manifest, times and costs, empty if there are none."""
+    """Files that a run left: samples, manifest, times and costs, empty if there are none."""
 
     folder: Path
     rows: list[Row]
@@ -138,11 +138,11 @@ def compare_runs(runs: Sequence[Run]) -> Report:
             raise InputError(f"compare: {run.folder} is given twice; give each folder once")
     named = dict(zip(ascii_uppercase, runs, strict=False))
     sections = [Section("What is compared", [_runs_table(named)])]
-    known = {letter: run.manifest for letter, run in named.items() if run.manifest}
-    made: Block = Prose("No setting, version or data is known to differ.")
-    if settings := differing_settings(list(known.values())):
-        made = Table.of([Column(n, is_text=True) for n in ("what differs", *known)], settings)
-    sections.append(Section("How they were made", [made]))
+    manifests = {letter: run.manifest for letter, run in named.items() if run.manifest}
+    block: Block = Prose("No setting, version or data is known to differ.")
+    if settings := differing_settings(list(manifests.values())):
+        block = Table.of([Column(n, is_text=True) for n in ("what differs", *manifests)], settings)
+    sections.append(Section("How they were made", [block]))
     if rankings := rank_methods(named):
         first = [table for table in rankings if f" by {MAIN[0].protocol}@" in table.title]
         others = [table for table in rankings if table not in first]
@@ -198,12 +198,13 @@ def _difference_sections(named: Mapping[str, Run]) -> list[Section]:
     for other, run in others:
         for name, earlier, later in _paired(first, run):
             pairs[f"{name}, {other}" if others[1:] else name] = (later, earlier)
-    more = {table.title: table for table in difference_tables(pairs, MORE, "Method")}
+    folded = {table.title: table for table in difference_tables(pairs, MORE, "Method")}
     sections = []
     for table in difference_tables(pairs, MAIN, "Method"):
         blocks: list[Block] = [table.untitled]
-        if table.title in more:
-            blocks.append(Fold("By other protocols, and calibration", [more[table.title].untitled]))
+        if table.title in folded:
+            rest = folded[table.title].untitled
+            blocks.append(Fold("By other protocols, and calibration", [rest]))
         minus = others[0][0] if len(others) == 1 else "Each"
         sections.append(Section(f"{minus} minus {letter}, {table.title}", blocks))
     return sections
@@ -214,28 +215,28 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
 
     Of the data of more than :data:`SCENES` scenes that differ alike the first ones are listed.
     """
-    flat = [dict(flatten({k: v for k, v in own.items() if k != "data"})) for own in manifests]
+    flat = [dict(flatten({k: v for k, v in m.items() if k != "data"})) for m in manifests]
     lines = _differences(flat)
-    data = [own.get("data", {}) for own in manifests]
+    data = [manifest.get("data", {}) for manifest in manifests]
     by_leaf: dict[str, list[list[str]]] = {}
-    for scene in dict.fromkeys(name for own in data for name in own):
-        if all(scene in own for own in data):
-            leaves = [{f".{k}": v for k, v in flatten(own[scene])} for own in data]
+    for scene in dict.fromkeys(name for scenes in data for name in scenes):
+        if all(scene in scenes for scenes in data):
+            leaves = [{f".{k}": v for k, v in flatten(scenes[scene])} for scenes in data]
         else:
-            leaves = [{"": "present"} if scene in own else {} for own in data]
+            leaves = [{"": "present"} if scene in scenes else {} for scenes in data]
         for leaf, *values in _differences(leaves):
             by_leaf.setdefault(leaf, []).append([f"data.{scene}{leaf}", *values])
-    for leaf, alike in by_leaf.items():
-        lines += alike[:SCENES]
-        if more := len(alike[SCENES:]):
-            lines.append([f"data of {more} more scenes{leaf}", *["differs"] * len(manifests)])
+    for leaf, scene_lines in by_leaf.items():
+        lines += scene_lines[:SCENES]
+        if rest := len(scene_lines[SCENES:]):
+            lines.append([f"data of {rest} more scenes{leaf}", *["differs"] * len(manifests)])
     return lines
 
 
 def _differences(leaves: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    names = dict.fromkeys(name for own in leaves for name in own)
-    every = ([name, *(own.get(name, NO_VALUE) for own in leaves)] for name in names)
-    return [line for line in every if len(set(line[1:])) > 1]
+    names = dict.fromkeys(name for values in leaves for name in values)
+    lines = ([name, *(values.get(name, NO_VALUE) for values in leaves)] for name in names)
+    return [line for line in lines if len(set(line[1:])) > 1]
 
 
 @dataclass(frozen=True)
@@ -264,12 +265,12 @@ def rank_methods(named: Mapping[str, Run]) -> list[Table]:
     groups: dict[tuple[str, str, str], list[list[_Entry]]] = {}
     for letter, run in named.items():
         for kind, entry in _entries(letter, run):
-            alike = groups.setdefault(kind, [])
-            same = next((group for group in alike if group[0].is_like(entry)), None)
-            if same is None:
-                alike.append([entry])
+            same_kind = groups.setdefault(kind, [])
+            group = next((group for group in same_kind if group[0].is_like(entry)), None)
+            if group is None:
+                same_kind.append([entry])
             else:
-                same.append(entry)
+                group.append(entry)
     order = list(dict.fromkeys(score.protocol for score in (*MAIN, *MORE)))
     return [
         _ranking(kind, group)
@@ -332,16 +333,16 @@ def _costs_table(runs: Sequence[Run]) -> Table:
     rows = []
     for key in costs[0]:
         for name, (title, unit, digits) in COSTS.items():
-            values = [getattr(own.get(key), name, None) for own in costs]
+            values = [getattr(by_key.get(key), name, None) for by_key in costs]
             if None not in values:
                 cells = [number(value, digits, unit) for value in values]
                 rows.append([f"{', '.join(key)}: {title}", *cells])
-    times = [run.times for run in runs]
-    stages = [own.get("seconds_by_stage", {}) for own in times]
-    for stage in (name for name in stages[0] if all(name in own for own in stages)):
-        rows.append([f"{stage} of all scenes, s", *(number(own[stage], 2) for own in stages)])
+    stages = [run.times.get("seconds_by_stage", {}) for run in runs]
+    for stage in (name for name in stages[0] if all(name in seconds for seconds in stages)):
+        seconds = (number(by_stage[stage], 2) for by_stage in stages)
+        rows.append([f"{stage} of all scenes, s", *seconds])
     for name in ("machine", "processor", "workers"):
-        rows.append([name, *(own.get("host", {}).get(name) for own in times)])
+        rows.append([name, *(run.times.get("host", {}).get(name) for run in runs)])
     note = (
         "Medians over scenes, each of when it was made. On two machines, or beside other work, "
         "they do not compare."

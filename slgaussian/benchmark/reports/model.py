@@ -179,7 +179,7 @@ class Prose:
 
 @dataclass(frozen=True)
 class Terms:
-    """What names mean; of some a ``swatch``, a class of the style sheet, stands beside the name."""
+    """Meanings of names; beside some stands a ``swatch``, a class of the style sheet."""
 
     terms: Mapping[str, str]
     swatches: Mapping[str, str] = field(default_factory=dict)

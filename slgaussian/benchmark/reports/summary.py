@@ -1,4 +1,4 @@
-"""What a report opens with: a sentence and a few numbers."""
+"""Opening of a report: a sentence and a few numbers."""
 
 from __future__ import annotations
 
