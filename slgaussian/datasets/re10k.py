@@ -69,24 +69,23 @@ class Clip:
     cameras: np.ndarray
     images: tuple[bytes, ...]
 
-    def view(self, number: int) -> View:
-        """Decode one frame, whatever the others are.
+    def view(self, number: int, prefix: str = "") -> View:
+        """Decode one frame, whatever the others are; ``prefix`` begins its messages.
 
         Raises
         ------
         InputError
             If its image cannot be decoded or its camera is none; the message names clip and frame.
         """
-        label = f"clip {self.key!r}, frame {number}"
+        label = f"{prefix}clip {self.key!r}, frame {number}"
         try:
             with opened(io.BytesIO(self.images[number])) as image:
                 pixels = rgb(image)
-        except ValueError as error:
-            raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
-        try:
             camera = camera_of(self.cameras[number], pixels.shape[1], pixels.shape[0])
         except InputError as error:
             raise InputError(f"{label}: {error}") from None
+        except ValueError as error:
+            raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
         return View(str(number), camera, pixels)
 
     def scene(self, source: str = "") -> Scene:
@@ -118,10 +117,7 @@ class Clip:
         def read(name: str) -> View:
             if name not in cameras:
                 raise InputError(f"{label}: has no frame {name!r}")
-            try:
-                return self.view(int(name))
-            except InputError as error:
-                raise InputError(f"{prefix}{error}") from None
+            return self.view(int(name), prefix)
 
         return Scene(self.key, cameras, read)
 

@@ -14,13 +14,15 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import torch
+from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import Dataset
 
 from slgaussian.datasets.photographs import rgb
@@ -31,9 +33,6 @@ from slgaussian.formats.images import opened
 from slgaussian.storage.encoding import Arrays, decode_arrays, decode_table
 from slgaussian.storage.remote import explained, open_place, troubles
 from slgaussian.storage.specs import load_spec
-
-if TYPE_CHECKING:
-    from fsspec import AbstractFileSystem
 
 INDEX = "index.parquet"
 SPLITS = ("train", "test")
@@ -93,7 +92,6 @@ class TrainingSet(Dataset[dict[str, Any]]):
         where: pc.Expression | None = None,
     ) -> None:
         self.folder = os.fspath(folder).rstrip("/")
-        self._opened: tuple[int, AbstractFileSystem, str] | None = None
         if split is not None and split not in SPLITS:
             raise InputError(f"split: found {split!r}, expected one of {', '.join(SPLITS)}")
         rows = self._index()
@@ -157,15 +155,15 @@ class TrainingSet(Dataset[dict[str, Any]]):
         shard, offset, length = self._places[index]
         file = f"{self.folder}/{shard}"
         try:
-            fs, path = self._place()
+            # Of the process that asks: some file systems cannot be shared.
+            fs, path = open_place(self.folder, "training set")
             data = fs.cat_file(f"{path}/{shard}", start=offset, end=offset + length)
+        except troubles() as error:
+            raise SpecError(f"{file}: cannot be read ({explained(error)}); {ANEW}") from error
+        with _readable(file):
             if len(data) != length:
                 raise ValueError(f"it has {len(data)} of the {length} bytes from {offset} on")
             return unpack(data)
-        except troubles() as error:
-            raise SpecError(f"{file}: cannot be read ({explained(error)}); {ANEW}") from error
-        except ValueError as error:
-            raise SpecError(f"{file}: is damaged ({error}); {ANEW}") from error
 
     def arrays(self, index: int, name: str, members: Mapping[str, bytes] | None = None) -> Arrays:
         """Read the arrays of one of :data:`SPECS` of a sample, as stored and not as tensors.
@@ -186,12 +184,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         Objects and Gaussians, of which samples have different numbers, are filled up with zeros at
         their end: an id 0 is no object, present nowhere, and an opacity 0 draws nothing.
         """
-        return {
-            name: _filled([item[name] for item in items])
-            if name in RAGGED
-            else _stacked([item[name] for item in items])
-            for name in items[0]
-        }
+        return {name: _batched([item[name] for item in items], name in RAGGED) for name in items[0]}
 
     def _images(self, index: int, members: Mapping[str, bytes], role: str) -> torch.Tensor:
         names = sorted(
@@ -201,21 +194,16 @@ class TrainingSet(Dataset[dict[str, Any]]):
         pixels = []
         for name in names or [f"{role}_0.jpg"]:
             label, data = self._member(index, members, name)
-            try:
-                with opened(io.BytesIO(data)) as image:
-                    pixels.append(rgb(image))
-            except ValueError as error:
-                raise SpecError(f"{label}: cannot be decoded ({error}); {ANEW}") from None
+            with _readable(label), opened(io.BytesIO(data)) as image:
+                pixels.append(rgb(image))
         return torch.from_numpy(np.stack(pixels).transpose(0, 3, 1, 2).copy())
 
     def _about(self, index: int, members: Mapping[str, bytes]) -> dict[str, Any]:
         label, data = self._member(index, members, "about.json")
-        try:
+        with _readable(label):
             about = strict_json.parse(data)
             if not isinstance(about, dict):
                 raise ValueError("it is no object")
-        except ValueError as error:
-            raise SpecError(f"{label}: cannot be read ({error}); {ANEW}") from None
         return about
 
     def _member(self, index: int, members: Mapping[str, bytes], name: str) -> tuple[str, bytes]:
@@ -229,7 +217,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
 
     def _index(self) -> pa.Table:
         file = f"{self.folder}/{INDEX}"
-        fs, path = self._place()
+        fs, path = open_place(self.folder, "training set")
         try:
             data = fs.cat_file(f"{path}/{INDEX}")
         except troubles() as error:
@@ -239,33 +227,24 @@ class TrainingSet(Dataset[dict[str, Any]]):
             ) from None
         return decode_table(data, load_spec("training_set"), file, ANEW)
 
-    def _place(self) -> tuple[AbstractFileSystem, str]:
-        """Open the file system and the path in it, in each process anew: some cannot be shared."""
-        if self._opened is None or self._opened[0] != os.getpid():
-            self._opened = (os.getpid(), *open_place(self.folder, "training set"))
-        return self._opened[1:]
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_opened": None}
+@contextmanager
+def _readable(label: str) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise SpecError(f"{label}: is damaged ({error}); {ANEW}") from None
 
 
-def _stacked(values: Sequence[Any]) -> Any:
+def _batched(values: Sequence[Any], ragged: bool) -> Any:
+    """Stack values, or those of the same name; ``ragged`` ones are filled up with zeros."""
     first = values[0]
     if isinstance(first, Mapping):
-        return {name: _stacked([value[name] for value in values]) for name in first}
+        return {name: _batched([value[name] for value in values], ragged) for name in first}
     if isinstance(first, torch.Tensor):
-        return torch.stack(list(values))
-    if isinstance(first, int | float):
-        return torch.tensor(values, dtype=torch.float32)
-    return list(values)
-
-
-def _filled(values: Sequence[Mapping[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    out = {}
-    for name, first in values[0].items():
-        most = max(len(value[name]) for value in values)
-        batch = first.new_zeros((len(values), most, *first.shape[1:]))
-        for row, value in zip(batch, values, strict=True):
-            row[: len(value[name])] = value[name]
-        out[name] = batch
-    return out
+        return pad_sequence(list(values), batch_first=True) if ragged else torch.stack(list(values))
+    return (
+        torch.tensor(values, dtype=torch.float32)
+        if isinstance(first, int | float)
+        else list(values)
+    )

@@ -18,23 +18,6 @@ _MOST_GROUPS = 8
 """Of a number: 40 bits, more than any image has pixels."""
 
 
-def encode(mask: np.ndarray) -> str:
-    """The counts of a mask bool [H, W], as text."""
-    flat = np.asarray(mask, bool).ravel(order="F")
-    changes = np.flatnonzero(np.diff(flat, prepend=False))
-    counts = np.diff(changes, prepend=0, append=flat.size).tolist()
-    text = []
-    for k, count in enumerate(counts):
-        value = count - counts[k - 2] if k > 2 else count
-        while True:
-            group, value = value & 31, value >> 5
-            last = value == (-1 if group & 16 else 0)
-            text.append(chr(_FIRST + group + (0 if last else 32)))
-            if last:
-                break
-    return "".join(text)
-
-
 def decode(counts: str | Sequence[int], height: int, width: int) -> np.ndarray:
     """The mask bool [height, width] of counts, as text or as a list.
 

@@ -3,9 +3,9 @@
 As its page says (https://github.com/nianticlabs/spz, MIT licence): after a header of 16 bytes, all
 of one attribute and then all of the next, gzipped. Means are fixed-point numbers of 24 bits,
 opacities 8 bits, colours of degree 0 in 8 bits (``0.15 sh + 0.5``), scales 8 bits (16 steps a
-factor of e, from e^-10), rotations 32 bits (:mod:`slgaussian.formats.quaternions`), higher
-harmonics 8 bits, of which degree 1 fills 5 and the others 4. Its axes are x right, y up, z
-backward, so y and z are turned here; readers turn them as they need.
+factor of e, from e^-10), rotations 32 bits, higher harmonics 8 bits, of which degree 1 fills 5 and
+the others 4. Its axes are x right, y up, z backward, so y and z are turned here; readers turn them
+as they need.
 
 The number of fractional bits of means is as large as the scene allows.
 """
@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.quaternions import pack_quats, unpack_quats
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
@@ -40,6 +39,11 @@ TURN = np.array([1, -1, -1], np.float32)
 
 _TURN_SH = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
 """Signs that :data:`TURN` gives the harmonics 1 to 15: degree 1 holds y, z, x; and so on."""
+
+_MOST = np.float32(511 * np.sqrt(2))
+"""Of a component that is not the largest, which is at most 1 / sqrt 2."""
+
+_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def save_spz(gaussians: Gaussians, path: str | Path) -> None:
@@ -157,6 +161,39 @@ def load_spz(path: str | Path) -> Gaussians:
             "source": np.arange(n, dtype=np.int32),
         }
     )
+
+
+def pack_quats(quats: np.ndarray) -> np.ndarray:
+    """Pack quaternions xyzw float32 [N, 4], of any length but zero, into uint32 [N].
+
+    The number of the largest component (2 bits), then of each other one its sign and its size in 9
+    bits, in units of 1 / (511 sqrt 2). Rotations come out within a quarter of a degree.
+    """
+    unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    largest = np.abs(unit).argmax(1)
+    rows = np.arange(len(unit))
+    # A quaternion and its negative are one rotation; the largest component is made positive.
+    unit = unit * np.where(unit[rows, largest] < 0, -1, 1)[:, None]
+    others = unit[rows[:, None], _OTHERS[largest]]
+    sizes = np.minimum(np.rint(np.abs(others) * _MOST), 511).astype(np.uint32)
+    codes = sizes | ((others < 0).astype(np.uint32) << np.uint32(9))
+    packed = largest.astype(np.uint32)
+    for column in range(3):
+        packed = packed << np.uint32(10) | codes[:, column]
+    return packed
+
+
+def unpack_quats(packed: np.ndarray) -> np.ndarray:
+    """Return unit quaternions xyzw float32 [N, 4]; inverse of :func:`pack_quats`."""
+    largest = (packed >> np.uint32(30)).astype(np.int64)
+    codes = packed[:, None] >> np.array([20, 10, 0], np.uint32)
+    sizes = (codes & np.uint32(511)).astype(np.float32) / _MOST
+    others = np.where(codes & np.uint32(512), -sizes, sizes)
+    quats = np.empty((len(packed), 4), np.float32)
+    rows = np.arange(len(packed))
+    quats[rows[:, None], _OTHERS[largest]] = others
+    quats[rows, largest] = np.sqrt(np.maximum(0, 1 - (others**2).sum(1)))
+    return quats
 
 
 def _other_version(path: str | Path, version: int) -> InputError:

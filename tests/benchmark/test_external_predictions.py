@@ -22,8 +22,8 @@ from slgaussian.benchmark.outputs import mask_place, write_predictions
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.protocols import PROTOCOLS, load_protocol
 from slgaussian.errors import InputError
-from slgaussian.formats import rle
 from slgaussian.storage.specs import load_spec
+from tests.run_lengths import encode
 
 OF_MASKS = ("iou", "boundary_iou", "class_iou", "accuracy")
 OF_POINTS = ("hit_mask", "hit_box")
@@ -67,7 +67,7 @@ def as_file(path, result, protocol="slgaussian@2", text=True, **more):
     for row in result.rows:
         mask = result.predictions.get((protocol, row["frame"], row["query"]))
         if row["protocol"] == protocol and mask is not None and row["frame"] == "view_01":
-            counts = rle.encode(mask)
+            counts = encode(mask)
             entry = {name: row[name] for name in ("scene", "frame", "query", "score")}
             if row["point_x"] is not None:
                 entry["point"] = [row["point_x"], row["point_y"]]
@@ -137,7 +137,7 @@ def test_texts_that_compete_say_which_wins_by_both_protocols(tmp_path, result, j
 def test_masks_that_overlap_do_not_compete(tmp_path, result, judged):
     entries = json.loads(as_file(tmp_path / "own.json", result, "3d-ovs@2").read_text())
     whole = np.ones(result.predictions["slgaussian@2", "view_01", "qqwx"].shape, bool)
-    entries[-1]["counts"] = rle.encode(whole)
+    entries[-1]["counts"] = encode(whole)
     (tmp_path / "own.json").write_text(json.dumps(entries))
     with pytest.raises(InputError, match=r"own\.json: \[\d+\], .* overlaps the mask of '"):
         scored(tmp_path / "own.json", judged, "3d-ovs")
@@ -192,7 +192,7 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(folder, tmp_pat
     assert again.method == "My method!" and not tally.unused(predictions)
     entry = {"scene": own.scene, "frame": "view_01", "query": "café", "size": [104, 144]}
     file = tmp_path / "m.json"
-    file.write_text(json.dumps([{**entry, "counts": rle.encode(masks[query])}]))
+    file.write_text(json.dumps([{**entry, "counts": encode(masks[query])}]))
     (again,), tally, _ = scored(file, own)
     assert [row["iou"] for row in again.rows] == [1, 0] and len(tally.missing) == 1
 

@@ -15,10 +15,10 @@ from PIL import Image
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
 from slgaussian.benchmark.external_predictions import SCORABLE
-from slgaussian.formats import rle
 from slgaussian.storage.specs import load_spec
 from tests.flows.command import ROOM, room, run, said
 from tests.formats.test_resampling import box_sums
+from tests.run_lengths import encode
 
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "tests" / "benchmark" / "other_method"
@@ -195,7 +195,7 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
         # Without an index the scene is called as the folder is.
         point = [row["point_x"], row["point_y"]] if row["point_x"] is not None else None
         entry = {"scene": labelled.name, "frame": frame, "query": query, "score": row["score"]}
-        counts = rle.encode(mask)
+        counts = encode(mask)
         entries.append({**entry, "size": [64, 64], "counts": counts, "point": point})
     (tmp_path / "mine.json").write_text(json.dumps(entries[:-1] + [{**entries[0], "frame": "x"}]))
     out = tmp_path / "out"
@@ -248,7 +248,7 @@ def test_perfect_masks_are_scored_as_perfect(tmp_path, monkeypatch, capsys, labe
         )
         perfect = box_sums(mask.astype(float), rows, columns) > 0.5
         entry = {"scene": "data", "frame": "a", "query": str(radius), "size": size}
-        entries.append({**entry, "counts": rle.encode(perfect)})
+        entries.append({**entry, "counts": encode(perfect)})
     (tmp_path / "p.json").write_text(json.dumps(entries))
     words = ["--data", folder, "--labels", folder / "labels", "--size", "{}x{}".format(*size)]
     assert run(monkeypatch, "score", tmp_path / "p.json", *words, "-o", tmp_path / "out") == 0

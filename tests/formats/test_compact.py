@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.formats.quaternions import pack_quats, unpack_quats
-from slgaussian.formats.spz import load_spz, save_spz
+from slgaussian.formats.spz import load_spz, pack_quats, save_spz, unpack_quats
 from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.harmonics import colors

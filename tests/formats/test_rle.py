@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from slgaussian.formats import rle
+from tests.run_lengths import encode
 
 SMALL = np.array([[1, 0, 0, 0, 0, 0], [0, 0, 1, 1, 1, 0], [0, 0, 1, 1, 1, 0], [0, 0, 0, 0, 0, 1]])
 LARGE = np.zeros((2000, 3000), bool)
@@ -42,8 +43,8 @@ def plain_text(counts: list[int]) -> str:
 
 def test_the_text_is_that_of_pycocotools():
     # mask.encode(np.asfortranarray(mask.astype(np.uint8)))["counts"]
-    assert rle.encode(SMALL) == "0181J0002O"
-    assert rle.encode(LARGE) == "01ccQm1W6eTPSN0[kmi3iI"
+    assert encode(SMALL) == "0181J0002O"
+    assert encode(LARGE) == "01ccQm1W6eTPSN0[kmi3iI"
     assert np.array_equal(rle.decode("0181J0002O", *SMALL.shape), SMALL)
     assert np.array_equal(rle.decode("01ccQm1W6eTPSN0[kmi3iI", *LARGE.shape), LARGE)
 
@@ -51,7 +52,7 @@ def test_the_text_is_that_of_pycocotools():
 @given(masks)
 def test_text_and_list_are_of_the_plain_counts_and_come_back(mask):
     counts = plain(mask)
-    text = rle.encode(mask)
+    text = encode(mask)
     assert text == plain_text(counts)
     assert np.array_equal(rle.decode(text, *mask.shape), mask)
     assert np.array_equal(rle.decode(counts, *mask.shape), mask)

@@ -2,7 +2,7 @@
 
 Neighbours in space follow each other (Morton order), in blocks whose means are 16 bits an axis
 within the block's box. Scales are 10 bits each, in equal steps of their logarithm; rotations 32
-bits (:mod:`slgaussian.formats.quaternions`); colours of degree 0 and opacities 8 bits.
+bits (:func:`slgaussian.formats.spz.pack_quats`); colours of degree 0 and opacities 8 bits.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.quaternions import pack_quats
+from slgaussian.formats.spz import pack_quats
 from slgaussian.gaussians import SH_C0, Gaussians
 
 BLOCK = 256
