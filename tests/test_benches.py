@@ -1,19 +1,15 @@
 """Benches are no part of the suite; what they say of a wrong argument is."""
 
 import importlib
-import inspect
 import re
 import subprocess
 import sys
 from pathlib import Path
 
-import jinja2
 import pytest
 
-from benches.common import pages, photograph_pairs
-from benches.predict import depth_error
-from benches.views import built_fields, hard_views, outward, spread
-from slgaussian.predict import planesweep
+from benches.common import harness, photograph_pairs
+from benches.views import numbers_of_views
 
 ROOT = Path(__file__).parents[1]
 BENCHES = sorted((ROOT / "benches").rglob("*.py"))
@@ -75,89 +71,55 @@ def test_commands_that_pages_and_benches_name_are_there():
     assert named <= set(map(module, BENCHES))
 
 
+def test_a_bench_writes_its_block_of_a_page_and_leaves_the_rest(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(harness, "measured", lambda: "Measured today.")
+    page = tmp_path / "words.md"
+    page.write_text("# Words\n\n<!-- a -->\nold\n<!-- end of a -->\n\nWritten by hand.\n")
+    rows = [{"name": "one", "seconds": 0.01234, "off": 0.00123}, {"name": "two"}]
+    columns = {"name": ("name", str), "seconds": ("ms", harness.ms), "off": ("off", harness.error)}
+    made = harness.table(rows, columns)
+    assert made.splitlines()[1:] == [
+        "| --- | --: | --: |",
+        "| one | 12.3 | 1.2e-3 |",
+        "| two |  |  |",
+    ]
+    for name in "ab":
+        harness.publish(tmp_path, "words.md", f"python -m benches.x.{name} DATA", made)
+    block = "<!-- {0} -->\n\nMeasured today, by `python -m benches.x.{0} DATA`.\n\n{1}\n\n"
+    block += "<!-- end of {0} -->"
+    a, b = (block.format(name, made) for name in "ab")
+    assert page.read_text() == f"# Words\n\n{a}\n\nWritten by hand.\n\n{b}\n"
+    assert capsys.readouterr().out == f"{a}\n{b}\n"
+
+
 @pytest.mark.parametrize(
-    "template", sorted((ROOT / "benches").rglob("*.j2")), ids=lambda file: file.stem
+    "page", sorted((ROOT / "docs/measured").glob("*.md")), ids=lambda page: page.stem
 )
-def test_templates_of_pages_can_be_read(template):
-    pages.environment().get_template(template.relative_to(ROOT / "benches").as_posix())
-
-
-def test_a_page_is_what_was_measured_in_the_words_of_its_template(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(pages, "measured", lambda: "Measured today.")
-    rows = [
-        {
-            **dict.fromkeys(("precision", "candidates"), "auto"),
-            **dict.fromkeys(("load", "seconds", "cpu", "share", "peak"), 1234.5),
-            **dict.fromkeys(("distance_mean", "distance_greatest", "pixel_mean"), 0.00123),
-        }
-    ]
-    results = {"rows": rows, "weights": "weights", "command": "a command"}
-    pages.publish("predict/mvsplat.md.j2", tmp_path / "new" / "mvsplat.md", **results)
-    text = (tmp_path / "new" / "mvsplat.md").read_text()
-    assert capsys.readouterr().out == f"{text}\n"
-    assert text.startswith("# MVSplat, measured\n\nMeasured today.\n\nMade by `a command`.\n")
-    last = [cell.strip() for cell in text.splitlines()[-1].split("|")[1:-1]]
-    assert last == ["auto"] * 2 + ["1234.50"] * 4 + ["1,234"] + ["1.2e-3"] * 3 + [""]
-    with pytest.raises(jinja2.UndefinedError, match="weights"):
-        pages.page("predict/mvsplat.md.j2", rows=rows, command="a command")
-
-
-def test_stages_that_the_bench_of_depth_times_are_all_and_called_where_it_looks():
-    missing = [
-        stage for stage, module in depth_error.STAGES.items() if not callable(vars(module)[stage])
-    ]
-    assert missing == []
-    steps = {
-        name
-        for name, step in vars(planesweep).items()
-        if callable(step) and not inspect.isclass(step)
-        if step.__module__.startswith("slgaussian.predict.")
-        and step.__module__ != planesweep.__name__
-    }
-    small = {"candidates", "inverse_depth_range", "visible_share", "concatenate"}
-    assert steps - small == {
-        stage for stage, module in depth_error.STAGES.items() if module is planesweep
-    }
+def test_blocks_of_a_page_are_of_benches_that_write_to_it(page):
+    blocks = re.findall(r"<!-- (\w+) -->.*?`python -m ([\w.]+)", page.read_text(), re.DOTALL)
+    assert blocks
+    for name, bench in blocks:
+        assert bench.rpartition(".")[2] == name
+        source = (ROOT / (bench.replace(".", "/") + ".py")).read_text()
+        assert page.name in source
 
 
 def test_targets_of_rooms_are_apart_from_the_context_views_of_every_number():
-    steps = list(range(spread.ARC + 1))
-    for number in spread.NUMBERS:
-        context = spread._evenly(steps, number)
-        assert len(set(context)) == number and {context[0], context[-1]} == {0, spread.ARC}
-        assert min(abs(a - b) for a in context for b in spread.TARGETS) >= 7
-
-
-def test_windows_of_a_walk_have_all_their_frames_and_one_target():
-    starts = outward.starts(31, (2, 6), 10)
-    assert list(starts) == [0, 10, 20]
-    assert starts[-1] + 2 * 6 - 1 == 31
+    steps = list(range(numbers_of_views.ARC + 1))
+    for number in numbers_of_views.NUMBERS:
+        context = numbers_of_views.evenly(steps, number)
+        assert len(set(context)) == number and {context[0], context[-1]} == {0, steps[-1]}
+        assert min(abs(a - b) for a in context for b in numbers_of_views.TARGETS) >= 7
 
 
 def test_gains_of_more_views_are_of_the_windows_that_both_numbers_can_do():
     cost = {"gaussians": 100, "seconds": 1.0, "memory": 9.0, "ssim": 0.5}
     rows = [
-        {"of": of, "views": views, "psnr": psnr, "best_two_psnr": 21.0, **cost}
+        {"of": of, "views": views, "psnr": psnr, **cost}
         for of, views, psnr in (("a", 2, 20.0), ("b", 2, 22.0), ("a", 4, 23.0), ("c", 4, 40.0))
     ]
     rows.append({"of": "b", "views": 4, "refused": "do not overlap"})
-    two, four = built_fields.summary(rows, (2, 4))
+    two, four = numbers_of_views.summary(rows)
     assert (two["scenes"], two["psnr"], "gain" in two) == (2, 21.0, False)
     assert (four["scenes"], four["refused"], four["psnr"]) == (1, 1, 23.0)
-    assert (four["gain"], four["worst"], four["over_best"]) == (3.0, 3.0, 2.0)
-    assert built_fields.reasons(rows) == ["4 views, b: do not overlap"]
-
-
-def test_a_case_is_compared_with_the_same_scenes_without_it():
-    made = {"gaussians": 110, "plain_gaussians": 100, "objects": 4, "plain_objects": 4, "said": []}
-    rows = [
-        {"of": of, "case": "dark", "psnr": psnr, "plain_psnr": 20.0, **made}
-        for of, psnr in (("a", 19.0), ("b", 20.5))
-    ]
-    rows.append({"of": "c", "case": "dark", "refused": "no overlap"})
-    rows[0]["said"] = ["x is left out: it is the same picture as y"]
-    (line,) = hard_views.summary(rows)
-    assert (line["scenes"], line["refused"], line["warned"]) == (3, 1, 1)
-    assert (line["gain"], line["worst"], line["objects"]) == (-0.25, -1.0, 1.0)
-    assert line["gaussians"] == pytest.approx(1.1)
-    assert hard_views.said(rows) == ["dark: no overlap", f"dark: {rows[0]['said'][0]}"]
+    assert (four["gain"], four["worst"]) == (3.0, 3.0)

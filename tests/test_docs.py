@@ -13,7 +13,7 @@ import typer
 import yaml
 
 import slgaussian
-from benches.common.machine import measured
+from benches.common.harness import measured
 from flows.cli.app import app
 
 ROOT = Path(__file__).parents[1]
@@ -162,7 +162,8 @@ def options_of_bench(file: Path) -> set[str]:
     """Options that a bench's ``add_argument`` names, or that its usage does."""
     source = read(file)
     calls = re.findall(r"add_argument\(([^)]*)", source) + re.findall(r"sys\.argv.*", source)
-    return set(re.findall(r"\"(--?[a-z][\w-]*)\"", " ".join(calls)))
+    shared = {"-o", "--out"} if "publish(" in source else set()
+    return shared | set(re.findall(r"\"(--?[a-z][\w-]*)\"", " ".join(calls)))
 
 
 def problem_of_bench(line: str) -> str | None:
@@ -202,7 +203,7 @@ def test_commands_benches_and_their_options_exist(page):
 
 @pytest.mark.parametrize("page", MEASURED, ids=name)
 def test_a_measured_page_says_when_of_which_commit_and_where(page):
-    """In the form that ``benches/common/machine.py`` writes."""
+    """In the form that ``benches/common/harness.py`` writes."""
     assert MEASURED_ON.search(read(page)), "run its maker, which writes that line"
 
 

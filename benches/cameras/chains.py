@@ -1,9 +1,9 @@
 """Cameras of chains of three to eight photographs, by ours and by COLMAP's incremental mapper.
 
-    python -m benches.cameras.chains DATA [--rows FILE]
+    python -m benches.cameras.chains DATA [-o docs/measured] [--rows FILE]
 
-DATA is what :mod:`benches.cameras.posed_chains` reads. Both get the photographs and nothing else,
-and both know that they are of one lens. The error of a pair of a chain is the larger of the angles
+:mod:`benches.cameras.posed_photographs` reads DATA. Both methods get the photographs and nothing
+else, and know that they are of one lens. The error of a pair of a chain is the larger of the angles
 by which rotation and direction of translation are off; pairs of views that were not placed count as
 wrong. pycolmap (the extra ``colmap``) is asked where it is installed, with two-view tracks, start
 pairs from 4 degrees and 30 inliers on. FILE keeps a row a chain and method, as JSON lines.
@@ -11,7 +11,6 @@ pairs from 4 degrees and 30 inliers on. FILE keeps a row a chain and method, as 
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import itertools
 import json
@@ -30,9 +29,8 @@ from benches.cameras.pose_metrics import (
     direction_error,
     rotation_error,
 )
-from benches.cameras.posed_chains import PosedChain, posed_chains
-from benches.common.machine import measured
-from benches.common.markdown_tables import percent, table
+from benches.cameras.posed_photographs import PosedChain, posed_chains
+from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.two_view import Photograph
@@ -132,29 +130,30 @@ def summary(group: str, method: str, rows: Sequence[Mapping[str, Any]]) -> dict[
     answered = [error for error in errors if error < 180]
     focals = [row["focal"] for row in rows if row["focal"] is not None]
     inside = [row["inside"] for row in rows if row["inside"] is not None]
+    wrong = np.mean([e > WRONG for e in answered]) if answered else 0.0
     return {
         "place": group,
         "method": method,
         "chains": str(len(rows)),
-        "placed": percent(sum(r["placed"] for r in rows) / sum(r["views"] for r in rows)),
+        "placed": f"{sum(r['placed'] for r in rows) / sum(r['views'] for r in rows):.0%}",
         "AUC 5/10/20": "/".join(f"{area:.0f}" for area in area_under_curve(errors)),
-        "wrong": percent(float(np.mean([e > WRONG for e in answered])) if answered else 0.0),
-        "focal off": f"{100 * float(np.median(focals)):.1f} %" if focals else "",
-        "in its 90 % interval": percent(float(np.mean(inside))) if inside else "",
+        "wrong": f"{wrong:.0%}",
+        "focal off": f"{np.median(focals):.1%}" if focals else "",
+        "in its 90 % interval": f"{np.mean(inside):.0%}" if inside else "",
         "s a chain": f"{np.mean([row['seconds'] for row in rows]):.1f}",
     }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=data_folder("office_walk"), metavar="DATA")
-    parser.add_argument("--rows", type=Path)
-    given = parser.parse_args()
+    arguments = parser(__doc__, "poses.md")
+    arguments.add_argument("data", type=data_folder("office_walk"), metavar="DATA")
+    arguments.add_argument("--rows", type=Path)
+    asked = arguments.parse_args()
     methods: dict[str, Callable[[Sequence[View]], Answer]] = {"ours": ours}
     if importlib.util.find_spec("pycolmap"):
         methods["pycolmap"] = colmap
     rows: list[dict[str, Any]] = []
-    for chain in posed_chains(given.data):
+    for chain in posed_chains(asked.data):
         for method, call in methods.items():
             start = time.process_time()
             answer = call(chain.views)
@@ -162,15 +161,15 @@ def main() -> None:
             row = {"group": chain.group, "name": chain.name, "method": method}
             rows.append(row | judged(chain, answer) | {"seconds": seconds})
             print(f"  {chain.name} {method}: {rows[-1]['placed']}/{rows[-1]['views']}", flush=True)
-    if given.rows:
-        given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    print(f"{measured()}\n")
+    if asked.rows:
+        asked.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
     lines = []
     for group in ["all", *dict.fromkeys(row["group"] for row in rows)]:
         for method in methods:
             mine = [r for r in rows if r["method"] == method and group in ("all", r["group"])]
             lines.append(summary(group, method, mine))
-    print(table(lines, {key: (key, str) for key in lines[0]}))
+    command = "python -m benches.cameras.chains DATA"
+    publish(asked.out, "poses.md", command, table(lines, {key: (key, str) for key in lines[0]}))
 
 
 if __name__ == "__main__":

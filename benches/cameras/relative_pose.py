@@ -1,17 +1,15 @@
-"""Relative poses of pairs of photographs, by ours and by what else there is.
+"""Relative poses of pairs of photographs, by this program, OpenCV and PoseLib.
 
-    python -m benches.cameras.relative_pose DATA [--rows FILE]
+    python -m benches.cameras.relative_pose DATA [-o docs/measured] [--rows FILE]
 
-DATA is what :mod:`benches.cameras.posed_pairs` reads. Every method finds its own features and gets
-the photographs as they are; the error of a pair is the larger of the angles by which rotation and
-direction of translation are off. poselib is asked where it is installed. Intervals are those of the
-bootstrap over pairs, which is somewhat narrow for the walk, whose pairs share photographs. FILE
-keeps a row a pair and method, as JSON lines.
+:mod:`benches.cameras.posed_photographs` reads DATA. Every method finds its own features and gets
+the photographs as they are. The error of a pair is the larger of the angles by which rotation and
+direction of translation are off. Intervals are those of the bootstrap over pairs. FILE keeps a row
+a pair and method, as JSON lines.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import json
 import time
@@ -29,11 +27,10 @@ from benches.cameras.pose_metrics import (
     direction_error,
     rotation_error,
 )
-from benches.cameras.posed_pairs import PosedPair, posed_pairs
-from benches.common.machine import measured
-from benches.common.markdown_tables import percent, table
+from benches.cameras.posed_photographs import PosedPair, posed_pairs
+from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
-from slgaussian.benchmark.statistics import LEVEL, interval, resamplings
+from slgaussian.benchmark.statistics import interval, resamplings
 from slgaussian.cameras.epipolar import FocalPrior
 from slgaussian.cameras.estimated import DOUBTFUL, UNUSED
 from slgaussian.cameras.find import find_cameras
@@ -41,13 +38,8 @@ from slgaussian.cameras.two_view import Described, Photograph, find_pair
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 
-FEASIBLE = 10.0
-"""Degrees within which OpenCV's pose with the true intrinsics lies where a pair can be solved."""
-
 DRAWS = 1000
 """Resamplings that an interval is taken from."""
-
-KNOWN, GUESSED = "OpenCV, K known", "OpenCV, f = 1.2 max(w, h)"
 
 
 class Answer(NamedTuple):
@@ -146,7 +138,10 @@ def ours(a: View, b: View) -> Answer | None:
 
 
 def methods() -> dict[str, Method]:
-    asked: dict[str, Method] = {KNOWN: opencv_known, GUESSED: opencv_guessed}
+    asked: dict[str, Method] = {
+        "OpenCV, K known": opencv_known,
+        "OpenCV, f = 1.2 max(w, h)": opencv_guessed,
+    }
     if importlib.util.find_spec("poselib"):
         asked["poselib, K known"] = poselib_known
     return {**asked, "ours, K known": ours_known, "ours, focal unknown": ours}
@@ -192,59 +187,46 @@ def _errors(answer: Answer | None, pair: PosedPair, there: np.ndarray) -> dict[s
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A row a group and method, with the shares that a table shows."""
-    groups = list(dict.fromkeys(row["group"] for row in rows))
-    named = {group: [group] for group in groups}
-    named |= {"all but places": [group for group in groups if group != "places"], "all": groups}
-    feasible = {
-        row["pair"]
-        for row in rows
-        if row["method"] == KNOWN and max(row["rotation"], row["direction"]) < FEASIBLE
+    """Return a row a group and method."""
+    groups: dict[str, Callable[[str], bool]] = {
+        "all but places": lambda group: group != "places",
+        "places": lambda group: group == "places",
+        "all": lambda group: True,
     }
     out = []
-    for title, chosen in named.items():
+    for title, belongs in groups.items():
         for method in dict.fromkeys(row["method"] for row in rows):
-            own = [row for row in rows if row["group"] in chosen and row["method"] == method]
-            errors = np.array([max(row["rotation"], row["direction"]) for row in own])
+            some = [row for row in rows if belongs(row["group"]) and row["method"] == method]
+            if not some:
+                continue
+            errors = np.array([max(row["rotation"], row["direction"]) for row in some])
             answered = np.isfinite(errors)
             off = np.where(answered, errors, np.inf)
-            solvable = np.array([row["pair"] in feasible for row in own])
-            focal, inside, doubted = (
-                np.array([row[key] for row in own]) for key in ("focal", "inside", "doubted")
-            )
-            drawn = resamplings(len(own))[:DRAWS]
-            areas = np.array([area_under_curve(off[some]) for some in drawn])
+            areas = np.array([area_under_curve(off[i]) for i in resamplings(len(some))[:DRAWS]])
             ends = [interval(area) for area in areas.T]
             wrong = answered & (errors > WRONG)
             line = {
                 "group": title,
                 "method": method,
-                "pairs": len(own),
+                "pairs": len(some),
                 "auc": "/".join(f"{area:.1f}" for area in area_under_curve(off)),
-                "auc_ends": ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ends),
+                "ends": ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ends),
                 "refused": int((~answered).sum()),
                 "wrong": int(wrong.sum()),
-                "wrong_share": float(wrong.sum() / max(answered.sum(), 1)),
-                "refused_feasible": float((~answered)[solvable].mean()) if solvable.any() else 0.0,
-                "seconds": float(np.median([row["seconds"] for row in own])),
+                "seconds": float(np.median([row["seconds"] for row in some])),
             }
+            focal, inside, doubted = (
+                np.array([row[key] for row in some]) for key in ("focal", "inside", "doubted")
+            )
             if np.isfinite(focal).any():
                 line["focal"] = float(np.nanmedian(focal))
-                # Of a resampling that holds no focal length there is no median.
-                known = [some for some in drawn if np.isfinite(focal[some]).any()]
-                medians = np.array([np.nanmedian(focal[some]) for some in known])
-                line["focal_ends"] = interval(medians)
             if np.isfinite(inside).any():
                 line["inside"] = float(np.nanmean(inside))
             if np.isfinite(doubted).any():
                 line["doubted"] = float(np.nanmean(doubted))
-                line["unsaid"] = int((wrong & (doubted == 0)).sum())
+                line["sure"] = int((wrong & (doubted == 0)).sum())
             out.append(line)
     return out
-
-
-def _percents(ends: tuple[float, float]) -> str:
-    return f"{100 * ends[0]:.0f} to {percent(ends[1])}"
 
 
 COLUMNS = {
@@ -252,47 +234,28 @@ COLUMNS = {
     "method": ("method", str),
     "pairs": ("pairs", "d"),
     "auc": ("AUC 5/10/20°", str),
-    "auc_ends": (f"{percent(LEVEL)} of draws", str),
+    "ends": ("95 % interval", str),
     "refused": ("refused", "d"),
     "wrong": ("wrong", "d"),
-    "wrong_share": ("of the answered", percent),
-    "refused_feasible": ("refused of the feasible", percent),
+    "doubted": ("doubted", ".0%"),
+    "sure": ("wrong, not doubted", "d"),
+    "focal": ("focal error, median", ".0%"),
+    "inside": ("in its 90 % interval", ".0%"),
     "seconds": ("CPU s, median", ".2f"),
-}
-
-OF_ANSWERS = {
-    "group": ("pairs of", str),
-    "method": ("method", str),
-    "focal": ("focal error, median", percent),
-    "focal_ends": (f"{percent(LEVEL)} of draws", _percents),
-    "inside": ("in its 90 % interval", percent),
-    "doubted": ("doubted", percent),
-    "wrong": ("wrong", "d"),
-    "unsaid": ("wrong and not doubted", "d"),
 }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("data", type=data_folder("office/pairs.json"), help="folder of places")
-    parser.add_argument("--rows", type=Path, help="where rows are kept")
-    given = parser.parse_args()
+    arguments = parser(__doc__, "poses.md")
+    arguments.add_argument("data", type=data_folder("office/pairs.json"), help="folder of places")
+    arguments.add_argument("--rows", type=Path, help="where rows are kept")
+    asked = arguments.parse_args()
     cv2.setNumThreads(1)
-    rows = measure(posed_pairs(given.data))
-    if given.rows:
-        given.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
-    lines = summary(rows)
-    print(f"{measured()}\n")
-    print(table(lines, COLUMNS))
-    print()
-    print(table([line for line in lines if "focal" in line or "doubted" in line], OF_ANSWERS))
-    print(
-        f"\nWrong: answered and more than {WRONG:g} degrees off. Feasible: pairs on which OpenCV "
-        f"with K known is within {FEASIBLE:g} degrees. Focal lengths are not judged where the "
-        "photographs themselves do not tell them."
-    )
+    rows = measure(posed_pairs(asked.data))
+    if asked.rows:
+        asked.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    command = "python -m benches.cameras.relative_pose DATA"
+    publish(asked.out, "poses.md", command, table(summary(rows), COLUMNS))
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ DATA is a folder of pairs of photographs, such as an office; a made-up room come
 three scenes. -o writes exports.md. The page (.html) is drawn by Chromium, which must be there.
 """
 
-import argparse
 import base64
 import io
 import tempfile
@@ -16,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from benches.common.pages import publish
+from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import load_samples, photographs
 from slgaussian.benchmark.metrics import psnr
 from slgaussian.build import build_field
@@ -85,22 +84,33 @@ def _picture(url: str) -> np.ndarray:
     return np.array(Image.open(io.BytesIO(data)).convert("RGB"))
 
 
+COLUMNS = {
+    "scene": ("scene", str),
+    "gaussians": ("Gaussians", ",d"),
+    "objects": ("objects", "d"),
+    "format": ("format", str),
+    "megabytes": ("MB", ".2f"),
+    "bytes": ("bytes a Gaussian", ".1f"),
+    "context": ("PSNR at context, dB", ".1f"),
+    "between": ("PSNR between, dB", ".1f"),
+}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("data", type=photographs)
-    parser.add_argument("-o", "--out", type=Path)
-    given = parser.parse_args()
-    samples = dict(list(load_samples(given.data).items())[:SCENES]) | load_samples(None)
+    arguments = parser(__doc__, "exports.md")
+    arguments.add_argument("data", type=photographs)
+    asked = arguments.parse_args()
+    samples = dict(list(load_samples(asked.data).items())[:SCENES]) | load_samples(None)
     rows = []
     with Browser() as browser, tempfile.TemporaryDirectory() as folder:
         for name, sample in samples.items():
             field = build_field(sample, Method())
             for row in rows_of(name, field, browser, Path(folder)):
-                row["bytes"] = row["megabytes"] * 1e6 / row["gaussians"]
-                print(row, flush=True)
-                rows.append(row)
-    file = None if given.out is None else given.out / "exports.md"
-    publish("formats/exports.md.j2", file, rows=rows, scenes=SCENES)
+                rows.append(row | {"bytes": row["megabytes"] * 1e6 / row["gaussians"]})
+                print(rows[-1], flush=True)
+    publish(
+        asked.out, "exports.md", "python -m benches.formats.exported DATA", table(rows, COLUMNS)
+    )
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ are kept in FILE as they come, and what it holds is not done again.
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from benches.common.pages import publish
+from benches.common.harness import Format, parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import PLACES, built, labelled, read
 from flows.config import SceneSettings, Settings
@@ -240,51 +239,70 @@ def alone(rows: Sequence[Row]) -> list[dict]:
     return lines
 
 
+COMPARED: dict[str, tuple[str, Format]] = {"on": ("rests on", str)}
+for _what in ("mask", "point"):
+    COMPARED[f"{_what} auroc"] = (f"{_what}: AUROC", ".3f")
+    COMPARED[f"{_what} error"] = (f"{_what}: calibration error", ".3f")
+COMPARED["after"] = ("absent things found", ".0%")
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=data_folder("office", "places"))
-    parser.add_argument("-o", "--out", type=Path)
-    parser.add_argument("--rows", type=Path)
-    parser.add_argument("--seeds", type=int, default=3)
-    given = parser.parse_args()
+    arguments = parser(__doc__, "words.md")
+    arguments.add_argument("data", type=data_folder("office", "places"))
+    arguments.add_argument("--rows", type=Path)
+    arguments.add_argument("--seeds", type=int, default=3)
+    asked = arguments.parse_args()
     threads.limit()
-    kept = given.rows.read_text().splitlines() if given.rows and given.rows.exists() else []
-    rows = [Row(*json.loads(line)) for line in kept]
+    known = asked.rows.read_text().splitlines() if asked.rows and asked.rows.exists() else []
+    rows = [Row(*json.loads(line)) for line in known]
     done = {(row.place, row.scene, row.seed) for row in rows}
     for place in ("office", *PLACES):
         folder = place if place == "office" else f"places/{place}"
-        for scene in labelled([folder], given.data):
-            seeds = [s for s in range(given.seeds) if (place, scene.name, s) not in done]
+        for scene in labelled([folder], asked.data):
+            seeds = [s for s in range(asked.seeds) if (place, scene.name, s) not in done]
             new = list(answers(place, scene, seeds)) if seeds else []
             rows += new
-            if given.rows:
-                with given.rows.open("a") as file:
+            if asked.rows:
+                with asked.rows.open("a") as file:
                     file.writelines(json.dumps(row) + "\n" for row in new)
             print(f"{place} {scene.name}: {len(new)} answers", flush=True)
     both = [judged(rows, what) for what in ("mask", "point")]
-    columns = {"what": ("probability that", "the {} is right".format)}
+    columns = {"what": ("probability that it is right", str)}
     columns |= {"auroc": ("AUROC", ".3f"), "error": ("calibration error", ".3f")}
     columns |= {place: (place, ".2f") for place in both[0]["by_place"]}
-    compared = {"on": ("rests on", str)}
-    for what in ("mask", "point"):
-        compared |= {f"{what} auroc": (f"{what}: AUROC", ".3f")}
-        compared |= {f"{what} error": (f"{what}: calibration error", ".3f")}
-    compared |= {"after": ("absent things found", ".0%")}
+    tenths = [
+        {f"{one['what']} {name}": tenth[name] for one in both for name in ("said", "right")
+         if k < len(one["bins"]) and (tenth := one["bins"][k])}
+        for k in range(10)
+    ]  # fmt: skip
+    of_tenths = {
+        f"{what} {name}": (f"{what}: {name}", ".2f")
+        for what in ("mask", "point") for name in ("said", "right")
+    }  # fmt: skip
+    found = false_found(rows)
+    constants = [
+        {"what": one["what"], **dict(zip((*RESTS_ON, "offset"), one["constants"], strict=True))}
+        for one in both
+    ]
     publish(
-        "language/answer_confidence.md.j2",
-        given.out and given.out / "confidence.md",
-        summary=[{**one, **one["by_place"]} for one in both],
-        columns=columns,
-        rows=len(rows),
-        there=sum(row.there for row in rows),
-        seeds=given.seeds,
-        judged=both,
-        alone=alone(rows),
-        compared=compared,
-        found=false_found(rows),
-        kept=KEPT,
-        absent=confidence.ABSENT,
-        asked=NOT_THERE,
+        asked.out,
+        "words.md",
+        "python -m benches.language.answer_confidence DATA",
+        f"{len(rows)} answers of {asked.seeds} seeds, {sum(row.there for row in rows)} to things "
+        "that are there.",
+        table([one | one["by_place"] for one in both], columns),
+        table(tenths, of_tenths),
+        table(alone(rows), COMPARED),
+        f"Without confidence, {found['before']:.0%} of the things that are not there are found. At "
+        f"a limit of {found['limit']:.2f}, which {KEPT:.0%} of the right points reach, "
+        f"{found['after']:.0%} are, and {found['kept']:.0%} of those that are there. By place: "
+        + ", ".join(f"{place} {share:.0%}" for place, share in found["by_place"].items())
+        + f". The limit that ships is {confidence.ABSENT}.",
+        "Constants fitted to all places:",
+        table(
+            constants,
+            {"what": ("of the", str), **{n: (n, ".3f") for n in (*RESTS_ON, "offset")}},
+        ),
     )
 
 

@@ -1,39 +1,25 @@
-"""ID codes: label error against time.
+"""Label error and time of strategies of ID codes, in made-up rooms with exact labels.
 
-``python -m benches.language.code_error -o docs/measured/codes.md [--data DIR]``
+    python -m benches.language.code_error [-o docs/measured] [--rooms 4]
 
-Writes the page and, beside it, its picture. DATA is a folder with ``transforms.json``,
-``pairs.json`` (scene -> context and target views) and LERF-OVS labels of the targets in
-``labels/``. ``--rooms N`` takes that many rooms for each number of objects.
+Context views have their true labels: the error of ``exact``, which needs no codes, is geometry's,
+and what other strategies add to it comes from codes and decoding.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.stats import rankdata
 
-from benches.common.pages import publish
-from benches.common.paired_timing import paired_times
-from benches.common.photograph_pairs import DATA_HELP, labelled, load_samples
-from benches.language.code_chart import picture as chart
-from benches.language.many_object_rooms import SIZE, Room, make_rooms
-from slgaussian.benchmark.annotations import read_labels
-from slgaussian.build import label_views
-from slgaussian.components.method import Method
-from slgaussian.geometry import SceneGeometry
+from benches.common.harness import ms, parser, publish, table, times_in_turn
+from benches.language.many_object_rooms import Room, make_rooms
 from slgaussian.kernels import threads
 from slgaussian.language import load_codes
-from slgaussian.language.codes import Separated
 from slgaussian.language.nearest import nearest_code
-from slgaussian.language.separated import misread, neighbours
-from slgaussian.predict import load_predictor
 from slgaussian.rasterize import Render, rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE, Decoder, elected_ids
@@ -43,15 +29,12 @@ FIRST_SEED = 300
 TIMED = 60
 METHODS = {
     "exact": ("exact", {}),
-    **{
-        f"{name}, {dimension}": (name, {"dimension": dimension})
-        for name in ("grid", "separated")
-        for dimension in (3, 2, 1)
-    },
+    "grid, 3": ("grid", {"dimension": 3}),
+    "separated, 3": ("separated", {"dimension": 3}),
+    "separated, 2": ("separated", {"dimension": 2}),
+    "separated, 1": ("separated", {"dimension": 1}),
 }
-ABSENT = 0.05
-"""An object with at most this share of a pixel's light is a third one there."""
-AT_ONCE = 32
+"""Strategy and numbers of a code; the paper has ``grid, 3``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,262 +84,95 @@ def nearest_only(image: Render, bank: Codes) -> np.ndarray:
     return ids
 
 
-def compare_all(image: Render, bank: Codes) -> np.ndarray:
-    """The same, by comparing with every code in float64, a row of pixels at a time."""
-    features = image.values.numpy()[..., 3:]
-    ids = np.zeros(features.shape[:2], np.int32)
-    codes = bank.codes.astype(np.float64)
-    for row, out in zip(features, ids, strict=True):
-        visible = row[:, -1] >= VISIBLE
-        values = (row[visible, :-1] / row[visible, -1:]).astype(np.float64)
-        far = sum(np.abs(values[:, k, None] - codes[:, k]) for k in range(codes.shape[1]))
-        out[visible] = bank.ids[far.argmin(1)]
-    return ids
+def codes_of(room: Room, method: str) -> Codes:
+    strategy, options = METHODS[method]
+    make = load_codes(strategy, **options)
+    return Codes(room.label_maps.ids, make(room.label_maps, np.random.default_rng(0)))
 
 
-def light(room: Room, rows: torch.Tensor, camera: Camera) -> np.ndarray:
-    """Share of each object in the light of each pixel: float32 [H, W, N + 1], none first."""
-    n = len(room.label_maps.ids)
-    found = np.zeros((camera.height, camera.width, n + 1), np.float32)
-    for first in range(1, n + 1, AT_ONCE):
-        names = torch.arange(first, min(first + AT_ONCE, n + 1))
-        drawn = rasterize(room.gaussians, (rows[:, None] == names).float(), camera)
-        found[..., first : first + len(names)] = drawn.values.numpy()
-    return found / np.maximum(found.sum(-1, keepdims=True), 1e-9)
-
-
-def separation(doubt: np.ndarray, wrong: np.ndarray) -> float:
-    """Probability that a wrong pixel has more doubt than a right one (area under the ROC)."""
-    ranks, many = rankdata(doubt), int(wrong.sum())
-    rest = wrong.size - many
-    return float((ranks[wrong].sum() - many * (many + 1) / 2) / (many * rest)) if many else 1.0
-
-
-def judge(
-    truth: np.ndarray,
-    found: np.ndarray,
-    sure: np.ndarray,
-    plain: np.ndarray,
-    exact: np.ndarray,
-    shares: np.ndarray,
-    ids: np.ndarray,
-) -> dict[str, float]:
-    """The columns of one view."""
-    wrong = found != truth
-    seen = found > 0
-    rows = np.where(found > 0, np.searchsorted(ids, found) + 1, 0)
-    has = np.take_along_axis(shares, rows[..., None], -1)[..., 0]
-    plain_rows = np.where(plain > 0, np.searchsorted(ids, plain) + 1, 0)
-    plain_has = np.take_along_axis(shares, plain_rows[..., None], -1)[..., 0]
-    least_sure = sure < np.quantile(sure, 0.1)
-    return {
-        "wrong": wrong.mean(),
-        "added": wrong.mean() - (exact != truth).mean(),
-        "differ": (found != exact).mean(),
-        "third": (seen & wrong & (has <= ABSENT)).mean(),
-        "plain": (plain != truth).mean(),
-        "plain_third": ((plain > 0) & (plain != truth) & (plain_has <= ABSENT)).mean(),
-        "auc": separation(-sure[seen], wrong[seen]),
-        "doubted": (wrong & least_sure & seen).sum() / max((wrong & seen).sum(), 1),
-    }
-
-
-def error_rows(rooms: dict[int, list[Room]]) -> tuple[list[dict], list[dict]]:
-    """A row a count and method; and a row a count of what ``auto`` takes."""
-    rows, autos = [], []
-    for some in rooms.values():
-        found: dict[str, list[dict]] = {name: [] for name in METHODS}
-        dimensions, read, seconds = [], [], []
-        for room in some:
-            labels, objects = room.rows, room.label_maps.ids
-            banks = {}
-            for name, (strategy, own) in METHODS.items():
-                made = load_codes(strategy, **own)(room.label_maps, np.random.default_rng(0))
-                banks[name] = Codes(objects, made)
-            start = time.process_time()
-            taken = Separated(dimension="auto")(room.label_maps, np.random.default_rng(0))
-            seconds.append(time.process_time() - start)
-            dimensions.append(taken.shape[1])
-            read.append(misread(taken, neighbours(room.label_maps)))
-            for camera, truth in zip(room.cameras, room.truths, strict=True):
-                shares = light(room, labels, camera)
-                exact = None
-                for name, bank in banks.items():
-                    image = draw(room, labels, bank.codes, camera)
-                    ids, sure = decode(image, bank)
-                    exact = ids if exact is None else exact
-                    plain = nearest_only(image, bank) if bank.codes.shape[1] else ids
-                    if bank.codes.shape[1] and (plain != compare_all(image, bank)).any():
-                        raise AssertionError(f"{room.name}, {name}: not the nearest code")
-                    found[name].append(judge(truth, ids, sure, plain, exact, shares, objects))
-        n = np.mean([len(room.label_maps.ids) for room in some])
-        for name, views in found.items():
-            means = {key: float(np.mean([view[key] for view in views])) for key in views[0]}
-            rows.append({"objects": n, "method": name} | means)
-            print(rows[-1], flush=True)
-        autos.append(
-            {
-                "objects": n,
-                "dimension": float(np.mean(dimensions)),
-                "misread": float(np.mean(read)),
-                "seconds": float(np.median(seconds)),
-            }
-        )
-    return rows, autos
-
-
-def time_rows(room: Room) -> list[dict]:
-    """Seconds of a core to draw a view of ``room``, and to read it, by method; timed in turn."""
-    threads.limit(threads.cores())
-    labels, camera = room.rows, room.cameras[0]
-    drawing: dict[str, Callable[[], object]] = {
-        "colours alone": lambda: rasterize(room.gaussians, room.gaussians.colors(), camera)
-    }
-    reading: dict[str, Callable[[], object]] = {}
-    for name, (strategy, own) in METHODS.items():
-        made = load_codes(strategy, **own)(room.label_maps, np.random.default_rng(0))
-        bank = Codes(room.label_maps.ids, made)
-        what = carried(room, labels, made)
-        drawing[name] = lambda w=what: rasterize(room.gaussians, camera=camera, **w)
-        image = drawing[name]()
-        if made.shape[1] == 0:
-            reading[f"read {name}"] = lambda image=image, bank=bank: _elected(image, bank)
-            continue
-        decoder, features = Decoder(bank), image.values.numpy()[..., 3:]
-        reading[f"read {name}"] = lambda d=decoder, f=features: d(f)
-        reading[f"all {name}"] = lambda image=image, bank=bank: compare_all(image, bank)
-        reading[f"table {name}"] = lambda bank=bank: Decoder(bank)
-    drew, read = paired_times(drawing, time.thread_time), paired_times(reading, time.thread_time)
-    threads.limit()
-    rows = [{"method": "colours alone", "draw": drew["colours alone"]}]
-    for name in METHODS:
-        row = {"method": name, "draw": drew[name], "read": read[f"read {name}"]}
-        row["both"] = row["draw"] + row["read"]
-        if f"all {name}" in read:
-            row |= {"all": read[f"all {name}"], "table": read[f"table {name}"]}
-            row["ratio"] = row["all"] / row["read"]
-        rows.append(row)
-    return rows
-
-
-def placing_rows(rooms: dict[int, list[Room]]) -> list[dict]:
-    """How well and how fast ``separated`` places codes: 3 dimensions."""
+def error_rows(count: int, rooms: list[Room]) -> list[dict]:
+    """A row a method: shares of the pixels of novel views, means over rooms and views."""
+    scores: dict[str, list[dict[str, float]]] = {name: [] for name in METHODS}
+    for room in rooms:
+        banks = {name: codes_of(room, name) for name in METHODS}
+        for camera, truth in zip(room.cameras, room.truths, strict=True):
+            exact = None
+            for name, bank in banks.items():
+                image = draw(room, room.rows, bank.codes, camera)
+                ids, _ = decode(image, bank)
+                exact = ids if exact is None else exact
+                plain = nearest_only(image, bank) if bank.codes.shape[1] else ids
+                wrong = float((ids != truth).mean())
+                scores[name].append(
+                    {
+                        "wrong": wrong,
+                        "added": wrong - float((exact != truth).mean()),
+                        "differ": float((ids != exact).mean()),
+                        "plain": float((plain != truth).mean()),
+                    }
+                )
     rows = []
-    for some in rooms.values():
-        maps = some[0].label_maps
-        pairs = neighbours(maps)
-        codes = {}
-        for name in ("grid", "separated"):
-            start = time.process_time()
-            codes[name] = load_codes(name)(maps, np.random.default_rng(0))
-            seconds = time.process_time() - start
-        rows.append(
-            {
-                "objects": len(maps.ids),
-                "pairs": len(pairs.weights),
-                "grid": misread(codes["grid"], pairs),
-                "separated": misread(codes["separated"], pairs),
-                "seconds": seconds,
-            }
-        )
-    return rows
-
-
-def office_rows(folder: Path) -> list[dict]:
-    """The pairs of a folder with labels found in the photographs; truth is what was drawn by hand.
-
-    An object stands for the category that most of its labelled pixels have, read exactly.
-    """
-    found: dict[str, list[dict]] = {name: [] for name in METHODS}
-    default, counts = Method(), []
-    for name, sample in load_samples(folder).items():
-        gaussians = load_predictor("planesweep")(sample)
-        seen = SceneGeometry.of(sample.context, gaussians)
-        maps = label_views(seen, default.proposer, default.tracker, default.replicas)
-        target = sample.targets[0]
-        room = Room(name, gaussians, maps, [target.camera], [])
-        labels = room.rows
-        counts.append(len(maps.ids))
-        masks = read_labels(folder / "labels", Path(target.name).stem, SIZE[1], SIZE[0])
-        drawn = np.zeros(SIZE, np.int32)
-        for number, mask in enumerate(masks.values(), 1):
-            drawn[mask] = number
-        exact = means = None
-        for method, (strategy, own) in METHODS.items():
-            made = load_codes(strategy, **own)(maps, np.random.default_rng(0))
-            bank = Codes(maps.ids, made)
-            image = draw(room, labels, made, target.camera)
-            ids, _ = decode(image, bank)
-            if exact is None:
-                exact = ids
-                counted = np.zeros((int(maps.ids.max()) + 1, len(masks) + 1), int)
-                np.add.at(counted, (ids[drawn > 0], drawn[drawn > 0]), 1)
-                means = counted.argmax(1)
-            plain = nearest_only(image, bank) if made.shape[1] else ids
-            told = drawn > 0
-            found[method].append(
-                {
-                    "differ": (ids != exact).mean(),
-                    "plain_differ": (plain != exact).mean(),
-                    "wrong": (means[ids] != drawn)[told].mean(),
-                    "plain_wrong": (means[plain] != drawn)[told].mean(),
-                }
-            )
-        print(name, counts[-1], flush=True)
-    rows = []
-    for method, views in found.items():
+    for name, views in scores.items():
         means = {key: float(np.mean([view[key] for view in views])) for key in views[0]}
-        rows.append({"method": method, "objects": float(np.mean(counts))} | means)
+        rows.append({"objects": count, "method": name} | means)
+        print(rows[-1], flush=True)
     return rows
 
 
-def crops(room: Room) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Ids of a part of a novel view by some methods, and which of them are wrong."""
-    labels, camera, truth = room.rows, room.cameras[0], room.truths[0]
-    shown = {"truth": (truth, np.zeros_like(truth, bool))}
-    for name in ("grid, 3", "separated, 3", "exact"):
-        strategy, own = METHODS[name]
-        made = load_codes(strategy, **own)(room.label_maps, np.random.default_rng(0))
-        bank = Codes(room.label_maps.ids, made)
-        image = draw(room, labels, made, camera)
-        if name == "grid, 3":
-            plain = nearest_only(image, bank)
-            shown[f"{name}: nearest code alone"] = plain, plain != truth
-        ids, _ = decode(image, bank)
-        shown[name] = ids, ids != truth
-    return shown
+def time_rows(room: Room) -> dict[str, dict[str, float]]:
+    """Seconds of a core to draw a view, and to read ids and confidence from it, by method."""
+    threads.limit(threads.cores())
+    camera = room.cameras[0]
+    drawing: dict[str, Callable[[], object]] = {}
+    reading: dict[str, Callable[[], object]] = {}
+    for name in METHODS:
+        bank = codes_of(room, name)
+        drawing[name] = lambda bank=bank: draw(room, room.rows, bank.codes, camera)
+        image = draw(room, room.rows, bank.codes, camera)
+        if bank.codes.shape[1]:
+            decoder, features = Decoder(bank), image.values.numpy()[..., 3:]
+            reading[name] = lambda decoder=decoder, features=features: decoder(features)
+        else:
+            reading[name] = lambda bank=bank, image=image: _elected(image, bank)
+    drew, read = (times_in_turn(jobs, time.thread_time) for jobs in (drawing, reading))
+    threads.limit()
+    return {name: {"draw": drew[name], "read": read[name]} for name in METHODS}
 
 
-def run(out: Path, rooms: int, data: Path | None, command: str) -> None:
-    made: dict[int, list[Room]] = {count: [] for count in COUNTS}
-    for seed in range(FIRST_SEED, FIRST_SEED + rooms):
+def per_cent(share: object) -> str:
+    return f"{100 * share:.2f}"
+
+
+COLUMNS = {
+    "objects": ("objects", ".0f"),
+    "method": ("codes, numbers", str),
+    "wrong": ("wrong, %", per_cent),
+    "added": ("added, %", per_cent),
+    "differ": ("differ, %", per_cent),
+    "plain": ("nearest alone: wrong, %", per_cent),
+    "draw": ("draw, ms", ms),
+    "read": ("read, ms", ms),
+}
+
+
+def main() -> None:
+    arguments = parser(__doc__, "codes.md")
+    arguments.add_argument("--rooms", type=int, default=4, help="rooms a number of objects")
+    asked = arguments.parse_args()
+    threads.limit()
+    rooms: dict[int, list[Room]] = {count: [] for count in COUNTS}
+    for seed in range(FIRST_SEED, FIRST_SEED + asked.rooms):
         for count, room in zip(COUNTS, make_rooms(seed, COUNTS), strict=True):
-            made[count].append(room)
-        print(f"room {seed}", flush=True)
-    tables = {"times": time_rows(made[TIMED][0]), "placing": placing_rows(made)}
-    tables["errors"], tables["auto"] = error_rows(made)
-    if data is not None:
-        tables["office"] = office_rows(data)
-    picture = out.with_suffix(".png")
-    publish(
-        "language/codes.md.j2",
-        out,
-        rows=tables,
-        rooms=rooms,
-        command=command,
-        picture=picture.name,
-    )
-    picture.write_bytes(chart(tables["errors"], tables["times"], crops(made[TIMED][0])))
+            rooms[count].append(room)
+    times = time_rows(rooms[TIMED][0])
+    rows = []
+    for count, some in rooms.items():
+        objects = round(np.mean([len(room.label_maps.ids) for room in some]))
+        for row in error_rows(objects, some):
+            rows.append(row | (times[row["method"]] if count == TIMED else {}))
+    command = "python -m benches.language.code_error"
+    publish(asked.out, "codes.md", command, table(rows, COLUMNS))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--out", type=Path, default=Path("docs/measured/codes.md"))
-    parser.add_argument("--rooms", type=int, default=4)
-    parser.add_argument("--data", type=labelled, help=DATA_HELP)
-    given = parser.parse_args()
-    threads.limit()
-    command = f"python -m benches.language.code_error --rooms {given.rooms}" + (
-        " --data DATA" * bool(given.data)
-    )
-    run(given.out, given.rooms, given.data, command)
+    main()

@@ -1,27 +1,32 @@
-"""Do objects keep their ids from one view to the other? Rows for ``mask_quality.py``.
+"""Do objects keep their ids from view to view? Pairs of views, many views, and photographs.
 
-Procedural pairs of several baselines have exact ids and get the plane sweep's depth, as in a run.
-Of photographs with labels (``labels/`` in LERF-OVS JSON, of the target views of ``pairs.json``) the
-sensor's depth tells where each labelled pixel of a target lies in both context views.
+    python -m benches.masks.id_consistency DATA [-o docs/measured] [--pairs 50] [--rooms 3]
+
+Made-up pairs of several baselines have exact ids and get the plane sweep's depth, as in a run;
+views of one arc have exact depth, and come in its order and shuffled. DATA is a folder of labelled
+pairs of photographs, whose sensor's depth tells where each labelled pixel of a target lies in both
+context views.
 
 Of each object that both views see in 100 common pixels and more: ``matched`` is whether its main id
 is one and the same in both views; ``alone`` also asks that no other object has that id for its main
 one; ``iou`` is that of the object in the second view with the id it has in the first; ``pieces``
 counts ids with 5 % of it or more; ``pixels`` is the share of its pixels seen by both views whose
-ids agree. CPU seconds are of a pair: ``track`` without proposals, ``whole`` with them.
+ids agree. ``track`` is CPU seconds of a pair without proposals.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from benches.common.photograph_pairs import SIZE, read_pairs
+from benches.common.harness import parser, publish, table
+from benches.common.photograph_pairs import SIZE, labelled, read_pairs
 from slgaussian.benchmark.annotations import read_labels
 from slgaussian.cameras.matches import sift_matches
 from slgaussian.cameras.relative import Relative
@@ -29,7 +34,6 @@ from slgaussian.datasets import nerfstudio
 from slgaussian.datasets.procedural import reader
 from slgaussian.gaussians import source_depths
 from slgaussian.geometry import SeenView
-from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskTracker, Proposals, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.regions import Regions
@@ -38,10 +42,10 @@ from slgaussian.predict.pose import GATE, refine
 from slgaussian.scene import Sample, View
 
 BASELINES = (0.3, 0.6, 0.9, 1.2, 1.6)
-"""In metres; the cameras stand about 3.3 m away from what they look at."""
-OVERLAPS = (0, 0.6, 0.7, 0.8, 1)
-"""Bounds of the shares of the first view that the second sees too, by which pairs are grouped."""
+"""Metres; the cameras stand about 3.3 m away from what they look at."""
 COPIES = (1, 3, 5, 7)
+ARC = {2: (0, 7), 4: (0, 2, 5, 7), 8: tuple(range(8))}
+"""Which of eight views of an arc of 1.6 m are looked at."""
 COMMON = 100
 """Fewest pixels that both views must see of an object."""
 AGREE = 0.02
@@ -49,8 +53,15 @@ SENSOR_AGREE = 0.05
 """Relative depth within which two views see one point, by true depth and by a sensor's."""
 LOST = 0.2
 """Share of the tiles that a noisy tracker loses at every look."""
-PICTURED = (0, 4)
-"""Seeds of the pairs in the picture: of the narrowest and of the widest baseline."""
+
+SCORES = {
+    "matched": ("matched", ".3f"),
+    "alone": ("alone", ".3f"),
+    "iou": ("IoU", ".3f"),
+    "pieces": ("pieces", ".2f"),
+    "pixels": ("pixels", ".3f"),
+    "track": ("track, CPU s", ".2f"),
+}
 
 
 @dataclass
@@ -58,22 +69,17 @@ class Cell:
     """What is averaged into one row: columns of objects, and seconds of pairs."""
 
     objects: list[dict[str, float]] = field(default_factory=list)
-    seconds: list[tuple[float, float]] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
 
     def row(self) -> dict[str, float]:
         means = {
             key: float(np.mean([columns[key] for columns in self.objects]))
             for key in self.objects[0]
-            if key != "wall"
         }
-        if "wall" in self.objects[0]:
-            things = [columns["matched"] for columns in self.objects if not columns["wall"]]
-            means["things"] = float(np.mean(things))
-        track, whole = np.mean(self.seconds, 0)
-        return {"objects": len(self.objects), **means, "track": track, "whole": whole}
+        return {"objects": len(self.objects), **means, "track": float(np.mean(self.seconds))}
 
 
-Cells = dict[tuple, Cell]
+Cells = dict[str, Cell]
 
 
 class Once:
@@ -146,10 +152,9 @@ def main_ids(labels: np.ndarray, truth: np.ndarray, objects: list[int]) -> list[
     return [int(np.bincount(labels[truth == number]).argmax()) for number in objects]
 
 
-def judge(sample: Sample, maps: LabelMaps) -> list[dict[str, float]]:
-    """The columns of each object that both views see."""
-    a, b = sample.context
-    first, second = maps.labels
+def judge(a: View, b: View, labels: np.ndarray) -> list[dict[str, float]]:
+    """The columns of each object that both views see, of label maps [2, H, W]."""
+    first, second = labels
     row, column, seen = landing(a, b)
     common = np.bincount(a.instances[seen])
     objects = [i for i in np.flatnonzero(common >= COMMON).tolist() if i]
@@ -168,72 +173,49 @@ def judge(sample: Sample, maps: LabelMaps) -> list[dict[str, float]]:
             "iou": (one & other).sum() / (one | other).sum() if here else 0.0,
             "pieces": float(np.mean([(share[1:] >= 0.05).sum() for share in shares])),
             "pixels": (first == second[row, column])[seen].mean(),
-            "wall": any(word in sample.phrases[number] for word in ("wall", "ceiling")),
         }
         rows.append(columns)
     return rows
 
 
 def run(
-    sample: Sample,
-    depths: np.ndarray,
-    proposer: Once,
-    tracker: MaskTracker,
-    replicas: int = 5,
-    back: MaskTracker | None = None,
-) -> tuple[LabelMaps, tuple[float, float]]:
-    """Label maps, and the seconds that they took, without proposals and with them."""
+    sample: Sample, depths: np.ndarray, proposer: Once, tracker: MaskTracker, replicas: int = 5
+) -> tuple[np.ndarray, float]:
+    """Label maps [2, H, W], and the seconds that they took without proposals."""
     start, before = time.process_time(), proposer.seconds
     seen = list(map(SeenView, sample.context, depths))
-    maps = associate(seen, proposer, tracker, replicas, back)
-    track = time.process_time() - start - (proposer.seconds - before)
-    return maps, (track, track + proposer.seconds)
+    labels = associate(seen, proposer, tracker, replicas).labels
+    return labels, time.process_time() - start - (proposer.seconds - before)
 
 
-def procedural_cells(pairs: int) -> Iterator[tuple[dict[str, Cells], dict[int, dict]]]:
-    """After every pair, the cells by table so far, and the label maps to be pictured by seed."""
-    tables = {key: {} for key in ("trackers", "baselines", "overlaps", "copies")}
-    pictured = {}
+def pair_cells(pairs: int) -> tuple[Cells, Cells]:
+    """Cells by proposals and by baseline of all pairs, and by copies of the first fifth."""
+    cells: Cells = {}
+    copies: Cells = {}
     for seed in range(pairs):
         sample, baseline = read_pair(seed)
         depths = predicted_depths(sample)
         regions, truth = Once(Regions().propose), Once(true_masks(sample.context))
-        overlap = landing(*sample.context)[2].mean()
-        bound = int(np.searchsorted(OVERLAPS, overlap, "right"))
-        between = f"{OVERLAPS[bound - 1]} to {OVERLAPS[bound]}"
 
-        def measure(proposer, tracker, *places, sample=sample, depths=depths, **settings):
-            maps, seconds = run(sample, depths, proposer, tracker, **settings)
-            columns = judge(sample, maps)
-            for table, key in places:
-                cell = tables[table].setdefault(key, Cell())
-                cell.objects += columns
+        def measure(proposer, tracker, *places, replicas=5, sample=sample, depths=depths):
+            labels, seconds = run(sample, depths, proposer, tracker, replicas)
+            for cell in places:
+                cell.objects += judge(*sample.context, labels)
                 cell.seconds.append(seconds)
-            return maps
 
-        shown = {}
-        for name in ("geometric",):
-            shown[name] = measure(
-                regions,
-                load_tracker(name),
-                ("trackers", (name, "regions", "forth")),
-                ("baselines", (name, baseline)),
-                ("overlaps", (name, between)),
-            )
-            measure(truth, load_tracker(name), ("trackers", (name, "true masks", "forth")))
-            back = load_tracker(name)
-            place = "trackers", (name, "regions", "forth and back")
-            measure(regions, load_tracker(name), place, back=back)
+        geometric = cells.setdefault("all", Cell())
+        of_baseline = cells.setdefault(f"{baseline} m apart", Cell())
+        measure(regions, load_tracker(), geometric, of_baseline)
+        measure(truth, load_tracker(), cells.setdefault("all, true masks", Cell()))
         if seed < max(1, pairs // 5):
             for replicas in COPIES:
                 for name in ("geometric", "noisy"):
-                    noisy = name == "noisy"
-                    tracker = load_tracker("geometric" if noisy else name)
-                    tracker = Noisy(tracker, LOST) if noisy else tracker
-                    measure(regions, tracker, ("copies", (name, replicas)), replicas=replicas)
-        if seed in PICTURED:
-            pictured[seed] = sample, shown
-        yield tables, pictured
+                    tracker = load_tracker()
+                    tracker = Noisy(tracker, LOST) if name == "noisy" else tracker
+                    cell = copies.setdefault(f"{name}, {replicas}", Cell())
+                    measure(regions, tracker, cell, replicas=replicas)
+        print(f"pair {seed + 1} of {pairs}", flush=True)
+    return cells, copies
 
 
 def labelled_points(sample: Sample, labels: Path) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
@@ -263,26 +245,92 @@ def labelled_points(sample: Sample, labels: Path) -> dict[str, list[tuple[np.nda
     }
 
 
-def labelled_cells(folder: Path) -> tuple[Cells, dict[str, dict]]:
-    """Cells by tracker, and the label maps by scene to be pictured."""
-    scene = nerfstudio.read(folder)
-    cells, pictured = {}, {}
-    for scene_name, (context, target) in read_pairs(folder / "pairs.json").items():
+def photograph_cell(folder: Path) -> Cell:
+    """The cell of labelled categories of photographs."""
+    scene, cell = nerfstudio.read(folder), Cell()
+    for context, target in read_pairs(folder / "pairs.json").values():
         sample = scene.sample(context, target, size=SIZE)
         depths, once = predicted_depths(sample), Once(Regions().propose)
-        places = labelled_points(sample, folder / "labels")
-        shown = {}
-        for name in ("geometric",):
-            shown[name], seconds = run(sample, depths, once, load_tracker(name))
-            cell = cells.setdefault((name,), Cell())
-            cell.seconds.append(seconds)
-            for a, b in places.values():
-                here, there = shown[name].labels[0][a], shown[name].labels[1][b]
-                mains = [np.bincount(ids).argmax() for ids in (here, there)]
-                columns = {
-                    "matched": mains[0] == mains[1] > 0,
-                    "pixels": ((here == there) & (here > 0)).mean(),
+        labels, seconds = run(sample, depths, once, load_tracker())
+        cell.seconds.append(seconds)
+        for a, b in labelled_points(sample, folder / "labels").values():
+            here, there = labels[0][a], labels[1][b]
+            mains = [np.bincount(ids).argmax() for ids in (here, there)]
+            matched, pixels = mains[0] == mains[1] > 0, ((here == there) & (here > 0)).mean()
+            cell.objects.append({"matched": matched, "pixels": pixels})
+    return cell
+
+
+def objects_whole(views: Sequence[View], labels: np.ndarray) -> list[float]:
+    """IoU, over all views together, of each object with the id that most of it has."""
+    truth = np.stack([view.instances for view in views])
+    found = []
+    for number in np.unique(truth[truth > 0]):
+        mine = truth == number
+        ids = np.bincount(labels[mine])
+        ids[0] = 0
+        main = labels == ids.argmax()
+        found.append((mine & main).sum() / (mine | main).sum() if ids.any() else 0.0)
+    return found
+
+
+def rows_of_views(rooms: int) -> list[dict]:
+    """A row for each number of views, order and method: means over rooms."""
+    found: dict[tuple, list[dict[str, float]]] = {}
+    for seed in range(rooms):
+        scene = reader.read(seed, height=SIZE[0], width=SIZE[1], views=8, baseline=1.6)
+        arc, proposer = [scene.read(name) for name in scene.cameras], Once(Regions().propose)
+        for count, places in ARC.items():
+            views = [arc[k] for k in places]
+            seen = [SeenView(view, view.depth) for view in views]
+            shuffled = np.random.default_rng(seed).permutation(count)
+            for order, given in (("arc", np.arange(count)), ("shuffled", shuffled)):
+                labels = np.empty((count, *SIZE), np.int32)
+                labels[given] = associate([seen[k] for k in given], proposer, load_tracker()).labels
+                judged = [
+                    columns
+                    for a, b in combinations(range(count), 2)
+                    for columns in judge(views[a], views[b], labels[[a, b]])
+                ]
+                means = {
+                    key: float(np.mean([columns[key] for columns in judged]))
+                    for key in ("matched", "alone", "pixels")
                 }
-                cell.objects.append(columns)
-        pictured[scene_name] = sample, shown
-    return cells, pictured
+                means["iou"] = float(np.mean(objects_whole(views, labels)))
+                found.setdefault((count, order), []).append(means)
+        print(f"room {seed + 1} of {rooms}", flush=True)
+    return [
+        dict(zip(("views", "order"), key, strict=True))
+        | {name: float(np.mean([one[name] for one in some])) for name in some[0]}
+        for key, some in found.items()
+    ]
+
+
+def table_of(cells: Cells, what: str) -> str:
+    rows = [{"name": name, **cell.row()} for name, cell in cells.items()]
+    columns = {"name": (what, str), "objects": ("objects", "d")} | SCORES
+    return table(rows, {key: columns[key] for key in columns if key in rows[0]})
+
+
+def main() -> None:
+    arguments = parser(__doc__, "masks.md")
+    arguments.add_argument("data", type=labelled)
+    arguments.add_argument("--pairs", type=int, default=50)
+    arguments.add_argument("--rooms", type=int, default=3)
+    asked = arguments.parse_args()
+    cells, copies = pair_cells(asked.pairs)
+    several = {"views": ("views", "d"), "order": ("order", str)}
+    several |= {key: SCORES[key] for key in ("matched", "alone", "pixels", "iou")}
+    publish(
+        asked.out,
+        "masks.md",
+        "python -m benches.masks.id_consistency DATA",
+        table_of(cells, "made-up pairs"),
+        table_of(copies, "tracker, copies"),
+        table_of({"photographs": photograph_cell(asked.data)}, "labelled categories"),
+        table(rows_of_views(asked.rooms), several),
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,6 @@
 """How cost grows: processor seconds and memory against the size of what is asked, with exponents.
 
-    python -m benches.pipeline.cost_growth [-o FILE] [--only WHAT ...]
+    python -m benches.pipeline.cost_growth [-o docs/measured] [--only WHAT ...]
 
 All on made-up scenes. Each point runs in a process of its own, which first does the same with
 something small, so that imports and kernels do not count: processor seconds, the median of three
@@ -10,17 +10,15 @@ is the slope of the logarithms over the larger half of the range: 1 is linear.
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import numpy as np
 
-from benches.common.pages import publish
+from benches.common.harness import parser, publish, table
 from slgaussian.benchmark import resident_memory
 
 RANGES: Mapping[str, tuple[float, ...]] = {
@@ -159,33 +157,41 @@ def point(what: str, size: float) -> dict[str, float]:
     return {"size": size, "seconds": float(np.median(spent)), "megabytes": more / 1e6}
 
 
-def grown(what: str) -> dict:
-    """All points of a range, each in a process of its own, and the exponents."""
-    rows = []
+def grown(what: str) -> dict[str, object]:
+    """All points of a range, each in a process of its own, as a row with exponents."""
+    points = []
     for size in RANGES[what]:
         command = [sys.executable, "-m", "benches.pipeline.cost_growth", "--point", what, str(size)]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise SystemExit(done.stderr)
-        rows.append(json.loads(done.stdout.splitlines()[-1]))
-        print(what, rows[-1], file=sys.stderr)
-    sizes = [row["size"] for row in rows]
-    found = {
-        name: exponent(sizes, [row[name] for row in rows]) for name in ("seconds", "megabytes")
-    }
-    return {"what": what, "says": SAYS[what], "rows": rows} | found
+        points.append(json.loads(done.stdout.splitlines()[-1]))
+        print(what, points[-1], file=sys.stderr)
+    sizes = [point["size"] for point in points]
+    row = {name: exponent(sizes, [p[name] for p in points]) for name in ("seconds", "megabytes")}
+    costs = (f"{p['size']:,.10g}: {p['seconds']:.2g} s, {p['megabytes']:,.0f} MB" for p in points)
+    return {"what": what, "says": SAYS[what], "costs": "; ".join(costs), **row}
+
+
+COLUMNS = {
+    "what": ("against", str),
+    "says": ("what is done", str),
+    "costs": ("size: CPU s, memory", str),
+    "seconds": ("exponent of seconds", ".2f"),
+    "megabytes": ("of memory", ".2f"),
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--out", type=Path)
-    parser.add_argument("--only", nargs="*", choices=RANGES, default=list(RANGES))
-    parser.add_argument("--point", nargs=2, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    if given.point:
-        print(json.dumps(point(given.point[0], float(given.point[1]))))
+    arguments = parser(__doc__, "waiting.md")
+    arguments.add_argument("--only", nargs="*", choices=RANGES, default=list(RANGES))
+    arguments.add_argument("--point", nargs=2, help="used by itself")
+    asked = arguments.parse_args()
+    if asked.point:
+        print(json.dumps(point(asked.point[0], float(asked.point[1]))))
         return
-    publish("pipeline/cost_growth.md.j2", given.out, ranges=[grown(what) for what in given.only])
+    rows = table([grown(what) for what in asked.only], COLUMNS)
+    publish(asked.out, "waiting.md", "python -m benches.pipeline.cost_growth", rows)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ are the start; medians over the rounds.
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import statistics
@@ -18,11 +17,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from benches.common.machine import measured
+from benches.common.harness import ROOT, measured, parser
 from benches.common.process_cost import CLI, Cost, costing
 from benches.common.small_rooms import write_rooms
-
-HERE = Path(__file__).resolve().parents[2]
 
 LIBRARY = """
 import sys, tomllib
@@ -58,13 +55,13 @@ def a_scene(many: Sequence[Cost], one: Sequence[Cost], scenes: int) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("work", type=Path, help="folder for photographs and stores")
-    parser.add_argument("earlier", type=Path, help="a checkout of another commit")
-    parser.add_argument("--scenes", type=int, default=200)
-    parser.add_argument("--rounds", type=int, default=3, help="of runs with everything cached")
-    asked = parser.parse_args()
-    work, trees = asked.work.resolve(), {"now": HERE, "earlier": asked.earlier.resolve()}
+    arguments = parser(__doc__)
+    arguments.add_argument("work", type=Path, help="folder for photographs and stores")
+    arguments.add_argument("earlier", type=Path, help="a checkout of another commit")
+    arguments.add_argument("--scenes", type=int, default=200)
+    arguments.add_argument("--rounds", type=int, default=3, help="of runs with everything cached")
+    asked = arguments.parse_args()
+    work, trees = asked.work.resolve(), {"now": ROOT, "earlier": asked.earlier.resolve()}
     costs: dict[tuple[str, str, int], list[Cost]] = {}
     for count in (1, asked.scenes):
         config = write_rooms(work / f"rooms-{count}", count)
@@ -78,7 +75,7 @@ def main() -> None:
                 costs.setdefault((name, state, count), []).append(run(tree, config, place))
                 print(name, state, count, os.getloadavg()[0], costs[name, state, count][-1].wall,
                       costs[name, state, count][-1].cpu, file=sys.stderr, flush=True)  # fmt: skip
-        costs["library", "computed", count] = [costing(library, cwd=HERE)]
+        costs["library", "computed", count] = [costing(library, cwd=ROOT)]
     print(f"{measured()}; load {os.getloadavg()[1]:.1f}\n")
     print("| program | stages | wall, s a scene | processor, s a scene |\n|---|---|--:|--:|")
     for name, state in dict.fromkeys(key[:2] for key in costs):

@@ -1,17 +1,17 @@
-"""Damaged files of every format that is read: what is said of them, and what they cost.
+"""Damaged files of every format that is read: whether they are refused, and what they cost.
 
-``python -m benches.pipeline.fuzz_readers [--count 3000] [--seed 0] [--only ply]`` makes a small
-valid set of files a format, damages one to three places of one file of it at a time (bits, cuts,
-insertions, numbers that are huge, negative or none, wrong types, lost and repeated keys, deep
-nesting, sizes that no file has, with the checksums put right again) and reads the whole set, in a
-child process with 1 GiB more address space than it starts with. What counts as refused is an
+    python -m benches.pipeline.fuzz_readers [-o docs/measured] [--count 3000] [--only FORMAT]
+
+A small valid set of files a format is made; one to three places of one file of it at a time are
+damaged (bits, cuts, insertions, numbers that are huge, negative or none, wrong types, lost and
+repeated keys, deep nesting, sizes that no file has, with the checksums put right again); the whole
+set is read, in a child process with 1 GiB more address space than it starts with. Refused means an
 InputError or SpecError of one line that names a file of the set, or the clip in it.
 ``--again "ply 17"`` reads one file once more, with the traceback.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import os
@@ -41,6 +41,7 @@ import pyarrow as pa
 import torch
 from PIL import ExifTags, Image
 
+from benches.common.harness import parser, publish, table
 from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
@@ -848,49 +849,38 @@ def ready() -> None:
 
 
 def main() -> None:
-    from benches.common.pages import publish
-
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=3000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", choices=FORMATS)
-    parser.add_argument("-o", "--out", type=Path, help="folder for fuzz.md")
-    parser.add_argument("--again")
-    parser.add_argument("--said", action="store_true", help="print what was said, and how often")
-    given = parser.parse_args()
+    arguments = parser(__doc__, "fuzz.md")
+    arguments.add_argument("--count", type=int, default=3000)
+    arguments.add_argument("--seed", type=int, default=0)
+    arguments.add_argument("--only", choices=FORMATS)
+    arguments.add_argument("--again", help="a format and a number, such as 'ply 17'")
+    asked = arguments.parse_args()
     ready()
     with tempfile.TemporaryDirectory() as place:
-        if given.again:
-            name, _, number = given.again.rpartition(" ")
-            FORMATS[name].make(_new(Path(place) / "set"))
-            trial(name, int(number), given.seed, Path(place) / "set")
+        folder = Path(place) / "set"
+        if asked.again:
+            name, _, number = asked.again.rpartition(" ")
+            FORMATS[name].make(_new(folder))
+            trial(name, int(number), asked.seed, folder)
             return
         rows, bad = [], []
-        for name in [given.only] if given.only else FORMATS:
-            folder = Path(place) / "set"
-            found = list(fuzz(name, given.count, given.seed, folder))
+        for name in [asked.only] if asked.only else FORMATS:
+            found = list(fuzz(name, asked.count, asked.seed, folder))
             shutil.rmtree(folder)
             kinds = Counter(one.kind for one in found)
-            rows.append(
-                {"format": name, "files": len(found), **{kind: kinds[kind] for kind in KINDS}}
-                | {
-                    "seconds": max(one.seconds for one in found),
-                    "memory": max(one.bytes for one in found) / 2**20,
-                }
-            )
+            row = {"format": name, "files": len(found), **{kind: kinds[kind] for kind in KINDS}}
+            row |= {"seconds": max(one.seconds for one in found)}
+            rows.append(row | {"memory": max(one.bytes for one in found) / 2**20})
             bad += [(name, one) for one in found if one.kind not in ("accepted", "refused")]
-            if given.said:
-                said = Counter(re.sub(r"\S*/set\S*|\d+", "…", one.said)[:150] for one in found)
-                for text, often in said.most_common():
-                    print(f"{often:6d} {name}: {text}")
     columns = {
-        **{kind: (heading, ",.0f") for kind, heading in KINDS.items()},
+        "format": ("Format", str),
+        "files": ("Files", ",d"),
+        **{kind: (heading, ",d") for kind, heading in KINDS.items()},
         "seconds": ("Slowest, s", ".2f"),
         "memory": ("Memory, MiB", ".0f"),
     }
-    asked = {"count": given.count, "seed": given.seed}
-    file = given.out and given.out / "fuzz.md"
-    publish("pipeline/fuzz.md.j2", file, rows=rows, columns=columns, **asked)
+    command = f"python -m benches.pipeline.fuzz_readers --count {asked.count} --seed {asked.seed}"
+    publish(asked.out, "fuzz.md", command, table(rows, columns))
     for name, one in bad:
         print(f"{name} {one.number}: {one.kind}: {one.said}")
     raise SystemExit(bool(bad))

@@ -1,6 +1,6 @@
 """Everything at once: processes killed, inputs damaged, a full disk, an S3 server on a bad day.
 
-    python -m benches.pipeline.storm WORK [--scenes 1000] [--in-bucket 200] [--kills 50]
+    python -m benches.pipeline.storm WORK [-o docs/measured] [--scenes 1000] [--kills 50]
 
 Scenes of two stages of some milliseconds (`storm_stages`), one in twenty damaged, on two worker
 processes. They go into a folder on a disk of its own (tmpfs), and into a bucket of moto's server
@@ -36,8 +36,8 @@ import numpy as np
 import s3fs
 
 from benches.common.bad_weather import BadWeather
-from benches.common.machine import measured
-from benches.pipeline.fault_injection import workers_of
+from benches.common.harness import parser, publish, table
+from benches.common.process_cost import family
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore
 
@@ -111,6 +111,16 @@ def run(root: str, listed: Path, out: Path, workers: int) -> None:
         failures = storm(root, json.loads(listed.read_text()), workers)
     out.write_text(json.dumps(failures))
     raise SystemExit(bool(failures))
+
+
+def workers_of(pid: int) -> list[int]:
+    """Return the processes of the pool that a run has started."""
+    workers = []
+    for child in family(pid)[1:]:
+        with suppress(OSError):
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                workers.append(child)
+    return workers
 
 
 def weathered(
@@ -259,26 +269,18 @@ def in_a_bucket(work: Path, listed: Path, asked: argparse.Namespace, calm: bool)
     return storm
 
 
-HEAD = (
-    "| store | scenes | damaged | alone, s | storm, s | lost, s | workers killed | runs killed "
-    "| runs | scenes left for a later run | files |\n|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|---|"
-)
-
-
-def row(name: str, scenes: int, damaged: int, storm: Storm, calm: Storm) -> str:
-    """A line of the table."""
-    lost = storm.seconds - calm.seconds
-    cells = [
-        name,
-        f"{scenes:,}",
-        str(damaged),
-        f"{calm.seconds:.0f}",
-        f"{storm.seconds:.0f}",
-        f"{lost:+.0f}",
-    ]
-    cells += [str(storm.kills["workers"]), str(storm.kills["runs"]), str(storm.runs)]
-    cells += [str(storm.again), "equal" if not storm.wrong else f"{len(storm.wrong)} differ"]
-    return f"| {' | '.join(cells)} |"
+COLUMNS = {
+    "store": ("store", str),
+    "scenes": ("scenes", ",d"),
+    "damaged": ("damaged", "d"),
+    "alone": ("alone, s", ".0f"),
+    "storm": ("storm, s", ".0f"),
+    "workers": ("workers killed", "d"),
+    "killed": ("runs killed", "d"),
+    "runs": ("runs", "d"),
+    "again": ("scenes left for a later run", "d"),
+    "files": ("files", str),
+}
 
 
 def in_own_namespace(words: list[str]) -> None:
@@ -290,15 +292,19 @@ def in_own_namespace(words: list[str]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("work", type=Path, nargs="?", help="folder for scenes and stores")
-    parser.add_argument("--scenes", type=int, default=1000)
-    parser.add_argument("--in-bucket", type=int, default=200, help="so many of them; each is slow")
-    parser.add_argument("--kills", type=int, default=50, help="of each store")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", choices=("folder", "bucket"))
-    parser.add_argument("--run", nargs=3, metavar=("STORE", "SCENES", "OUT"), help="used by itself")
-    asked = parser.parse_args()
+    arguments = parser(__doc__, "scale.md")
+    arguments.add_argument("work", type=Path, nargs="?", help="folder for scenes and stores")
+    arguments.add_argument("--scenes", type=int, default=1000)
+    arguments.add_argument(
+        "--in-bucket", type=int, default=200, help="so many of them; each is slow"
+    )
+    arguments.add_argument("--kills", type=int, default=50, help="of each store")
+    arguments.add_argument("--seed", type=int, default=0)
+    arguments.add_argument("--only", choices=("folder", "bucket"))
+    arguments.add_argument(
+        "--run", nargs=3, metavar=("STORE", "SCENES", "OUT"), help="used by itself"
+    )
+    asked = arguments.parse_args()
     if asked.run:
         run(asked.run[0], Path(asked.run[1]), Path(asked.run[2]), 2)
     in_own_namespace(sys.argv[1:])
@@ -332,14 +338,24 @@ def main() -> None:
         storm = weather(work, everything, asked, calm=False)
         if weather is in_a_folder:
             storm.wrong += compared(str(work / "disk" / "storm"), asked.wanted)
-        rows.append(row(name, count, len(asked.ailing), storm, calm))
+        rows.append(
+            {
+                "store": name,
+                "scenes": count,
+                "damaged": len(asked.ailing),
+                "alone": calm.seconds,
+                "storm": storm.seconds,
+                "workers": storm.kills["workers"],
+                "killed": storm.kills["runs"],
+                "runs": storm.runs,
+                "again": storm.again,
+                "files": f"{len(storm.wrong)} differ" if storm.wrong else "equal",
+            }
+        )
         wrong += calm.wrong + storm.wrong
         print(rows[-1], flush=True)
-    print(
-        f"\nTwo stages a scene, two processes, the disk full for {FULL:.0f} s; of the bucket "
-        f"{100 * FAILING:.0f} % of the requests fail; {measured()}\n\n{HEAD}"
-    )
-    print("\n".join([*rows, *wrong[:20]]))
+    publish(asked.out, "scale.md", "python -m benches.pipeline.storm WORK", table(rows, COLUMNS))
+    print("\n".join(wrong[:20]))
     sys.exit(bool(wrong))
 
 

@@ -1,6 +1,6 @@
 """What a training set costs: to make, on disk by what it holds, and to read by a DataLoader.
 
-    python -m benches.pipeline.training_set_cost [--rooms 6] [-o FILE]
+    python -m benches.pipeline.training_set_cost [--rooms 6] [-o docs/measured]
 
 Made-up rooms of 12 views become sets that differ in what they store. They share a store, so that
 only what is stored is made anew. Each is read by :class:`slgaussian.datasets.TrainingSet` through a
@@ -9,20 +9,17 @@ only what is stored is made anew. Each is read by :class:`slgaussian.datasets.Tr
 
 from __future__ import annotations
 
-import argparse
-import io
 import json
 import statistics
 import sys
 import tempfile
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
 
-from benches.common.pages import publish
+from benches.common.harness import parser, publish, table
 from benches.common.process_cost import CLI, Cost, costing
 from slgaussian.datasets.training_set import INDEX, TrainingSet
 
@@ -89,72 +86,54 @@ def sizes(folder: Path) -> dict[str, float]:
     return totals
 
 
-def overhead(folder: Path) -> float:
-    """Share of the bytes of a set that is what its arrays say of themselves."""
-    samples, said, whole = TrainingSet(folder), 0, 0
-    for index in range(len(samples)):
-        for name, data in samples.members(index).items():
-            whole += len(data)
-            if name.endswith(".npz"):
-                with zipfile.ZipFile(io.BytesIO(data)) as archive:
-                    own = archive.infolist()
-                    said += sum(i.compress_size for i in own if not i.filename.endswith(".npy"))
-    return said / whole
+COLUMNS = {
+    "kind": ("holds", str),
+    "images": ("images, kB", ",.0f"),
+    "geometry": ("cameras and depth, kB", ",.0f"),
+    "labels": ("labels, kB", ",.0f"),
+    "bank": ("bank, kB", ",.0f"),
+    "gaussians": ("Gaussians, kB", ",.0f"),
+    "sample": ("MB a sample", ".2f"),
+    "scene": ("MB a scene", ".2f"),
+    "spent": ("CPU ms to read a sample", ".1f"),
+    "rate_0": ("samples a second, 0 workers", ",.0f"),
+    "rate_2": ("2 workers", ",.0f"),
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--rooms", type=int, default=6)
-    parser.add_argument("-o", type=Path)
-    given = parser.parse_args()
+    arguments = parser(__doc__, "scale.md")
+    arguments.add_argument("--rooms", type=int, default=6)
+    asked = arguments.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         made(folder / "before", 1, "to compile kernels", ())
-        costs = [made(folder, given.rooms, *kind) for kind in KINDS.items()]
-        again = made(folder, given.rooms, next(iter(KINDS)), ())
+        first, *_ = [made(folder, asked.rooms, *kind) for kind in KINDS.items()]
+        again = made(folder, asked.rooms, next(iter(KINDS)), ())
         rates: dict[tuple[str, int], list[float]] = {}
-        work: dict[str, list[float]] = {}
+        spent: dict[str, list[float]] = {}
         kinds = list(KINDS)
-        for number, workers, rate, spent in read([folder / kind for kind in kinds]):
+        for number, workers, rate, seconds in read([folder / kind for kind in kinds]):
             rates.setdefault((kinds[number], workers), []).append(rate)
             if not workers:
-                work.setdefault(kinds[number], []).append(spent)
+                spent.setdefault(kinds[number], []).append(seconds)
         rows: list[dict[str, Any]] = []
         for kind in KINDS:
-            table = pq.read_table(folder / kind / INDEX)
-            own = sizes(folder / kind)
-            whole = sum(table["bytes"].to_pylist()) / 1e6
-            clips = len(set(table["clip"].to_pylist()))
-            rows.append(
-                {
-                    "kind": kind,
-                    "sample": whole / table.num_rows,
-                    "scene": whole / clips,
-                    **{part: own.get(part, 0.0) for part in ("images", "geometry", "labels")},
-                    "bank": own["bank"],
-                    "gaussians": own.get("gaussians", 0.0),
-                    "spent": statistics.median(work[kind]),
-                    "said": 100 * overhead(folder / kind),
-                    **{f"rate_{w}": statistics.median(rates[kind, w]) for w in WORKERS},
-                    **{
-                        f"spread_{w}": f"{min(rates[kind, w]):.0f} to {max(rates[kind, w]):.0f}"
-                        for w in WORKERS
-                    },
-                }
-            )
-        publish(
-            "pipeline/training_set.md.j2",
-            given.o,
-            rooms=given.rooms,
-            samples=table.num_rows,
-            clips=clips,
-            first=costs[0],
-            minute=60 * table.num_rows / costs[0].cpu,
-            again=again,
-            turns=TURNS,
-            read=SAMPLES,
-            rows=rows,
-        )
+            index = pq.read_table(folder / kind / INDEX)
+            megabytes = sum(index["bytes"].to_pylist()) / 1e6
+            row = {"kind": kind, "sample": megabytes / index.num_rows}
+            row |= {"scene": megabytes / len(set(index["clip"].to_pylist()))}
+            row |= {"spent": statistics.median(spent[kind]), **sizes(folder / kind)}
+            rows.append(row | {f"rate_{w}": statistics.median(rates[kind, w]) for w in WORKERS})
+    publish(
+        asked.out,
+        "scale.md",
+        f"python -m benches.pipeline.training_set_cost --rooms {asked.rooms}",
+        f"The first set took {first.cpu:.0f} CPU s and {first.peak:,.0f} MB of memory, "
+        f"{60 * index.num_rows / first.cpu:.1f} samples a minute of one core; the same again, "
+        f"where nothing is new, {again.cpu:.1f} CPU s.",
+        table(rows, COLUMNS),
+    )
 
 
 if __name__ == "__main__":

@@ -1,44 +1,32 @@
 """What people wait for at the command line, beside an earlier commit, in turn.
 
-    python -m benches.pipeline.waiting DATA EARLIER [-o FILE] [--rounds N] [--only WORDS ...]
+    python -m benches.pipeline.waiting DATA EARLIER [-o docs/measured] [--rounds 7] [--only NAME]
 
 DATA holds photographs with cameras and pairs.json, as the office set does. EARLIER is a folder with
 a checkout of another commit; it runs with the packages that are installed here. Each command runs
 once before it is measured, so that kernels are compiled and files are in memory; then the two
 commits take turns. What is asked in Python is timed within a process, after the first two times.
-``first field`` has an empty folder for kernels each time. With ``--only`` what else was
-measured of the same commit stays.
-
-With ``-o docs/measured/waiting.md`` the rows are also appended to ``waiting.json`` beside it, the
-history that the page shows. A command is called slower where the interval of its ratio to the
-earlier commit lies above that of the last time.
+``first field`` has an empty folder for kernels each time.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
-import shlex
 import subprocess
 import sys
 import tempfile
 import tomllib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from benches.common.pages import publish
+from benches.common.harness import ROOT, parser, publish, table
 from benches.common.photograph_pairs import photographs
 from benches.common.process_cost import Cost, costing
-from slgaussian.io import write_atomic
+from slgaussian.benchmark.statistics import interval, resamplings
 
-HERE = Path(__file__).parents[2]
-DRAWS = 2000
 FIRST = "first field"
 
 ASKED = ("first query, new view", "first query, rendered view", "100 texts")
@@ -75,27 +63,6 @@ print(json.dumps({name: [min(w for w, _ in own[2:]), min(c for _, c in own[2:]),
 """
 
 
-@dataclass(frozen=True)
-class Row:
-    """One command: medians over the rounds of this commit and the earlier one.
-
-    ``low`` and ``high`` are the ends of a 95 % bootstrap interval of ``ratio``, the median over the
-    rounds of this commit's processor seconds over the earlier one's.
-    """
-
-    command: str
-    cpu: float
-    cpu_before: float
-    wall: float
-    wall_before: float
-    peak: float
-    peak_before: float
-    ratio: float
-    low: float
-    high: float
-    rounds: int
-
-
 def program(folder: Path) -> tuple[str, ...]:
     """What starts the command line of a checkout."""
     told = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))
@@ -103,137 +70,113 @@ def program(folder: Path) -> tuple[str, ...]:
     return sys.executable, "-c", f"from {module} import {function}; {function}()"
 
 
-def row_of(command: str, now: Sequence[Cost], before: Sequence[Cost]) -> Row:
-    """The row of costs of two commits, taken in turn."""
+def row_of(command: str, now: Sequence[Cost], before: Sequence[Cost]) -> dict[str, object]:
+    """Return medians of two commits over rounds; of the ratio of seconds an interval too."""
     ratios = np.array([a.cpu / b.cpu for a, b in zip(now, before, strict=True)])
-    drawn = np.random.default_rng(0).integers(0, len(ratios), (DRAWS, len(ratios)))
-    low, high = np.quantile(np.median(ratios[drawn], 1), (0.025, 0.975)).tolist()
-    both = {
+    low, high = interval(np.median(ratios[resamplings(len(ratios))], 1))
+    medians = {
         f"{name}{end}": float(np.median([getattr(cost, name) for cost in costs]))
         for end, costs in (("", now), ("_before", before))
         for name in ("cpu", "wall", "peak")
     }
-    return Row(command, **both, ratio=float(np.median(ratios)), low=low, high=high,
-               rounds=len(ratios))  # fmt: skip
+    ends = {"ratio": float(np.median(ratios)), "low": low, "high": high, "rounds": len(ratios)}
+    return {"command": command, **medians, **ends}
 
 
-def slower(rows: Sequence[Row], last: Sequence[Row]) -> list[str]:
-    """The commands whose ratio to the earlier commit rose beyond noise since the last time."""
-    known = {row.command: row for row in last}
-    return [r.command for r in rows if r.command in known and r.low > known[r.command].high]
+def in_turn(
+    words: Sequence[str], folders: Sequence[Path], rounds: int, first: bool = False
+) -> tuple[list[Cost], list[Cost]]:
+    """Return costs of a command here and there, in turn.
 
-
-def measured(words: Sequence[str], folders: Sequence[Path], rounds: int) -> tuple[list, list]:
-    """Costs of a command here and there, in turn. ``{}`` among the words is 0 here and 1 there."""
+    ``{}`` among the words is 0 here and 1 there. With ``first`` the kernels are compiled into an
+    empty folder each time; otherwise the first round does not count.
+    """
     costs: tuple[list[Cost], list[Cost]] = ([], [])
-    for number in range(rounds + 1):
+    for turn in range(rounds + (not first)):
         for k, folder in enumerate(folders):
-            given = [word.replace("{}", str(k)) for word in words]
-            cost = costing([*program(folder), *given], cwd=folder)
-            if number:
+            with tempfile.TemporaryDirectory() as empty:
+                env = {**os.environ, "NUMBA_CACHE_DIR": empty} if first else None
+                command = [*program(folder), *(word.replace("{}", str(k)) for word in words)]
+                cost = costing(command, cwd=folder, env=env)
+            if turn or first:
                 costs[k].append(cost)
     return costs
 
 
-def first_field(words: Sequence[str], folders: Sequence[Path], rounds: int) -> tuple[list, list]:
-    """Costs of the first command ever: its kernels are compiled into an empty folder."""
-    costs: tuple[list[Cost], list[Cost]] = ([], [])
-    for _ in range(rounds):
-        for k, folder in enumerate(folders):
-            with tempfile.TemporaryDirectory() as empty:
-                given = [word.replace("{}", str(k)) for word in words]
-                own = {**os.environ, "NUMBA_CACHE_DIR": empty}
-                costs[k].append(costing([*program(folder), *given], cwd=folder, env=own))
-    return costs
-
-
-def told(words: Sequence[str], folders: Sequence[Path], rounds: int) -> dict[str, tuple]:
-    """Costs of :data:`ASKED` here and there, in turn: the least of some asked of a field each time.
-
-    ``words`` is the folder of the field, with ``{}`` as in :func:`measured`.
-    """
+def asked_in_turn(field: str, folders: Sequence[Path], rounds: int) -> dict[str, tuple]:
+    """Return costs of :data:`ASKED` here and there, the least of some in each process."""
     costs: dict[str, tuple[list[Cost], list[Cost]]] = {name: ([], []) for name in ASKED}
     for _ in range(rounds):
         for k, folder in enumerate(folders):
-            given = [word.replace("{}", str(k)) for word in words]
-            said = costing([sys.executable, "-c", ASK, *given], cwd=folder).output[-1]
-            for name, (wall, cpu, peak) in json.loads(said).items():
+            words = [sys.executable, "-c", ASK, field.replace("{}", str(k))]
+            answer = costing(words, cwd=folder).output[-1]
+            for name, (wall, cpu, peak) in json.loads(answer).items():
                 costs[name][k].append(Cost(wall=wall, cpu=cpu, peak=peak))
     return costs
 
 
-def commit(folder: Path) -> str:
-    told = subprocess.run(
-        ["git", "rev-parse", "--short=7", "HEAD"], cwd=folder, capture_output=True, text=True
-    )
-    return told.stdout.strip() or "unknown"
+COLUMNS = {
+    "command": ("command", str),
+    "cpu_before": ("CPU before, s", ".3g"),
+    "cpu": ("CPU now, s", ".3g"),
+    "ratio": ("ratio", ".2f"),
+    "low": ("from", ".2f"),
+    "high": ("to", ".2f"),
+    "wall_before": ("wall before, s", ".3g"),
+    "wall": ("wall now, s", ".3g"),
+    "peak_before": ("MB before", ",.0f"),
+    "peak": ("MB now", ",.0f"),
+    "rounds": ("rounds", "d"),
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=photographs)
-    parser.add_argument("earlier", type=Path)
-    parser.add_argument("-o", "--out", type=Path)
-    parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--only", nargs="*", help="commands, by their first word")
-    given = parser.parse_args()
-    folders = (HERE, given.earlier.resolve())
-    pair = next(iter(json.loads((given.data / "pairs.json").read_text()).values()))
-    photos = [str((given.data / name).resolve()) for name in pair["context"]]
+    arguments = parser(__doc__, "waiting.md")
+    arguments.add_argument("data", type=photographs)
+    arguments.add_argument("earlier", type=Path)
+    arguments.add_argument("--rounds", type=int, default=7)
+    arguments.add_argument("--only", nargs="*", help="rows of the table, by their names")
+    asked = arguments.parse_args()
+    folders = (ROOT, asked.earlier.resolve())
+    git = ["git", "-C", str(folders[1]), "rev-parse", "--short=7", "HEAD"]
+    earlier = subprocess.run(git, capture_output=True, text=True).stdout.strip() or "unknown"
+    pair = next(iter(json.loads((asked.data / "pairs.json").read_text()).values()))
+    photos = [str((asked.data / name).resolve()) for name in pair["context"]]
+    cameras = str((asked.data / "transforms.json").resolve())
+
+    def wanted(name: str) -> bool:
+        return not asked.only or name in asked.only
+
     with tempfile.TemporaryDirectory() as place:
-        cameras = str((given.data / "transforms.json").resolve())
         field = ("field", *photos, "--cameras", cameras, "-o", f"{place}/{{}}")
-        for k, folder in enumerate(folders):  # something to ask
-            costing([*program(folder), *[word.replace("{}", str(k)) for word in field]], cwd=folder)
-        asked = ("query", f"{place}/{{}}", "chair")
+        in_turn(field, folders, 0)  # something to ask
+        query = ("query", f"{place}/{{}}", "chair")
         commands = {
             "field, a pair": field,
-            "query": asked,
-            "query --out": (*asked, "-o", f"{place}/{{}}.png"),
+            "field, no cameras": ("field", *photos, "-o", f"{place}/no-cameras-{{}}"),
+            "query": query,
+            "query --out": (*query, "-o", f"{place}/{{}}.png"),
             "help": ("--help",),
             "words": ("words",),
         }
         rows = []
         for name, words in commands.items():
-            if given.only and name not in given.only:
-                continue
-            few = min(3 if words[0] == "field" else given.rounds, given.rounds)
-            rows.append(row_of(name, *measured(words, folders, few)))
-            print(rows[-1], file=sys.stderr)
-        if not given.only or set(ASKED) & set(given.only):
-            costs = told((f"{place}/{{}}",), folders, given.rounds)
+            if wanted(name):
+                few = min(3, asked.rounds) if words[0] == "field" else asked.rounds
+                rows.append(row_of(name, *in_turn(words, folders, few)))
+                print(rows[-1], file=sys.stderr)
+        if any(map(wanted, ASKED)):
+            costs = asked_in_turn(f"{place}/{{}}", folders, asked.rounds)
             rows += [row_of(name, *costs[name]) for name in ASKED]
-        if not given.only or FIRST in given.only:
-            rows.append(row_of(FIRST, *first_field(field, folders, min(3, given.rounds))))
-    history = given.out.with_suffix(".json") if given.out else None
-    runs: list[dict[str, Any]] = []
-    if history is not None and history.exists():
-        runs = json.loads(history.read_text())
-    here, there = map(commit, folders)
-    day = datetime.now(UTC).date().isoformat()
-    if runs and runs[-1]["commit"] == here:
-        again = {row.command for row in rows}
-        kept = [Row(**row) for row in runs.pop()["rows"] if row["command"] not in again]
-        rows = [*kept, *rows]
-    last = [Row(**row) for row in runs[-1]["rows"]] if runs else []
-    runs.append({"commit": here, "day": day, "rows": [asdict(row) for row in rows]})
-    said = slower(rows, last)
+        if wanted(FIRST):
+            rows.append(row_of(FIRST, *in_turn(field, folders, min(3, asked.rounds), first=True)))
     publish(
-        "pipeline/waiting.md.j2", given.out,
-        rows=[asdict(row) for row in rows], earlier=there, slower=said,
-        history=[
-            {"day": run["day"], "commit": run["commit"]}
-            | {row["command"]: row["cpu"] for row in run["rows"]}
-            for run in runs
-        ],
-        columns={"day": ("day", str), "commit": ("commit", str)}
-        | {row.command: (row.command, ".3g") for row in rows},
-        call=shlex.join(["python", "-m", "benches.pipeline.waiting", "DATA", "EARLIER"]),
-    )  # fmt: skip
-    if history is not None:
-        write_atomic(history, (json.dumps(runs, indent=1) + "\n").encode())
-    if said:
-        raise SystemExit(f"slower beyond noise than the last time: {', '.join(said)}")
+        asked.out,
+        "waiting.md",
+        "python -m benches.pipeline.waiting DATA EARLIER",
+        f"Before is commit {earlier}.",
+        table(rows, COLUMNS),
+    )
 
 
 if __name__ == "__main__":

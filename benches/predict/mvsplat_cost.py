@@ -1,11 +1,10 @@
-"""Speed, memory and error of MVSplat's settings: a table, and a page of it.
+"""Speed, memory and error of MVSplat's settings.
 
     python -m benches.predict.mvsplat_cost [CHECKPOINT] [-o docs/measured]
 
-Without CHECKPOINT weights are random; -o also writes mvsplat.md.
+Without CHECKPOINT weights are random.
 """
 
-import argparse
 import json
 import os
 import subprocess
@@ -18,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from benches.common.pages import publish
+from benches.common.harness import error, parser, publish, table
 from benches.common.photograph_pairs import SIZE
 from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian import datasets
@@ -69,7 +68,7 @@ def rows(checkpoint: str, folder: Path) -> list[dict]:
     for _ in range(ROUNDS):
         for setting in product(PRECISIONS, map(str, CANDIDATES)):
             out = folder / f"{'_'.join(setting)}.npz"
-            words = [sys.executable, "-m", __spec__.name, "--one", checkpoint, *setting, str(out)]
+            words = [sys.executable, "-m", __spec__.name, checkpoint, "--one", *setting, str(out)]
             # OpenMP's waiting threads are busy by default, and CPU time would be no work.
             env = os.environ | {"OMP_WAIT_POLICY": "PASSIVE"}
             done = subprocess.run(words, env=env, stdout=subprocess.PIPE, check=True)
@@ -93,36 +92,39 @@ def errors(found: Path, exact: Path) -> dict[str, float]:
     }
 
 
-def main(arguments: list[str]) -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("checkpoint", nargs="?", metavar="CHECKPOINT", help="such as re10k.ckpt")
-    parser.add_argument(
-        "-o", dest="out", type=Path, metavar="FOLDER", help="write mvsplat.md there"
-    )
-    options = parser.parse_args(arguments)
-    weights = f"the weights of {Path(options.checkpoint or '').name}"
+COLUMNS = {
+    "precision": ("precision", str),
+    "candidates": ("candidates", str),
+    "load": ("load, s", ".2f"),
+    "seconds": ("s", ".2f"),
+    "cpu": ("CPU, s", ".2f"),
+    "share": ("of first", ".2f"),
+    "peak": ("peak, MB", ",.0f"),
+    "distance_mean": ("distance: mean", error),
+    "distance_greatest": ("greatest", error),
+    "pixel_mean": ("pixel: mean", error),
+    "pixel_greatest": ("greatest", error),
+}
+
+
+def main() -> None:
+    arguments = parser(__doc__, "mvsplat.md")
+    arguments.add_argument("checkpoint", nargs="?", metavar="CHECKPOINT", help="such as re10k.ckpt")
+    arguments.add_argument("--one", nargs=3, help="used by itself")
+    asked = arguments.parse_args()
+    if asked.one:
+        measure(asked.checkpoint, *asked.one)
+        return
     with tempfile.TemporaryDirectory() as folder:
-        checkpoint = options.checkpoint
+        checkpoint = asked.checkpoint
         if checkpoint is None:
-            weights = (
-                "random weights (`benches/predict/random_mvsplat_weights.py`):\ntimes and memory "
-                "are those of the "
-                "published ones, errors say little of theirs"
-            )
             checkpoint = str(Path(folder) / "recipe.ckpt")
             torch.save(recipe_weights(), checkpoint)
-        measured = rows(checkpoint, Path(folder))
-    words = ["CHECKPOINT"] * (options.checkpoint is not None)
-    command = " ".join(["python -m benches.predict.mvsplat_cost", *words, "-o docs/measured"])
-    file = options.out and options.out / "mvsplat.md"
-    publish("predict/mvsplat.md.j2", file, rows=measured, weights=weights, command=command)
+        found = table(rows(checkpoint, Path(folder)), COLUMNS)
+    command = "python -m benches.predict.mvsplat_cost" + " CHECKPOINT" * bool(asked.checkpoint)
+    publish(asked.out, "mvsplat.md", command, found)
 
 
 if __name__ == "__main__":
     threads.limit()
-    if sys.argv[1:2] == ["--one"]:
-        measure(*sys.argv[2:])
-    else:
-        main(sys.argv[1:])
+    main()

@@ -9,7 +9,6 @@ Gaussians. Rows are kept in FILE as they come, and scenes that it holds are not 
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from benches.common.pages import publish
+from benches.common.harness import Format, parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import SETS, SHEETS, built, over_seeds, read, truth_of
 from flows.config import SceneSettings, Settings
@@ -41,16 +40,6 @@ OTHERS = ("query-2d, depth", "no-bank")
 PROTOCOLS = ("slgaussian", "langsplat", "threshold-free")
 SCORES = {"iou": ("IoU", 3), "hit_mask": ("point", 2), "miou": ("mIoU", 3)}
 STAGES = ("threshold", "language", "masks")
-
-BEFORE: Mapping[str, Mapping[str, float]] = {
-    "office": {"iou": 0.474, "hit_mask": 0.69, "miou": 0.46, "cut": 0.15},
-    "places": {"iou": 0.31, "cut": 0.12},
-    "rooms": {},
-}
-"""Figures of the start of this version's work, as they were written down then."""
-
-DISTANCES = {"cut": ("answer to best threshold", "iou", "threshold_iou")}
-"""What each is called, and the scores that it lies between."""
 
 
 def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
@@ -128,45 +117,37 @@ def reached(own: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]
         seeds = over_seeds(own, name, key)
         means = by_scene(own, key)
         ends = interval_of_mean(np.array(list(means.values())), 0, [places[s] for s in means])
-        line = {
-            "set": name,
-            "score": title,
-            "mean": f"{np.mean(seeds):.{digits}f}",
-            "deviation": f"{np.std(seeds, ddof=1):.{digits + 1}f}",
-            "ends": f"{ends[0]:.{digits}f}–{ends[1]:.{digits}f}",
-        }
-        if key in BEFORE[name]:
-            line["before"] = f"{BEFORE[name][key]:.{digits}f}".rstrip("0")
-        lines.append(line)
+        lines.append(
+            {
+                "set": name,
+                "score": title,
+                "mean": f"{np.mean(seeds):.{digits}f}",
+                "deviation": f"{np.std(seeds, ddof=1):.{digits + 1}f}",
+                "ends": f"{ends[0]:.{digits}f}–{ends[1]:.{digits}f}",
+            }
+        )
     return lines
 
 
 def compared(rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
-    """Us against the others on a set: a row a method and score that it has."""
+    """Our gains over the others on a set, paired by scene: a row a method."""
     own = {method: [r for r in rows if r["method"] == method] for method in (OURS, CUT, *OTHERS)}
     places = {row["scene"]: row["place"] for row in own[OURS]}
     lines = []
     for method in (*OTHERS, CUT):
-        for key, (title, digits) in SCORES.items():
+        line = {"set": name, "method": method}
+        for key, (_, digits) in SCORES.items():
             ours, theirs = by_scene(own[OURS], key), by_scene(own[method], key)
-            if not theirs:
-                continue
-            gain = compare(
-                [ours[scene] for scene in theirs],
-                list(theirs.values()),
-                groups=[places[scene] for scene in theirs],
-            )
-            lines.append(
-                {
-                    "set": name,
-                    "method": method,
-                    "score": title,
-                    "theirs": f"{np.mean(list(theirs.values())):.{digits}f}",
-                    "gain": f"{gain.difference:+.{digits}f}",
-                    "ends": (gain.low, gain.high),
-                    "beyond": "*" if gain.low > 0 or gain.high < 0 else "",
-                }
-            )
+            if theirs:
+                gain = compare(
+                    [ours[scene] for scene in theirs],
+                    list(theirs.values()),
+                    groups=[places[scene] for scene in theirs],
+                )
+                star = " *" if gain.low > 0 or gain.high < 0 else ""
+                ends = f"({gain.low:+.{digits}f} to {gain.high:+.{digits}f})"
+                line[key] = f"{gain.difference:+.{digits}f} {ends}{star}"
+        lines.append(line)
     return lines
 
 
@@ -193,64 +174,56 @@ def sum_of_queries(rows: Sequence[Mapping[str, Any]]) -> int:
 def staged(own: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
     """Means over the queries of a set of what truth makes of each stage."""
     weights = [row["queries"] for row in own]
-    keys = ("iou", *(f"{stage}_iou" for stage in STAGES), "best_iou")
+    keys = ("iou", *(f"{stage}_iou" for stage in STAGES))
     line: dict[str, Any] = {"set": name, "queries": sum_of_queries(own)}
-    line |= {key: float(np.average([row[key] for row in own], weights=weights)) for key in keys}
-    for distance, (_, low, high) in DISTANCES.items():
-        line[distance] = line[high] - line[low]
-        if distance in BEFORE[name]:
-            line[f"{distance}_before"] = BEFORE[name][distance]
-    return line
+    return line | {key: float(np.average([r[key] for r in own], weights=weights)) for key in keys}
 
 
-def results(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[str, Any]:
-    """What the template of the page is given."""
-    found: dict[str, list] = {"reached": [], "compared": [], "stages": []}
-    for name in names:
-        here = [row for row in rows if row["set"] == name]
-        own = [row for row in here if row["method"] == OURS]
-        found["reached"] += reached(own, name)
-        found["compared"] += compared(here, name)
-        found["stages"].append(staged(own, name))
-    halved = [
-        f"{line['set']}, {title}"
-        for line in found["stages"]
-        for distance, (title, *_) in DISTANCES.items()
-        if line[distance] <= line.get(f"{distance}_before", 0) / 2
-    ]
-    return {
-        **found,
-        "seeds": SEEDS,
-        "halved": halved,
-        "better": [called(line) for line in found["compared"] if line["ends"][0] > 0],
-        "worse": [called(line) for line in found["compared"] if line["ends"][1] < 0],
-        "places": placed([row for row in rows if row["set"] == "places"]),
-        "sets": [SETS[name] for name in names],
-    }
-
-
-def called(line: Mapping[str, Any]) -> str:
-    return f"{line['score']}, {line['set']}, against {line['method']} ({line['gain']})"
+REACHED = {
+    "set": ("set", str),
+    "score": ("score", str),
+    "mean": ("mean", str),
+    "deviation": ("deviation over seeds", str),
+    "ends": ("interval over places", str),
+}
+PLACED: dict[str, tuple[str, Format]] = {"place": ("place", str), "queries": ("queries", "d")}
+PLACED |= {f"{OURS} {key}": (title, f".{digits}f") for key, (title, digits) in SCORES.items()}
+for _method in (*OTHERS, CUT):
+    PLACED[f"{_method} iou"] = (f"{_method}: IoU", ".3f")
+    PLACED[f"{_method} hit_mask"] = ("point", ".2f")
+GAINS = {"set": ("set", str), "method": ("gain over", str)}
+GAINS |= {key: (title, str) for key, (title, _) in SCORES.items()}
+STAGED: dict[str, tuple[str, Format]] = {"set": ("set", str), "queries": ("queries", "d")}
+STAGED |= {
+    "iou": ("as it is", ".3f"),
+    "threshold_iou": ("best threshold", ".3f"),
+    "language_iou": ("whole things", ".3f"),
+    "masks_iou": ("true masks", ".3f"),
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "data", type=data_folder(*SHEETS), help="folder that holds office and places, both labelled"
-    )
-    parser.add_argument("-o", "--out", type=Path, help="folder for the page answers.md")
-    parser.add_argument("--rows", type=Path, default=Path("answers.jsonl"), help="kept rows")
-    parser.add_argument("--only", nargs="+", choices=SHOWN, default=SHOWN, help="some sets")
-    given = parser.parse_args()
+    arguments = parser(__doc__, "answers.md")
+    arguments.add_argument("data", type=data_folder(*SHEETS), help="office and places, labelled")
+    arguments.add_argument("--rows", type=Path, default=Path("answers.jsonl"), help="kept rows")
+    arguments.add_argument("--only", nargs="+", choices=SHOWN, default=SHOWN, help="some sets")
+    asked = arguments.parse_args()
     threads.limit(1)
     try:
-        rows = measure(given.data, given.only, given.rows)
+        rows = measure(asked.data, asked.only, asked.rows)
     except InputError as error:
-        parser.error(str(error))
-    file = given.out and given.out / "answers.md"
-    publish("scores/answers.md.j2", file, **results(rows, given.only))
+        arguments.error(str(error))
+    sets = {name: [row for row in rows if row["set"] == name] for name in asked.only}
+    ours = {name: [r for r in some if r["method"] == OURS] for name, some in sets.items()}
+    publish(
+        asked.out,
+        "answers.md",
+        "python -m benches.scores.answer_scores DATA",
+        table([line for name in sets for line in reached(ours[name], name)], REACHED),
+        table(placed(sets.get("places", [])), PLACED),
+        table([line for name, some in sets.items() for line in compared(some, name)], GAINS),
+        table([staged(own, name) for name, own in ours.items()], STAGED),
+    )
 
 
 if __name__ == "__main__":

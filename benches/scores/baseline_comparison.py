@@ -1,21 +1,19 @@
-"""What every method of the table answers, and what it costs, as a page:
+"""What every method of the benchmark answers, and what it costs.
 
-python -m benches.scores.baseline_comparison OUT DATA [-o docs/measured] [--only METHOD ...]
+    python -m benches.scores.baseline_comparison OUT DATA [-o docs/measured] [--only METHOD ...]
 
 OUT is what a benchmark with ``--against`` left: scores and times are its own. DATA holds
 ``office``; memory is measured on its first pair, in a process of its own for each method. Needs
 Linux, which says how much memory a process held at most.
 """
 
-import argparse
-import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from benches.common.pages import publish
+from benches.common.harness import Format, parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import read_truth
@@ -53,14 +51,14 @@ def answers_of(out: Path) -> dict[str, dict]:
 def seconds_of(out: Path) -> dict[str, dict]:
     """The seconds of each method, medians over all scenes."""
     rows = pq.read_table(out / "times.parquet").to_pylist()
-    found = {}
-    for cost in costs_of({**row, "dataset": ""} for row in rows):
-        prepare, first, further = (
-            value or 0.0 for value in (cost.prepare, cost.view_query, cost.further_query)
-        )
-        known = {"prepare": prepare, "first_query": first, "further_query": further}
-        found[cost.method] = known | {"ten": prepare + first + 9 * further}
-    return found
+    return {
+        cost.method: {
+            "prepare": cost.prepare or 0.0,
+            "first_query": cost.view_query or 0.0,
+            "further_query": cost.further_query or 0.0,
+        }
+        for cost in costs_of({**row, "dataset": ""} for row in rows)
+    }
 
 
 def memory_of(name: str, data: Path) -> float:
@@ -100,34 +98,38 @@ def run_alone(name: str, data: Path) -> None:
     print((held("VmHWM") - before) / 2**20)
 
 
+COLUMNS: dict[str, tuple[str, Format]] = {"method": ("method", str)}
+for _set, _title in SETS.items():
+    COLUMNS[f"{_set}_iou"] = (f"{_title}: IoU", ".3f")
+    COLUMNS[f"{_set}_ends"] = ("interval", str)
+    COLUMNS[f"{_set}_hit_mask"] = ("point", ".2f")
+    COLUMNS[f"{_set}_miou"] = ("mIoU", ".3f")
+COLUMNS |= {
+    "prepare": ("prepare, s", ".3f"),
+    "first_query": ("first query, s", ".3f"),
+    "further_query": ("further, s", ".4f"),
+    "memory": ("memory, MB", ".0f"),
+}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("run", type=Path, help="what the benchmark left")
-    parser.add_argument("data", type=data_folder("office/pairs.json"))
-    parser.add_argument("-o", "--out", type=Path)
-    parser.add_argument("--only", nargs="*", metavar="METHOD")
-    parser.add_argument("--alone", help=argparse.SUPPRESS)
-    given = parser.parse_args()
+    arguments = parser(__doc__, "answers.md")
+    arguments.add_argument("run", type=Path, help="what the benchmark left")
+    arguments.add_argument("data", type=data_folder("office/pairs.json"))
+    arguments.add_argument("--only", nargs="*", metavar="METHOD")
+    arguments.add_argument("--alone", help="used by itself")
+    asked = arguments.parse_args()
     threads.limit(1)
-    if given.alone:
-        run_alone(given.alone, given.data)
+    if asked.alone:
+        run_alone(asked.alone, asked.data)
         return
-    answers, costs = answers_of(given.run), seconds_of(given.run)
-    rows = []
-    for name in given.only or answers:
-        memory = {"memory": memory_of(name, given.data)}
-        rows.append({"method": name} | answers[name] | costs[name] | memory)
-    manifest = json.loads((given.run / "manifest.json").read_text())
-    sets = [of["dataset"] for of in manifest["data"].values()]
-    publish(
-        "scores/methods.md.j2",
-        given.out and given.out / "methods.md",
-        rows=rows,
-        costs=costs,
-        settings=manifest["settings"],
-        office=sets.count("office"),
-        rooms=sets.count("procedural"),
-    )
+    answers, costs = answers_of(asked.run), seconds_of(asked.run)
+    rows = [
+        {"method": name, **answers[name], **costs[name], "memory": memory_of(name, asked.data)}
+        for name in asked.only or answers
+    ]
+    command = "python -m benches.scores.baseline_comparison OUT DATA"
+    publish(asked.out, "answers.md", command, table(rows, COLUMNS))
 
 
 if __name__ == "__main__":

@@ -3,16 +3,14 @@
     python -m benches.scores.seed_spread DATA [-o docs/measured] [--rows FILE]
 
 DATA holds ``office`` and ``places``. Every set of scenes is done with several seeds, as
-``slgaussian benchmark --set seed=K`` does it. The page says the mean over scenes, and of that the
-mean, deviation and extremes over seeds, and what comes out where BLAS uses the kernels of other
-processors. Rows are kept in FILE as they come, and what it holds is not done again.
+``slgaussian benchmark --set seed=K`` does it. The table has the mean over scenes, and of that the
+mean, deviation and extremes over seeds. Rows are kept in FILE as they come, and what it holds is
+not done again.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
@@ -21,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from benches.common.pages import publish
+from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import SETS, SHEETS, built, over_seeds, read, truth_of
 from flows.config import SceneSettings, Settings
@@ -31,10 +29,6 @@ from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
 from slgaussian.benchmark.reports.scenes import METRICS
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
-
-WIDE = "avx512f" in Path("/proc/cpuinfo").read_text()
-KERNELS = ("Haswell", *(["SkylakeX"] if WIDE else []), "Zen")
-"""Processors whose kernels OpenBLAS is told to use, by OPENBLAS_CORETYPE."""
 
 SHOWN = ("iou", "hit_mask", "miou", "psnr", "ssim", "abs_rel", "bad2")
 
@@ -64,7 +58,6 @@ def score(inputs: Inputs, scene: SceneSettings, truth: Truth) -> dict[str, float
 def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[dict[str, Any]]:
     """A row a set, scene and seed, of those named."""
     rows = [json.loads(line) for line in file.read_text().splitlines()] if file.is_file() else []
-    rows = [row for row in rows if row["set"] != "kernels"]
     there = {(row["set"], row["scene"], row["seed"]) for row in rows}
     with (
         ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
@@ -88,41 +81,21 @@ def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[
     return rows
 
 
-def measure_kernels(data: Path, file: Path) -> list[dict[str, Any]]:
-    """A row a kernel and pair, with seed 0. BLAS reads its environment once: a process a kernel."""
-    rows = [json.loads(line) for line in file.read_text().splitlines()] if file.is_file() else []
-    rows = [row for row in rows if row["set"] == "kernels"]
-    there = {(row["kernel"], row["scene"]) for row in rows}
-    for kernel in KERNELS:
-        os.environ["OPENBLAS_CORETYPE"] = kernel
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            for scene in SETS["office"].scenes(data):
-                if (kernel, scene.name) in there:
-                    continue
-                (metrics,) = pool.submit(scored, scene, [0]).result()
-                row = {"set": "kernels", "kernel": kernel, "scene": scene.name, **metrics}
-                rows.append(row)
-                with file.open("a") as out:
-                    out.write(json.dumps(row) + "\n")
-                print(kernel, scene.name, metrics.get("iou"), flush=True)
-    del os.environ["OPENBLAS_CORETYPE"]
-    return rows
+COLUMNS = {
+    "set": ("scenes", str),
+    "chosen": ("constants chosen on it", str),
+    "metric": ("metric", str),
+    "seeds": ("seeds", "d"),
+    "mean": ("mean", str),
+    "deviation": ("deviation", str),
+    "least": ("least", str),
+    "most": ("most", str),
+}
 
 
-def by_kernel(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The means of each kernel, and by how much they differ at most."""
-    metrics = [metric for metric in METRICS if metric.key in SHOWN and metric.key in rows[0]]
-    means = {
-        kernel: [np.mean([row[m.key] for row in rows if row["kernel"] == kernel]) for m in metrics]
-        for kernel in KERNELS
-    }
-    spread = np.ptp(list(means.values()), 0).tolist()
-    return {"metrics": metrics, "means": means, "spread": spread}
-
-
-def results(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[str, Any]:
-    """What the template of the page is given."""
-    shown = []
+def summary(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[dict[str, Any]]:
+    """A row a set and metric: the mean over scenes, and its spread over seeds."""
+    lines = []
     for name in names:
         for metric in METRICS:
             values = over_seeds(rows, name, metric.key)
@@ -130,39 +103,34 @@ def results(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> dict[str
                 continue
             digits = metric.digits + 1 if metric.key != "bad2" else 4
             numbers = (np.mean(values), np.std(values, ddof=1), min(values), max(values))
-            shown.append(
+            lines.append(
                 {
-                    "set": SETS[name],
-                    "metric": metric,
+                    "set": SETS[name].title,
+                    "chosen": "yes" if SETS[name].chosen else "no",
+                    "metric": metric.title,
                     "seeds": len(values),
-                    "numbers": [f"{value:.{digits}f}" for value in numbers],
+                    **{
+                        key: f"{value:.{digits}f}"
+                        for key, value in zip(list(COLUMNS)[4:], numbers, strict=True)
+                    },
                 }
             )
-    metrics = [metric for metric in METRICS if metric.key in SHOWN]
-    return {"rows": shown, "sets": [SETS[name] for name in names], "metrics": metrics}
+    return lines
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "data", type=data_folder(*SHEETS), help="folder that holds office and places, both labelled"
-    )
-    parser.add_argument("-o", "--out", type=Path, help="folder for the page seeds.md")
-    parser.add_argument("--rows", type=Path, default=Path("seeds.jsonl"), help="kept rows")
-    parser.add_argument("--only", nargs="+", choices=SETS, default=list(SETS), help="some sets")
-    parser.add_argument("--workers", type=int, default=threads.cores())
-    given = parser.parse_args()
+    arguments = parser(__doc__, "results.md")
+    arguments.add_argument("data", type=data_folder(*SHEETS), help="office and places, labelled")
+    arguments.add_argument("--rows", type=Path, default=Path("seeds.jsonl"), help="kept rows")
+    arguments.add_argument("--only", nargs="+", choices=SETS, default=list(SETS), help="some sets")
+    arguments.add_argument("--workers", type=int, default=threads.cores())
+    asked = arguments.parse_args()
     try:
-        rows = measure(given.data, given.only, given.rows, given.workers)
-        kernels = by_kernel(measure_kernels(given.data, given.rows))
+        rows = measure(asked.data, asked.only, asked.rows, asked.workers)
     except InputError as error:
-        parser.error(str(error))
-    names = [name for name in given.only if over_seeds(rows, name, "psnr")]
-    file = given.out and given.out / "seeds.md"
-    only = "" if given.only == list(SETS) else f" --only {' '.join(given.only)}"
-    publish("scores/seeds.md.j2", file, only=only, kernels=kernels, **results(rows, names))
+        arguments.error(str(error))
+    command = f"python -m benches.scores.seed_spread DATA --only {' '.join(asked.only)}"
+    publish(asked.out, "results.md", command, table(summary(rows, asked.only), COLUMNS))
 
 
 if __name__ == "__main__":

@@ -2,11 +2,10 @@
 
     python -m benches.viewer.page_cost WALK [-o docs/measured]
 
-WALK is a nerfstudio folder with frames of a walk in order, such as office_walk. -o writes page.md.
-Chromium draws with software. Run it on a machine that does nothing else.
+WALK is a nerfstudio folder with frames of a walk in order, such as office_walk. Chromium draws with
+software. Run it on a machine that does nothing else.
 """
 
-import argparse
 import os
 import statistics
 import subprocess
@@ -15,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benches.common.pages import publish
+from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian import datasets
 from slgaussian.build import build_field
@@ -119,12 +118,30 @@ def _asked(tab: Tab) -> float:
     return tab.evaluate("asked")
 
 
+COLUMNS = {
+    "name": ("scene", str),
+    "gaussians": ("Gaussians", ",d"),
+    "megabytes": ("MB of the file", ".1f"),
+    "made": ("seconds to write", ".1f"),
+    "unpacked": ("unpacked, s", ".2f"),
+    "shown": ("first picture, s", ".2f"),
+    "frame": ("frame, s", ".2f"),
+    "sort": ("sort, ms", ".0f"),
+    "light": ("light, s", ".2f"),
+    "address": ("address, s", ".2f"),
+    "served": ("first picture, served, s", ".2f"),
+    "served_light": ("light, served, s", ".2f"),
+    "memory": ("memory, MiB", ",.0f"),
+    "heap": ("heap, MiB", ",.0f"),
+    "load": ("load", ".1f"),
+}
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("data", type=data_folder("transforms.json"))
-    parser.add_argument("-o", "--out", type=Path)
-    given = parser.parse_args()
-    scene = datasets.load("nerfstudio", given.data)
+    arguments = parser(__doc__, "exports.md")
+    arguments.add_argument("data", type=data_folder("transforms.json"))
+    asked = arguments.parse_args()
+    scene = datasets.load("nerfstudio", asked.data)
     names = sorted(scene.cameras)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -132,8 +149,9 @@ def main() -> None:
             sample = scene.sample(names[: 2 * views : 2], [], "auto")
             rows.append(measured(name, build_field(sample, Method(keep=keep)), Path(folder)))
             print(rows[-1], flush=True)
-    file = None if given.out is None else given.out / "page.md"
-    publish("viewer/page.md.j2", file, rows=rows, frames=FRAMES, window=WINDOW)
+    command = "python -m benches.viewer.page_cost WALK"
+    renderer = f'The renderer calls itself "{rows[0]["renderer"]}".'
+    publish(asked.out, "exports.md", command, renderer, table(rows, COLUMNS))
 
 
 if __name__ == "__main__":

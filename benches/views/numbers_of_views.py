@@ -1,151 +1,204 @@
-"""The page about numbers of context views, with its chart:
+"""What 3 to 8 context views are worth over 2, at the same held-out targets.
 
-    python -m benches.views.numbers_of_views DATA [-o docs/measured] [--rows FILE]
+    python -m benches.views.numbers_of_views DATA [-o docs/measured] [--every 10] [--rooms 20]
 
-DATA holds ``office``, ``office_walk``, ``fern`` and ``places``. Rows are kept in FILE as they come,
-and what it holds is not done again: for new code take a new FILE.
+DATA holds ``office_walk``, ``fern`` and ``places``.
+
+- walk: every second frame of a window is a context view, and the target is the frame between the
+  first two, whatever the number of views: further ones lead away from it.
+- fern: three photographs, a quarter, half and three quarters along its widest direction. Context
+  views are spread evenly over the others, without the two at either end of that direction.
+- places: those that have more than three photographs, from the pairs of ``pairs.json`` on, by the
+  rule of ``slgaussian/datasets/context_views.py``, as many as there are.
+- rooms: made-up ones with exact depth, on an arc 1.6 m long, 3.3 m from the middle; three targets
+  in gaps that all numbers leave.
 """
 
 from __future__ import annotations
 
-import argparse
-import io
-import json
-from collections.abc import Callable, Iterable, Iterator
-from functools import partial
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
-import matplotlib
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+import numpy as np
 
-from benches.common.chart_style import BLUE, FAINT, GREEN, INK, ORANGE, STYLE
-from benches.common.pages import publish
+from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
-from benches.views import built_fields, labelled_targets, outward, spread
-from benches.views.built_fields import Row
-from slgaussian.io import write_atomic
+from slgaussian import datasets
+from slgaussian.benchmark.index import read_index
+from slgaussian.benchmark.metrics import depth_errors, psnr, ssim
+from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
+from slgaussian.datasets.context_views import context_of
+from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import threads
+from slgaussian.predict.planesweep import PlaneSweep
+from slgaussian.rasterize import rasterize
+from slgaussian.scene import Sample, Scene
+from slgaussian.semantic.decode import VISIBLE
 
-LOOKS = {
-    "walk": (ORANGE, "s"),
-    "fern": (BLUE, "o"),
-    "places": ("#CC79A7", "v"),
-    "rooms": (GREEN, "D"),
+Row = dict[str, Any]
+
+NUMBERS = (2, 3, 4, 6, 8)
+OF_WALK = (2, 3, 4, 6)
+
+ARC = 210
+"""Steps of the arc of a room: 1, 2, 3, 5 and 7 divide them, so 2, 3, 4, 6 and 8 views are even."""
+TARGETS = (51, 112, 159)
+"""Steps that are at least 7 from the context views of each of these numbers."""
+BASELINE, SIZE = 1.6, {"height": 208, "width": 288}
+
+
+def rows_of(
+    scene: Scene, contexts: Mapping[int, Sequence[str]], targets: Sequence[str], name: str
+) -> Iterator[Row]:
+    """Yield a row for each number of context views, all at the same targets."""
+    scene = replace(scene, read=cache(scene.read))
+    for number, context in contexts.items():
+        row: Row = {"of": name, "views": number}
+        try:
+            yield row | figures(scene.sample(context, targets, "auto"))
+        except SLGaussianError as error:
+            yield row | {"refused": str(error)}
+
+
+def figures(sample: Sample) -> Row:
+    """Predict Gaussians; return what they are worth at the targets, and what they cost."""
+    give_back()
+    forget_peak()
+    start = time.process_time()
+    gaussians = PlaneSweep()(sample)
+    seconds, memory = time.process_time() - start, held("VmHWM") / 2**20
+    cost = {"gaussians": len(gaussians), "seconds": seconds, "memory": memory}
+    return at_targets(sample, gaussians) | cost
+
+
+def at_targets(sample: Sample, gaussians: Gaussians) -> Row:
+    """PSNR, SSIM and, where it is known, depth error, means over the targets."""
+    scores: dict[str, list[float]] = {}
+    for target in sample.targets:
+        render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
+        drawn = np.rint(render.values.numpy().clip(0, 1) * 255).astype(np.uint8)
+        scores.setdefault("psnr", []).append(psnr(drawn, target.image))
+        scores.setdefault("ssim", []).append(ssim(drawn, target.image))
+        if target.depth is not None and (target.depth > 0).any():
+            seen = render.alpha.numpy() >= VISIBLE
+            depth = np.where(seen, render.median.numpy(), 0)
+            scores.setdefault("depth", []).append(depth_errors(depth, target.depth)["abs_rel"])
+    return {name: float(np.mean(values)) for name, values in scores.items()}
+
+
+def walk(folder: Path, every: int) -> Iterator[Row]:
+    """Yield the rows of all windows of a walk."""
+    scene = datasets.load("nerfstudio", folder)
+    frames, length = sorted(scene.cameras), 2 * max(OF_WALK) - 1
+    for start in range(0, len(frames) - length + 1, every):
+        names = frames[start : start + length]
+        contexts = {number: names[: 2 * number - 1 : 2] for number in OF_WALK}
+        yield from rows_of(scene, contexts, names[1:2], f"frame {start}")
+
+
+def fern(folder: Path) -> Iterator[Row]:
+    """Yield the rows of a forward-facing capture."""
+    scene = datasets.load("llff", folder)
+    centers = np.array([camera.center for camera in scene.cameras.values()])
+    offsets = centers - centers.mean(0)
+    along = np.argsort(offsets @ np.linalg.svd(offsets)[2][0])
+    names = [list(scene.cameras)[i] for i in along]
+    targets = [names[len(names) * k // 4] for k in (1, 2, 3)]
+    rest = [name for name in names[2:-2] if name not in targets]
+    yield from rows_of(scene, {n: evenly(rest, n) for n in NUMBERS}, targets, folder.name)
+
+
+def place(folder: Path) -> Iterator[Row]:
+    """Yield the rows of each pair of a place, with as many views as it has photographs for."""
+    scene = datasets.load("nerfstudio", folder)
+    for pair in read_index(folder / "pairs.json").pairs:
+        contexts = {}
+        for number in NUMBERS:
+            try:
+                contexts[number] = context_of(scene, pair.context, pair.targets, number)
+            except InputError:  # too few photographs
+                break
+        if len(contexts) > 1:
+            yield from rows_of(scene, contexts, pair.targets, pair.scene)
+
+
+def room(seed: int) -> Iterator[Row]:
+    """Yield the rows of a made-up room."""
+    scene = datasets.load("procedural", seed, views=ARC + 1, baseline=BASELINE, **SIZE)
+    names = list(scene.cameras)
+    contexts = {number: evenly(names, number) for number in NUMBERS}
+    yield from rows_of(scene, contexts, [names[k] for k in TARGETS], f"room {seed}")
+
+
+def evenly(names: Sequence[str], count: int) -> list[str]:
+    return [names[round(i * (len(names) - 1) / (count - 1))] for i in range(count)]
+
+
+def summary(rows: Sequence[Row]) -> list[Row]:
+    """A row a number: means over the scenes that it and two views can do, and gains in pairs."""
+    two = {row["of"]: row for row in rows if row["views"] == 2 and "refused" not in row}
+    lines = []
+    for number in NUMBERS:
+        asked = [row for row in rows if row["views"] == number and row["of"] in two]
+        done = [row for row in asked if "refused" not in row]
+        if not done:
+            continue
+        line: Row = {"views": number, "scenes": len(done), "refused": len(asked) - len(done)}
+        for name in ("psnr", "ssim", "depth", "gaussians", "seconds", "memory"):
+            values = [row[name] for row in done if name in row]
+            if values:
+                line[name] = float(np.mean(values))
+        if number > 2:
+            gains = np.array([row["psnr"] - two[row["of"]]["psnr"] for row in done])
+            line |= {"gain": gains.mean(), "worst": gains.min()}
+            line |= {"spread": gains.std(ddof=1)} if len(done) > 1 else {}
+        lines.append(line)
+    return lines
+
+
+COLUMNS = {
+    "views": ("views", "d"),
+    "scenes": ("scenes", "d"),
+    "psnr": ("PSNR", ".2f"),
+    "gain": ("over two", "+.2f"),
+    "spread": ("spread", ".2f"),
+    "worst": ("worst", "+.2f"),
+    "ssim": ("SSIM", ".3f"),
+    "depth": ("depth error", ".3f"),
+    "gaussians": ("Gaussians", ",.0f"),
+    "seconds": ("CPU, s", ".1f"),
+    "memory": ("peak, MB", ",.0f"),
+    "refused": ("refused", "d"),
 }
-"""Colour and marker of what a line of the chart is of."""
-
-NUMBERS = {"walk": outward.NUMBERS, **dict.fromkeys(("fern", "places", "rooms"), spread.NUMBERS)}
-
-Job = Callable[[], Iterable[Row]]
-
-
-def jobs(data: Path, every: int, rooms: int) -> Iterator[tuple[str, str, Job]]:
-    """What is measured: of which part of the page, of what, and how."""
-    walk, numbers = data / "office_walk", outward.NUMBERS
-    for start in outward.windows(walk, numbers, every):
-        yield "walk", str(start), partial(outward.window, walk, numbers, start)
-    yield "fern", "", partial(spread.fern, data / "fern", spread.NUMBERS)
-    more = spread.places(data / "places")
-    for name in more:
-        yield "places", name, partial(spread.place, data / "places" / name, spread.NUMBERS)
-    yield "labels", "office", partial(labelled_targets.office, data, labelled_targets.NUMBERS)
-    for name in more:
-        folder = data / "places" / name
-        yield "labels", name, partial(labelled_targets.place, folder, labelled_targets.NUMBERS)
-    for seed in range(rooms):
-        yield "rooms", str(seed), partial(spread.room, seed, spread.NUMBERS)
-
-
-def measured(todo: Iterable[tuple[str, str, Job]], file: Path | None) -> dict[str, list[Row]]:
-    """The rows of each part, those of ``file`` without work."""
-    known: dict[tuple[str, str], list[Row]] = {}
-    if file is not None and file.exists():
-        for line in file.read_text().splitlines():
-            part, of, rows = json.loads(line)
-            known[part, of] = rows
-    found: dict[str, list[Row]] = {}
-    for part, of, job in todo:
-        if (part, of) not in known:
-            known[part, of] = list(job())
-            print(f"{part} {of}: {len(known[part, of])} rows", flush=True)
-            if file is not None:
-                with file.open("a") as lines:
-                    lines.write(json.dumps([part, of, known[part, of]]) + "\n")
-        found.setdefault(part, []).extend(known[part, of])
-    return found
-
-
-def chart(parts: dict[str, list[Row]]) -> bytes:
-    """SVG: gain over two views, depth error, Gaussians and seconds over the number of views."""
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(11, 3.2), layout="constrained")
-        gain, depth, grown, seconds = figure.subplots(1, 4)
-        for part, (color, marker) in LOOKS.items():
-            lines = built_fields.summary(parts[part], NUMBERS[part])
-            look = {"color": color, "marker": marker, "lw": 1.6, "ms": 5}
-            _draw(gain, lines, lambda line: line.get("gain", 0.0), look | {"label": part})
-            _draw(depth, [line for line in lines if "depth" in line], lambda o: o["depth"], look)
-            _draw(grown, lines, lambda line: line["grown"], look)
-            _draw(seconds, lines, lambda line: line["seconds"], look)
-        gain.axhline(0, color=INK, lw=0.8)
-        gain.set(title="PSNR over two views, dB")
-        depth.set(title="Depth error at the targets", ylim=(0, None))
-        grown.set(title="Gaussians, times", ylim=(0, None))
-        seconds.set(title="CPU seconds", ylim=(0, None))
-        figure.legend(
-            *gain.get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False
-        )
-        out = io.BytesIO()
-        figure.savefig(out, format="svg", metadata={"Date": None})
-    return out.getvalue()
-
-
-def _draw(axes: Axes, lines: list[Row], of: Callable[[Row], float], look: dict) -> None:
-    axes.grid(color=FAINT)
-    axes.set(xlabel="context views", xticks=sorted({n for own in NUMBERS.values() for n in own}))
-    axes.plot([line["views"] for line in lines], [of(line) for line in lines], **look)
-
-
-def command(every: int, rooms: int) -> str:
-    """What makes the page again."""
-    words = ["python -m benches.views.numbers_of_views DATA -o docs/measured"]
-    words += [f"--every {every}"] if every != outward.EVERY else []
-    words += [f"--rooms {rooms}"] if rooms != spread.ROOMS else []
-    return " ".join(words)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "data", type=data_folder("office", "office_walk", "fern/poses_bounds.npy", "places")
-    )
-    parser.add_argument("-o", "--out", type=Path)
-    parser.add_argument("--rows", type=Path)
-    parser.add_argument("--every", type=int, default=outward.EVERY)
-    parser.add_argument("--rooms", type=int, default=spread.ROOMS)
-    given = parser.parse_args()
+    arguments = parser(__doc__, "views.md")
+    arguments.add_argument("data", type=data_folder("office_walk", "fern", "places"))
+    arguments.add_argument("--every", type=int, default=10, help="frames between two windows")
+    arguments.add_argument("--rooms", type=int, default=20)
+    asked = arguments.parse_args()
     threads.limit()
-    built_fields.warm_up()
-    parts = measured(jobs(given.data, given.every, given.rooms), given.rows)
-    tables = {
-        part: built_fields.summary_table(parts[part], numbers) for part, numbers in NUMBERS.items()
+    figures(datasets.load("procedural", **SIZE).sample(["view_00", "view_03"], ["view_01"]))
+    folders = sorted((asked.data / "places").glob("*/pairs.json"))
+    sets = {
+        "walk": walk(asked.data / "office_walk", asked.every),
+        "fern": fern(asked.data / "fern"),
+        "places": (row for file in folders for row in place(file.parent)),
+        "rooms": (row for seed in range(asked.rooms) for row in room(seed)),
     }
-    tables["labels"] = labelled_targets.summary_table(parts["labels"], labelled_targets.NUMBERS)
-    refused = {part: built_fields.reasons(parts[part]) for part in NUMBERS}
-    windows = len({row["of"] for row in parts["walk"]})
-    if given.out is not None:
-        write_atomic(given.out / "views.svg", chart(parts))
-    publish(
-        "views/views.md.j2",
-        given.out and given.out / "views.md",
-        command=command(given.every, given.rooms),
-        tables=tables,
-        refused=refused,
-        windows=windows,
-        rooms=given.rooms,
-        every=given.every,
-    )
+    parts: list[str] = []
+    for name, rows in sets.items():
+        lines = summary(list(rows))
+        columns = {k: v for k, v in COLUMNS.items() if any(k in line for line in lines)}
+        parts += [f"{name.capitalize()}:", table(lines, columns)]
+        print(parts[-1], flush=True)
+    publish(asked.out, "views.md", "python -m benches.views.numbers_of_views DATA", *parts)
 
 
 if __name__ == "__main__":

@@ -41,11 +41,11 @@ FITS = 0.6
 BETTER = 2.0
 """A correction is the cause if it explains finely the fraction ``FITS`` of the matches that agree
 as finely, and ``BETTER`` times as many as the cameras explain as they are. What both were chosen by
-is in `docs/measured/cameras.md`."""
+is in `docs/measured/poses.md`."""
 
 WIDE = 20.0
 """Degrees between the two lines of sight to a thing above which depth suffers, as measured in
-`docs/measured/cameras.md`."""
+`docs/measured/poses.md`."""
 
 TURNED = 30.0
 """Degrees between the optical axes of two cameras above which depth suffers, as measured there."""

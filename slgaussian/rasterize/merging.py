@@ -6,7 +6,7 @@ such four in turn. Then the given views are drawn, and where they changed too mu
 their own Gaussians back. What is left of the change is measured by drawing once more.
 
 Nothing is left out because the given views do not see it: another view may. Dropping what has
-little light was tried, and costs more than it saves (`docs/measured/kept.md`).
+little light was tried, and costs more than it saves (`docs/measured/rasterizer.md`).
 """
 
 from __future__ import annotations

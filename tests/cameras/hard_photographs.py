@@ -13,8 +13,8 @@ import numpy as np
 import skimage.data
 from scipy.spatial.transform import Rotation
 
-from benches.cameras.rendered_rooms import RenderedRoom, encoded, looking, pinhole
 from slgaussian.cameras.two_view import Photograph
+from tests.cameras.rendered_rooms import RenderedRoom, encoded, looking, pinhole
 
 WIDTH, HEIGHT = 640, 480
 FOCAL = 0.9 * WIDTH

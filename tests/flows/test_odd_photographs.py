@@ -7,7 +7,7 @@ from command import run, said
 from PIL import Image
 
 import slgaussian as slg
-from benches.views import twists
+from tests.predict import twists
 
 SIZE = 96, 128
 NAMES = ("a.png", "b.png", "c.png")

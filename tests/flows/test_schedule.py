@@ -1,8 +1,4 @@
-"""Schedules: what they need is said at once, and what the files promise can be loaded.
-
-That they fire is shown by ``benches/pipeline/scheduled_retraining.py``: a server, and two times of
-a clock.
-"""
+"""Schedules: what they need is said at once, and what the files promise can be loaded."""
 
 import logging
 import os
@@ -201,7 +197,7 @@ def test_whoever_is_told_to_deploy_is_told_all_that_it_takes():
 
 
 def test_the_documented_lines_deploy(server, tmp_path):
-    """With the server of the tests; `benches/pipeline/deployments.py` has a worker run them."""
+    """With the server of the tests."""
     shutil.copy(ROOT / "prefect.yaml", tmp_path)
     env = {**os.environ, "PREFECT_API_URL": server.url, "PREFECT_HOME": str(tmp_path / "home")}
     for line in LINES[2:4]:

@@ -8,10 +8,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from benches.cameras.rendered_rooms import RenderedRoom, looking, pinhole
 from slgaussian.datasets.procedural import reader
 from slgaussian.geometry.room import LEVEL, find_room
 from slgaussian.scene import Camera, Estimated
+from tests.cameras.rendered_rooms import RenderedRoom, looking, pinhole
 
 SIZE = 104, 144
 

@@ -1,13 +1,13 @@
 """Relevancy where it is hard to compute, and texts that are hard to read: a test a case.
 
-Cases are those of ``benches/language/hard_texts.py``, whose tables are in
-``docs/measured/queries.md``.
+Cases are those of ``tests/language/hard_texts.py``.
 """
 
 import numpy as np
 import pytest
 
-from benches.language.hard_texts import (
+from slgaussian.language.relevancy import Scorer, relevancy
+from tests.language.hard_texts import (
     CLIP_TEXTS,
     JUDGED,
     TEMPERATURES,
@@ -20,7 +20,6 @@ from benches.language.hard_texts import (
     reference,
     text_rows,
 )
-from slgaussian.language.relevancy import Scorer, relevancy
 
 EXACT = 6e-16
 """A cosine near 1 of 512 products is off by up to 6e-16, and a relevancy by a quarter of two of

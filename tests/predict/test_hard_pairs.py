@@ -1,8 +1,8 @@
 """What the plane sweep promises where two-view geometry is hard: a test a case, by its name.
 
-Scenes are those of ``benches/predict/hard_pairs.py``, which says what is hard in each and prints
-their errors as a table. Errors are of the pixels whose surface falls inside another view, hidden or
-not; behind each bound stands what was measured, with about half of it again as a margin.
+Scenes are those of ``tests/predict/hard_pairs.py``, which says what is hard in each. Errors are of
+the pixels whose surface falls inside another view, hidden or not; behind each bound stands what was
+measured, with about half of it again as a margin.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benches.predict.hard_pairs import (
+from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.kernels.threads import kernels_on
+from slgaussian.predict.depth_hypotheses import MAX_DEPTH
+from slgaussian.predict.planesweep import PlaneSweep
+from slgaussian.scene import Sample, View
+from tests.predict.hard_pairs import (
     LEFT,
     RIGHT,
     WALL,
@@ -24,12 +30,6 @@ from benches.predict.hard_pairs import (
     seen_elsewhere,
     stage,
 )
-from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians, source_depths
-from slgaussian.kernels.threads import kernels_on
-from slgaussian.predict.depth_hypotheses import MAX_DEPTH
-from slgaussian.predict.planesweep import PlaneSweep
-from slgaussian.scene import Sample, View
 
 
 @pytest.fixture(scope="module", autouse=True)

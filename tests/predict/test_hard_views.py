@@ -1,6 +1,5 @@
 """What a scene of several photographs promises where one of them is odd: a test a case.
 
-Cases are those of ``benches/views/twists.py``.
 A twist is held against the same room without it, in the mean over the rooms of :data:`ROOMS`.
 Behind each bound stands what eight rooms (seeds 0 to 7) measured, mean and standard deviation: what
 the order of the views alone moves, 0.1 dB and 4 % of the depth error a room, is noise.
@@ -13,8 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benches.views import twists
-from benches.views.built_fields import Row, at_targets
+from benches.views.numbers_of_views import Row, at_targets
 from slgaussian.build import build_field
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.errors import InputError
@@ -22,6 +20,7 @@ from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.predict.view_graph import link_views, usable
 from slgaussian.scene import Sample
+from tests.predict import twists
 
 pytestmark = pytest.mark.whole
 

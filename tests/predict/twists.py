@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benches.predict.hard_pairs import PHOTO_WALL, camera, photograph
 from slgaussian import datasets
 from slgaussian.datasets.procedural.raycast import BOX, Solid
 from slgaussian.predict.pose_refinement import placed
 from slgaussian.scene import Camera, Sample, View
+from tests.predict.hard_pairs import PHOTO_WALL, camera, photograph
 
 ELSEWHERE = 1000
 """So many seeds away is the room that a stranger shows."""

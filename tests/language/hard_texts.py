@@ -1,7 +1,7 @@
 """Vectors and texts on which relevancy breaks, by name, and what comes of each.
 
-The tests run every case; ``python -m benches.language.query_cost`` prints the tables. Errors are
-absolute differences of relevancies from the printed formula in decimal arithmetic of 60 digits.
+Errors are absolute differences of relevancies from the printed formula in decimal arithmetic of 60
+digits.
 """
 
 from __future__ import annotations
@@ -50,10 +50,6 @@ def names() -> list[str]:
 @cache
 def case(name: str) -> Case:
     return _MAKERS[name]()
-
-
-def about(name: str) -> str:
-    return _MAKERS[name].__doc__ or ""
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -196,19 +192,6 @@ def error(case: Case, temperature: float, half: bool = False) -> float:
     features = case.features.astype(np.float16) if half else case.features
     got = relevancy(features, case.present, case.queries, case.canonical, temperature)
     return float(np.abs(got - reference(case, temperature)).max())
-
-
-def error_row(name: str, what: str, case: Case) -> dict:
-    row = {"case": name.replace("_", " "), "about": what}
-    row |= {f"exact_{t:g}": error(case, t) for t in TEMPERATURES}
-    return row | {f"half_{t:g}": error(case, t, half=True) for t in TEMPERATURES}
-
-
-def error_rows(data: Path | None = None) -> list[dict]:
-    rows = [error_row(name, about(name), case(name)) for name in names()]
-    if data is not None and (data / CLIP_TEXTS).is_file():
-        rows.append(error_row("clip_text", clip_case.__doc__ or "", clip_case(data)))
-    return rows
 
 
 TEXTS = {

@@ -1,12 +1,9 @@
-"""Pairs of views on which two-view geometry breaks, by name, and the plane sweep's error on each.
+"""Pairs of views on which two-view geometry breaks, by name.
 
 All show one small stage with a floor, walls and things at several depths, ray-cast so that its
-depth is exact; what is hard is in the cameras, the surfaces or the photographs. The tests run every
-case; ``python -m benches.predict.hard_pairs [CASE ...]`` prints the table.
+depth is exact; what is hard is in the cameras, the surfaces or the photographs.
 """
 
-import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -14,7 +11,6 @@ from functools import cache
 import cv2
 import numpy as np
 
-import slgaussian.kernels.threads
 from slgaussian.datasets.procedural import raycast, shading, textures
 from slgaussian.datasets.procedural.raycast import BALL, BOX, CYLINDER, Solid
 from slgaussian.datasets.procedural.textures import (
@@ -25,8 +21,6 @@ from slgaussian.datasets.procedural.textures import (
     WOODEN,
     Material,
 )
-from slgaussian.gaussians import source_depths
-from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Camera, Sample, View
 
 SIZE = (120, 160)
@@ -394,18 +388,3 @@ def one_view_out_of_focus():
     first, second = true.context
     blurred = replace(second, image=cv2.GaussianBlur(second.image, (0, 0), 1.5))
     return replace(true, context=(first, blurred))
-
-
-if __name__ == "__main__":
-    slgaussian.kernels.threads.limit()
-    PlaneSweep()(case("side_by_side"))  # The first run also compiles.
-    print(f"{'case':40}  abs-rel  median  within 1.25  CPU s")
-    for name in sys.argv[1:] or names():
-        sample = case(name)
-        start = time.process_time()
-        gaussians = PlaneSweep()(sample)
-        seconds = time.process_time() - start
-        scores = judge(sample, source_depths(gaussians, [v.camera for v in sample.context]))
-        print(
-            f"{name:40} {scores.mean:8.4f} {scores.median:7.4f} {scores.close:12.4f} {seconds:6.2f}"
-        )

@@ -1,0 +1,164 @@
+"""Pairs and chains of photographs whose cameras are known.
+
+DATA is a folder with ``office`` and, as far as they are there, ``places``, ``fern`` and
+``office_walk``. Cameras of ``places`` and ``fern`` come from structure from motion, those of the
+other two from the tracking of a device; all are taken for true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benches.common.photograph_pairs import read_pairs
+from slgaussian import datasets
+from slgaussian.scene import Scene, View, shared_view
+
+WALK_PAIRS = 80
+WALK_GAP = 4
+LEAST_SHARED = 0.3
+LEAST_BASELINE = 0.05
+"""A pair of the walk can be used if each view shows so much of the other at its median depth, and
+their distance is at least so much of that depth."""
+
+FERN_PAIRS = 10
+
+UNSURE_FOCAL = ("street",)
+"""Places whose focal length their own photographs do not tell: the road goes straight ahead."""
+
+
+@dataclass(frozen=True, eq=False)
+class PosedPair:
+    """Two photographs with their cameras.
+
+    Attributes
+    ----------
+    group : str
+        "office", "places", "fern" or "walk".
+    name : str
+        Unique among all pairs.
+    a, b : View
+    focal_known : bool
+        Whether the focal length of the cameras can be taken for true.
+    """
+
+    group: str
+    name: str
+    a: View
+    b: View
+    focal_known: bool
+
+
+def posed_pairs(data: Path) -> Iterator[PosedPair]:
+    """All pairs, group by group."""
+    if (data / "office" / "pairs.json").is_file():
+        scene = datasets.load("nerfstudio", data / "office")
+        for name, (context, _) in read_pairs(data / "office" / "pairs.json").items():
+            yield _pair("office", name, scene, *context)
+    for folder in sorted((data / "places").glob("*")):
+        if (folder / "pairs.json").is_file():
+            yield from _of_place(folder)
+    if (data / "fern").is_dir():
+        scene = datasets.load("llff", data / "fern")
+        names = list(scene.cameras)
+        for i in range(FERN_PAIRS):
+            other = names[(2 * i + 1 + i % 3) % len(names)]
+            yield _pair("fern", f"fern_{i}", scene, names[2 * i], other)
+    if (data / "office_walk").is_dir():
+        yield from _pairs_of_walk(datasets.load("nerfstudio", data / "office_walk"))
+
+
+def _of_place(folder: Path) -> Iterator[PosedPair]:
+    """The two context photographs of each scene, and either one with its target."""
+    scene = datasets.load("nerfstudio", folder)
+    for name, ((a, b), (target, *_)) in read_pairs(folder / "pairs.json").items():
+        for ending, first, second in (("", a, b), ("_a", a, target), ("_b", target, b)):
+            known = folder.name not in UNSURE_FOCAL
+            yield _pair("places", name + ending, scene, first, second, known)
+
+
+def _walk(scene: Scene) -> tuple[list[View], Callable[[int, int], bool]]:
+    """Return the views of a walk, and whether two of them are far enough apart and share enough."""
+    views = [scene.read(name) for name in scene.cameras]
+    depths = [float(np.median(view.depth[view.depth > 0])) for view in views]
+
+    def usable(first: int, second: int) -> bool:
+        a, b = views[first].camera, views[second].camera
+        shared = min(shared_view(a, b, depths[first]), shared_view(b, a, depths[second]))
+        baseline = np.linalg.norm(a.center - b.center)
+        enough = LEAST_BASELINE * (depths[first] + depths[second]) / 2
+        return shared >= LEAST_SHARED and bool(baseline >= enough)
+
+    return views, usable
+
+
+def _pairs_of_walk(scene: Scene) -> Iterator[PosedPair]:
+    """Yield evenly many of the pairs, up to four steps apart, that can be used."""
+    views, usable = _walk(scene)
+    pairs = [
+        (first, second)
+        for first in range(len(views))
+        for second in range(first + 1, min(first + WALK_GAP + 1, len(views)))
+        if usable(first, second)
+    ]
+    for i in range(WALK_PAIRS):
+        first, second = pairs[round(i * (len(pairs) - 1) / (WALK_PAIRS - 1))]
+        yield PosedPair("walk", f"walk_{first}_{second}", views[first], views[second], True)
+
+
+def _pair(
+    group: str, name: str, scene: Scene, a: str, b: str, focal_known: bool = True
+) -> PosedPair:
+    return PosedPair(group, name, scene.read(scene.find(a)), scene.read(scene.find(b)), focal_known)
+
+
+LENGTHS = (3, 4, 5, 6, 7, 8)
+
+WALK_CHAINS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class PosedChain:
+    """Photographs of one place with their cameras, and whether its focal length is known."""
+
+    group: str
+    name: str
+    views: Sequence[View]
+    focal_known: bool = True
+
+
+def posed_chains(data: Path) -> Iterator[PosedChain]:
+    """All chains, group by group."""
+    for folder in sorted((data / "places").glob("*")):
+        if (folder / "transforms.json").is_file():
+            scene = datasets.load("nerfstudio", folder)
+            names = list(scene.cameras)
+            for start in range(0, len(names) - 2, 3):
+                views = [scene.read(name) for name in names[start : start + 3]]
+                name = f"{folder.name}_{start // 3}"
+                yield PosedChain("places", name, views, folder.name not in UNSURE_FOCAL)
+    if (data / "fern").is_dir():
+        scene = datasets.load("llff", data / "fern")
+        names = list(scene.cameras)
+        for length in LENGTHS:
+            drawn = np.random.default_rng(length).choice(len(names), length, replace=False)
+            views = [scene.read(names[i]) for i in sorted(drawn)]
+            yield PosedChain("fern", f"fern_{length}", views)
+    if (data / "office_walk").is_dir():
+        yield from _chains_of_walk(datasets.load("nerfstudio", data / "office_walk"))
+
+
+def _chains_of_walk(scene: Scene) -> Iterator[PosedChain]:
+    """Yield evenly many chains of which neighbours can be used; of every or every second view."""
+    views, usable = _walk(scene)
+    for k in range(WALK_CHAINS):
+        length, gap = LENGTHS[k % len(LENGTHS)], 1 + k % 2
+        first = round(k * (len(views) - 1) / WALK_CHAINS)
+        for start in range(first, len(views) - gap * (length - 1)):
+            chain = range(start, start + gap * length, gap)
+            if all(usable(i, i + gap) for i in chain[:-1]):
+                yield PosedChain("walk", f"walk_{start}_{gap}_{length}", [views[i] for i in chain])
+                break
