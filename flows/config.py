@@ -285,15 +285,6 @@ class SceneSettings(Config):
     categories: list[Phrase] = []
     queries: list[Phrase] = []
 
-    @property
-    def asked(self) -> dict[str, Any]:
-        """What its samples are called, and what is asked without truth.
-
-        ``place`` is the scene of the data that it is a pair of views of, where they hold several.
-        """
-        place = {"place": str(self.options["scene"])} if "scene" in self.options else {}
-        return {"dataset": self.dataset, "queries": self.queries, **place}
-
 
 class Engine(Config):
     """Who does the work, and where it is kept."""

@@ -120,14 +120,8 @@ def build(
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
         of_sample = {one.row["sample"]: one.source for one in chosen}
         write_card(config.out, config, of_sample, failures, versions)
-    return TrainingSetResult(
-        samples=len(finished),
-        places=len({one.place for one in finished}),
-        shards=written.shards,
-        new_shards=written.new,
-        bytes=written.bytes,
-        failures=failures,
-    )
+    places_left = {one.place for one in finished}
+    return TrainingSetResult(len(finished), len(places_left), *written, failures)
 
 
 def choose_of_chunk(file: str, bounds: Bounds, targets: int) -> ArtifactRef:

@@ -34,24 +34,17 @@ class Finished:
         return self.ref.meta["about"]["sample"]
 
 
-@dataclass(frozen=True)
-class Written:
-    """How many shards a set has, how many of them are new, and the bytes of all."""
-
-    shards: int
-    new: int
-    bytes: int
-
-
 def write_shards(
     out: Path, finished: Sequence[Finished], store: ArtifactStore, shard_bytes: int
-) -> Written:
+) -> tuple[int, int, int]:
     """Bring the shards and the index of a set to hold these samples and no others.
 
     A shard that is there stays if it is whole and all of its samples are still wanted. The samples
     of the others, and new ones, go into new shards in the order of their names, a split each. The
     index is written last, so that it is true at every moment; then what it does not name any more
     is removed.
+
+    Returns how many shards the set has, how many of them are new, and the bytes of all.
 
     Raises
     ------
@@ -84,7 +77,7 @@ def write_shards(
         with suppress(FileNotFoundError):
             (out / shard).unlink()
     shards = {row["shard"] for row in table}
-    return Written(len(shards), new, sum((out / shard).stat().st_size for shard in shards))
+    return len(shards), new, sum((out / shard).stat().st_size for shard in shards)
 
 
 def _index(out: Path) -> dict[str, list[dict[str, Any]]]:

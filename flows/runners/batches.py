@@ -101,34 +101,25 @@ class Outcome:
     partial: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Scene tasks for a worker, with the store's root and the fields of their run contexts."""
-
-    root: str
-    scene_tasks: Sequence[SceneTask]
-    workers: int
-    refresh: frozenset[str]
-
-
 class StoppedError(SLGaussianError):
     """The run ends: raised in a thread that still works on a scene."""
 
 
 @task(name="scenes", task_run_name="{label}", cache_policy=NO_CACHE, persist_result=False)
 def run_batch(label: str, pickled: bytes) -> list[SceneResult]:
-    """Take the scenes of a pickled :class:`Batch` through their pipelines, one after the other.
+    """Take a batch of scenes through their pipelines, one after the other.
 
-    It is pickled for threads too: what one task runner can send, all can. Events go to the flow if
-    it is in this process.
+    ``pickled`` are the store's root, the scene tasks, the number of workers and the stages to
+    compute anew: for threads too, so that what one task runner can send, all can. Events go to the
+    flow if it is in this process.
     """
-    batch: Batch = pickle.loads(pickled)
-    store, enclosing = ArtifactStore(batch.root), enclosing_run()
+    root, scene_tasks, workers, refresh = pickle.loads(pickled)
+    store, enclosing = ArtifactStore(root), enclosing_run()
     results = []
-    for scene_task in batch.scene_tasks:
+    for scene_task in scene_tasks:
         events: list[StageEvent] = []
         notify = events.append if enclosing is None else enclosing.notify
-        result = compute_scene(scene_task, store, batch.workers, notify, batch.refresh)
+        result = compute_scene(scene_task, store, workers, notify, refresh)
         results.append(SceneResult(scene_task.scene, *result, events))
     return results
 
@@ -202,7 +193,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
         news.put(event)
 
     def submit(scenes: list[SceneTask]) -> None:
-        batch = Batch(workers.store.root, scenes, workers.count, workers.refresh)
+        batch = workers.store.root, scenes, workers.count, workers.refresh
         label = scenes[0].scene + (f" and {len(scenes) - 1} more" if scenes[1:] else "")
         future = workers.submit(run_batch, {"label": label, "pickled": pickle.dumps(batch)})
         running[future] = scenes, workers.runner
