@@ -61,7 +61,6 @@ def test_a_bucket_whose_server_has_a_bad_day(
     monkeypatch.setenv("AWS_ENDPOINT_URL", weather.url)
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
     monkeypatch.setattr(remote, "ANSWER", 1)
-    monkeypatch.setattr(remote, "FIRST", 0.01)
     s3fs.S3FileSystem.clear_instance_cache()
     try:
         store = ArtifactStore(f"{bucket}/slg")
