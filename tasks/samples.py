@@ -151,7 +151,11 @@ def lessons(
         except InputError as error:
             bad.append(left_out(made["sample"], error))
             continue
-        lesson = _lesson(sample, gaussians, found.labels)
+        count = len(sample.context)
+        labels, others = found.labels[:count], found.labels[count:]
+        cameras = tuple(view.camera for view in sample.targets)
+        targets = known_alone(others, labels)
+        lesson = Lesson(sample.scene, gaussians, labels, cameras, targets)
         ref = store.put("lesson", lesson.to_arrays())
         rows.append({**row_of(lesson, ref), "clip": row["clip"]})
         if len(rows) <= SHEET_ROWS:
@@ -167,13 +171,6 @@ def lessons(
     if sheet is not None:
         meta["sheet"] = {"uri": sheet.uri, "digest": sheet.digest}
     return store.put("lessons", table, meta)
-
-
-def _lesson(sample: Sample, gaussians: Gaussians, found: np.ndarray) -> Lesson:
-    count = len(sample.context)
-    labels, targets = found[:count], known_alone(found[count:], found[:count])
-    cameras = tuple(view.camera for view in sample.targets)
-    return Lesson(sample.scene, gaussians, labels, cameras, targets)
 
 
 def row_of(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
