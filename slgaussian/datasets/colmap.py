@@ -20,6 +20,7 @@ from slgaussian.datasets.intrinsics import checked_camera
 from slgaussian.datasets.lens import OUTSIDE, Maps
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
+    has_shape,
     image_folder,
     is_there,
     name_in,
@@ -181,37 +182,33 @@ class _Lens:
         lens, inverse = _pycolmap_camera(self.stored), np.linalg.inv(self.K).T
         maps = np.empty((2, height, width), np.float32)
         for top in range(0, height, ROWS):
-            own = np.arange(top, min(top + ROWS, height))
-            u, v = np.meshgrid(np.arange(width) + 0.5, own + 0.5)
+            rows = np.arange(top, min(top + ROWS, height))
+            u, v = np.meshgrid(np.arange(width) + 0.5, rows + 0.5)
             rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ inverse
             there = lens.img_from_cam(rays)
             there *= (width / self.stored.width, height / self.stored.height)
             there = np.where(np.isfinite(there), there - 0.5, OUTSIDE)  # OpenCV's pixel centres
-            maps[:, own] = there.astype(np.float32).reshape(*u.shape, 2).transpose(2, 0, 1)
+            maps[:, rows] = there.astype(np.float32).reshape(*u.shape, 2).transpose(2, 0, 1)
         return maps[0], maps[1]
 
 
 def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path]) -> dict[int, _Lens]:
     """Return the lens of each camera, at the size of the first of its photographs that is there."""
-    lenses: dict[int, _Lens] = {}
+    first: dict[int, Path | None] = {}
     for image in sorted(model.images.values(), key=lambda image: image.name):
-        lens = lenses.get(image.camera)
-        if lens is None:
-            stored = model.cameras[image.camera]
-            K, straight = _pinhole(stored, f"{source}: camera {image.camera}")
-            lens = _Lens(stored, (0, 0), K, straight)
-        own, file = (lens.stored.width, lens.stored.height), files[image.name]
-        if lens.size == (0, 0) and is_there(file):
-            size = stored_size(file, own)
-            # Shrunk, if it has the camera's own shape up to whole pixels.
-            if size is None or abs(size[0] / own[0] - size[1] / own[1]) > 1 / own[0] + 1 / own[1]:
-                size = own
-            scale = np.array([size[0] / own[0], size[1] / own[1], 1])
-            lens = replace(lens, size=size, K=scale[:, None] * lens.K)
-        lenses[image.camera] = lens
-    for number, lens in lenses.items():
-        if lens.size == (0, 0):
-            lenses[number] = replace(lens, size=(lens.stored.width, lens.stored.height))
+        if first.get(image.camera) is None:
+            file = files[image.name]
+            first[image.camera] = file if is_there(file) else None
+    lenses = {}
+    for number, photograph in first.items():
+        stored = model.cameras[number]
+        K, straight = _pinhole(stored, f"{source}: camera {number}")
+        whole = (stored.width, stored.height)
+        size = None if photograph is None else stored_size(photograph, whole)
+        if size is None or not has_shape(size, whole):  # else it was shrunk
+            size = whole
+        scale = np.array([size[0] / whole[0], size[1] / whole[1], 1])
+        lenses[number] = _Lens(stored, size, scale[:, None] * K, straight)
     return lenses
 
 
@@ -267,12 +264,15 @@ def _depth_ranges(model: SparseModel) -> dict[int, tuple[float, float]]:
     seen = seen[np.argsort(seen[:, 1], kind="stable")]
     starts = np.flatnonzero(np.diff(seen[:, 1], prepend=-1))
     ranges = {}
-    for own in np.split(seen, starts[1:]):
-        image = model.images.get(int(own[0, 1])) if len(own) else None
+    for sightings in np.split(seen, starts[1:]):
+        image = model.images.get(int(sightings[0, 1])) if len(sightings) else None
         if image is None:
             continue
-        depths = np.sort(model.points[own[:, 0]] @ image.w2c[2, :3] + image.w2c[2, 3])
+        depths = np.sort(model.points[sightings[:, 0]] @ image.w2c[2, :3] + image.w2c[2, 3])
         depths = depths[depths > 0]
         if len(depths) >= POINTS:
-            ranges[int(own[0, 1])] = 0.8 * float(depths[2]), 2 * float(np.percentile(depths, 98))
+            ranges[int(sightings[0, 1])] = (
+                0.8 * float(depths[2]),
+                2 * float(np.percentile(depths, 98)),
+            )
     return ranges

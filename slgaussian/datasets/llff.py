@@ -14,7 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from slgaussian.datasets.intrinsics import checked_camera
-from slgaussian.datasets.photographs import image_folder, photographs_in, scene_of, stored_size
+from slgaussian.datasets.photographs import (
+    has_shape,
+    image_folder,
+    photographs_in,
+    scene_of,
+    stored_size,
+)
 from slgaussian.errors import InputError
 from slgaussian.formats.images import read_npy
 from slgaussian.scene import Camera, Scene
@@ -89,7 +95,7 @@ def _camera(row: np.ndarray, size: tuple[int, int] | None) -> Camera:
     if height < 1 or width < 1:
         raise InputError(f"says {width:g}x{height:g} pixels; expected the photograph's size")
     w, h = size or (round(width), round(height))
-    if abs(w / width - h / height) > 1 / width + 1 / height:
+    if not has_shape((w, h), (width, height)):
         raise InputError(
             f"says {width:g}x{height:g} pixels, but the photograph is {w}x{h}, another shape; it "
             "was cropped or turned"

@@ -135,11 +135,11 @@ def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
     """Tell whether a camera of that size saw the photograph as its EXIF orientation turns it."""
     if size is None or orientation_of(image) not in SIDEWAYS:
         return False
-    return not _has_shape(image.size, size) and _has_shape(image.size[::-1], size)
+    return not has_shape(image.size, size) and has_shape(image.size[::-1], size)
 
 
-def _has_shape(stored: tuple[int, int], size: tuple[int, int]) -> bool:
-    """Tell whether one size is the other's shape, up to whole pixels."""
+def has_shape(stored: tuple[int, int], size: tuple[float, float]) -> bool:
+    """Tell whether one size (width, height) is the other's shape, up to whole pixels."""
     (w, h), (width, height) = stored, size
     return abs(w / width - h / height) <= 1 / width + 1 / height
 
