@@ -32,9 +32,9 @@ def load_photographs(
 ) -> tuple[Sample, dict[str, str]]:
     """Load photographs with their cameras, at the size that the settings ask for.
 
-    Cameras are estimated if they are left out, or anew, in the same world, with ``refine``; how is
-    printed. Of more photographs, ``keyframes`` are taken. Those that cannot be placed are left out
-    with a warning.
+    Cameras that are left out are those of precomputed geometry, if it has some, or else estimated;
+    with ``refine`` they are estimated anew, in the same world; how is printed. Of more photographs,
+    ``keyframes`` are taken. Those that cannot be placed are left out with a warning.
 
     Returns
     -------
@@ -48,6 +48,8 @@ def load_photographs(
     InputError
         If anything given cannot be used.
     """
+    if cameras is None and settings.predictor == "precomputed":
+        cameras = _cameras_of(settings.precomputed.geometry)
     if cameras is None:
         if refine:
             raise InputError(
@@ -78,6 +80,16 @@ def load_photographs(
     places = {n: str(file.absolute()) if file.is_file() else n for n, file in files.items()}
     sample = scene.sample(names, size=settings.size, near=settings.near, far=settings.far)
     return sample, places
+
+
+def _cameras_of(geometry: Path | None) -> Path | None:
+    """Return the file of precomputed geometry if it holds cameras too."""
+    if geometry is None or geometry.suffix != ".npz" or not geometry.is_file():
+        return None
+    from slgaussian.formats.depth_maps import read_geometry
+
+    stored = read_geometry(geometry)
+    return None if stored.poses is None or stored.maps[0].K is None else geometry
 
 
 def report_cameras(estimate: EstimatedCameras) -> None:

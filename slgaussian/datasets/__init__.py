@@ -20,6 +20,7 @@ READERS = {
     "nerfstudio": "slgaussian.datasets.nerfstudio:read",
     "colmap": "slgaussian.datasets.colmap:read",
     "llff": "slgaussian.datasets.llff:read",
+    "npz": "slgaussian.datasets.npz:read",
     "lerf_ovs": "slgaussian.datasets.labelled_sets:read_lerf_ovs",
     "ovs3d": "slgaussian.datasets.labelled_sets:read_ovs3d",
     "re10k": "slgaussian.datasets.re10k:read",

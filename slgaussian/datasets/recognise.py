@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from slgaussian.datasets import colmap, llff, nerfstudio, re10k, re10k_text, unposed
+from slgaussian.datasets import colmap, llff, nerfstudio, npz, re10k, re10k_text, unposed
 from slgaussian.datasets.photographs import image_folder, photographs_of
 from slgaussian.datasets.sparse import model_files
 from slgaussian.errors import InputError
@@ -16,8 +16,8 @@ from slgaussian.scene import Camera, Scene, View
 EXPECTED = (
     f"{nerfstudio.FILE} or another JSON file of nerfstudio's form, {llff.FILE}, a COLMAP model "
     "(cameras and images, .bin or .txt, as in sparse/0), a folder of RealEstate10K chunks with its "
-    f"{re10k.INDEX}, one of its camera files (.txt) with frames beside it, or the folder of a "
-    "scene that holds one of them"
+    f"{re10k.INDEX}, one of its camera files (.txt) with frames beside it, an NPZ with depth and "
+    "cameras, or the folder of a scene that holds one of them"
 )
 
 
@@ -46,6 +46,9 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
         return unposed.posed(listed, unposed.find(listed)), unposed.folder_of(listed)
     if format == "nerfstudio":
         return nerfstudio.read(place), place if place.is_dir() else place.parent
+    if format == "npz":
+        there = [photo for photo in photographs if Path(photo).exists()] or [str(place.parent)]
+        return npz.read(place, there), unposed.folder_of(unposed.named(there))
     if format == "re10k":
         return _clip(place, photographs), place
     if format == "re10k_text":
@@ -107,6 +110,8 @@ def recognise(path: Path) -> tuple[str, Path]:
         raise InputError(f"{path}: cannot be read ({bad.strerror}); expected {EXPECTED}") from None
     if start.startswith(b"\x93NUMPY") or path.suffix == ".npy":
         return "llff", path
+    if start.startswith(b"PK\x03\x04") or path.suffix == ".npz":
+        return "npz", path
     if path in model_files(path.parent):
         return "colmap", _scene_of(path.parent)
     if re10k_text.is_camera_file(path):

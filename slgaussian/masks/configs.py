@@ -23,6 +23,9 @@ Level = Literal["s", "m", "l"]
 MAPS = (".png", ".npy")
 """Suffixes of id maps."""
 
+DEPTHS = (".npz", ".png", ".npy", ".exr", ".pfm", ".tiff", ".tif")
+"""Suffixes of files of depth."""
+
 LEVELS: tuple[Level, ...] = ("s", "m", "l")
 """The masks that one point gives, in the order of the model's outputs: part, object, group."""
 
@@ -130,22 +133,34 @@ class Sam2VideoConfig(ComponentConfig, title="sam2-video"):
     batch: int = Field(16, ge=1, description="Objects tracked together: memory goes with it.")
 
 
-def folder_digest(folder: Path | str) -> str:
+def folder_digest(folder: Path | str, suffixes: tuple[str, ...] = MAPS) -> str:
     """Compute the SHA-256, hexadecimal, of names and contents of a folder of id maps."""
     folder = Path(folder)
     digest = hashlib.sha256()
     # Folders that are links are gone into, as views may be named through them.
     names = glob("**/*", root_dir=folder, recursive=True, include_hidden=True)
-    for name in sorted(name for name in names if name.endswith(MAPS)):
+    for name in sorted(name for name in names if name.endswith(suffixes)):
         digest.update(f"{Path(name).as_posix()} {file_digest(folder / name)}\n".encode())
     return digest.hexdigest()
 
 
+def geometry_digest(place: Path | str) -> str:
+    """Compute the SHA-256, hexadecimal, of a file of depth, or of a folder of such files."""
+    return folder_digest(place, DEPTHS) if Path(place).is_dir() else file_digest(place)
+
+
 class PrecomputedConfig(ComponentConfig, title="precomputed"):
-    """Labels out of a folder that holds one id map a view, with ids that agree across views."""
+    """Labels out of a folder that holds one id map a view, with ids that agree across views.
+
+    The predictor of this name has the same table, of which each reads its own files.
+    """
 
     target = "slgaussian.masks.precomputed:Precomputed"
 
     folder: Annotated[Path | None, File(folder_digest)] = Field(
-        None, description="Folder of id maps made elsewhere, PNG or NPY."
+        None, description="Folder of id maps made elsewhere, PNG or NPY, for the tracker."
+    )
+    geometry: Annotated[Path | None, File(geometry_digest)] = Field(
+        None,
+        description="Depth made elsewhere, for the predictor: NPZ, or folder of a file a view.",
     )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:  # the names of predictors are asked for where nobody waits fo
 PREDICTORS = {
     "planesweep": "slgaussian.predict.configs:PlaneSweepConfig",
     "mvsplat": "slgaussian.predict.configs:MVSplatConfig",
+    "precomputed": "slgaussian.predict.configs:PrecomputedGeometryConfig",
 }
 
 

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from slgaussian.components.config import ComponentConfig, File
 from slgaussian.io import file_digest
+from slgaussian.masks.configs import PrecomputedConfig
 
 
 class PlaneSweepConfig(ComponentConfig, title="planesweep"):
@@ -40,3 +41,9 @@ class MVSplatConfig(ComponentConfig, title="mvsplat"):
         128, description="Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair "
         "needs.",
     )  # fmt: skip
+
+
+class PrecomputedGeometryConfig(PrecomputedConfig, title="precomputed"):
+    """Depth out of files, as Depth Anything 3, DUSt3R or a phone wrote it, one Gaussian a pixel."""
+
+    target = "slgaussian.predict.precomputed:PrecomputedGeometry"

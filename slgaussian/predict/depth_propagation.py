@@ -45,11 +45,14 @@ class Swept:
         1 / z in scene units, between the first and last candidate.
     answered : bool [H, W]
         Where matching gave the depth and another view agrees.
+    given : bool [H, W] or None
+        Where depth of other origin stays as it is, whether another view agrees or not.
     """
 
     steps: np.ndarray
     inverse_depth: np.ndarray
     answered: np.ndarray
+    given: np.ndarray | None = None
 
     @property
     def step(self) -> float:
@@ -89,6 +92,8 @@ def lend(
         around = cv2.boxFilter((landed > 0).astype(np.float32), -1, (3, 3), normalize=False)
         between = (landed == 0) & (around >= AROUND - 0.5)
         landed = np.where(between, cv2.dilate(landed, np.ones((3, 3))), landed)
+        if mine.given is not None:
+            landed[mine.given] = 0
         inverse_depth = np.where(mine.answered | (landed == 0), mine.inverse_depth, landed)
         index = ((inverse_depth - mine.steps[0]) / mine.step).astype(np.float32)
         known = mine.answered | (landed > 0)

@@ -40,7 +40,7 @@ from slgaussian.predict.fusion import blend, needed
 from slgaussian.predict.pose_refinement import kept_near
 from slgaussian.predict.sgm import aggregate, winners
 from slgaussian.predict.unproject import unproject
-from slgaussian.predict.view_graph import Link, link_views
+from slgaussian.predict.view_graph import Link, ViewGraph, link_views
 from slgaussian.scene import Sample, View
 
 MIN_MARGIN = 0.02
@@ -111,61 +111,58 @@ class PlaneSweep(PlaneSweepConfig):
         views = sample.context
         matches = graph or MatchGraph.of(views)
         linked = link_views(views, matches, all(None not in _given(self, v) for v in views))
-        swept = _sweep(self, sample, linked.links)
-        found, answered = [s.inverse_depth for s in swept], [s.answered for s in swept]
-        gains = color_gains([view.image for view in views], found, answered, linked)
-        exposed = [
-            (view.image * np.float32(gain / 255)).clip(0, 1)
-            for view, gain in zip(views, gains, strict=True)
-        ]
-        swept = lend(swept, exposed, linked.links)
-        whole = _complete(sample, linked.links, swept)
-        opacities = [_opacity(i, links, swept, whole) for i, links in enumerate(linked.links)]
-        steps = [s.step for s in swept]
-        colors = blend(exposed, whole, steps, linked.links)
-        given = [view.camera for view in views]
-        cameras = kept_near(given, linked.cameras, linked.closeness())
-        shown = unproject(cameras, colors, whole, opacities)
-        known = [s.known for s in swept]
-        kept = np.concatenate([keep.ravel() for keep in needed(linked, whole, known, steps)])
-        beyond = hidden(cameras, colors, whole, steps)
-        shown, beyond = (
-            part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (shown, beyond)
-        )
+        swept = sweep(self, sample, linked.links)
         depths = Depths(sum(len(s.steps) for s in swept), len(swept) * self.depth_candidates)
-        return Gaussians.concatenated([shown[kept], beyond]), depths
+        return assemble(sample, linked, swept), depths
 
 
-def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:
+def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[Swept]) -> Gaussians:
+    """Complete the depth of all views, and draw what it shows: see :meth:`PlaneSweep.__call__`."""
+    views = sample.context
+    found, answered = [s.inverse_depth for s in swept], [s.answered for s in swept]
+    gains = color_gains([view.image for view in views], found, answered, linked)
+    exposed = [
+        (view.image * np.float32(gain / 255)).clip(0, 1)
+        for view, gain in zip(views, gains, strict=True)
+    ]
+    swept = lend(swept, exposed, linked.links)
+    whole = _complete(sample, linked.links, swept)
+    opacities = [_opacity(i, links, swept, whole) for i, links in enumerate(linked.links)]
+    steps = [s.step for s in swept]
+    colors = blend(exposed, whole, steps, linked.links)
+    given = [view.camera for view in views]
+    cameras = kept_near(given, linked.cameras, linked.closeness())
+    shown = unproject(cameras, colors, whole, opacities)
+    known = [s.known for s in swept]
+    kept = np.concatenate([keep.ravel() for keep in needed(linked, whole, known, steps)])
+    beyond = hidden(cameras, colors, whole, steps)
+    shown, beyond = (
+        part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (shown, beyond)
+    )
+    return Gaussians.concatenated([shown[kept], beyond])
+
+
+def sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:
     """Match every view against its sources and check the answers against each other."""
     views = sample.context
     guides = [view.grey for view in views]
     everywhere = np.concatenate([link.sparse for own in links for link in own])
     found = []
     for i, view in enumerate(views):
-        low, high = _range(settings, sample.scene, view, links[i], everywhere)
+        low, high = depth_range(settings, sample.scene, view, links[i], everywhere)
         size = guides[i].shape
-        tried = [
-            (k, candidates(k.relative, size, low, high, settings.depth_candidates))
-            for k in links[i]
-        ]
-        shown = [one for one in tried if visible_share(one[0].relative, size, one[1]) > MIN_VISIBLE]
+        shown, steps = choose_steps(settings, links[i], size, low, high)
         if not shown and len(views) == 2:
             raise InputError(
                 f"scene {sample.scene!r}: {view.name!r} and {views[links[i][0].source].name!r} "
                 f"see nothing in common between depths {1 / high:.3g} and {1 / low:.3g}; "
                 "choose views that overlap, or correct near and far"
             )
-        # The poses of many views are off by a pixel or so: with steps finer than a pixel of motion
-        # in the view that moves least, noise would decide what is a plane and what agrees.
-        steps = min((steps for _, steps in shown or tried), key=len)
         if not shown:
             middle = np.full(size, steps.mean(), np.float32)
             found.append((Swept(steps, middle, np.zeros(size, bool)), np.zeros(size)))
             continue
-        index, clear = _searched(
-            guides[i], [(guides[k.source], k.relative) for k, _ in shown], steps
-        )
+        index, clear = _searched(guides[i], [(guides[k.source], k.relative) for k in shown], steps)
         inverse_depth = (steps[0] + index * (steps[1] - steps[0])).astype(np.float32)
         found.append((Swept(steps, inverse_depth, clear), index))
     result = []
@@ -178,6 +175,27 @@ def _sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]
         answered = without_speckles(index, agrees & mine.answered, int(SPECKLE * index.size))
         result.append(Swept(mine.steps, mine.inverse_depth, answered))
     return result
+
+
+def choose_steps(
+    settings: PlaneSweep, links: Sequence[Link], size: tuple[int, int], low: float, high: float
+) -> tuple[list[Link], np.ndarray]:
+    """Choose the candidates of a view of ``size`` (height, width) between two inverse depths.
+
+    The poses of many views are off by a pixel or so: with steps finer than a pixel of motion in the
+    view that moves least, noise would decide what is a plane and what agrees.
+
+    Returns
+    -------
+    list of Link
+        Those whose source sees enough of them.
+    float64 [D]
+        Candidate inverse depths, ascending.
+    """
+    most = settings.depth_candidates
+    tried = [(k, candidates(k.relative, size, low, high, most)) for k in links]
+    shown = [one for one in tried if visible_share(one[0].relative, size, one[1]) > MIN_VISIBLE]
+    return [k for k, _ in shown], min((steps for _, steps in shown or tried), key=len)
 
 
 def _searched(
@@ -198,7 +216,7 @@ def _given(settings: PlaneSweep, view: View) -> tuple[float | None, float | None
     )
 
 
-def _range(
+def depth_range(
     settings: PlaneSweep, scene: str, view: View, links: Sequence[Link], everywhere: np.ndarray
 ) -> tuple[float, float]:
     """Least and greatest inverse depth to try for one view.
@@ -237,7 +255,8 @@ def _complete(
     for i, (view, mine) in enumerate(zip(sample.context, swept, strict=True)):
         planes = fit_planes(mine.inverse_depth, mine.answered, mine.step)
         witnesses = [(link.relative, swept[link.source].known) for link in links[i]]
-        filled = fill(mine.inverse_depth, mine.answered, view.grey, planes, mine.steps, witnesses)
+        keep = mine.answered if mine.given is None else mine.answered | mine.given
+        filled = fill(mine.inverse_depth, keep, view.grey, planes, mine.steps, witnesses)
         whole.append(weighted_median(filled, view.image, mine.steps[0], mine.step))
     return whole
 

@@ -34,7 +34,7 @@ def test_a_field_has_the_given_objects_and_says_so(ids):
     truth = np.unique([view.instances for view in room_sample().context])
     np.testing.assert_array_equal(field.bank.ids, truth[truth > 0])
     assert field.settings["tracker"] == "precomputed"
-    assert field.settings["precomputed"] == {"folder": folder_digest(ids)}
+    assert field.settings["precomputed"] == {"folder": folder_digest(ids), "geometry": None}
 
 
 def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_path, monkeypatch):
@@ -42,7 +42,7 @@ def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_p
     settings = make_settings(values, "test")
     method = settings.built_by
     steps = calls_of(scene_task(settings, method, settings.scenes[0]), monkeypatch)
-    own = {"folder": folder_digest(ids)}
+    own = {"folder": folder_digest(ids), "geometry": None}
     assert keyed(steps["masks"])["tracker"] == {"precomputed": own}
     assert keyed(steps["field"])["method"]["precomputed"] == own
     assert steps["masks"]["tracker"].places() == {"folder": str(ids)}

@@ -1,0 +1,193 @@
+"""Cameras of an NPZ of geometry, as Depth Anything 3 and users of VGGT or DUSt3R write it.
+
+Such a file does not say whether its poses are world-to-camera, nor of which photographs its
+intrinsics are: those that a network saw, stretched, cropped or padded, or the stored ones. The
+depth in it tells, as in :mod:`slgaussian.predict.precomputed`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from itertools import pairwise, product
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from slgaussian.cameras.check import COARSE, agree
+from slgaussian.cameras.matches import RATIO, match, sift
+from slgaussian.cameras.two_view import Photograph
+from slgaussian.datasets.intrinsics import checked_camera
+from slgaussian.datasets.photographs import scene_of
+from slgaussian.datasets.unposed import folder_of, named, photograph
+from slgaussian.errors import InputError
+from slgaussian.formats.depth_maps import GeometryFile, read_geometry
+from slgaussian.io import file_digest
+from slgaussian.predict import precomputed
+from slgaussian.scene import Camera, Scene
+
+JUDGED = 6
+"""Photographs, the first, by which cameras are read."""
+
+LONGEST = 640
+"""Pixels of their longer side."""
+
+POSES = {
+    "camera-to-world in OpenCV's axes": (False, False),
+    "world-to-camera in OpenCV's axes": (True, False),
+    "camera-to-world in OpenGL's axes": (False, True),
+    "world-to-camera in OpenGL's axes": (True, True),
+}
+"""Whether poses are to be inverted, and y and z to be reversed then, by what they are."""
+
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Scene:
+    """Read a scene of photographs whose cameras an NPZ holds.
+
+    Parameters
+    ----------
+    path : path
+        NPZ, see :data:`slgaussian.formats.depth_maps.KEYS`.
+    photographs : str or sequence of str, optional
+        Their folder, from that of the NPZ, which it is if left out; or files and folders. Where the
+        NPZ has no ``names``, its maps are those of all photographs in their order, in a folder by
+        name.
+
+    Raises
+    ------
+    InputError
+        If the NPZ cannot be read or has no cameras, the photographs are not as many, or no reading
+        of its numbers fits them.
+    """
+    path = Path(path)
+    if photographs is None or isinstance(photographs, str):
+        photographs = [str(path.parent / (photographs or "."))]
+    files = named(photographs)
+    known = tuple((name, file, file_digest(file)) for name, file in files.items())
+    cameras = _cameras(path, file_digest(path), known)
+    taken = {name: files[name] for name in cameras}
+    return scene_of(folder_of(files).name, cameras, taken, path, [path], upright=True)
+
+
+@lru_cache(maxsize=8)
+def _cameras(
+    path: Path, digest: str, known: tuple[tuple[str, Path, str], ...]
+) -> Mapping[str, Camera]:
+    """Return the cameras of photographs by name; of the same files, read once."""
+    stored, files = read_geometry(path), {name: file for name, file, _ in known}
+    if stored.poses is None or stored.maps[0].K is None:
+        raise InputError(
+            f"{path}: holds no cameras; expected poses (extrinsics, poses) and intrinsics, or give "
+            "others by --cameras"
+        )
+    numbers = stored.numbers(list(files))
+    photos = {name: photograph(files[name], name) for name in numbers}
+    if len(photos) < 2:
+        raise InputError(f"{path}: has maps of {len(photos)} of the photographs, expected two")
+    first = dict(list(photos.items())[:JUDGED])
+    matches, sizes = _matches(list(first.values()))
+    tried = []
+    usual = "world-to-camera" if stored.inverted else "camera-to-world"
+    poses = sorted(POSES, key=lambda name: ("OpenGL" in name, usual not in name))
+    ways = _ways(stored, numbers, first)
+    for way, pose, ray in product(ways, poses, (False, True)):
+        try:
+            cameras = _taken(stored, numbers, first, ways[way], pose)
+        except InputError:  # of intrinsics that no photograph of this size has
+            continue
+        small = [
+            camera.resized(*size) for camera, size in zip(cameras.values(), sizes, strict=True)
+        ]
+        depths = []
+        for name, camera in zip(first, small, strict=True):
+            photo = first[name]
+            shrunk = np.diag([photo.width / camera.width, photo.height / camera.height, 1.0])
+            at, depth = ways[way][0][name] @ shrunk, stored.maps[numbers[name]].depth
+            depths.append(precomputed.z_at(depth, at, camera, ray))
+        tried.append(((way, pose, small), precomputed.fit(small, depths, matches)))
+    if not tried:
+        _taken(stored, numbers, first, next(iter(ways.values())), poses[0])
+    (way, pose, small), fitted = precomputed.first_best(tried)
+    blank = precomputed.fit(small, [precomputed.constant] * len(small), matches)
+    precomputed.refuse_misfit(path, fitted, blank, len(tried))
+    if pose != poses[0] or way != next(iter(ways)):
+        warnings.warn(
+            f"{path}: poses are read as {pose}, and intrinsics as of {way} photographs: so depth "
+            f"takes {fitted.share:.0%} of the matches to where the other view shows them",
+            stacklevel=2,
+        )
+    ways = _ways(stored, numbers, photos)
+    return _taken(stored, numbers, photos, ways[way], pose)
+
+
+def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tuple[int, int]]]:
+    """Match photographs that follow one another, at a size (width, height) that is returned too."""
+    scales = [LONGEST / max(photo.width, photo.height) for photo in photos]
+    sizes = [(round(p.width * s), round(p.height * s)) for p, s in zip(photos, scales, strict=True)]
+    greys = [
+        cv2.cvtColor(cv2.resize(p.image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
+        for p, size in zip(photos, sizes, strict=True)
+    ]
+    features = [sift(grey) for grey in greys]
+    matches = {}
+    for i, j in pairwise(range(len(photos))):
+        a, b, _ = match(features[i], features[j], RATIO)
+        p, q = features[i].points[a], features[j].points[b]
+        keep = agree(p, q, COARSE * LONGEST)
+        matches[i, j] = p[keep], q[keep]
+    return matches, sizes
+
+
+Way = tuple[dict[str, np.ndarray], bool]
+"""From pixels of each photograph to those of its map, and whether intrinsics are of the map."""
+
+
+def _ways(
+    stored: GeometryFile, numbers: Mapping[str, int], photos: Mapping[str, Photograph]
+) -> dict[str, Way]:
+    """List what may have been done to photographs, first what leaves their pixels square."""
+    placed = {}
+    for name, photo in photos.items():
+        height, width = stored.maps[numbers[name]].depth.shape
+        placed[name] = precomputed.placements(width, height, (photo.width, photo.height))
+    ways: dict[str, Way] = {}
+    for way in max(placed.values(), key=len):
+        at = {name: ways.get(way, ways["stretched"]) for name, ways in placed.items()}
+        ways[way] = at, True
+        ways[f"stored, not {way},"] = at, False
+    K = stored.maps[next(iter(numbers.values()))].K
+    assert K is not None
+
+    def stretch(way: str) -> float:
+        at, of_map = ways[way]
+        focal = (np.linalg.inv(next(iter(at.values()))) @ K if of_map else K)[[0, 1], [0, 1]]
+        return round(abs(float(np.log(max(focal[0] / focal[1], 1e-9)))), 2)
+
+    return {
+        way: ways[way] for way in sorted(ways, key=lambda way: (not ways[way][1], stretch(way)))
+    }
+
+
+def _taken(
+    stored: GeometryFile,
+    numbers: Mapping[str, int],
+    photos: Mapping[str, Photograph],
+    way: Way,
+    pose: str,
+) -> dict[str, Camera]:
+    """Return the cameras of whole photographs under one reading; InputError if there are none."""
+    inverted, flipped = POSES[pose]
+    cameras = {}
+    for name, photo in photos.items():
+        K = stored.maps[numbers[name]].K
+        assert K is not None and stored.poses is not None
+        c2w = stored.poses[numbers[name]]
+        K = np.linalg.inv(way[0][name]) @ K if way[1] else K
+        c2w = np.linalg.inv(c2w) if inverted else c2w
+        c2w = c2w @ FLIP if flipped else c2w
+        cameras[name] = checked_camera(Camera(K, c2w, photo.width, photo.height))
+    return cameras

@@ -1,0 +1,273 @@
+"""Files of depth and cameras that other programs wrote: NPZ, PNG, TIFF, NPY, PFM and EXR.
+
+Numbers are returned as they are stored; which of several conventions they follow is for the caller
+to find out (:mod:`slgaussian.predict.precomputed`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import ZipFile
+
+import cv2
+import numpy as np
+
+from slgaussian.errors import InputError
+from slgaussian.extras import install_line
+from slgaussian.formats.images import MOST_PIXELS, opened, read_npy, unreadable
+from slgaussian.io import short_repr
+
+KEYS = {
+    "depth": ("depth", "depths", "depthmap", "depthmaps", "depth_map", "depth_maps"),
+    "confidence": ("conf", "confs", "confidence", "confidences", "depth_conf"),
+    "w2c": ("extrinsics", "extrinsic", "w2c", "world_to_camera"),
+    "c2w": ("poses", "pose", "c2w", "cam2world", "camera_to_world", "camera_poses"),
+    "K": ("intrinsics", "intrinsic", "K", "Ks"),
+    "focal": ("focals", "focal"),
+    "names": ("names", "image_names", "image_paths"),
+}
+"""Names of arrays in NPZ: of Depth Anything 3, and what users of VGGT, MapAnything and DUSt3R
+write. The first that is there is read."""
+
+MILLIMETRE = 1e-3
+"""Units in one unit of a map of whole numbers."""
+
+MOST_BYTES = 48 * MOST_PIXELS
+"""Bytes of the largest NPZ, unpacked: 4 GiB."""
+
+CHANNELS = ("Z", "Y", "R", "V", "depth.Z", "Depth.Z", "depth.V", "Depth.V")
+"""Channels of EXR that hold depth, the first that is there."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMap:
+    """A map of depth as it is stored.
+
+    Attributes
+    ----------
+    file : str
+        Names the file, for messages.
+    depth : float32 or float64 [h, w]
+        Along z or along the ray, in any unit; 0 where unknown.
+    confidence : float32 [h, w] or None
+        Higher is surer, of any range.
+    K : float64 [3, 3] or None
+        Intrinsics in pixels, if the file holds some.
+    """
+
+    file: str
+    depth: np.ndarray
+    confidence: np.ndarray | None = None
+    K: np.ndarray | None = None
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, eq=False)
+class GeometryFile:
+    """Arrays of an NPZ of N photographs.
+
+    Attributes
+    ----------
+    file : Path
+    maps : sequence of N DepthMap
+    poses : float64 [N, 4, 4] or None
+    inverted : bool
+        Whether poses are called world-to-camera.
+    names : sequence of N str, or None
+        Of the photographs, where the file says them.
+    """
+
+    file: Path
+    maps: Sequence[DepthMap]
+    poses: np.ndarray | None
+    inverted: bool
+    names: Sequence[str] | None
+
+    __repr__ = short_repr
+
+    def numbers(self, views: Sequence[str]) -> dict[str, int]:
+        """Return the number of the map of each view that has one, by the names of photographs.
+
+        Without names, the maps are those of the views in their order.
+
+        Raises
+        ------
+        InputError
+            If there are no names, and as many maps as views neither.
+        """
+        if self.names is None:
+            if len(self.maps) != len(views):
+                raise InputError(
+                    f"{self.file}: holds {len(self.maps)} maps without names, for {len(views)} "
+                    "photographs; add an array `names` of theirs, as in np.savez(new, "
+                    "**np.load(old), names=[...])"
+                )
+            return {view: i for i, view in enumerate(views)}
+        known = {key: i for i, name in enumerate(self.names) for key in name_keys(name)}
+        found = {view: [known[k] for k in name_keys(view) if k in known] for view in views}
+        return {view: numbers[0] for view, numbers in found.items() if numbers}
+
+
+def name_keys(name: str) -> tuple[str, ...]:
+    """Return what files of a photograph are called: its path without suffix, or the last part."""
+    path = Path(name)
+    return path.with_suffix("").as_posix(), path.stem
+
+
+def read_geometry(file: Path) -> GeometryFile:
+    """Read an NPZ of depth, and of confidence and cameras where it has some (:data:`KEYS`).
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, holds no depth, or arrays are of other numbers of photographs.
+    """
+    arrays = _read_npz(file)
+    if "depth" not in arrays:
+        raise InputError(f"{file}: holds no depth; expected one of {', '.join(KEYS['depth'])}")
+    depth = _stacked(file, "depth", arrays["depth"])
+    count, height, width = depth.shape
+    confidence = arrays.get("confidence")
+    if confidence is not None:
+        confidence = _stacked(file, "confidence", confidence)
+        if confidence.shape != depth.shape:
+            raise InputError(
+                f"{file}: confidence is {confidence.shape}, expected {depth.shape} as depth"
+            )
+    matrices = None
+    if "K" in arrays:
+        matrices = _shaped(file, "intrinsics", arrays["K"], count, (3, 3))
+    elif "focal" in arrays:
+        focals = arrays["focal"].reshape(-1).astype(np.float64)
+        focals = np.broadcast_to(focals, count) if len(focals) == 1 else focals
+        matrices = np.array([[[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]] for f in focals])
+        matrices = _shaped(file, "focals", matrices, count, (3, 3))
+    poses, inverted = None, "w2c" in arrays
+    if inverted or "c2w" in arrays:
+        given = arrays["w2c" if inverted else "c2w"]
+        if given.shape[-2:] == (3, 4):
+            last = np.broadcast_to([0.0, 0, 0, 1], (*given.shape[:-2], 1, 4))
+            given = np.concatenate([given, last], -2)
+        poses = _shaped(file, "poses", given, count, (4, 4))
+    names = None
+    if "names" in arrays:
+        names = [str(name) for name in arrays["names"].reshape(-1)]
+        if len(names) != count:
+            raise InputError(f"{file}: has {len(names)} names, expected {count}, one a map")
+    maps = [
+        DepthMap(
+            f"{file} [{i}]",
+            known_depth(depth[i]),
+            None if confidence is None else confidence[i].astype(np.float32),
+            None if matrices is None else matrices[i],
+        )
+        for i in range(count)
+    ]
+    return GeometryFile(file, maps, poses, inverted, names)
+
+
+def read_map(file: Path, byte: bool = False) -> np.ndarray:
+    """Read a file of one map [h, w]: whole numbers are millimetres, others are as they are.
+
+    With ``byte``, of confidence, they may have 8 bits.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or is no map of depth.
+    """
+    try:
+        if file.suffix == ".npy":
+            pixels = read_npy(file)
+        elif file.suffix == ".exr":
+            pixels = _read_exr(file)
+        elif file.suffix == ".pfm":
+            pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+            if pixels is None:
+                raise ValueError("no PFM")
+        else:
+            with opened(file, kinds=["PNG", "TIFF"]) as image:
+                pixels = np.asarray(image)
+    except (OSError, ValueError) as problem:
+        raise unreadable(file, problem) from None
+    pixels = pixels.squeeze()
+    if pixels.ndim != 2 or not pixels.size or pixels.dtype.kind not in "uif" or (
+        pixels.dtype.itemsize == 1 and not byte
+    ):  # fmt: skip
+        raise InputError(
+            f"{file}: is {pixels.dtype} {pixels.shape}, expected one number a pixel, of 16 bits "
+            "or more"
+        )
+    return pixels * MILLIMETRE if pixels.dtype.kind in "ui" else pixels
+
+
+def known_depth(depth: np.ndarray) -> np.ndarray:
+    """Return depth as floating-point numbers, 0 where it is not finite and positive."""
+    depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0)
+
+
+def _read_npz(file: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of :data:`KEYS` that an NPZ holds, by our names."""
+    try:
+        with ZipFile(file) as archive:
+            size = sum(part.file_size for part in archive.infolist())
+        if size > MOST_BYTES:
+            raise ValueError(f"{size:,} bytes unpacked, of which at most {MOST_BYTES:,} are read")
+        with np.load(file, allow_pickle=False) as stored:
+            there = {
+                ours: next((theirs for theirs in names if theirs in stored), None)
+                for ours, names in KEYS.items()
+            }
+            return {ours: stored[theirs] for ours, theirs in there.items() if theirs is not None}
+    except Exception as problem:  # a damaged archive raises almost anything
+        raise unreadable(file, problem) from None
+
+
+def _read_exr(file: Path) -> np.ndarray:
+    try:
+        import OpenEXR
+    except ImportError:
+        raise InputError(
+            f"{file}: is EXR, which needs OpenEXR; {install_line('exr')}, or convert it to NPY"
+        ) from None
+    try:
+        with OpenEXR.File(str(file), separate_channels=True) as image:
+            channels: Mapping[str, np.ndarray] = {
+                name: channel.pixels for name, channel in image.channels().items()
+            }
+    except RuntimeError as problem:
+        raise ValueError(str(problem)) from None
+    name = next((name for name in CHANNELS if name in channels), None)
+    if name is None:
+        raise ValueError(f"channels {', '.join(channels)}, none of depth")
+    return channels[name]
+
+
+def _stacked(file: Path, name: str, values: np.ndarray) -> np.ndarray:
+    """Return maps [N, h, w] of values with axes of length 1 before and behind."""
+    if values.ndim == 5:  # [1, N, h, w, 1], as VGGT has it
+        values = values[0]
+    if values.ndim == 4:
+        values = values[..., 0] if values.shape[-1] == 1 else values[0]
+    if values.ndim == 2:
+        values = values[None]
+    if values.ndim != 3 or not values.size or values.dtype.kind not in "uif":
+        raise InputError(f"{file}: {name} is {values.dtype} {values.shape}, expected [N, H, W]")
+    return values
+
+
+def _shaped(
+    file: Path, name: str, values: np.ndarray, count: int, shape: tuple[int, int]
+) -> np.ndarray:
+    """Return matrices float64 [count, *shape]; InputError if they are none."""
+    fits = values.dtype.kind in "uif" and values.size == count * shape[0] * shape[1]
+    if fits and np.isfinite(values).all():
+        return values.reshape(count, *shape).astype(np.float64)
+    raise InputError(
+        f"{file}: {name} is {values.dtype} {values.shape}, expected finite numbers "
+        f"{(count, *shape)}, as many as maps"
+    )

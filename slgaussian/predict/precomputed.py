@@ -1,0 +1,433 @@
+"""The predictor ``precomputed``: depth made elsewhere, read as its photographs say it is meant.
+
+A file does not say whether depth is along z or along the ray, in which unit, and whether the map
+was stretched, cropped or padded from its photograph. Points that two photographs show both tell:
+under the right reading, depth takes each from one view to where the other shows it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slgaussian.cameras.check import COARSE, agree
+from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.cameras.relative import Relative
+from slgaussian.errors import InputError
+from slgaussian.formats.depth_maps import (
+    DepthMap,
+    known_depth,
+    name_keys,
+    read_geometry,
+    read_map,
+)
+from slgaussian.formats.resampling import Window, sample_depth
+from slgaussian.gaussians import Gaussians
+from slgaussian.masks.configs import DEPTHS
+from slgaussian.predict.configs import PrecomputedGeometryConfig
+from slgaussian.predict.depth_completion import AGREES, BEHIND, IN_FRONT, UNSEEN, cross_check
+from slgaussian.predict.depth_hypotheses import MIN_MATCHES
+from slgaussian.predict.depth_propagation import Swept
+from slgaussian.predict.planesweep import PlaneSweep, assemble, choose_steps, depth_range
+from slgaussian.predict.view_graph import ViewGraph, link_views
+from slgaussian.scene import Camera, Sample, View
+
+FITS = 0.5
+"""Share of the matches that depth must take to within :data:`slgaussian.cameras.check.COARSE` of
+where they are. Right readings reach 0.8 and more, since some matches lie on borders of depth."""
+
+INFORMED = 0.85
+PARALLAX = 0.3
+"""Depth must fit with less than this share of the error of one depth for all pixels, if that is
+more than ``PARALLAX``: on less motion nearly any depth fits."""
+
+MUCH_BETTER = 0.9
+"""A less usual reading is taken if its error is below this share of the usual one's."""
+
+MOVING = 1.0
+"""Least motion of a match by depth, pixels, from which a scale is measured."""
+
+SAME_UNIT = 0.03
+"""Relative distance of a scale from a power of ten up to which it is one: millimetres of metres."""
+
+LEVELS = 10
+"""Steps of confidence that are judged, each of as many pixels."""
+
+Matches = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
+"""Matching points float64 [M, 2] and [M, 2], pixels, of pairs of views."""
+
+Depth = Callable[[np.ndarray], np.ndarray]
+"""Takes pixels [M, 2] of a view to z-depths float64 [M], 0 where unknown."""
+
+
+class PrecomputedGeometry(PrecomputedGeometryConfig):
+    """Depth out of files, in the cameras of the sample; colours and discs as ``planesweep``.
+
+    ``geometry`` is an NPZ with a map of every context view (:mod:`slgaussian.formats.depth_maps`),
+    told apart by its array ``names`` or, without one, by the order of the views; or a folder that
+    holds a file for each view, called like it: for ``images/0013.jpg`` it is ``images/0013.png``,
+    or else ``0013.png``, or another of :data:`slgaussian.masks.configs.DEPTHS`, and confidence
+    ``0013_conf.png``. Of several scenes, each may have a folder of its name there.
+
+    Pixels without depth are completed as those that a sweep does not answer. A pixel of a
+    confidence that other views mostly contradict is a guess.
+
+    Raises
+    ------
+    InputError
+        If there is no such place. When a sample comes: if a map is missing or cannot be read, or
+        no reading of the maps fits the photographs.
+    """
+
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
+        if self.geometry is None:
+            raise InputError(
+                "precomputed geometry: none given; give an NPZ or a folder of depth, as in --set "
+                "precomputed.geometry=results.npz"
+            )
+        if not self.geometry.exists():
+            raise InputError(f"precomputed geometry: there is no {str(self.geometry)!r}")
+
+    def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
+        """Gaussians in the world frame of ``sample``; nothing is random."""
+        assert self.geometry is not None  # looked at when this was made
+        views = sample.context
+        matches = graph or MatchGraph.of(views)
+        maps = find_maps(self.geometry, sample)
+        depths, confidences = _read(self.geometry, views, maps, agreeing(views, matches))
+        linked = link_views(views, matches, ranged=True)
+        swept, low = _swept(sample, linked, depths, confidences)
+        gaussians = assemble(sample, linked, swept)
+        arrays = gaussians.to_arrays()
+        return gaussians.with_arrays(guessed=arrays["guessed"] | low.ravel()[arrays["source"]])
+
+
+def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
+    """Find and read the map of every context view; InputError as :class:`PrecomputedGeometry`."""
+    if place.is_file() and place.suffix == ".npz":
+        return _of_views(place, [view.name for view in sample.context])
+    if not place.is_dir():
+        raise InputError(f"{place}: is no folder and no .npz; give one of both")
+    own = place / sample.scene
+    place = own if own.is_dir() else place
+    return [_find_map(place, view.name) for view in sample.context]
+
+
+def _of_views(file: Path, views: Sequence[str]) -> list[DepthMap]:
+    stored = read_geometry(file)
+    numbers = stored.numbers(views)
+    for view in views:
+        if view not in numbers:
+            names = ", ".join((stored.names or [])[:4])
+            raise InputError(f"{file}: has no map of view {view!r}; its names begin with {names}")
+    return [stored.maps[numbers[view]] for view in views]
+
+
+def _find_map(folder: Path, view: str) -> DepthMap:
+    for key in dict.fromkeys(name_keys(view)):
+        there = [folder / f"{key}{suffix}" for suffix in DEPTHS]
+        there = [file for file in there if file.is_file()]
+        if len(there) > 1:
+            raise InputError(f"{there[0]}: {there[1].name} is there too; remove one of them")
+        if there and there[0].suffix == ".npz":
+            return _of_views(there[0], [view])[0]
+        if there:
+            beside = [folder / f"{key}_conf{suffix}" for suffix in DEPTHS]
+            sure = next((read_map(file, byte=True) for file in beside if file.is_file()), None)
+            return DepthMap(str(there[0]), known_depth(read_map(there[0])), sure)
+    raise InputError(
+        f"{folder}: has no depth of view {view!r}; expected {Path(view).stem} with one of "
+        f"{', '.join(DEPTHS)}"
+    )
+
+
+def agreeing(views: Sequence[View], graph: MatchGraph) -> Matches:
+    """Return the matches of each pair that agree with one another, whatever the cameras say."""
+    bound = COARSE * float(np.hypot(*views[0].grey.shape))
+    found = {}
+    for pair in graph.matches:
+        a, b = graph.points(*pair)
+        keep = agree(a, b, bound)
+        if keep.sum() >= MIN_MATCHES:
+            found[pair] = a[keep], b[keep]
+    return found
+
+
+def placements(width: int, height: int, photo: tuple[int, int]) -> dict[str, np.ndarray]:
+    """Ways in which a map of a size may lie over a photograph of ``photo`` (width, height).
+
+    Returns
+    -------
+    dict str -> float64 [3, 3]
+        From pixels of the photograph to those of the map, by what was done to the photograph.
+    """
+    x, y = width / photo[0], height / photo[1]
+    ways = {"stretched": np.diag([x, y, 1.0])}
+    if not Window.whole(*photo).has_shape(width, height):
+        for way, s in (("cropped", max(x, y)), ("padded", min(x, y))):
+            left, top = (width - s * photo[0]) / 2, (height - s * photo[1]) / 2
+            ways[way] = np.array([[s, 0, left], [0, s, top], [0, 0, 1.0]])
+    return ways
+
+
+def along_z(depth: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """Convert distances along the ray [h, w], of intrinsics in pixels of the map, to z."""
+    rows, columns = np.indices(depth.shape) + 0.5
+    rays = np.stack([columns, rows, np.ones(depth.shape)], -1) @ np.linalg.inv(K).T
+    return depth / np.linalg.norm(rays, axis=-1)
+
+
+def to_view(values: np.ndarray, at: np.ndarray, camera: Camera) -> np.ndarray:
+    """Resample depth [h, w] to a view, whose pixels ``at`` [3, 3] takes to those of the map."""
+    if values.shape == (camera.height, camera.width) and np.allclose(at, np.eye(3), atol=1e-9):
+        return values
+    x = at[0, 0] * (np.arange(camera.width) + 0.5) + at[0, 2]
+    y = at[1, 1] * (np.arange(camera.height) + 0.5) + at[1, 2]
+    return sample_depth(values.astype(np.float32), x[None], y[:, None])
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """How well depth takes matches from view to view, under one reading of it.
+
+    Attributes
+    ----------
+    error : float
+        Mean distance of the matches from where depth takes them, as a share of the bound, cut at 1.
+    share : float
+        Of the matches, that are within the bound.
+    count : int
+        Matches that have depth, from both sides.
+    scales : float64 [V]
+        By which the depth of each view was multiplied.
+    scaling : str
+        "", or what was scaled, for people.
+    """
+
+    error: float
+    share: float
+    count: int
+    scales: np.ndarray
+    scaling: str
+
+
+def z_at(depth: np.ndarray, at: np.ndarray, camera: Camera, ray: bool) -> Depth:
+    """Look up z of a view's pixels, which ``at`` [3, 3] takes to those of the map; 0 if unknown."""
+
+    def look_up(points: np.ndarray) -> np.ndarray:
+        column, row = np.floor(points @ at[:2, :2].T + at[:2, 2]).astype(np.int64).T
+        inside = (row >= 0) & (row < depth.shape[0]) & (column >= 0) & (column < depth.shape[1])
+        z = np.where(inside, depth[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
+        if ray:
+            rays = np.concatenate([points, np.ones((len(points), 1))], 1)
+            z = z / np.linalg.norm(rays @ np.linalg.inv(camera.K).T, axis=1)
+        return z
+
+    return look_up
+
+
+def constant(points: np.ndarray) -> np.ndarray:
+    """One depth for all pixels."""
+    return np.ones(len(points))
+
+
+def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) -> Fitted:
+    """Take matches from view to view by the z-depth of V views, scaled as little as fits.
+
+    As it is, by one scale for all views, or by one for each.
+    """
+    bound = COARSE * float(np.hypot(cameras[0].height, cameras[0].width))
+    seen = []
+    for (i, j), (p, q) in matches.items():
+        for a, b, here, there in ((i, j, p, q), (j, i, q, p)):
+            z = depths[a](here)
+            known = z > 0
+            relative = Relative.between(cameras[a], cameras[b])
+            seen.append((a, relative, here[known], there[known], z[known]))
+    ones = np.ones(len(cameras))
+    ratios: list[list[np.ndarray]] = [[] for _ in cameras]
+    for a, relative, here, there, z in seen:
+        inverse = relative.triangulate(here, there)
+        moves = inverse * relative.parallax(here) > MOVING
+        ratios[a].append(1 / (inverse[moves] * z[moves]))
+    each = [np.concatenate([np.zeros(0), *own]) for own in ratios]
+    whole = np.concatenate(each)
+    tries = [("", ones)]
+    if len(whole) >= MIN_MATCHES:
+        common = float(np.median(whole))
+        unit = float(10.0 ** np.round(np.log10(common)))
+        if abs(common / unit - 1) < SAME_UNIT:
+            common = unit
+        tries.append((f"times {common:.4g}", ones * common))
+        own = np.array([np.median(r) if len(r) >= MIN_MATCHES else common for r in each])
+        tries.append((f"times {own.min():.4g} to {own.max():.4g}, by view", own))
+    best = None
+    for scaling, scales in tries:
+        off = [np.zeros(0)]
+        for a, relative, here, there, z in seen:
+            at, ratio = relative.project(here, 1 / (scales[a] * z))
+            off.append(np.where(ratio > 0, np.linalg.norm(at - there, axis=-1), np.inf) / bound)
+        errors = np.concatenate(off)
+        count = len(errors)
+        error = float(np.minimum(errors, 1).mean()) if count else 1.0
+        if best is None or error < MUCH_BETTER * best.error:
+            share = float((errors < 1).mean()) if count else 0.0
+            best = Fitted(error, share, count, scales, scaling)
+    assert best is not None
+    return best
+
+
+def first_best(tried: Sequence[tuple[Any, Fitted]]) -> tuple[Any, Fitted]:
+    """Return the first reading that no other fits much better."""
+    least = min(fitted.error for _, fitted in tried)
+    return next(one for one in tried if MUCH_BETTER * one[1].error <= least)
+
+
+def refuse_misfit(place: Path, fitted: Fitted, blank: Fitted, readings: int) -> None:
+    """Raise InputError if the best of some readings does not fit the photographs.
+
+    ``blank`` says how one depth for all pixels of a view fits.
+    """
+    if fitted.count < 2 * MIN_MATCHES:
+        return
+    if fitted.share < FITS or (blank.error > PARALLAX and fitted.error > INFORMED * blank.error):
+        raise InputError(
+            f"{place}: depth does not fit the photographs: the best of {readings} readings, along "
+            f"z or the ray, takes {fitted.share:.0%} of {fitted.count} matches to where the other "
+            f"view shows them, and one depth for all pixels {blank.share:.0%}; check that each map "
+            "is of its photograph, in their order, and of these cameras"
+        )
+
+
+def _read(
+    place: Path, views: Sequence[View], maps: Sequence[DepthMap], matches: Matches
+) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
+    """Return z-depth V of [H, W] in scene units, 0 where unknown, and confidence or None."""
+    if not any((one.depth > 0).any() for one in maps):
+        raise InputError(f"{place}: its maps hold no depth; expected positive numbers")
+    cameras = [view.camera for view in views]
+    ways = [_ways(view, one) for view, one in zip(views, maps, strict=True)]
+    tried = []
+    for way, ray in product(ways[0], (False, True)):
+        at = [of_view.get(way, next(iter(of_view.values()))) for of_view in ways]
+        depths = [z_at(m.depth, a, c, ray) for m, a, c in zip(maps, at, cameras, strict=True)]
+        tried.append(((way, ray, at, depths), fit(cameras, depths, matches)))
+    (way, ray, at, depths), fitted = first_best(tried)
+    refuse_misfit(place, fitted, fit(cameras, [constant] * len(maps), matches), len(tried))
+    opposite = [z_at(m.depth, a, c, ray) for m, a, c in zip(maps[::-1], at, cameras, strict=True)]
+    if fit(cameras, opposite, matches).error < MUCH_BETTER * fitted.error:
+        raise InputError(
+            f"{place}: depth fits the photographs better in the opposite order; give each map its "
+            "own, by `names` or names of files"
+        )
+    if fitted.count < 2 * MIN_MATCHES:
+        warnings.warn(
+            f"{place}: too few matches to check how depth is meant; taken along z, as it is",
+            stacklevel=4,
+        )
+    said = ["along the ray"] if ray else []
+    said += [f"of {way} photographs"] if len(ways[0]) > 1 else []
+    said += [fitted.scaling] if fitted.scaling else []
+    if said:
+        warnings.warn(
+            f"{place}: depth is read {', '.join(said)}: so it takes {fitted.share:.0%} of the "
+            "matches to where the other view shows them",
+            stacklevel=4,
+        )
+    views_depth, sure = [], []
+    for one, of_map, camera, scale in zip(maps, at, cameras, fitted.scales, strict=True):
+        z = along_z(one.depth, of_map @ camera.K) if ray else one.depth
+        views_depth.append(scale * to_view(z, of_map, camera))
+        sure.append(None if one.confidence is None else _nearest(one.confidence, of_map, camera))
+    return views_depth, sure
+
+
+def _ways(view: View, one: DepthMap) -> dict[str, np.ndarray]:
+    """From pixels of the view to those of its map; first what the file's intrinsics fit best."""
+    part, camera = view.shown, view.camera
+    x, y = (part.right - part.left) / camera.width, (part.bottom - part.top) / camera.height
+    to_photo = np.array([[x, 0, part.left], [0, y, part.top], [0, 0, 1.0]])
+    height, width = one.depth.shape
+    ways = placements(width, height, (part.photo_width, part.photo_height))
+    ways = {way: at @ to_photo for way, at in ways.items()}
+    if one.K is None:
+        return ways
+    K = one.K
+    return dict(sorted(ways.items(), key=lambda way: float(np.abs(way[1] @ camera.K - K).sum())))
+
+
+def _nearest(values: np.ndarray, at: np.ndarray, camera: Camera) -> np.ndarray:
+    x = (at[0, 0] * (np.arange(camera.width) + 0.5) + at[0, 2]).astype(np.int64)
+    y = (at[1, 1] * (np.arange(camera.height) + 0.5) + at[1, 2]).astype(np.int64)
+    return values[np.ix_(y.clip(0, values.shape[0] - 1), x.clip(0, values.shape[1] - 1))]
+
+
+def _swept(
+    sample: Sample,
+    linked: ViewGraph,
+    depths: Sequence[np.ndarray],
+    confidences: Sequence[np.ndarray | None],
+) -> tuple[list[Swept], np.ndarray]:
+    """Check the depth of all views against each other, as after a sweep; and where confidence is
+    low, bool [V, H, W]."""
+    links, settings = linked.links, PlaneSweep()
+    given = np.array([depth > 0 for depth in depths])
+    inverse = [
+        np.divide(1, z, out=np.ones(z.shape), where=z > 0).astype(np.float32) for z in depths
+    ]
+    everywhere = np.concatenate([link.sparse for own in links for link in own])
+    steps = []
+    for i, view in enumerate(sample.context):
+        ends = np.percentile(inverse[i][given[i]], (0.1, 99.9)) if given[i].any() else []
+        try:
+            low, high = depth_range(settings, sample.scene, view, links[i], everywhere)
+        except InputError:  # too few matches
+            if not len(ends):
+                raise
+            low, high = 0.5 * ends[0], 1.25 * ends[1]
+        low, high = min([low, *ends]), max([high, *ends])
+        steps.append(choose_steps(settings, links[i], view.grey.shape, low, high)[1])
+        inverse[i] = np.where(given[i], inverse[i], np.float32(steps[i].mean()))
+    agrees, judged = np.zeros_like(given), np.zeros_like(given)
+    for i, own in enumerate(links):
+        for link in own:
+            step = steps[i][1] - steps[i][0]
+            known, other = given[link.source], inverse[link.source]
+            far, near = (
+                cross_check(inverse[i], np.where(known, other, blank), link.relative, step)
+                for blank in (np.float32(np.inf), np.float32(0))
+            )
+            # What the other view has no depth of may yet agree.
+            open_ = (far == BEHIND) & (near == IN_FRONT)
+            judged[i] |= given[i] & (far != UNSEEN) & ~open_
+            agrees[i] |= given[i] & ((far == AGREES) | open_)
+    low_ones = _low(confidences, agrees, judged)
+    swept = [
+        Swept(steps[i], inverse[i], agrees[i] & ~low_ones[i], given[i]) for i in range(len(steps))
+    ]
+    return swept, low_ones
+
+
+def _low(
+    confidences: Sequence[np.ndarray | None], agrees: np.ndarray, judged: np.ndarray
+) -> np.ndarray:
+    """Where confidence is at levels of which other views contradict more than half, from below."""
+    low = np.zeros_like(agrees)
+    if any(one is None for one in confidences) or not judged.any():
+        return low
+    sure = np.stack([one for one in confidences if one is not None])
+    levels = np.unique(np.quantile(sure[judged], np.arange(LEVELS) / LEVELS, method="nearest"))
+    level = np.searchsorted(levels, sure, side="right")
+    for k in range(1, len(levels) + 1):
+        at = judged & (level == k)
+        if agrees[at].mean() >= FITS:
+            break
+        low |= level <= k
+    return low

@@ -1,0 +1,222 @@
+"""Depth from files: the sweep's own read again, every kind of file, and readings that must fit."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from textured_planes import Plane, camera, sample
+
+from slgaussian.build import predict
+from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.components.component import Component
+from slgaussian.errors import InputError
+from slgaussian.formats.depth_maps import read_map
+from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.predict import load_predictor
+from slgaussian.predict.planesweep import PlaneSweep, sweep
+from slgaussian.predict.view_graph import link_views
+from slgaussian.scene import Sample, View
+
+STEEP = Plane(np.array([0.5, 0.4, 1.0]), 3.0)
+CAMERAS = camera(turn=0.1), camera(x=0.6, turn=-0.1)
+
+
+@pytest.fixture(scope="module")
+def steep() -> Sample:
+    views = [STEEP.view(f"images/{i}.png", one) for i, one in enumerate(CAMERAS)]
+    return Sample("steep", tuple(views))
+
+
+def true_depth(given: Sample) -> np.ndarray:
+    return np.array([view.depth for view in given.context])
+
+
+def saved(folder: Path, **arrays: np.ndarray) -> Path:
+    np.savez(folder / "results.npz", **arrays)
+    return folder / "results.npz"
+
+
+def predicted(given: Sample, place: Path) -> Gaussians:
+    gaussians = load_predictor("precomputed", geometry=place)(given)
+    gaussians.check()
+    return gaussians
+
+
+def depths_of(given: Sample, place: Path) -> np.ndarray:
+    return source_depths(predicted(given, place), [view.camera for view in given.context])
+
+
+def off(given: Sample, place: Path) -> float:
+    """Median relative error of depth."""
+    return float(np.median(np.abs(depths_of(given, place) / true_depth(given) - 1)))
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_depth_of_a_sweep_read_again_makes_the_gaussians_of_the_sweep(tmp_path, count):
+    cameras = [camera(x=0.2 * i, turn=0.05 * i) for i in range(count)]
+    given = sample(*cameras)
+    graph = MatchGraph.of(given.context)
+    swept = sweep(PlaneSweep(), given, link_views(given.context, graph, False).links)
+    depth = [np.where(s.answered, 1 / s.inverse_depth.astype(float), 0) for s in swept]
+    expected = PlaneSweep()(given).to_arrays()
+    arrays = predicted(given, saved(tmp_path, depth=np.array(depth))).to_arrays()
+    for name, values in expected.items():
+        np.testing.assert_allclose(arrays[name], values, atol=1e-6, err_msg=name)
+
+
+def test_dense_depth_read_again_makes_the_same_gaussians_as_in_single_files(tmp_path, steep):
+    depth = true_depth(steep)
+    whole = predicted(steep, saved(tmp_path, depth=depth)).to_arrays()
+    for view, values in zip(steep.context, depth, strict=True):
+        np.save(tmp_path / f"{Path(view.name).stem}.npy", values)
+    (tmp_path / "results.npz").unlink()
+    arrays = predicted(steep, tmp_path).to_arrays()
+    for name, values in whole.items():
+        np.testing.assert_array_equal(arrays[name], values, err_msg=name)
+
+
+def write_exr(file: Path, depth: np.ndarray) -> None:
+    OpenEXR = pytest.importorskip("OpenEXR")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"Z": depth}).write(str(file))
+
+
+def write_pfm(file: Path, depth: np.ndarray) -> None:
+    head = f"Pf\n{depth.shape[1]} {depth.shape[0]}\n-1.0\n".encode()
+    file.write_bytes(head + depth[::-1].astype("<f4").tobytes())
+
+
+KINDS = {
+    "png": lambda file, depth: Image.fromarray((1000 * depth).astype(np.uint16)).save(file),
+    "tiff": lambda file, depth: Image.fromarray(depth).save(file),
+    "npy": lambda file, depth: np.save(file, depth),
+    "pfm": write_pfm,
+    "exr": write_exr,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_files_of_a_map_are_read(tmp_path, kind):
+    depth = np.linspace(0.5, 7.0, 12, dtype=np.float32).reshape(3, 4)
+    KINDS[kind](tmp_path / f"d.{kind}", depth)
+    np.testing.assert_allclose(read_map(tmp_path / f"d.{kind}"), depth, atol=1e-3)
+
+
+def test_a_folder_of_millimetres_at_half_the_size_is_read_below_the_scene(tmp_path, steep):
+    folder = tmp_path / "steep" / "images"
+    folder.mkdir(parents=True)
+    for view in steep.context:
+        half = cv2.resize(view.depth, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_NEAREST)
+        KINDS["png"](folder / Path(view.name).name, half)
+    assert off(steep, tmp_path) < 0.01
+
+
+def along_rays(view: View) -> np.ndarray:
+    return view.depth * np.linalg.norm(view.camera.rays(), axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda view, i: along_rays(view), "along the ray"),
+        (lambda view, i: 1000 * view.depth, "times 0.001"),
+        (lambda view, i: (2 + i) * view.depth, "by view"),
+        (lambda view, i: view.depth[15:105], "of cropped photographs"),
+        (lambda view, i: np.pad(view.depth, ((20, 20), (0, 0))), "of padded photographs"),
+    ],
+    ids=["ray", "millimetres", "scales", "cropped", "padded"],
+)
+def test_the_reading_that_fits_is_taken_and_said(tmp_path, steep, change, said):
+    depth = np.array([change(view, i) for i, view in enumerate(steep.context)])
+    with pytest.warns(UserWarning, match=said):
+        assert off(steep, saved(tmp_path, depth=depth)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda depth: depth[:, ::-1], "does not fit the photographs"),
+        (lambda depth: 1 / depth, "does not fit the photographs"),
+        (lambda depth: depth[:, :, ::-1], "does not fit the photographs"),
+        (lambda depth: depth[:1], "1 maps without names, for 2 photographs"),
+        (lambda depth: np.zeros_like(depth), "hold no depth"),
+    ],
+)
+def test_depth_that_no_reading_fits_is_refused(tmp_path, steep, change, said):
+    file = saved(tmp_path, depth=change(true_depth(steep)))
+    with pytest.raises(InputError, match=said):
+        predicted(steep, file)
+
+
+def test_names_tell_maps_apart(tmp_path, steep):
+    depth = true_depth(steep)[::-1]
+    file = saved(tmp_path, depth=depth, names=["1.jpg", "0.jpg"])
+    assert off(steep, file) < 0.005
+    with pytest.raises(InputError, match=r"no map of view 'images/1\.png'; its names begin with 0"):
+        predicted(steep, saved(tmp_path, depth=depth, names=["0.jpg", "5.jpg"]))
+
+
+def test_pixels_without_depth_are_completed(tmp_path, steep):
+    depth = true_depth(steep)
+    depth[:, 40:60, 50:90] = np.nan
+    assert off(steep, saved(tmp_path, depth=depth)) < 0.005
+    arrays = predicted(steep, saved(tmp_path, depth=depth)).to_arrays()
+    hole = np.abs(depths_of(steep, tmp_path / "results.npz") / true_depth(steep) - 1)[
+        :, 45:55, 55:85
+    ]
+    assert hole.max() < 0.02
+    assert np.isfinite(arrays["means"]).all()
+
+
+@pytest.mark.parametrize("sure", [(0.0, 2.0), (1.02, 34.0)], ids=["phone", "unbounded"])
+def test_depth_of_low_confidence_is_a_guess(tmp_path, steep, sure):
+    depth = true_depth(steep)
+    noise = np.random.default_rng(0).uniform(0.6, 1.6, depth[:, :40].shape)
+    depth[:, :40] *= noise
+    confidence = np.full(depth.shape, sure[1])
+    confidence[:, :40] = sure[0]
+    confidence += 1e-3 * np.random.default_rng(1).random(depth.shape)
+    place = saved(tmp_path, depth=depth, conf=confidence)
+    settings = Component.of("predictor", "precomputed", {"geometry": place})
+    gaussians = predict(steep, MatchGraph.of(steep.context), settings, 0).gaussians
+    arrays = gaussians.to_arrays()
+    row = arrays["source"] // steep.context[0].camera.width % steep.context[0].camera.height
+    shown = ~arrays["guessed"]
+    assert shown[row < 40].mean() < 0.1  # what shares a step of confidence with what is sure
+    assert shown[row >= 50].mean() > 0.7
+
+
+def test_what_cannot_be_read_is_said(tmp_path, steep):
+    with pytest.raises(InputError, match="precomputed geometry: none given"):
+        load_predictor("precomputed")
+    with pytest.raises(InputError, match="there is no"):
+        load_predictor("precomputed", geometry=tmp_path / "no.npz")
+    (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 nothing")
+    with pytest.raises(InputError, match="cannot be read"):
+        predicted(steep, tmp_path / "bad.npz")
+    with pytest.raises(InputError, match="holds no depth; expected one of depth"):
+        predicted(steep, saved(tmp_path, disparity=true_depth(steep)))
+    with pytest.raises(InputError, match=r"has no depth of view 'images/0\.png'"):
+        predicted(steep, tmp_path)
+    Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "0.png")
+    with pytest.raises(InputError, match="expected one number a pixel, of 16 bits"):
+        predicted(steep, tmp_path)
+
+
+def test_what_depends_on_a_file_knows_its_content(tmp_path, steep):
+    file = saved(tmp_path, depth=true_depth(steep))
+    before = Component.of("predictor", "precomputed", {"geometry": file}).identity()
+    saved(tmp_path, depth=2 * true_depth(steep))
+    after = Component.of("predictor", "precomputed", {"geometry": file})
+    assert after.identity() != before
+    with pytest.raises(InputError, match="was changed"):
+        saved(tmp_path, depth=3 * true_depth(steep))
+        after.load()
+
+
+def test_views_that_were_cropped_from_their_photographs_get_their_part(tmp_path, steep):
+    smaller = replace(steep, context=tuple(view.resized(100, 160) for view in steep.context))
+    assert off(smaller, saved(tmp_path, depth=true_depth(steep))) < 0.005
