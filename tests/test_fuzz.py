@@ -4,7 +4,8 @@ import random
 
 import pytest
 
-from benches.pipeline.fuzz_readers import FORMATS, damaged, verdict
+from tests.damaged_bytes import damaged
+from tests.small_files import FORMATS, verdict
 
 SEED, COUNT = 1, 12
 

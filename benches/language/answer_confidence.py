@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from benches.common.harness import Format, parser, publish, table
+from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from benches.scores.scene_sets import PLACES, built, labelled, read
 from flows.config import SceneSettings, Settings
@@ -83,8 +83,7 @@ class Row(NamedTuple):
 
 
 RESTS_ON = ("evidence", "stands_out", "parts")
-TRIED = (("gap",), ("gap", "stands_out"), ("gap", "stands_out", "parts"), RESTS_ON)
-"""What confidence rests on, and what it could rest on instead."""
+"""What confidence rests on."""
 
 
 def answers(place: str, scene: SceneSettings, seeds: Sequence[int]) -> Iterator[Row]:
@@ -227,25 +226,6 @@ def false_found(rows: Sequence[Row], on: Sequence[str] = RESTS_ON) -> dict[str, 
     }
 
 
-def alone(rows: Sequence[Row]) -> list[dict]:
-    """What each of the numbers is worth: a row a choice of :data:`TRIED`."""
-    lines = []
-    for on in TRIED:
-        line: dict = {"on": ", ".join(name.replace("_", " ") for name in on)}
-        for what in ("mask", "point"):
-            one = judged(rows, what, on)
-            line |= {f"{what} auroc": one["auroc"], f"{what} error": one["error"]}
-        lines.append(line | {"after": false_found(rows, on)["after"]})
-    return lines
-
-
-COMPARED: dict[str, tuple[str, Format]] = {"on": ("rests on", str)}
-for _what in ("mask", "point"):
-    COMPARED[f"{_what} auroc"] = (f"{_what}: AUROC", ".3f")
-    COMPARED[f"{_what} error"] = (f"{_what}: calibration error", ".3f")
-COMPARED["after"] = ("absent things found", ".0%")
-
-
 def main() -> None:
     arguments = parser(__doc__, "words.md")
     arguments.add_argument("data", type=data_folder("office", "places"))
@@ -292,7 +272,6 @@ def main() -> None:
         "that are there.",
         table([one | one["by_place"] for one in both], columns),
         table(tenths, of_tenths),
-        table(alone(rows), COMPARED),
         f"Without confidence, {found['before']:.0%} of the things that are not there are found. At "
         f"a limit of {found['limit']:.2f}, which {KEPT:.0%} of the right points reach, "
         f"{found['after']:.0%} are, and {found['kept']:.0%} of those that are there. By place: "

@@ -105,7 +105,7 @@ def summary(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[dic
             numbers = (np.mean(values), np.std(values, ddof=1), min(values), max(values))
             lines.append(
                 {
-                    "set": SETS[name].title,
+                    "set": name,
                     "chosen": "yes" if SETS[name].chosen else "no",
                     "metric": metric.title,
                     "seeds": len(values),

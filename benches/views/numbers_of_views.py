@@ -30,7 +30,6 @@ from benches.common.photograph_pairs import data_folder
 from slgaussian import datasets
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.metrics import depth_errors, psnr, ssim
-from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
 from slgaussian.datasets.context_views import context_of
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.gaussians import Gaussians
@@ -67,12 +66,9 @@ def rows_of(
 
 def figures(sample: Sample) -> Row:
     """Predict Gaussians; return what they are worth at the targets, and what they cost."""
-    give_back()
-    forget_peak()
     start = time.process_time()
     gaussians = PlaneSweep()(sample)
-    seconds, memory = time.process_time() - start, held("VmHWM") / 2**20
-    cost = {"gaussians": len(gaussians), "seconds": seconds, "memory": memory}
+    cost = {"gaussians": len(gaussians), "seconds": time.process_time() - start}
     return at_targets(sample, gaussians) | cost
 
 
@@ -149,7 +145,7 @@ def summary(rows: Sequence[Row]) -> list[Row]:
         if not done:
             continue
         line: Row = {"views": number, "scenes": len(done), "refused": len(asked) - len(done)}
-        for name in ("psnr", "ssim", "depth", "gaussians", "seconds", "memory"):
+        for name in ("psnr", "ssim", "depth", "gaussians", "seconds"):
             values = [row[name] for row in done if name in row]
             if values:
                 line[name] = float(np.mean(values))
@@ -172,7 +168,6 @@ COLUMNS = {
     "depth": ("depth error", ".3f"),
     "gaussians": ("Gaussians", ",.0f"),
     "seconds": ("CPU, s", ".1f"),
-    "memory": ("peak, MB", ",.0f"),
     "refused": ("refused", "d"),
 }
 
