@@ -181,7 +181,7 @@ def test_the_completion_of_a_shell_is_installed(shell, tmp_path):
         (["field"], "missing argument 'PHOTO' (see `slgaussian field --help`)"),
         (["demo", "--workers", "two"], "invalid value for '--workers': input should be a valid"),
         (["demo", "--out"], "option '--out' requires an argument"),
-        (["words", "red"], "unexpected extra argument(s) (red) (see `slgaussian words --help`)"),
+        (["doctor", "red"], "unexpected extra argument(s) (red) (see `slgaussian doctor --help`)"),
         (["demo", "--encoder", "lexcion"], "unknown encoder 'lexcion': expected one of clip, "),
         (["demo", "--encoder", "lexcion"], "; did you mean 'lexicon'?"),
         (["demo", "--preset", "balanecd"], "; did you mean 'balanced'?"),
