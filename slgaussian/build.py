@@ -76,7 +76,8 @@ def build_field(
     SemanticField
         Its own ``settings`` say all this, see
         :meth:`slgaussian.components.method.Method.identity`, and under ``quality`` how good the
-        views were, see :class:`slgaussian.cameras.quality.Quality`; under ``account`` its
+        views were, see :class:`slgaussian.cameras.quality.Quality`, under ``verdict`` what the
+        scene is worth; under ``account`` its
         :class:`slgaussian.storage.statistics.FieldStatistics`; and where nobody gave cameras, under
         ``cameras`` how they were found.
 
@@ -202,6 +203,7 @@ def lift_field(
         depths_possible=None if depths is None else depths.possible,
     )
     said = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
+    said["verdict"] = quality.verdict()._asdict()
     said["account"] = statistics.as_json()
     if sample.found:
         said["cameras"] = dict(sample.found)

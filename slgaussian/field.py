@@ -563,9 +563,8 @@ class SemanticField:
 
     def made(self) -> Made:
         """What made the field, as its files say it where no stage of a run does."""
-        said = {
-            name: own for name, own in self.settings.items() if name not in ("account", "quality")
-        }
+        results = ("account", "quality", "verdict")
+        said = {name: own for name, own in self.settings.items() if name not in results}
         return Made("build_field", settings=json.loads(json.dumps(said, sort_keys=True)))
 
     def about(self, digests: Mapping[str, str]) -> About:

@@ -265,7 +265,7 @@ def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     return run.store.put("truth", truth_to_arrays(found, shown))
 
 
-@stage("geometry", version=10)
+@stage("geometry", version=11)
 def geometry(
     run: RunContext,
     sample: ArtifactRef,

@@ -76,6 +76,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         assert (account.bytes_gaussians, account.code_dimensions) == (held, 3)
         assert 2 * 32 <= account.depths_tried <= account.depths_possible == 2 * 144
         assert (account.replicas_computed, account.replicas_asked) == (1, 1)
+        assert settings.pop("verdict") == Quality(**quality).verdict()._asdict()
         assert quality["judged"] is False and 0.5 < quality["overlap"] < 1
         assert settings == {
             "scene": sample.scene,

@@ -60,6 +60,9 @@ def field(
         int | None, typer.Option(metavar="N", min=2, help="Use the N sharpest of a walk, evenly.")
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
+    strict: Annotated[
+        bool, typer.Option("--strict", help="End with status 4 if the scene is poor.")
+    ] = False,
 ) -> None:
     """Build a field from two or more photographs.
 
@@ -75,7 +78,7 @@ def field(
     from flows.cli.photographs import load_photographs
     from slgaussian import precompile
     from slgaussian.build import build_field
-    from slgaussian.cameras.quality import Quality
+    from slgaussian.cameras.quality import POOR, Quality
     from slgaussian.storage.field_folder import check_target
     from slgaussian.storage.inputs import describe_photographs
     from slgaussian.storage.statistics import FieldStatistics
@@ -95,15 +98,17 @@ def field(
     quality = Quality(**built.settings["quality"])
     size_text = f"{len(built.gaussians)} Gaussians, {len(built.bank)} objects"
     lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
-    lines += [f"warning: {warning}" for warning in quality.warnings()]
     lines += [quality.summary(), *FieldStatistics(**built.settings["account"]).lines()]
     lines.append(f"seconds: {', '.join(f'{step} {taken:.2f}' for step, taken in seconds.items())}")
     if (word := choose_word(built)) is not None:
         command = ["slgaussian", "query", str(out), word, "-o", "hit.png"]
         lines.append(f"ask it: {shlex.join(command)}")
     lines.append(f"look at it: {shlex.join(['slgaussian', 'view', str(out)])}")
+    lines.append(quality.verdict().sentence())
     typer.echo("\n".join(lines), err=True)
     typer.echo(out)
+    if strict and quality.verdict().level == POOR:
+        raise typer.Exit(4)
 
 
 def choose_word(field: SemanticField) -> str | None:

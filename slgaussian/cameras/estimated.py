@@ -180,7 +180,7 @@ class EstimatedCameras:
         of_some = f" of {placed} of {given} photographs" if self.left_out else ""
         return (
             f"cameras found{of_some}: focal length {min(pixels):.0f}{several} pixels ({low:.0f} to "
-            f"{high:.0f}, from {sources}){told}; confidence {self.confidence:.0%}"
+            f"{high:.0f}, from {sources}){told}"
         )
 
 

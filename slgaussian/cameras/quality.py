@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,26 @@ from slgaussian.geometry import SceneGeometry
 
 LITTLE_SHARED = 0.3
 """Overlap below which most of a field is seen once, and its depth is a guess."""
+
+GOOD, USABLE, POOR = "good", "usable", "poor"
+"""What a scene may be called."""
+
+MUCH_AGREEMENT, LEAST_AGREEMENT = 0.72, 0.3
+LITTLE_CLASH, MOST_CLASH = 0.16, 0.22
+"""Agreement from which, and clash up to which, a scene is good, and beyond which it is poor. Chosen
+in sight of 26 pairs of photographs (`docs/measured/poses.md`): where depth is broken, clash is
+0.35 and more, else at most 0.18."""
+
+
+class Verdict(NamedTuple):
+    """What a scene is called, and why, with what to photograph instead; no reason if it is good."""
+
+    level: str
+    reason: str
+
+    def sentence(self) -> str:
+        """Return a line for people."""
+        return f"scene: {self.level}" + (f": {self.reason}" if self.reason else "")
 
 
 @dataclass(frozen=True)
@@ -42,6 +62,12 @@ class Quality:
         Whether the matches could tell right cameras from wrong ones.
     apart : int
         Views that share less than :data:`LITTLE_SHARED` with any other.
+    agreement : float
+        Fraction of the pixels that fall inside another view whose surface another view shows.
+    clash : float
+        Fraction of what another view should show that has another colour there
+        (:meth:`slgaussian.geometry.SceneGeometry.clash`), the larger of two views. Of several the
+        median of what each has with the one that it shares most with.
     """
 
     overlap: float
@@ -53,6 +79,8 @@ class Quality:
     pixels: float
     judged: bool
     apart: int = 0
+    agreement: float = 1.0
+    clash: float = 0.0
 
     def as_json(self) -> dict[str, Any]:
         """Plain numbers, four decimals."""
@@ -73,30 +101,44 @@ class Quality:
         """A clause on how much of the depth is more than a guess, for terminal and page."""
         return f"another view confirms {self.confirmed:.0%} of the pixels"
 
-    def warnings(self) -> list[str]:
-        """What the user had better know, a sentence each."""
-        found = []
-        if self.angle is not None and self.angle > WIDE:
-            found.append(
-                f"the lines of sight are {self.angle:.0f} degrees apart, and above {WIDE:.0f} "
-                "depth is often wrong; add a photograph from between"
-            )
-        elif self.turn > TURNED:
-            found.append(
-                f"the cameras are turned by {self.turn:.0f} degrees against each other, and above "
-                f"{TURNED:.0f} depth is often wrong; add a photograph from between"
-            )
+    def verdict(self) -> Verdict:
+        """Judge the scene by what its photographs say of each other; causes only give reasons."""
         if self.overlap < LITTLE_SHARED:
-            found.append(
+            return Verdict(
+                POOR,
                 f"a view shares {self.overlap:.0%} of what it shows with the other, and the depth "
-                "of the rest is a guess; add a photograph from between"
+                "of the rest is a guess; add a photograph from between",
             )
-        elif self.apart:
-            found.append(
+        level = POOR if self.agreement < LEAST_AGREEMENT or self.clash > MOST_CLASH else USABLE
+        if self.agreement >= MUCH_AGREEMENT and self.clash <= LITTLE_CLASH:
+            if not self.apart:
+                return Verdict(GOOD, "")
+            return Verdict(
+                USABLE,
                 f"views that share less than {LITTLE_SHARED:.0%} with any other: {self.apart}; "
-                "most of their depth is a guess; add photographs from between"
+                "most of their depth is a guess; add photographs from between",
             )
-        return found
+        clause = (
+            f"of what two views show, they confirm {self.agreement:.0%} and contradict "
+            f"{self.clash:.0%}"
+        )
+        if self.angle is not None and self.angle > WIDE:
+            apart = f"the lines of sight are {self.angle:.0f} degrees apart"
+        elif self.turn > TURNED:
+            apart = f"the cameras are turned by {self.turn:.0f} degrees against each other"
+        elif self.clash > LITTLE_CLASH:
+            return Verdict(
+                level,
+                f"{clause}: something moved, shines or is thin; photograph what stands still, from "
+                "places nearer to each other",
+            )
+        else:
+            return Verdict(
+                level,
+                f"{clause}: much of it is blank or looks alike, and its depth a guess; add a "
+                "photograph from between, with more texture in it",
+            )
+        return Verdict(level, f"{clause}: {apart}; add a photograph from between")
 
 
 def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quality, np.ndarray]:
@@ -107,14 +149,19 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
     """
     views, depths = geometry.views, geometry.depths
     shared = np.zeros(len(views))
-    confirmed = np.zeros(depths.shape, bool)
+    clash = np.zeros(len(views))
+    confirmed, met = np.zeros(depths.shape, bool), np.zeros(depths.shape, bool)
     for a, b in neighbours(views):
         fractions = []
         for here, there in ((a, b), (b, a)):
             inside, same = geometry.seen_again(here, there)
             confirmed[here] |= same
+            met[here] |= inside
             fractions.append(float(inside.sum() / max((depths[here] > 0).sum(), 1)))
-        shared[[a, b]] = np.maximum(shared[[a, b]], min(fractions))
+        worst = max(geometry.clash(a, b), geometry.clash(b, a))
+        for view in (a, b):
+            if min(fractions) > shared[view]:
+                shared[view], clash[view] = min(fractions), worst
     axes = {view.name: view.camera.c2w[:3, 2] for view in views}
     cosines = [axes[check.views[0]] @ axes[check.views[1]] for check in checks]
     known = [check.angle for check in checks if np.isfinite(check.angle)]
@@ -129,5 +176,7 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
         pixels=checks[0].pixels[0],
         judged=enough(matches, agreeing),
         apart=int((shared < LITTLE_SHARED).sum()),
+        agreement=float(confirmed.sum() / max(met.sum(), 1)),
+        clash=float(np.median(clash)),
     )
     return quality, confirmed

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
@@ -17,6 +18,11 @@ from slgaussian.scene import Camera, View
 
 CONFIRMS = 0.02
 """Two views show one surface where their depths differ by at most this fraction."""
+
+CLASHES = 15.0
+SMOOTH = 2.0
+"""Distance in CIELAB from which colours of one surface in two views contradict each other, and the
+deviation of the Gaussian that they are smoothed by, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +133,25 @@ class SceneGeometry:
         u, v = np.where(inside[..., None], pixels, 0).astype(np.int64).transpose(2, 0, 1)
         met = shown[v, u]
         return inside, inside & (met > 0) & (np.abs(z - met) <= CONFIRMS * met)
+
+    def clash(self, here: int, there: int) -> float:
+        """Return which share of what one view shows looks different in another that should show it.
+
+        Colours of pixels that fall inside the other view and are not hidden there are compared,
+        smoothed and brought to one exposure: where they differ by more than :data:`CLASHES`,
+        something moved, or the depth is wrong. 0 if there are no such pixels.
+        """
+        camera, depth = self.views[here].camera, self.depths[here]
+        other, shown = self.views[there].camera, self.depths[there]
+        pixels, z = other.project(camera.unproject(depth))
+        inside, _ = self.seen_again(here, there)
+        u, v = np.where(inside[..., None], pixels, 0).astype(np.float32).transpose(2, 0, 1)
+        visible = inside & (z <= (1 + CONFIRMS) * shown[v.astype(int), u.astype(int)])
+        if not visible.any():
+            return 0.0
+        mine, others = (cv2.GaussianBlur(self.views[i].lab, (0, 0), SMOOTH) for i in (here, there))
+        off = (mine - cv2.remap(others, u - 0.5, v - 0.5, cv2.INTER_LINEAR))[visible]
+        return float((np.linalg.norm(off - np.median(off, 0), axis=-1) > CLASHES).mean())
 
     @cached_property
     def room(self) -> Room:

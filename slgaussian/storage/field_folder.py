@@ -50,8 +50,8 @@ class About:
     Attributes
     ----------
     settings : mapping
-        Names and settings of every part that made it, files by content; under ``quality`` and
-        ``account`` what is said of the result.
+        Names and settings of every part that made it, files by content; under ``quality``,
+        ``verdict`` and ``account`` what is said of the result.
     cameras : mapping str -> Camera
         The context cameras by view name.
     digests : {spec: SHA-256}

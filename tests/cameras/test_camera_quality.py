@@ -34,6 +34,8 @@ def test_true_depth_is_confirmed_where_the_other_view_sees_it(room):
     wrong = depths.copy()
     wrong[1] *= 1.1
     assert of(room, wrong).confirmed < 0.1
+    assert good.clash < 0.1 and good.verdict().level == "good"
+    assert of(room, wrong).verdict().level == "poor"
     half = depths.copy()
     half[0, :, :108] = 0  # what is transparent in one view is not counted, nor confirms the other
     assert of(room, half).overlap > 0.7 and of(room, half).confirmed < good.confirmed
@@ -66,11 +68,11 @@ def test_of_many_views_those_are_judged_that_see_the_same_things():
     assert found.angle == pytest.approx(10.6, abs=0.5) and found.turn == 0
     assert found.overlap == pytest.approx(0.5, abs=0.01) and found.apart == 0
     assert found.confirmed == pytest.approx(4 / 6, abs=0.01)  # half at the ends, all between
-    assert not found.warnings()
+    assert found.verdict().level == "good"
     depths[[0, 5]] = FAR / 3  # so near that what they show falls outside of all others
     found = of(two_rows(), depths)
     assert found.overlap == pytest.approx(0.5, abs=0.01) and found.apart == 2
-    assert "any other: 2" in found.warnings()[-1]
+    assert found.verdict().level != "good"
 
 
 def test_what_people_read():
@@ -78,8 +80,12 @@ def test_what_people_read():
         "quality: views overlap by 70%, lines of sight 12 degrees apart; the cameras explain 90% "
         "of 200 matches within 7.1 pixels; another view confirms 60% of the pixels"
     )
-    assert not GOOD.warnings() and Quality(**GOOD.as_json()) == GOOD
-    assert "48 degrees" in replace(GOOD, angle=48.0).warnings()[0]
-    assert "turned by 48 degrees" in replace(GOOD, turn=48.0).warnings()[0]
-    assert "shares 12%" in replace(GOOD, overlap=0.12).warnings()[0]
+    assert GOOD.verdict().sentence() == "scene: good" and Quality(**GOOD.as_json()) == GOOD
+    assert "48 degrees" in replace(GOOD, angle=48.0, agreement=0.6).verdict().reason
+    assert "turned by 48 degrees" in replace(GOOD, turn=48.0, agreement=0.6).verdict().reason
+    assert "shares 12%" in replace(GOOD, overlap=0.12).verdict().reason
+    assert "any other: 2" in replace(GOOD, apart=2).verdict().reason
+    assert replace(GOOD, agreement=0.2).verdict().level == "poor"
+    moved = replace(GOOD, agreement=0.5, clash=0.35).verdict()
+    assert moved.level == "poor" and "something moved" in moved.reason
     assert "too few agree" in replace(GOOD, judged=False, angle=None).summary()

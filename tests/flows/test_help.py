@@ -129,7 +129,7 @@ def test_choices_that_are_listed_are_those_that_are_taken():
     [
         ("slgaussian fie", {"field"}),
         ("slgaussian store ", {"gc", "verify"}),
-        ("slgaussian field --predictor ", {"planesweep", "mvsplat"}),
+        ("slgaussian field --predictor ", {"planesweep", "mvsplat", "precomputed"}),
         ("slgaussian field --predictor mv", {"mvsplat"}),
         ("slgaussian demo --preset ", set(config.PRESETS)),
         ("slgaussian field --tracker s", {"sam2-video"}),

@@ -262,7 +262,7 @@ def _honest(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
         quality = Quality(**field.settings["quality"])
         depth = quality.depth[0].upper() + quality.depth[1:]
         said.append(f"{depth}, and the depth of the rest is a guess.")
-        said += [f"Warning: {warning}." for warning in quality.warnings()]
+        said.append(f"{quality.verdict().sentence().capitalize()}.")
     said.append("What no photograph shows is left open.")
     if field.removed:
         said.append("Stripes are open too, such as what stood behind what was removed.")
