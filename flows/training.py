@@ -26,8 +26,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.io import file_sha256, write_atomic
 from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.branch import Architecture, load_branch, save_branch
-from slgaussian.semantic.training import found_device
-from slgaussian.semantic.training_settings import TrainingSettings
+from slgaussian.semantic.training import TrainingSettings, found_device
 from slgaussian.semantic.versions import find_weights
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec

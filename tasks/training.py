@@ -25,9 +25,8 @@ from slgaussian.semantic.corruption import corrupt
 from slgaussian.semantic.evaluation import label_iou, novel_labels
 from slgaussian.semantic.hard import Filled, HardIndex
 from slgaussian.semantic.lesson import GEOMETRY, Lesson
-from slgaussian.semantic.training import Progress
+from slgaussian.semantic.training import Progress, TrainingSettings
 from slgaussian.semantic.training import train as train_branch
-from slgaussian.semantic.training_settings import TrainingSettings
 from slgaussian.storage.encoding import Arrays
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore

@@ -28,7 +28,6 @@ import numpy as np
 from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import SIZE, labelled, read_pairs
 from slgaussian.benchmark.annotations import read_labels
-from slgaussian.cameras.matches import sift_matches
 from slgaussian.cameras.relative import Relative
 from slgaussian.datasets import nerfstudio
 from slgaussian.datasets.procedural import reader
@@ -40,6 +39,7 @@ from slgaussian.masks.regions import Regions
 from slgaussian.predict import load_predictor
 from slgaussian.predict.pose import GATE, refine
 from slgaussian.scene import Sample, View
+from tests.matching import sift_matches
 
 BASELINES = (0.3, 0.6, 0.9, 1.2, 1.6)
 """Metres; the cameras stand about 3.3 m away from what they look at."""

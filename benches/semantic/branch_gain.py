@@ -24,8 +24,7 @@ from slgaussian.semantic.corruption import KINDS, corrupt
 from slgaussian.semantic.evaluation import label_iou
 from slgaussian.semantic.hard import Filled, HardIndex
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.training import train
-from slgaussian.semantic.training_settings import TrainingSettings
+from slgaussian.semantic.training import TrainingSettings, train
 
 WIDTHS = Architecture().widths
 TRAINED = {"branch": Architecture(WIDTHS, others=False), "branch, others": Architecture(WIDTHS)}

@@ -264,10 +264,6 @@ _YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 _XY = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
-def _exchanged(a: Camera, b: Camera) -> Pair:
-    return replace(a, c2w=b.c2w), replace(b, c2w=a.c2w)
-
-
 def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera, Camera], Pair]:
     return lambda a, b: (replace(a, c2w=change(a.c2w)), replace(b, c2w=change(b.c2w)))
 
@@ -298,7 +294,10 @@ _INVERTED = (
 )
 
 CORRECTIONS = (
-    Correction("if the two poses are exchanged: give each photograph its own", _exchanged),
+    Correction(
+        "if the two poses are exchanged: give each photograph its own",
+        lambda a, b: (replace(a, c2w=b.c2w), replace(b, c2w=a.c2w)),
+    ),
     Correction(
         "if the y and z axes of every pose are reversed: they follow OpenCV's axes where their "
         "format has OpenGL's, or the other way round; multiply the second and the third column of "

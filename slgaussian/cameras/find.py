@@ -160,6 +160,11 @@ def _find_two(a: Described, b: Described, solved: Solved) -> Many:
 
 def _told(found: Many, described: Sequence[Described]) -> EstimatedCameras:
     photographs = [one.photograph for one in described]
+    if len(found.pairs) == 1:
+        (pair,) = found.pairs
+        doubt = pair.said if pair.verdict == DOUBTFUL else ""
+    else:
+        doubt = "some photographs share little with the others" if found.confidence < SURE else ""
     cameras, focals = {}, {}
     for k, (one, photograph) in enumerate(zip(described, photographs, strict=True)):
         focal = focal_of(found.focals[k] / one.shrunk, float(found.deviations[k]), photograph)
@@ -174,17 +179,8 @@ def _told(found: Many, described: Sequence[Described]) -> EstimatedCameras:
         found.pairs,
         found.points,
         found.confidence,
-        _warnings(found),
+        (f"these cameras are doubtful: {doubt}",) if doubt else (),
     )
-
-
-def _warnings(found: Many) -> tuple[str, ...]:
-    if len(found.pairs) == 1:
-        (pair,) = found.pairs
-        doubt = pair.said if pair.verdict == DOUBTFUL else ""
-    else:
-        doubt = "some photographs share little with the others" if found.confidence < SURE else ""
-    return (f"these cameras are doubtful: {doubt}",) if doubt else ()
 
 
 def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:

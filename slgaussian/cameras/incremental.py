@@ -138,12 +138,18 @@ def place(
         return None
     ties = sorted(ties, key=lambda tie: tie.views)
     tracks = _tracks(keypoints, ties)
-    together = _together(len(keypoints), ties)
-    starts = sorted(
-        (tie for tie in ties if tie.pose is not None),
-        key=lambda tie: (together[tie.views[0]], _worth(tie)),
-        reverse=True,
-    )
+    ends = np.array([tie.views for tie in ties]).T
+    tied = coo_array((np.ones(len(ties)), tuple(ends)), shape=(len(keypoints),) * 2)
+    _, piece = connected_components(tied, directed=False)
+    together = np.bincount(piece)[
+        piece
+    ]  # views that hang together with each: more cannot be placed
+
+    def worth(tie: Tie) -> tuple[int, float]:
+        width = min(tie.angle, 8.0) ** 0.5
+        return together[tie.views[0]], len(tie.features[0]) * width * (0.1 + tie.confidence)
+
+    starts = sorted((tie for tie in ties if tie.pose is not None), key=worth, reverse=True)
     found: list[tuple[tuple[int, int], _Growing]] = []
     for start in starts[:STARTS]:
         grown = _Growing(tracks, centers, group, focal_prior, focal_sigma, ties)
@@ -154,19 +160,6 @@ def place(
         if len(grown.placed) == len(keypoints) and explained > ENOUGH * len(tracks.view):
             break
     return max(found, key=lambda one: one[0])[1].finished() if found else None
-
-
-def _together(count: int, ties: Sequence[Tie]) -> np.ndarray:
-    """Of each view, how many hang together with it by ties, int64 [V]: more cannot be placed."""
-    ends = np.array([tie.views for tie in ties]).T
-    tied = coo_array((np.ones(len(ties)), tuple(ends)), shape=(count, count))
-    _, piece = connected_components(tied, directed=False)
-    return np.bincount(piece)[piece]
-
-
-def _worth(tie: Tie) -> float:
-    """Of a pair as a start."""
-    return len(tie.features[0]) * min(tie.angle, 8.0) ** 0.5 * (0.1 + tie.confidence)
 
 
 def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> Tracks:

@@ -93,16 +93,3 @@ def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarra
 def sift(grey: np.ndarray) -> Features:
     """Return the SIFT features of a grey uint8 image that views are matched by."""
     return find_features(grey, *SIFT)
-
-
-def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Match the SIFT features of two grey uint8 images, mutually (ratio 0.8).
-
-    Returns
-    -------
-    float64 [M, 2], float64 [M, 2]
-        Pixels in each image, pixel centres at +0.5.
-    """
-    features = sift(ref), sift(src)
-    i, j, _ = match(*features, RATIO)
-    return features[0].points[i], features[1].points[j]

@@ -383,11 +383,15 @@ def _joined(gaussians: Gaussians, grid: _Grid, sizes: np.ndarray) -> tuple[Gauss
     mostly was one.
     """
     arrays = gaussians.to_arrays()
-    leaders = _leaders(grid.rows, sizes, len(gaussians))
+    leaders = np.arange(len(gaussians))  # of each Gaussian the first of its cell
+    v, y, x = np.nonzero(sizes > 1)
+    size = sizes[v, y, x]
+    leaders[grid.rows[v, y, x]] = grid.rows[v, y - y % size, x - x % size]
     kept = leaders == np.arange(len(gaussians))
     places = np.cumsum(kept) - 1
     left = {name: array[kept] for name, array in arrays.items()}  # copies, which may be written to
-    v, y, x = _merged_cells(grid.rows, sizes)
+    first = (y % size == 0) & (x % size == 0)
+    v, y, x = v[first], y[first], x[first]
     cells = np.stack([v, y, x, sizes[v, y, x]], 1)
     to = places[grid.rows[v, y, x]]
     for name in ("means", "opacities", "sh"):
@@ -401,22 +405,6 @@ def _joined(gaussians: Gaussians, grid: _Grid, sizes: np.ndarray) -> tuple[Gauss
         share = _average(arrays["guessed"][:, None].astype(np.float32), grid.rows, cells)
         left["guessed"][to] = share[:, 0] > 0.5
     return Gaussians.from_arrays(left), places[leaders]
-
-
-def _leaders(rows: np.ndarray, sizes: np.ndarray, n: int) -> np.ndarray:
-    """For each Gaussian the first one of its cell, int64 [N]; those of no pixel lead themselves."""
-    leaders = np.arange(n)
-    v, y, x = np.nonzero(sizes > 1)
-    size = sizes[v, y, x]
-    leaders[rows[v, y, x]] = rows[v, y - y % size, x - x % size]
-    return leaders
-
-
-def _merged_cells(rows: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
-    """View, row and column of the first pixel of every cell of more than one."""
-    _, height, width = rows.shape
-    y, x = np.arange(height)[:, None], np.arange(width)
-    return np.nonzero((sizes > 1) & (y % sizes == 0) & (x % sizes == 0))
 
 
 def _members(rows: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

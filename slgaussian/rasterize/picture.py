@@ -20,7 +20,7 @@ from slgaussian.rasterize.tiles import bin_splats
 from slgaussian.scene import Camera
 
 if TYPE_CHECKING:
-    import torch
+    pass
 
 GEOMETRY = ("means", "scales", "quats", "opacities")
 
@@ -41,18 +41,13 @@ class Picture:
 
     @staticmethod
     def of(render: Render) -> Picture:
-        """What any backend drew, wherever its tensors are."""
-        return Picture(
-            **{
-                one.name: _array(getattr(render, one.name), "i4" if one.name == "label" else "f4")
-                for one in fields(Picture)
-            }
-        )
-
-
-def _array(tensor: torch.Tensor | None, dtype: str) -> np.ndarray:
-    found = np.empty(0) if tensor is None else tensor.detach().cpu().numpy()
-    return found.astype(dtype, copy=False)
+        """Convert what any backend drew, wherever its tensors are."""
+        arrays = {}
+        for name in (field.name for field in fields(Picture)):
+            tensor = getattr(render, name)
+            array = np.empty(0) if tensor is None else tensor.detach().cpu().numpy()
+            arrays[name] = array.astype("i4" if name == "label" else "f4", copy=False)
+        return Picture(**arrays)
 
 
 def picture(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +15,9 @@ from slgaussian.kernels.seeding import rng_for
 from slgaussian.semantic.corruption import corrupt
 from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.training_settings import TrainingSettings
+
+if TYPE_CHECKING:
+    from slgaussian.semantic.training import TrainingSettings
 
 HARMED = 0.5
 """Fraction of the objects that are harmed where context labels are corrupted."""

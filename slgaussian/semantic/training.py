@@ -29,7 +29,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +55,74 @@ from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, ta
 from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
 from slgaussian.semantic.hard import code_images
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.training_settings import TrainingSettings
 
 WARM_UP = 0.05
 """Fraction of the steps in which the learning rate rises; it then falls to zero as a cosine."""
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """What a training is, besides its lessons.
+
+    Attributes
+    ----------
+    architecture : Architecture
+    steps : int
+    batch : int
+        Lessons of a step, whose gradients are averaged.
+    seed : int
+    rate : float
+        Highest learning rate, of AdamW.
+    decay : float
+        Its weight decay.
+    clip : float
+        Longest gradient; longer ones are shortened to it.
+    targets : int
+        Target views a step, chosen at random where a lesson has more.
+    corrupted : float
+        Fraction of the steps in which context labels are corrupted.
+    codes : str
+        Code strategy by name, as fields will have.
+    every : int
+        Steps between checkpoints.
+    device : str
+        Of the network, as PyTorch calls it.
+    threads : int
+        That PyTorch computes on; on it depend the last bits.
+
+    Raises
+    ------
+    InputError
+        If a number is out of its range.
+    """
+
+    architecture: Architecture = field(default_factory=Architecture)
+    steps: int = 1500
+    batch: int = 1
+    seed: int = 0
+    rate: float = 3e-3
+    decay: float = 1e-4
+    clip: float = 1.0
+    targets: int = 2
+    corrupted: float = 0.75
+    codes: str = "separated"
+    every: int = 100
+    device: str = "cpu"
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        bounds = {
+            **dict.fromkeys(("steps", "batch", "targets", "every", "threads"), (1, math.inf)),
+            **dict.fromkeys(("rate", "clip"), (1e-300, math.inf)),
+            "decay": (0, math.inf),
+            "corrupted": (0, 1),
+        }
+        for name, (least, most) in bounds.items():
+            value = getattr(self, name)
+            if not least <= value <= most or value == math.inf:
+                raise InputError(
+                    f"training {name}: found {value}, expected a number from {least} to {most}"
+                )
 
 
 @dataclass(frozen=True)
@@ -116,7 +180,8 @@ def train(
     if len(lessons) == 0:
         raise InputError("training: found no lessons, expected at least one")
     device = found_device(settings.device)
-    branch = Branch(settings.architecture, seed_for(settings.seed, "", "branch") % 2**63)
+    architecture = settings.architecture
+    branch = Branch(architecture, seed_for(settings.seed, "", "branch") % 2**63)
     if start is not None:
         if start.architecture != settings.architecture:
             raise InputError(
@@ -125,7 +190,8 @@ def train(
             )
         branch.load_state_dict(start.state_dict())
     run = asdict(settings) | {
-        "architecture": _plain(settings.architecture),
+        # As it comes back from JSON.
+        "architecture": {**asdict(architecture), "widths": list(architecture.widths)},
         "lessons": len(lessons),
         "start": hashlib.sha256(save_branch(branch)).hexdigest(),
     }
@@ -262,8 +328,3 @@ def _schedule(done: float) -> float:
     if done < WARM_UP:
         return done / WARM_UP
     return 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP)))
-
-
-def _plain(architecture: Architecture) -> dict[str, Any]:
-    """As it comes back from JSON."""
-    return {**asdict(architecture), "widths": list(architecture.widths)}

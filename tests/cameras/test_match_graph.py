@@ -4,8 +4,8 @@ import numpy as np
 
 from slgaussian import datasets
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.cameras.matches import sift_matches
 from slgaussian.storage.store import ArtifactStore
+from tests.matching import sift_matches
 
 
 def test_the_graph_holds_the_matches_of_pairs_and_is_stored_as_it_is(tmp_path):

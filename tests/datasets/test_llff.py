@@ -102,8 +102,8 @@ class TestDamage:
 
 
 def test_matches_of_a_real_scene_lie_on_its_epipolar_lines(real_data):
-    from slgaussian.cameras.matches import sift_matches
     from slgaussian.cameras.relative import Relative
+    from tests.matching import sift_matches
 
     scene = llff.read(real_data / "fern")
     assert len(scene.cameras) == 20

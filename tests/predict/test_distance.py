@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from slgaussian import datasets
-from slgaussian.cameras.matches import sift_matches
 from slgaussian.predict.distance import typical_depths
+from tests.matching import sift_matches
 
 
 @pytest.fixture(scope="module")

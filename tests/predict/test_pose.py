@@ -8,7 +8,6 @@ import pytest
 from textured_planes import NORMAL, Plane, camera, sample
 
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.cameras.matches import sift_matches
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.predict.depth_hypotheses import (
@@ -19,6 +18,7 @@ from slgaussian.predict.depth_hypotheses import (
 )
 from slgaussian.predict.pose import refine
 from slgaussian.predict.view_graph import link_views, without_strangers
+from tests.matching import sift_matches
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
 B = camera(x=0.5, y=0.1, z=0.15, turn=0.1, focal=180, principal=(70, 66))

@@ -19,8 +19,7 @@ from slgaussian.kernels.threads import kernels_on
 from slgaussian.semantic.batch_sampler import draw_batch
 from slgaussian.semantic.branch import Architecture, Branch, load_branch, read_tensors, save_branch
 from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
-from slgaussian.semantic.training import loss_of, train
-from slgaussian.semantic.training_settings import TrainingSettings
+from slgaussian.semantic.training import TrainingSettings, loss_of, train
 from slgaussian.storage.specs import load_spec
 
 ROOT = Path(__file__).parents[2]

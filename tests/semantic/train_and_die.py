@@ -11,8 +11,7 @@ from pathlib import Path
 from drawn_lessons import lesson
 
 from slgaussian.semantic.branch import Architecture
-from slgaussian.semantic.training import Progress, train
-from slgaussian.semantic.training_settings import TrainingSettings
+from slgaussian.semantic.training import Progress, TrainingSettings, train
 
 LESSONS = [lesson(seed) for seed in range(3)]
 SETTINGS = TrainingSettings(Architecture((4, 8), 8), steps=8, every=3)
