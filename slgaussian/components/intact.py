@@ -1,4 +1,4 @@
-"""Checks of the files of a part: by the hub's digest of them, or by loading and trying them."""
+"""Check the files of a component: by the hub's digest of them, or by loading and trying them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AGAIN = "get it again"
 
 
 def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
-    """Check the files of a part, and download nothing.
+    """Check the files of a component, and download nothing.
 
     A model whose files are those that the hub knows is fine. Anything else is loaded, by which its
     configuration, names and shapes are compared; then neither its weights nor what it makes of one
@@ -32,17 +32,17 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     kind, name : str
         As :func:`slgaussian.components.registry.find_config` takes them.
     values : mapping
-        Settings of the part.
+        Fields of the component.
 
     Returns
     -------
     str
-        A sentence about the files; empty of a part that has none.
+        A sentence about the files; empty of a component that has none.
 
     Raises
     ------
     InputError
-        If a file is missing, damaged, or not what the part needs.
+        If a file is missing, damaged, or not what the component needs.
     """
     config, places, whole = find_config(kind, name), dict(values), list[bool]()
     for key, file in config.files().items():

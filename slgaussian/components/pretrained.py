@@ -2,7 +2,7 @@
 
 A model is a folder with ``config.json`` and ``model.safetensors`` (or the parts that
 ``model.safetensors.index.json`` lists), as ``save_pretrained`` writes it, or the name of one on
-the Hugging Face hub. For the parts that can convert them, it may also be a checkpoint of open_clip:
+the Hugging Face hub. Where a component converts them, it may also be a checkpoint of open_clip:
 a file, or a folder or name on the hub with one of :data:`OPEN_CLIP_WEIGHTS`. Other formats could
 run code, so they are not read.
 """
@@ -41,12 +41,12 @@ TOKENIZER = (
 
 @dataclass(frozen=True)
 class Family:
-    """The models that a part can use.
+    """The models that a component can use.
 
     Attributes
     ----------
     part : str
-        Name of the part in its registry, for messages.
+        Name of the component, for messages.
     class_name : str
         Class of ``transformers`` that they are loaded as.
     types : tuple of str
@@ -54,7 +54,7 @@ class Family:
     example : str
         A name on the hub.
     convert : callable, optional
-        Makes the network of a checkpoint of open_clip, for parts that can use one.
+        Makes the network of a checkpoint of open_clip, for components that can use one.
     """
 
     part: str
@@ -65,7 +65,7 @@ class Family:
 
 
 def load_pretrained(model: str | Path | None, family: Family, device: str = "auto") -> Any:
-    """The model in float32, ready to infer, without gradients.
+    """Load a model in float32, ready to infer, without gradients.
 
     The same content on the same device is loaded once and shared: do not change it.
 
@@ -129,7 +129,7 @@ def _loaded(found: ModelFiles, digest: str, family: Family, device: str) -> Any:
 
 
 def load_tokenizer(place: str | Path, class_name: str) -> Any:
-    """The tokenizer of a class of ``transformers`` at a place that :func:`find_tokenizer` knows.
+    """Load the tokenizer of a class of ``transformers``, found by :func:`find_tokenizer`.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def _load_folder(folder: Path, family: Family) -> Any:
 
 
 def chosen_device(device: str) -> str:
-    """The device itself, or for "auto" the best one."""
+    """Return the device itself, or for "auto" the best one."""
     if device != "auto":
         return device
     import torch
@@ -206,7 +206,7 @@ class ModelFiles:
 
 
 def find_model(model: str | Path) -> ModelFiles:
-    """The files of a model, downloaded to the hub's cache if it is a name that is not there yet.
+    """Find the files of a model, downloaded to the hub's cache if it is a name not there yet.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def find_model(model: str | Path) -> ModelFiles:
 
 
 def find_tokenizer(place: str | Path) -> Path:
-    """The folder of a tokenizer: a folder, or a name on the hub, with any of :data:`TOKENIZER`.
+    """Find a tokenizer: a folder, or a name on the hub, with any of :data:`TOKENIZER`.
 
     Raises
     ------
@@ -278,7 +278,7 @@ def _from_hub(
 
 
 def model_digest(model: str | Path) -> str:
-    """What a model is known by: SHA-256, hexadecimal, over its configuration and weights.
+    """Compute the SHA-256 of a model, hexadecimal, over its configuration and weights.
 
     And over the files beside them that say how images and texts are brought to it.
 
@@ -295,7 +295,7 @@ def model_digest(model: str | Path) -> str:
 
 
 def tokenizer_digest(place: str | Path) -> str:
-    """What a tokenizer is known by: SHA-256, hexadecimal; InputError as in :func:`find_tokenizer`.
+    """Compute the SHA-256 of a tokenizer, hexadecimal; InputError as in :func:`find_tokenizer`.
 
     Only its own files count, whatever else the folder holds.
     """
@@ -348,7 +348,7 @@ def _found(folder: Path) -> ModelFiles:
 
 
 def read_json(file: Path) -> dict[str, Any]:
-    """The object in a JSON file; InputError if it cannot be read."""
+    """Read the object in a JSON file; InputError if it cannot be read."""
     try:
         content = strict_json.parse(file.read_bytes())
     except (OSError, ValueError) as problem:
@@ -357,7 +357,7 @@ def read_json(file: Path) -> dict[str, Any]:
 
 
 def table_in(content: Mapping[str, Any], key: str, file: Path) -> Mapping[str, Any]:
-    """The object under a key of a JSON file, empty where there is none; else InputError."""
+    """Return the object under a key of a JSON file, empty where there is none; else InputError."""
     table = content.get(key, {})
     if not isinstance(table, dict):
         raise InputError(f"{file}: {key} is {table!r:.60}, expected an object; get it again")
