@@ -237,25 +237,25 @@ def angles(a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray) -> np.ndarr
 
 def _refusal(check: PairCheck, estimated: bool) -> str:
     a, b = check.views
-    told = f"{check.coarse:.0%} of the {check.matches} matches"
-    agreed = check.agreeing / check.matches
+    explained = (
+        f"{a!r} and {b!r}: the cameras {'that were found ' if estimated else ''}explain "
+        f"{check.coarse:.0%} of the {check.matches} matches between the photographs to within "
+        f"{check.pixels[0]:.1f} pixels"
+    )
+    agree = f"though {check.agreeing / check.matches:.0%} agree with one another"
     if estimated:
         return (
-            f"{a!r} and {b!r}: the cameras that were found explain {told} between the photographs "
-            f"to within {check.pixels[0]:.1f} pixels, though {agreed:.0%} agree with one another, "
-            "so they are wrong; take the photographs from places nearer to each other, or give "
-            "their cameras with --cameras (--set trust_cameras=true goes on all the same)"
+            f"{explained}, {agree}, so they are wrong; take the photographs from places nearer to "
+            "each other, or give their cameras with --cameras (--set trust_cameras=true goes on "
+            "all the same)"
         )
     if check.correction is None:
         return (
-            f"{a!r} and {b!r}: the cameras explain {told} between the photographs to within "
-            f"{check.pixels[0]:.1f} pixels, though {agreed:.0%} agree with one another, and no "
-            "usual mistake explains it; check that each photograph has its own pose and its own "
-            f"intrinsics ({OTHERWISE})"
+            f"{explained}, {agree}, and no usual mistake explains it; check that each photograph "
+            f"has its own pose and its own intrinsics ({OTHERWISE})"
         )
     return (
-        f"{a!r} and {b!r}: the cameras explain {told} between the photographs to within "
-        f"{check.pixels[0]:.1f} pixels, {check.fine:.0%} to within {check.pixels[1]:.1f}; they fit "
+        f"{explained}, {check.fine:.0%} to within {check.pixels[1]:.1f}; they fit "
         f"{check.correction} ({OTHERWISE})"
     )
 
