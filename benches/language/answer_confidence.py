@@ -280,7 +280,10 @@ def main() -> None:
         "Constants fitted to all places:",
         table(
             constants,
-            {"what": ("of the", str), **{n: (n, ".3f") for n in (*RESTS_ON, "offset")}},
+            {
+                "what": ("of the", str),
+                **{n: (n.replace("_", " "), ".3f") for n in (*RESTS_ON, "offset")},
+            },
         ),
     )
 
