@@ -133,8 +133,8 @@ class QueryRules(Config):
         0.6,
         gt=0,
         le=1,
-        description="Without a threshold: select the objects that have this share of the best "
-        "one's lead over the canonical phrases.",
+        description="Without a threshold: objects that have this share of the best "
+        "one's lead over the canonical phrases fit about as well.",
     )
     temperature: float = Field(10.0, gt=0, description="Temperature of the relevancy.")
     canonical: str | None = Field(

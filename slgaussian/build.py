@@ -163,9 +163,10 @@ def remember(
     unless ``held`` is ``objects`` (:data:`slgaussian.components.method.BANK`).
     """
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
-    groups = group_objects(geometry.seen, label_maps) if held == "groups" else None
+    grouped = held == "groups" and len(label_maps.ids) > 0
+    groups = group_objects(geometry.seen, label_maps) if grouped else (None, None)
     around = geometry.surroundings
-    return build_bank(sample.context, label_maps, encoder.load(), drawn, around, groups)
+    return build_bank(sample.context, label_maps, encoder.load(), drawn, around, *groups)
 
 
 def lift_field(

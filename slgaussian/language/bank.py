@@ -14,6 +14,7 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
 from slgaussian.language.configs import MOST_DIMENSIONS
 from slgaussian.language.relevancy import UNIT_TOLERANCE
+from slgaussian.language.wholes import Wholes
 from slgaussian.scene import View
 
 HALF = {"features", "group_features"}
@@ -56,6 +57,8 @@ class MemoryBank:
         :func:`slgaussian.language.nouns.quantised` has them; zeros where absent.
     photograph_scores : uint8 [V, 1000], with ``class_scores``
         Their means over whole photographs.
+    wholes : Wholes, optional
+        What answers are chosen among; without it, they are all objects that fit about as well.
 
     Raises
     ------
@@ -72,6 +75,7 @@ class MemoryBank:
     group_features: np.ndarray | None = None
     class_scores: np.ndarray | None = None
     photograph_scores: np.ndarray | None = None
+    wholes: Wholes | None = None
 
     __repr__ = short_repr
 
@@ -128,6 +132,10 @@ class MemoryBank:
                 )
             held = np.any(self.group_features, axis=2)
             _check_lengths("group_features: group", range(groups), self.group_features, held)
+        if self.wholes is not None and len(self.wholes.at_edge) != n:
+            raise InputError(
+                f"memory bank wholes: are of {len(self.wholes.at_edge)} objects, expected {n}"
+            )
         if self.boxes is not None:
             size = self.boxes[..., 2:] - self.boxes[..., :2]
             shown = (size > 0).all(-1) & (self.boxes >= 0).all(-1)
@@ -158,15 +166,18 @@ class MemoryBank:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name, as stored in ``bank.npz``: features as float16, what is known."""
-        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
+        arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "wholes"}
         known = {name: array for name, array in arrays.items() if array is not None}
+        known |= {} if self.wholes is None else self.wholes.to_arrays()
         return known | {name: known[name].astype(np.float16) for name in HALF & known.keys()}
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> MemoryBank:
         """Inverse of :meth:`to_arrays`."""
-        whole = {name: np.asarray(arrays[name], np.float32) for name in HALF & arrays.keys()}
-        return MemoryBank(**{**arrays, **whole})
+        arrays = dict(arrays)
+        wholes = Wholes.from_arrays(arrays)
+        widened = {name: np.asarray(arrays[name], np.float32) for name in HALF & arrays.keys()}
+        return MemoryBank(**{**arrays, **widened}, wholes=wholes)
 
 
 def build_bank(
@@ -176,6 +187,7 @@ def build_bank(
     codes: np.ndarray,
     surroundings: Sequence[Surroundings] | None = None,
     groups: np.ndarray | None = None,
+    wholes: Wholes | None = None,
 ) -> MemoryBank:
     """Encode every object in every view that holds it, and groups of objects likewise.
 
@@ -194,6 +206,8 @@ def build_bank(
         Which group each object belongs to at each level, as
         :func:`slgaussian.masks.levels.group_objects` says. A group of one object is that object,
         and groups of the same objects at several levels are one.
+    wholes : Wholes, optional
+        From there too.
 
     Raises
     ------
@@ -249,7 +263,7 @@ def build_bank(
     together = np.stack(unions, 1) if members is not None else None
     codes = np.asarray(codes, np.float32)
     named = (np.stack(classes, 1), np.stack(photographs)) if classes else (None, None)
-    return MemoryBank(ids, codes, features, present, boxes, levels, together, *named)
+    return MemoryBank(ids, codes, features, present, boxes, levels, together, *named, wholes)
 
 
 def merge(first: MemoryBank, later: MemoryBank) -> MemoryBank:

@@ -33,6 +33,7 @@ from slgaussian.language.confidence import Calibration, Curve
 from slgaussian.language.nouns import quantised
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary, unusable
 from slgaussian.language.weights import INSTALL
+from slgaussian.language.wholes import Ranking
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
@@ -71,6 +72,26 @@ class Lexicon:
     calibration: ClassVar[Calibration] = Calibration(
         mask=Curve(6.71, 1.82, -1.81, -5.11), point=Curve(8.82, 1.18, -1.19, -4.09)
     )
+
+    ranking: ClassVar[Ranking] = Ranking(
+        fit=1.56,
+        around=-0.97,
+        lead=17.1,
+        recall=1.64,
+        best=0.49,
+        near_best=0.66,
+        evidence=0.55,
+        evidence_recall=0.87,
+        size=0.40,
+        outline=1.89,
+        edge=-3.22,
+        standing=1.36,
+        agreement=1.02,
+    )
+    """Of a softmax over the candidates of a text, fitted to their IoU with what is labelled: 367
+    queries of 12 places and 8 made-up rooms. With each place left out in turn the mean IoU is .56
+    on single things, .48 in an office, .42 at other places and .84 in rooms, where all that fits
+    about as well as the best, class evidence included, has .39, .48, .42 and .83."""
 
     def __post_init__(self) -> None:
         from slgaussian.language.colours import ColourNames

@@ -20,9 +20,7 @@ from slgaussian.language.nouns import evidence
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature, sigmoid
 from slgaussian.language.taught import TaughtWords, normal, spelled
-
-NEAR_BEST = 0.6
-"""An object is taken with the best one if its gap reaches this share of the best gap."""
+from slgaussian.language.wholes import LEAST_PIXELS, NEAR_BEST, near_best
 
 AS_GOOD = 0.9
 """The largest of the objects whose gap reaches this fraction of the best gap is pointed at."""
@@ -65,10 +63,12 @@ class Rules:
         Absolute: select every object whose relevancy is above it, as the paper does. It means
         something else at every temperature, unless it is 0.5, or 0, which selects all.
     share : float in (0, 1]
-        Without a threshold, relative and the same at all temperatures: select the objects above
-        0.5 whose gap to the canonical phrases is at least this share of the best object's gap.
-        So all objects that fit about equally well are taken, and none if no object fits better
-        than "object" does.
+        Without a threshold, relative and the same at all temperatures: objects above 0.5 whose gap
+        to the canonical phrases is at least this share of the best object's gap fit about as well.
+        These together, one object or a whole of several are selected, whichever ranks first
+        (:mod:`slgaussian.language.wholes`); always these, and none if no object fits better
+        than "object" does, where a bank knows no wholes or that was not measured: of an encoder
+        without a ranking, with canonical phrases of one's own, by names and examples.
     temperature : float
         Of the relevancy; changes its scale, never the order of objects.
     canonical : str or sequence of str, optional
@@ -319,6 +319,31 @@ class BankReader(TextReader):
         relevancies: np.ndarray = sigmoid(rules.temperature * self.gaps(texts, rules))
         return relevancies
 
+    def chosen(self, text: str, gaps: np.ndarray, areas: np.ndarray, rules: Rules) -> np.ndarray:
+        """Choose the objects of an answer, bool [N].
+
+        Parameters
+        ----------
+        text : str
+        gaps : float64 [N]
+            Its gaps; -inf is what cannot be meant.
+        areas : int64 [N]
+            Pixels of each object in the view that is asked.
+        rules : Rules
+        """
+        if rules.threshold is not None:
+            above: np.ndarray = gaps > _least_gap(rules)
+            return above
+        wholes, ranking = self.bank.wholes, getattr(self.encoder, "ranking", None)
+        known = self._who(text) == "known" and not unmeasured(self.encoder, rules)
+        if wholes is None or ranking is None or not known:
+            return near_best(gaps, gaps[areas > 0].max(initial=-np.inf), rules.share)
+        plain = self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors([text]))[0]
+        plain = np.where(gaps > -np.inf, plain, -np.inf)
+        evidence = self.class_evidence(text)
+        evidence = None if evidence is None else evidence[: len(self.bank)]
+        return wholes.choose(plain, evidence, areas, ranking, rules.share)
+
     def understood(self, text: str) -> Understood:
         """What counts of ``text`` and what does not; InputError if nobody can use it."""
         who = self._who(text)
@@ -372,8 +397,8 @@ class QueryResult:
     _seen: ObjectMap = field(repr=False)
     _ranked: np.ndarray = field(repr=False)
     """Places in the bank of the visible objects that some view holds, best first."""
-    _as_good: int = field(repr=False)
-    """How many of those, from the first, are about as good as the first."""
+    _as_good: np.ndarray = field(repr=False)
+    """Places of those that the point may be on: about as good as the best of the answer."""
     _chosen: np.ndarray = field(repr=False)
     """bool [N]: what the rules select, visible or not."""
     confidence: Confidence | None = None
@@ -471,15 +496,14 @@ class QueryResult:
     def point(self) -> tuple[int, int] | None:
         """Column and row (x, y) of the pixel that is the best guess of where the object is.
 
-        Of the objects that fit about as well as the best does (:data:`AS_GOOD`), the one that the
-        image shows most of: a sliver fits by chance more easily. The middle of where that one is
-        thickest; see :func:`slgaussian.language.locate.central_point`. Given even if no object was
-        good enough to be selected; None if the image shows none at all.
+        Of the selected objects that fit about as well as the best of them does (:data:`AS_GOOD`),
+        the one that the image shows most of: a sliver fits by chance more easily. The middle of
+        where that one is thickest; see :func:`slgaussian.language.locate.central_point`. Given even
+        if no object was good enough to be selected; None if the image shows none at all.
         """
         if not len(self._ranked):
             return None
-        as_good = self._ranked[: self._as_good]
-        return self._seen.point(int(as_good[self._seen.areas[as_good].argmax()]))
+        return self._seen.point(int(self._as_good[self._seen.areas[self._as_good].argmax()]))
 
     @cached_property
     def peak(self) -> np.ndarray:
@@ -550,9 +574,10 @@ def answer(
     visible = np.flatnonzero(seen.areas)
     ranked = visible[np.argsort(-gaps[visible], kind="stable")]
     ranked = ranked[gaps[ranked] > -np.inf]
-    best = gaps[ranked[0]] if len(ranked) else np.inf
-    as_good = int(np.count_nonzero(gaps[ranked] >= min(AS_GOOD * best, best)))
-    chosen = chosen_by(rules, gaps, best)
+    chosen = reader.chosen(text, gaps, seen.areas, rules)
+    as_good = ranked[chosen[ranked]] if chosen[ranked].any() else ranked
+    best = gaps[as_good].max(initial=-np.inf)
+    as_good = as_good[gaps[as_good] >= min(AS_GOOD * best, best)]
     scores = sigmoid(rules.temperature * gaps)
     read, sure = reader.understood(text), None
     why = "" if read.kind == "named" else doubt
@@ -572,12 +597,6 @@ def unmeasured(encoder: Encoder, rules: Rules) -> str:
     return "" if rules.protocol == "slgaussian" else f"the protocol {rules.protocol}"
 
 
-def chosen_by(rules: Rules, gaps: np.ndarray, best: float) -> np.ndarray:
-    """Which objects the rules select, bool [N], by their gaps [N] and that of the best visible."""
-    chosen: np.ndarray = gaps > _least_gap(rules)
-    return chosen if rules.threshold is not None else chosen & (gaps >= rules.share * best)
-
-
 def _least_gap(rules: Rules) -> float:
     """Gap above which a text fits an object; 0, that of the canonical phrases, by default."""
     if not rules.threshold:
@@ -593,7 +612,8 @@ def find(
     ``among`` bool [N] are the objects of the bank that may be found. InputError as :func:`ask`.
     """
     gaps = np.where(among, reader.gaps([text], rules)[0], -np.inf)
-    taken = np.flatnonzero(chosen_by(rules, gaps, gaps.max(initial=-np.inf)))
+    everywhere = np.where(among, LEAST_PIXELS, 0)
+    taken = np.flatnonzero(reader.chosen(text, gaps, everywhere, rules) & among)
     scores = sigmoid(rules.temperature * gaps)
     ranked = taken[np.argsort(-gaps[taken], kind="stable")]
     return tuple((int(reader.bank.ids[i]), float(scores[i])) for i in ranked)

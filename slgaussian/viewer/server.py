@@ -26,6 +26,7 @@ from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats import strict_json
 from slgaussian.language.query import Rules
+from slgaussian.language.wholes import LEAST_PIXELS
 from slgaussian.viewer.auth import Access, Guard
 from slgaussian.viewer.page.packed import morton_order
 
@@ -93,7 +94,8 @@ class LiveField:
         }
 
     def query(self, texts: list[str]) -> dict[str, Any]:
-        """Answer texts, as ``words.js`` takes it: ``gaps`` of each object, or ``refused``.
+        """Answer texts, as ``words.js`` takes it: ``gaps`` of each object, and
+        whether it is ``taken``, or ``refused``.
 
         A gap of None stands for an object that cannot be meant: no view holds it, or it is removed.
         """
@@ -103,10 +105,14 @@ class LiveField:
         reader = self.field.reader
         try:
             read = reader.understood(text)
-            gaps = reader.gaps([text], Rules())[0, self._rows]
+            every = reader.gaps([text], Rules())[0]
         except InputError as error:
             return {"text": text, "refused": str(error)}
-        there = np.isfinite(gaps) & ~np.isin(self.ids, list(self.field.removed))
+        gaps, held = every[self._rows], ~np.isin(self.ids, list(self.field.removed))
+        shown = np.zeros(len(every), int)
+        shown[self._rows[held]] = LEAST_PIXELS
+        taken = reader.chosen(text, every, shown, Rules())[self._rows] & held
+        there = np.isfinite(gaps) & held
         return {
             "text": text,
             "kind": read.kind,
@@ -114,6 +120,7 @@ class LiveField:
                 round(gap, 6) if held else None
                 for gap, held in zip(gaps.tolist(), there, strict=True)
             ],
+            "taken": taken.tolist(),
             "measurements": read.measurements,
             "alone": read.alone,
             "untold": read.untold,

@@ -7,9 +7,11 @@ import pytest
 from drawn import BLUE, GREEN, RED, ball, bank_of, photograph, view_of
 
 from slgaussian.errors import InputError
+from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank, build_bank, merge
 from slgaussian.language.relevancy import relevancy
+from slgaussian.masks.levels import group_objects
 from slgaussian.storage.specs import load_spec
 
 
@@ -172,6 +174,20 @@ def grouped_bank(pieces, lexicon, **changes):
     codes = np.linspace(0.1, 0.9, 15).reshape(5, 3)
     given = {"groups": groups} | changes
     return build_bank(views, maps, lexicon, codes, **given)
+
+
+def test_wholes_are_stored_with_the_bank(pieces, lexicon):
+    views, maps, _, _ = pieces
+    wholes = group_objects([SeenView(view) for view in views], maps).wholes
+    bank = grouped_bank(pieces, lexicon, wholes=wholes)
+    arrays = bank.to_arrays()
+    load_spec("bank").check_arrays(arrays, "bank.npz")
+    again = MemoryBank.from_arrays(arrays).wholes
+    for name, array in wholes.to_arrays().items():
+        np.testing.assert_array_equal(again.to_arrays()[name], array)
+    other = group_objects([SeenView(views[0])], LabelMaps(maps.labels[:1] * 0 + 1, maps.margin[:1]))
+    with pytest.raises(InputError, match="wholes: are of 1 objects, expected 5"):
+        replace(bank, wholes=other.wholes)
 
 
 def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):

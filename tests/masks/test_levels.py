@@ -40,19 +40,24 @@ def test_pieces_of_one_thing_are_one_group_and_the_wall_is_another(halves):
     assert (maps.areas() > 0).tolist() == [[1, 1], [1, 1], [1, 0]]
     flat = np.full(SIZE, 2.0, np.float32)
     for depths in ([None, None], [flat, flat], [np.zeros_like(flat), None]):
-        levels = group_objects(with_depth(views, depths), maps)
+        levels, wholes = group_objects(with_depth(views, depths), maps)
         assert levels.dtype == np.int32 and levels.shape == (len(CUTS), 3)
         wall, left, right = levels.T
         np.testing.assert_array_equal(left, right)
         assert (wall != left).all()
-        np.testing.assert_array_equal(group_objects(with_depth(views, depths), maps), levels)
+        np.testing.assert_array_equal(group_objects(with_depth(views, depths), maps).levels, levels)
+        # Of objects 3, 7 and 9: the pieces of the red thing, and all.
+        assert {tuple(row) for row in wholes.members.tolist()} == {(False, True, True), (True,) * 3}
+        assert wholes.standing[3 + wholes.members[:, 0].argmin()] > wholes.standing[1:3].max()
+        np.testing.assert_allclose(wholes.shares, maps.areas() / maps.labels[0].size, rtol=1e-6)
+        assert wholes.at_edge.tolist() == [2 * 2 * sum(SIZE), 0, 0]
 
 
-def test_one_object_is_its_own_group_and_none_has_none(halves):
+def test_one_object_is_its_own_group(halves):
     views, _ = halves
-    levels = group_objects(views, maps_of(*[np.full(SIZE, 5)] * 2))
+    levels, wholes = group_objects(views, maps_of(*[np.full(SIZE, 5)] * 2))
     np.testing.assert_array_equal(levels, np.zeros((len(CUTS), 1)))
-    assert group_objects(views, maps_of(*[np.zeros(SIZE)] * 2)).shape[1] == 0
+    assert wholes.members.shape == (0, 1)
 
 
 @settings(max_examples=15, deadline=None)
@@ -66,7 +71,7 @@ def test_groups_are_connected_partitions_whatever_they_show(seed, most, blank):
     if len(maps.ids) == 0:
         return
     depth = rng.uniform(1, 3, SIZE).astype(np.float32)
-    levels = group_objects(with_depth([view(picture)] * 2, [depth, None]), maps)
+    levels = group_objects(with_depth([view(picture)] * 2, [depth, None]), maps).levels
     for numbers in levels:
         assert set(numbers) == set(range(numbers.max() + 1))
         for number in set(numbers):
@@ -89,7 +94,8 @@ def test_ten_thousand_objects_are_grouped():
     labels = np.arange(10_000).reshape(100, 100).repeat(2, 0).repeat(2, 1) + 1
     picture = np.zeros((200, 200, 3))
     picture[:, 100:] = 255
-    levels = group_objects([view(picture)], maps_of(labels))
+    levels, wholes = group_objects([view(picture)], maps_of(labels))
+    assert wholes is None
     assert levels.shape == (len(CUTS), 10_000)
     for numbers in levels:
         assert set(numbers) == set(range(numbers.max() + 1))

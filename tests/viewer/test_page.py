@@ -142,18 +142,14 @@ def test_a_word_lights_up_the_pixels_that_a_query_takes(page, field):
 
 
 def test_every_text_takes_what_a_query_takes(field):
-    """By the rule as the page has it, of numbers as the page has them."""
+    """In all views together, and so in one that shows every object."""
     ids = [thing.id for thing in field.inventory()]
     answers = answers_of(field, ids)
     assert answers.pairs and len(answers.texts) > 1000
     seen = field.render(next(iter(field.cameras.values())))
     assert set(ids) == set(np.unique(seen.ids)) - {0}, "every object is in view, so both are asked"
-    share = Rules().share
     for row in range(0, len(answers.texts), 37):
-        gaps = answers.gaps[row].astype(float)
-        chosen = {
-            i for i, gap in zip(ids, gaps, strict=True) if gap > 0 and gap >= share * max(gaps)
-        }
+        chosen = {i for i, takes in zip(ids, answers.taken[row], strict=True) if takes}
         assert chosen == {id_ for id_, _ in seen.query(answers.texts[row]).objects}
 
 
@@ -188,26 +184,7 @@ def test_the_page_is_as_sure_as_a_query(page, field):
         assert sure["point"] == pytest.approx(hit.confidence.point, abs=1e-5)
         assert (answer["verdict"], answer["summary"]) == (hit.verdict, hit.summary)
         verdicts.add(hit.summary.split(":")[0])
-    assert len(verdicts) == 4, "all are tried, of what is not here both sentences"
-
-
-def test_what_is_near_the_best_can_be_chosen(page, field):
-    seen = field.render(next(iter(field.cameras.values())))
-    numbers = set()
-    for share in (0.1, 1.0, 0.7):  # the last one is that of a query
-        if share != 0.7:
-            assert "score" in ask(page, "grey")
-        page.evaluate(
-            f"(() => {{ const e = document.getElementById('share'); e.value = {share};"
-            "e.dispatchEvent(new Event('input')); })()"
-        )
-        assert page.evaluate("document.getElementById('nearness').textContent") == f"{share:.0%}"
-        hit = seen.query("grey", share=share)
-        assert taken(page) == {id_ for id_, _ in hit.objects}
-        assert hit.summary in page.evaluate("document.getElementById('answer').textContent")
-        numbers.add(len(hit.objects))
-    assert len(numbers) > 1, "the choice makes a difference"
-    page.evaluate("slgaussian.clear()")
+    assert verdicts == {"found", "not sure", "probably not here"}
 
 
 @pytest.mark.parametrize(

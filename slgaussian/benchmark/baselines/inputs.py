@@ -104,12 +104,12 @@ class Inputs:
         If ``grouped``, groups of objects too where the field has those. Without any object the bank
         is empty.
         """
-        ids, groups = label_maps.ids, None
+        ids, groups, wholes = label_maps.ids, None, None
         codes = np.zeros((len(ids), 0), np.float32)
         if len(ids) == 0:
             nothing = np.zeros((0, len(seen), self.bank.features.shape[2]), np.float32)
             return MemoryBank(ids, codes, nothing, np.zeros((0, len(seen)), bool))
         if grouped and self.bank.levels is not None:
-            groups = group_objects(seen, label_maps)
+            groups, wholes = group_objects(seen, label_maps)
         views = [one.view for one in seen]
-        return build_bank(views, label_maps, self.encoder, codes, surroundings, groups)
+        return build_bank(views, label_maps, self.encoder, codes, surroundings, groups, wholes)

@@ -3,9 +3,8 @@
 A page holds no encoder. Of the lexicon it knows every word, every colour with every thing ("red
 car") and every describing word with every common thing ("striped chair"); of another encoder some
 common things. What a user taught, and the names that he gave, it knows too. The answers are
-relevancy gaps (:mod:`slgaussian.language.relevancy`), of which the page takes what
-:class:`slgaussian.language.query.Rules` take, and by which it says how sure that is
-(:mod:`slgaussian.language.confidence`).
+relevancy gaps (:mod:`slgaussian.language.relevancy`), by which the page says how sure it is
+(:mod:`slgaussian.language.confidence`), and what an answer takes of all that it shows.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from slgaussian.language.confidence import Calibration
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.query import Rules, unmeasured
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary
+from slgaussian.language.wholes import LEAST_PIXELS
 from slgaussian.objects import words_for
 
 MOST = 2**20
@@ -37,6 +37,8 @@ class Answers:
         What was asked, in lower case.
     gaps : float32 [texts, things]
         -inf for a thing that no view holds.
+    taken : bool [texts, things]
+        What each answer takes.
     kinds : {word: kind}
         Of the texts that are single words or whole phrases: ``thing``, ``describing``, ``taught``,
         ``named`` or ``text``.
@@ -57,6 +59,7 @@ class Answers:
 
     texts: tuple[str, ...]
     gaps: np.ndarray
+    taken: np.ndarray
     kinds: Mapping[str, str]
     spellings: Mapping[str, str]
     skipped: tuple[str, ...]
@@ -101,7 +104,7 @@ def answers_of(
     calibration, doubt = field.encoder.calibration, unmeasured(field.encoder, Rules())
     if live:
         nothing = np.zeros((0, len(ids)), np.float32)
-        return Answers((), nothing, kinds, {}, (), bool(pairs), (), calibration, doubt)
+        return Answers((), nothing, nothing > 0, kinds, {}, (), bool(pairs), (), calibration, doubt)
     for text in more:
         if untold := field.reader.understood(text).untold:
             raise InputError(f"text {text!r}: {untold}")
@@ -110,8 +113,14 @@ def answers_of(
     kinds |= {_plain(field.names[id_]): "named" for id_ in ids if id_ in field.names}
     texts = tuple(dict.fromkeys([*kinds, *pairs]))
     rows = np.searchsorted(field.bank.ids, np.array(ids, field.bank.ids.dtype))
-    gaps = field.reader.gaps(texts, Rules())[:, rows] if len(ids) else np.zeros((len(texts), 0))
-    known_as = texts, gaps.astype(np.float32), kinds, spellings, skipped
+    gaps, taken = np.zeros((2, len(texts), 0))
+    if len(ids):
+        reader, shown = field.reader, np.zeros(len(field.bank), int)
+        shown[rows] = LEAST_PIXELS
+        of_texts = zip(texts, reader.gaps(texts, Rules()), strict=True)
+        answers = [(own, reader.chosen(text, own, shown, Rules())) for text, own in of_texts]
+        gaps, taken = np.array(answers).transpose(1, 0, 2)[..., rows]
+    known_as = texts, gaps.astype(np.float32), taken > 0, kinds, spellings, skipped
     measurements = tuple(field.reader.understood(text).measurements for text in texts)
     return Answers(*known_as, bool(pairs), measurements, calibration, doubt)
 

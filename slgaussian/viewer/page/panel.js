@@ -245,13 +245,6 @@ class Page {
     return `${asked}: ${summary}; score ${score}${like}${objects}.${rest}`;
   }
 
-  /** Take what is at least this share as good as the best. */
-  near(share) {
-    this.words.share = share;
-    $("nearness").textContent = percent(share);
-    this.show(this.answers, this.mode);
-  }
-
   called(thing) {
     const { id, name, words } = about.things[thing - 1];
     return `${id} ${name || (words.length && words[0][1] > 0.5 ? words[0][0] : "")}`.trim();
@@ -330,8 +323,6 @@ class Page {
       $(id).hidden = !about.things.length || !Object.keys(about.words).length;
     }
     $("listed").textContent = about.said_words;
-    $("share").value = about.share;
-    $("nearness").textContent = percent(about.share);
     $("honest").textContent = about.honest;
     if (innerWidth <= 640) $("help").open = false;
   }
@@ -373,7 +364,6 @@ class Page {
       this.search();
     });
     $("clear").addEventListener("click", () => this.clear());
-    $("share").addEventListener("input", () => this.near(Number($("share").value)));
     $("save").addEventListener("click", () => this.save());
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("pointerdown", (event) => {
@@ -508,7 +498,7 @@ async function open() {
   }
   const gaussians = gaussiansOf(arraysOf(await unpacked("gaussians"), about.layout));
   const maps = Uint8Array.from(atob(about.maps), (c) => c.charCodeAt(0));
-  const answers = new Float32Array(await unpacked("answers"));
+  const answers = await unpacked("answers");
   performance.mark("unpacked");
   const drawing = new Drawing($("picture"), gaussians, about.things.length, maps);
   performance.mark("ready");

@@ -176,7 +176,6 @@ def _page(
         "measurements": list(answers.measurements),
         "touching": touching,
         "said_words": _said_words(answers, live),
-        "share": rules.share,
         "temperature": rules.temperature,
         "calibration": _calibration(answers.calibration),
         "uncalibrated": answers.uncalibrated,
@@ -202,7 +201,11 @@ def _page(
         script=script,
         about=_harmless(json.dumps(about, ensure_ascii=False, allow_nan=False)),
         packed_gaussians=_base64(content.data),
-        packed_answers=_base64(gzip.compress(answers.gaps.astype("<f4").tobytes(), 9, mtime=0)),
+        packed_answers=_base64(
+            gzip.compress(
+                answers.gaps.astype("<f4").tobytes() + answers.taken.tobytes(), 9, mtime=0
+            )
+        ),
     )
 
 

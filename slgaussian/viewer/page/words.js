@@ -1,16 +1,19 @@
-// Answers to words: gaps [texts, things] of those that were asked when the file was written, and what
-// an answer takes.
+// Answers to words that were asked when the file was written.
 
-/** Asks them; `gaps` are rows of about.things.length numbers, in the order of about.texts. */
+/**
+ * Asks them; `packed` are gaps float32 [texts, things], in the order of about.texts, and after them a
+ * byte each, whether the answer takes the thing.
+ */
 class Words {
-  constructor(gaps) {
-    this.gaps = gaps;
+  constructor(packed) {
+    const count = about.texts.length * about.things.length;
+    this.gaps = new Float32Array(packed, 0, count);
+    this.taken = new Uint8Array(packed, 4 * count, count);
     this.rows = new Map(about.texts.map((text, row) => [text, row]));
     this.kinds = new Map(Object.entries(about.words));
     this.spellings = new Map(Object.entries(about.spellings));
     this.longest = Math.max(1, ...[...this.spellings.keys()].map((s) => s.split(" ").length));
     this.skipped = new Set(about.skipped);
-    this.share = about.share;
   }
 
   /** The text among those answered that a typed one means: {text} or {why}. */
@@ -53,7 +56,7 @@ class Words {
     return [null, 1];
   }
 
-  /** The answer to what was typed: {text, kind, gaps, measurements}, or {refused}. */
+  /** The answer to what was typed: {text, kind, gaps, taken, measurements}, or {refused}. */
   answer(typed) {
     const { text, why } = this.read(typed);
     return why ? { refused: why } : this.baked(text);
@@ -61,23 +64,23 @@ class Words {
 
   baked(text) {
     const count = about.things.length, row = this.rows.get(text);
+    const own = [row * count, (row + 1) * count];
     return {
       text, kind: this.kinds.get(text), measurements: about.measurements[row],
-      gaps: Array.from(this.gaps.subarray(row * count, (row + 1) * count)),
+      gaps: Array.from(this.gaps.subarray(...own)),
+      taken: Array.from(this.taken.subarray(...own), Boolean),
     };
   }
 
   ask(text) { return this.judged(this.baked(text)); }
 
   /**
-   * What an answer takes by the rule of a query: all whose gap is above 0 and at least this.share of
-   * the best. {scores, taken, best, sure, verdict, shown, summary}; sure as of confidence(), null
-   * where that is not known: of a name, or where it was not measured. The last three are those of
-   * QueryResult (slgaussian/language/query.py).
+   * What an answer says: {scores, taken, best, sure, verdict, shown, summary}; sure as of
+   * confidence(), null where that is not known: of a name, or where it was not measured. The last
+   * three are those of QueryResult (slgaussian/language/query.py).
    */
-  judged({ kind, gaps, measurements, alone = "", untold = "" }) {
+  judged({ kind, gaps, taken, measurements, alone = "", untold = "" }) {
     const top = Math.max(-Infinity, ...gaps);
-    const taken = gaps.map((gap) => gap > 0 && gap >= this.share * top);
     const named = kind === "named";
     const doubted = about.calibration && !named && top > -Infinity;
     const sure = doubted ? confidence(gaps, taken, top, measurements) : null;

@@ -1,0 +1,259 @@
+"""Which objects are an answer: one of them, a whole of several, or all that fit about as well.
+
+A photograph is cut into more pieces than things, and no piece of a thing looks like it. So an
+answer is chosen among the nodes of trees over the objects, as SAM has parts, objects and groups,
+and the set of all objects that fit nearly as well as the best: a surface or a plural. Each is
+described by a few numbers, of how well its objects and those around it fit, what a classifier of
+photographs says, and whether it is a whole: closed by strong borders, standing long in the trees,
+shown by all views, not cut by the edge. A :class:`Ranking` weighs them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from slgaussian.errors import InputError
+
+NEAR_BEST = 0.6
+"""An object fits about as well as the best one if its gap reaches this share of the best gap."""
+
+LEAST_SHARE = 3e-4
+"""Share of the views below which a node is no candidate: a crumb fits by chance."""
+
+LEAST_PIXELS = 30
+"""Pixels in the view that is asked below which a node is no candidate."""
+
+LEAST_BEST = 0.03
+"""Gaps are taken relative to the best one, but never to less than this."""
+
+
+EVIDENCE = (-3.0, 6.0)
+"""Bounds of the evidence for an object, nats."""
+
+UNSEEN = -0.2
+"""Gap of an object that no view holds, in the mean of a whole."""
+
+
+class Ranking(NamedTuple):
+    """Weights of the numbers of a candidate: of its gaps, of class evidence, of it as a whole.
+
+    Attributes
+    ----------
+    fit, around : float
+        Mean gap of its objects, and of those around it by the length of border, relative to the
+        best gap; at least -2.
+    lead : float
+        Mean gap of its objects, as it is.
+    recall : float
+        Its share of all that fits: of gaps above 0, summed over pixels.
+    best : float
+        Whether it holds the best object.
+    near_best : float
+        Whether it is the set of all objects that fit about as well as the best.
+    evidence, evidence_recall : float
+        As ``fit``, in nats and not relative, and ``recall`` for the evidence of a classifier.
+    size : float
+        Logarithm of its share of the photographs.
+    outline : float
+        Mean strength of the borders around it.
+    edge : float
+        Share of its outline along the edges of photographs.
+    standing : float
+        Cost, in the trees, from where it is made to where it is merged on; mean over the trees.
+    agreement : float
+        Its smallest over its largest area in a photograph.
+    """
+
+    fit: float
+    around: float
+    lead: float
+    recall: float
+    best: float
+    near_best: float
+    evidence: float
+    evidence_recall: float
+    size: float
+    outline: float
+    edge: float
+    standing: float
+    agreement: float
+
+
+@dataclass(frozen=True, eq=False)
+class Wholes:
+    """N objects, the W wholes that they may be parts of, and how they lie beside each other.
+
+    Attributes
+    ----------
+    members : bool [W, N]
+        Objects of each whole, at least two.
+    standing : float32 [N + W]
+        Of objects and, after them, wholes; see :class:`Ranking`.
+    shares : float32 [N, V]
+        Share that each object has of the pixels of each view.
+    at_edge : float32 [N]
+        Pixels of each object along the edges of the views.
+    borders : int32 [E, 2]
+        Objects that touch, the lower place first.
+    border_sums : float32 [E, 2]
+        Length in pixels and summed strength of each border, over all views.
+
+    Raises
+    ------
+    InputError
+        If dtypes or shapes disagree.
+    """
+
+    members: np.ndarray
+    standing: np.ndarray
+    shares: np.ndarray
+    at_edge: np.ndarray
+    borders: np.ndarray
+    border_sums: np.ndarray
+
+    def __post_init__(self) -> None:
+        (w, n), e = self.members.shape, len(self.borders)
+        expected = {
+            "members": ("bool", (w, n)),
+            "standing": ("float32", (n + w,)),
+            "shares": ("float32", (n, *self.shares.shape[1:2])),
+            "at_edge": ("float32", (n,)),
+            "borders": ("int32", (e, 2)),
+            "border_sums": ("float32", (e, 2)),
+        }
+        for name, (dtype, shape) in expected.items():
+            array = getattr(self, name)
+            if array.dtype != dtype or array.shape != shape:
+                raise InputError(
+                    f"wholes {name}: found {array.dtype} {array.shape}, expected {dtype} {shape}"
+                )
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays as they are stored in ``bank.npz``, each as ``whole_NAME``."""
+        return {f"whole_{f.name}": getattr(self, f.name) for f in fields(self)}
+
+    @staticmethod
+    def from_arrays(arrays: dict[str, np.ndarray]) -> Wholes | None:
+        """Take the arrays of :meth:`to_arrays` out of others; None if they are not among them."""
+        if "whole_members" not in arrays:
+            return None
+        return Wholes(**{f.name: arrays.pop(f"whole_{f.name}") for f in fields(Wholes)})
+
+    def choose(
+        self,
+        gaps: np.ndarray,
+        evidence: np.ndarray | None,
+        areas: np.ndarray,
+        ranking: Ranking,
+        share: float = NEAR_BEST,
+    ) -> np.ndarray:
+        """Choose the objects of one answer.
+
+        Parameters
+        ----------
+        gaps : float64 [N]
+            Of the objects to the text, without class evidence; -inf for what cannot be meant.
+        evidence : float64 [N, V] or None
+            For the classes of the text, in nats; NaN where a view does not hold an object.
+        areas : int64 [N]
+            Pixels of each object in the view that is asked.
+        ranking : Ranking
+        share : float
+            See :func:`near_best`.
+
+        Returns
+        -------
+        bool [N]
+            The best guess, however badly it fits; without any if nothing is visible.
+        """
+        visible = (areas > 0) & (gaps > -np.inf)
+        top = max(float(gaps[visible].max(initial=-np.inf)), LEAST_BEST)
+        known = np.where(gaps > -np.inf, gaps, UNSEEN)
+        alike = near_best(gaps, top, share)
+        sets, whole, places = self._candidates
+        shown = sets @ np.where(visible, areas, 0) >= LEAST_PIXELS
+        sets, whole, standing = sets[shown], whole[shown], self._standing[places[shown]]
+        if (alike & visible).any():
+            sets = np.concatenate([sets, alike[None]])
+            whole = np.concatenate([whole, self._numbers(alike[None].astype(float))])
+            standing = np.append(standing, 0.0)
+        if not len(sets):
+            return alike & visible
+        area, around = np.exp(whole[:, 0]), self._around(sets)
+        mean = (sets * self._area) @ known / area
+        fits = self._area * np.maximum(known, 0) * visible
+        numbers = [
+            np.maximum(mean / top, -2),
+            np.maximum(around @ known / top, -2),
+            mean,
+            sets @ fits / max(fits.sum(), 1e-12),
+            sets[:, np.where(visible, gaps, -np.inf).argmax()],
+            (sets[:, visible] == alike[visible]).all(1),
+        ]
+        if evidence is None:
+            numbers += [np.zeros(len(sets))] * 2
+        else:
+            evidence = np.nan_to_num(evidence * self.shares).mean(1) / np.maximum(self._area, 1e-12)
+            evidence = np.clip(evidence, *EVIDENCE)
+            fits = self._area * np.maximum(evidence, 0) * visible
+            numbers += [(sets * self._area) @ evidence / area, sets @ fits / max(fits.sum(), 1e-12)]
+        score = np.column_stack([*numbers, whole[:, :3], standing, whole[:, 3]]) @ np.array(ranking)
+        chosen: np.ndarray = sets[score.argmax()] > 0
+        return chosen & (gaps > -np.inf)
+
+    @cached_property
+    def _area(self) -> np.ndarray:
+        return self.shares.mean(1, dtype=np.float64)
+
+    @cached_property
+    def _standing(self) -> np.ndarray:
+        return self.standing.astype(np.float64)
+
+    @cached_property
+    def _beside(self) -> tuple[np.ndarray, np.ndarray]:
+        """Length and strength of the border of each two objects, float64 [N, N] each."""
+        count = len(self.at_edge)
+        tables = np.zeros((2, count, count))
+        a, b = self.borders.T
+        tables[:, a, b] = tables[:, b, a] = self.border_sums.T
+        return tables[0], tables[1]
+
+    @cached_property
+    def _candidates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Objects and wholes that are no crumbs: float64 [G, N], their :meth:`_numbers`, places."""
+        sets = np.concatenate([np.eye(len(self.at_edge)), self.members])
+        places = np.flatnonzero(sets @ self._area >= LEAST_SHARE)
+        return sets[places], self._numbers(sets[places]), places
+
+    def _numbers(self, sets: np.ndarray) -> np.ndarray:
+        """``size``, ``outline``, ``edge`` and ``agreement`` of sets [G, N]: float64 [G, 4]."""
+        length, strength = self._beside
+        around, strong = (
+            sets @ table.sum(1) - np.einsum("gn,gn->g", sets @ table, sets)
+            for table in (length, strength)
+        )
+        at_edge, in_views = sets @ self.at_edge, sets @ self.shares
+        return np.stack(
+            [
+                np.log(np.maximum(sets @ self._area, 1e-6)),
+                strong / np.maximum(around, 1),
+                at_edge / np.maximum(around + at_edge, 1),
+                in_views.min(1) / np.maximum(in_views.max(1), 1e-12),
+            ],
+            1,
+        )
+
+    def _around(self, sets: np.ndarray) -> np.ndarray:
+        """Weights, summing to 1, of the objects around sets by their common border [G, N]."""
+        ring = (sets @ self._beside[0]) * (1 - sets)
+        return ring / np.maximum(ring.sum(1, keepdims=True), 1e-9)
+
+
+def near_best(gaps: np.ndarray, best: float, share: float = NEAR_BEST) -> np.ndarray:
+    """Take the objects with a gap above 0 and at least a share of the ``best``: bool [N]."""
+    taken: np.ndarray = (gaps > 0) & (gaps >= share * best)
+    return taken
