@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
 
@@ -20,6 +21,18 @@ class Reader(Protocol):
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
         """The words of ``text`` that are left out; InputError if none can be used."""
+
+
+def understands(reader: Reader, text: str) -> bool:
+    """Tell whether anything is known of a text; else an answer is right by luck alone."""
+    try:
+        reader.unknown_words(text)
+    except InputError:
+        return False
+    if not hasattr(reader, "understood"):  # readers of other packages need not have it
+        return True
+    understood = reader.understood(text)
+    return bool(understood.read_as) or not understood.untold
 
 
 @runtime_checkable

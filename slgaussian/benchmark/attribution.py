@@ -18,15 +18,15 @@ import torch
 
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
+from slgaussian.benchmark.answering import understands
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.benchmark.scores import GOOD
-from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.locate import central_point
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import QueryResult, Rules, ask
+from slgaussian.language.query import QueryResult, ask
 from slgaussian.masks.flatten import nearest_pixel
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample, View
@@ -118,7 +118,9 @@ def attribute_errors(
             for stage, own in placed.items()
         }
         for column, (query, mask) in enumerate(masks.items()):
-            hit = _ask(field, seen, query, rules)
+            hit = None
+            if understands(field.reader, query):
+                hit = ask([query], seen, field.reader, rules)[0]
             found, point = (np.zeros_like(mask), None) if hit is None else (hit.mask, hit.point)
             row: dict[str, Any] = common | {"frame": target.name, "query": query}
             row |= {"iou": metrics.iou(found, mask), "hit": metrics.point_in_mask(point, mask)}
@@ -143,14 +145,6 @@ def verdict(row: Mapping[str, Any]) -> str | None:
         if (row[f"{stage}_iou"] or 0) >= GOOD and row[f"{stage}_hit"]:
             return UNDECIDED if stage == "masks" and row["known"] < MOSTLY else stage
     return BEYOND
-
-
-def _ask(field: SemanticField, seen: ObjectMap, query: str, rules: Rules) -> QueryResult | None:
-    """Return None if the query is not understood."""
-    try:
-        return ask([query], seen, field.reader, rules)[0]
-    except InputError:
-        return None
 
 
 def _judge(mask: np.ndarray, truth: np.ndarray) -> tuple[float, bool]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from slgaussian.benchmark import metrics, pictures
 from slgaussian.benchmark.annotations import Truth, boxes_of
-from slgaussian.benchmark.answering import Answering, AnsweringView, Result
+from slgaussian.benchmark.answering import Answering, AnsweringView, Result, understands
 from slgaussian.benchmark.protocols import (
     PROTOCOLS,
     Answer,
@@ -302,7 +302,7 @@ class _Recorder:
 
         An empty mask is no truth; unless ``has_truth``, there never was any.
         """
-        texts = [text for text in masks if _understands(text, view)]
+        texts = [text for text in masks if understands(view.reader, text)]
         hits = self._query(view, frame, list(masks), texts)
         queried = Frame(
             [_answer(hits.get(text), mask, f"{frame!r}: {text!r}") for text, mask in masks.items()],
@@ -480,14 +480,6 @@ def _note(hit: Result | None, absent: bool) -> str:
     if absent:
         notes.append(ABSENT)
     return "; ".join(notes)
-
-
-def _understands(text: str, view: AnsweringView) -> bool:
-    try:
-        view.reader.unknown_words(text)
-    except InputError:
-        return False
-    return True
 
 
 def _disparity_scale(sample: Sample) -> float | None:

@@ -221,18 +221,22 @@ def _score_scene(
     masks: dict[tuple[str, str, str], np.ndarray] = {}
     for frame, truths in judged.truth.masks.items():
         boxes = judged.truth.boxes.get(frame, {})
-        given = {
+        looked_up = {
             protocol.name: _look_up(
                 predictions, {**common, "frame": frame, "protocol": protocol.label}, truths, tally
             )
             for protocol in protocols
         }
         # By both protocols the same texts compete, and theirs are the masks that say which wins.
-        labels = _winners(given["3d-ovs"], list(truths)) if "3d-ovs" in given else None
+        labels = _winners(looked_up["3d-ovs"], list(truths)) if "3d-ovs" in looked_up else None
         for protocol in protocols:
             answers = [
-                Answer(np.zeros((0, 0), np.float32), mask, None if one is None else one.point)
-                for one, mask in given[protocol.name]
+                Answer(
+                    np.zeros((0, 0), np.float32),
+                    mask,
+                    None if prediction is None else prediction.point,
+                )
+                for prediction, mask in looked_up[protocol.name]
             ]
             asked = Frame(
                 answers,
@@ -241,10 +245,10 @@ def _score_scene(
                 labels,
                 external=True,
             )
-            for (text, truth), scored, (one, mask) in zip(
+            for (text, truth), scored, (prediction, mask) in zip(
                 truths.items(),
                 protocol.score(asked, mask_settings),
-                given[protocol.name],
+                looked_up[protocol.name],
                 strict=True,
             ):
                 absent = not truth.any()
@@ -257,13 +261,13 @@ def _score_scene(
                     "protocol": protocol.label,
                     "height": mask.shape[0],
                     "width": mask.shape[1],
-                    "score": None if one is None else one.score,
+                    "score": None if prediction is None else prediction.score,
                     "point_x": x,
                     "point_y": y,
-                    "note": ABSENT if absent else NOT_GIVEN if one is None else "",
+                    "note": ABSENT if absent else NOT_GIVEN if prediction is None else "",
                 }
                 rows.append(columns | common | own | dict(scored.scores))
-                if one is not None:
+                if prediction is not None:
                     masks[protocol.label, frame, text] = mask
     means = scene_means(of_first_protocol(rows))
     return SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
@@ -276,22 +280,22 @@ def _look_up(
     tally: Tally,
 ) -> list[tuple[Prediction | None, np.ndarray]]:
     """Return the prediction for each text of a frame, and its mask, empty where there is none."""
-    given: list[tuple[Prediction | None, np.ndarray]] = []
+    looked_up: list[tuple[Prediction | None, np.ndarray]] = []
     scene, frame = row["scene"], row["frame"]
     for text, truth in truths.items():
         key = predictions.key({**row, "query": text})
         tally.asked += bool(truth.any())
         if key is None:
-            given.append((None, np.zeros_like(truth)))
+            looked_up.append((None, np.zeros_like(truth)))
             if truth.any():
                 tally.missing.append(_called(scene, frame, text))
             continue
         tally.used.add(key)
-        one = predictions.masks[key]
-        given.append((one, one.read(*truth.shape)))
-        if one.seconds is not None:
-            tally.seconds[scene, frame, text, row["method"]] = one.seconds
-    return given
+        prediction = predictions.masks[key]
+        looked_up.append((prediction, prediction.read(*truth.shape)))
+        if prediction.seconds is not None:
+            tally.seconds[scene, frame, text, row["method"]] = prediction.seconds
+    return looked_up
 
 
 def _winners(

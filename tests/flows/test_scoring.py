@@ -180,8 +180,8 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(
     # The folder is one that compare reads, and it finds no difference.
     assert run(monkeypatch, "compare", made, out) == 0
     told = capsys.readouterr().out
-    assert "of 2 methods are in both" in told
-    assert "+0.000" in told and "0.001" not in told and "What changed most" not in told
+    assert "IoU that changed most" not in told
+    assert "+0.000" in told and "+0.001" not in told
 
 
 def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monkeypatch, capsys):
@@ -274,7 +274,7 @@ def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeyp
         ((empty, *data(labelled)), "holds no mask of slgaussian or langsplat"),
         (
             (tmp_path / "other.json", *data(labelled)),
-            "no mask is of what is asked (found scenes a)",
+            "no mask is of what is asked (found 'c' in b of a)",
         ),
         ((made, "--data", labelled), "data format 'nerfstudio' has no labels of its own"),
         ((made,), "nothing to do"),

@@ -57,7 +57,16 @@ def pooled(bank: MemoryBank) -> MemoryBank:
     groups = bank.group_features
     if groups is not None:
         groups = _mean(groups, np.any(groups, axis=2))
-    return replace(bank, features=features, present=present, boxes=None, group_features=groups)
+    # Classes are scored a view; a mean view has none.
+    return replace(
+        bank,
+        features=features,
+        present=present,
+        boxes=None,
+        group_features=groups,
+        class_scores=None,
+        photograph_scores=None,
+    )
 
 
 def _mean(features: np.ndarray, present: np.ndarray) -> np.ndarray:

@@ -96,9 +96,9 @@ def run_report(
     for scene in scenes:
         for row in scene.rows:
             by_method.setdefault(row["method"], []).append(row)
-    ours, rows = next(iter(by_method.items()), ("", []))
-    asked = of_first_protocol(rows)
-    scores = [score for own in by_method.values() for score in score_table(own).to_pylist()]
+    ours, our_rows = next(iter(by_method.items()), ("", []))
+    asked = of_first_protocol(our_rows)
+    scores = [score for rows in by_method.values() for score in score_table(rows).to_pylist()]
     leading = [score for score in scores if asked and score["protocol"] == asked[0]["protocol"]]
     lost_by = {key_of(row): row["lost"] or "" for row in attribution}
     drawn = _draw(scenes, asked, lost_by)
@@ -110,7 +110,7 @@ def run_report(
         sections.append(_worst_section(asked, drawn, attribution))
     entries = manifest.get("data", {}).items()
     standing = {name: Standing(**of["published"]) for name, of in entries if of.get("published")}
-    every = [row for own in by_method.values() for row in own]
+    every = [row for rows in by_method.values() for row in rows]
     if (paper := paper_section(every, standing, ours)) is not None:
         sections.append(paper)
     if scenes:
@@ -182,10 +182,10 @@ def _draw(scenes: Sequence[Scene], asked: Sequence[Row], lost_by: Mapping[look.K
         for row in chosen:
             lost = lost_by.get(key_of(row), "")
             cards[key_of(row)] = look.answer_card(row, images, look.ANSWER, lost)
-        own = images if scene.name in pictured else {}
         id = f"scene-{place}"
+        images = images if scene.name in pictured else {}
         drawn.scenes.append(
-            look.scene_section(scene.name, id, rows, scene.metrics, own, scene.name in opens)
+            look.scene_section(scene.name, id, rows, scene.metrics, images, scene.name in opens)
         )
     if drawn.looks:
         drawn.looks[0] = replace(drawn.looks[0], id="look", link="Look")
@@ -209,10 +209,10 @@ def _score_sections(
     ]
     first = {m: [r for r in rows if r["protocol"] == protocol] for m, rows in by_method.items()}
     gains = {
-        (one.dataset, method): one
+        (difference.dataset, method): difference
         for method in others
-        for one in differences(first[ours], first[method])
-        if one.metric == shown[0].metric
+        for difference in differences(first[ours], first[method])
+        if difference.metric == shown[0].metric
     }
     gain = Column(f"{ours} minus it", f"{shown[0].title}, on the queries and scenes that both have")
     blocks: list[Block] = []
@@ -237,12 +237,12 @@ def _score_sections(
         blocks.append(Prose(note))
     title = "How good, by method" if others else "How good"
     yield Section(title, blocks, "scores", link="Scores")
-    more = {table.title: table for table in method_tables(scores, MORE)}
+    second = {table.title: table for table in method_tables(scores, MORE)}
     every: list[Block] = []
     for table in method_tables(scores):
         every.append(table)
-        if table.title in more:
-            every.append(replace(more[table.title], title="By other protocols, and calibration"))
+        if table.title in second:
+            every.append(replace(second[table.title], title="By other protocols, and calibration"))
     yield Section("Every score", every, note="by every protocol", is_folded=True)
 
 
@@ -253,8 +253,8 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
         scenes.setdefault((failure["stage"], failure["reason"]), []).append(failure["scene"])
     rows = []
     for (stage, reason), names in scenes.items():
-        more = len(names) - LEFT_OUT
-        listed = "; ".join(names[:LEFT_OUT]) + (f"; and {more} more" if more > 0 else "")
+        rest = len(names) - LEFT_OUT
+        listed = "; ".join(names[:LEFT_OUT]) + (f"; and {rest} more" if rest > 0 else "")
         rows.append([listed, stage, reason])
     heads = [Column(name, is_text=True) for name in ("Scene", "Stage", "Reason")]
     return Section("Left out", [Table.of(heads, rows)], "left-out", link="Left out", style="failed")
@@ -302,13 +302,16 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
     columns = [Column("lost by", is_text=True), Column("Queries")]
     columns += [Column(title, help) for title, help in STAND_INS.values()]
     for dataset in dict.fromkeys(row["dataset"] for row in attribution):
-        own = [row for row in attribution if row["dataset"] == dataset]
-        counts = Counter(row["lost"] or "no miss" for row in own)
+        queries = [row for row in attribution if row["dataset"] == dataset]
+        counts = Counter(row["lost"] or "no miss" for row in queries)
         lines = []
-        for lost in [*sorted(counts, key=lambda one: (one == "no miss", -counts[one])), "all"]:
-            rows = [row for row in own if lost in (row["lost"] or "no miss", "all")]
+        for lost in [
+            *sorted(counts, key=lambda stage: (stage == "no miss", -counts[stage])),
+            "all",
+        ]:
+            rows = [row for row in queries if lost in (row["lost"] or "no miss", "all")]
             ious = ([row[n] for row in rows if row[n] is not None] for n in STAND_INS)
-            means = [number(float(np.mean(one)), 3) if one else None for one in ious]
+            means = [number(float(np.mean(values)), 3) if values else None for values in ious]
             style = "mean" if lost == "all" else ""
             lines.append(line_of([lost, str(len(rows)), *means], style=style))
         blocks.append(Table(tuple(columns), tuple(lines), f"Which stage lost them, {dataset}"))

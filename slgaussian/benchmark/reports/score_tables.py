@@ -93,36 +93,39 @@ def method_tables(scores: Sequence[Row], shown: Sequence[Score] = MAIN) -> list[
                 by_method.setdefault(row["method"], {})[key] = row
         columns = [Column("Method", is_text=True)]
         cells = {method: [Cell(method)] for method in by_method}
-        apart: dict[str, dict[str, None]] = {method: {} for method in by_method}
+        differing_conditions: dict[str, dict[str, None]] = {method: {} for method in by_method}
         common: dict[str, str] = {}
         for score in shown:
-            present = [own[score.key] for own in by_method.values() if score.key in own]
+            present = [s[score.key] for s in by_method.values() if score.key in s]
             if not present:
                 continue
             label, count = (_most(texts) for texts in zip(*map(_labels, present), strict=True))
             common.setdefault(label, _most(conditions(row) for row in present))
             columns.append(score.column(label, count))
             best = max(round(row["value"], score.digits) * score.sign for row in present)
-            for method, own in by_method.items():
-                cell = score_cell(own.get(score.key), score.digits)
-                if score.key in own:
-                    found = own[score.key]
-                    is_best = round(found["value"], score.digits) * score.sign == best
-                    samples = _labels(found)[1]
-                    apart_from = filter(None, [found["note"], "" if samples == count else samples])
+            for method, by_score in by_method.items():
+                cell = score_cell(by_score.get(score.key), score.digits)
+                if score.key in by_score:
+                    row = by_score[score.key]
+                    is_best = round(row["value"], score.digits) * score.sign == best
+                    samples = _labels(row)[1]
+                    cell_notes = filter(None, [row["note"], "" if samples == count else samples])
                     mark = "best" if is_best and len(by_method) > 1 else ""
-                    cell = replace(cell, mark=mark, note="; ".join(apart_from))
+                    cell = replace(cell, mark=mark, note="; ".join(cell_notes))
                     usual = common[label].split(", ")
-                    differing = (c for c in conditions(found).split(", ") if c not in usual)
-                    apart[method] |= dict.fromkeys(differing)
+                    unusual = (c for c in conditions(row).split(", ") if c not in usual)
+                    differing_conditions[method] |= dict.fromkeys(unusual)
                 cells[method].append(cell)
         if len(columns) == 1:
             continue
         lines = [
-            Line(tuple(own), "; ".join(filter(None, (about(method), ", ".join(apart[method])))))
-            for method, own in cells.items()
+            Line(
+                tuple(line),
+                "; ".join(filter(None, (about(method), ", ".join(differing_conditions[method])))),
+            )
+            for method, line in cells.items()
         ]
-        every = [row for own in by_method.values() for row in own.values()]
+        every = [row for by_score in by_method.values() for row in by_score.values()]
         notes = [f"{escape(label)}: {escape(text)}." for label, text in common.items()]
         notes.append(
             _described(*(max(row[unit] for row in every) for unit in ("scenes", "places")))
@@ -156,23 +159,26 @@ def difference_tables(
 ) -> list[Table]:
     """Return a table for each data set: a line a pair of samples, the one minus the other."""
     by_dataset: dict[str, dict[str, dict[tuple[str, str], Difference]]] = {}
-    for name, (rows, others) in pairs.items():
-        for one in differences(rows, others):
-            if one.threshold is None:
-                key = one.protocol.partition("@")[0], one.metric
-                by_dataset.setdefault(one.dataset, {}).setdefault(name, {})[key] = one
+    for name, (rows, baseline) in pairs.items():
+        for difference in differences(rows, baseline):
+            if difference.threshold is None:
+                key = difference.protocol.partition("@")[0], difference.metric
+                by_score = by_dataset.setdefault(difference.dataset, {}).setdefault(name, {})
+                by_score[key] = difference
     tables = []
     for dataset, by_name in by_dataset.items():
-        present = [score for score in shown if any(score.key in own for own in by_name.values())]
+        present = [
+            score for score in shown if any(score.key in by_score for by_score in by_name.values())
+        ]
         if not present:
             continue
-        labels = {key: one.protocol for own in by_name.values() for key, one in own.items()}
+        labels = {key: d.protocol for by_score in by_name.values() for key, d in by_score.items()}
         columns = [Column(head, is_text=True), *(s.column(labels[s.key]) for s in present)]
         lines = [
-            Line((Cell(name), *(gain_cell(own.get(score.key), score) for score in present)))
-            for name, own in by_name.items()
+            Line((Cell(name), *(gain_cell(by_score.get(score.key), score) for score in present)))
+            for name, by_score in by_name.items()
         ]
-        gains = [one.gain for own in by_name.values() for one in own.values()]
+        gains = [d.gain for by_score in by_name.values() for d in by_score.values()]
         scenes, places = max(g.samples for g in gains), max(g.drawn for g in gains)
         unit = "places that they show" if places < scenes else "scenes"
         note = (
