@@ -2,16 +2,18 @@
 
     python -m benches.language.answer_confidence DATA [-o docs/measured] [--rows FILE] [--seeds 3]
 
-DATA holds ``office`` and ``places``. Every labelled pair is asked for what is labelled in its
-target, and for things that its place has not. An answer is a mask, right if its IoU with the truth
-is above 0.5, and a point, right if it lies on the thing. Constants for one place are fitted to the
-others; those that ship, to all. Places count alike, and what is there as much as what is not. Rows
-are kept in FILE as they come, and what it holds is not done again.
+DATA holds ``office``, ``places`` and ``things``; the classifier must be installed. Every labelled
+pair is asked for what is labelled in its target, and for things that its place has not. An answer
+is a mask, right if its IoU with the truth is above 0.5, and a point, right if it lies on the thing.
+Constants for one place are fitted to the others; those that ship, to all. The three kinds of places
+count alike, places of a kind too, and what is there as much as what is not. Rows are kept in FILE
+as they come, and what it holds is not done again.
 """
 
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -31,13 +33,13 @@ from slgaussian.language import confidence
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import BankReader, Rules, ask
 
-KEPT = 0.85
-"""Share of the right answers that are to be told from what is not there."""
-
 RIDGE = 0.002
 
 OUTDOORS = "grass, bed, toilet, bathtub, road, brick wall, gravel, green grass, fence, cobblestone \
 road, refrigerator, oven, tree"
+TABLES = "bed, toilet, bathtub, refrigerator, oven, banana, laptop, keyboard, piano, guitar, \
+bicycle, foosball table, coffee machine, red crate, towel, fireplace, truck"
+THINGS = ("boxes", "can", "carton", "duck", "stitch")
 INDOORS = (
     "sofa, bed, bottle, mug, cushion, carpet, backpack, laptop, keyboard, refrigerator, oven, \
 sink, toilet, bathtub, towel, pillow, vase, banana, wooden table, grey sofa, pink placemat, coffee \
@@ -48,6 +50,7 @@ NOWHERE = (
 stop sign, fire hydrant, surfboard, skis, pizza, sandwich, broccoli, toothbrush, hair dryer, \
 umbrella, guitar, piano, motorcycle, kite"
 )
+EVERY = ("office", *PLACES, *THINGS)
 NOT_THERE = {
     "office": f"{OUTDOORS}, purple tablecloth, pink flowers, leather pouf, pink placemat, towel",
     "castle": INDOORS,
@@ -57,6 +60,7 @@ tablecloth, blue carpet, carpet",
     "kitchen": f"{OUTDOORS}, sky, sofa, foosball table, qr code, blue carpet, green plant, carpet, \
 poster",
     "bonsai": f"{OUTDOORS}, sky, foosball table, qr code, blue carpet, coffee machine, sofa",
+    **dict.fromkeys(THINGS, TABLES),
     "lounge": f"{OUTDOORS}, sky, pink flowers, purple tablecloth, blue box, foosball table",
 }
 """What no photograph of a place shows, by eye, beside :data:`NOWHERE`, which none of any does."""
@@ -74,6 +78,7 @@ class Row(NamedTuple):
     measurements: int
     stands_out: float
     parts: float
+    named: float
     mask: bool
     point: bool
 
@@ -82,7 +87,7 @@ class Row(NamedTuple):
         return self.gap * self.measurements
 
 
-RESTS_ON = ("evidence", "stands_out", "parts")
+RESTS_ON = ("evidence", "stands_out", "parts", "named")
 """What confidence rests on."""
 
 
@@ -103,7 +108,7 @@ def answered(
 ) -> Iterator[tuple]:
     """Of each text that is asked at a place, it and the last fields of its :class:`Row`.
 
-    Texts that the lexicon refuses have none.
+    Texts that the lexicon refuses, or cannot tell, have none.
     """
     asked = [text for text, mask in truth.items() if mask.any()]
     for text in [*asked, *f"{NOT_THERE[place]}, {NOWHERE}".split(", ")]:
@@ -111,21 +116,29 @@ def answered(
             hit = ask([text], seen, reader, Rules())[0]
         except InputError:
             continue
+        if hit.understood.untold:
+            continue
         gaps = reader.gaps([text], Rules())[0][hit._ranked]
-        asks = hit.understood.measurements
+        asks, named = hit.understood.measurements, hit.understood.named
         at = confidence.signs(gaps, hit._chosen[hit._ranked], asks, seen.parts(hit._chosen))
         there = text in asked
         right = truth[text] if there else np.zeros_like(hit.mask)
         union = (right | hit.mask).sum()
         on = there and hit.point is not None and bool(right[hit.point[1], hit.point[0]])
         good = bool(union and (right & hit.mask).sum() / union > 0.5)
-        yield text, there, float(gaps.max()), asks, at.stands_out, at.parts, good, on
+        yield text, there, float(gaps.max()), asks, at.stands_out, at.parts, named, good, on
 
 
 def weights(rows: Sequence[Row]) -> np.ndarray:
-    """Of rows float64 [M]: places alike, and in each what is there as much as what is not."""
-    groups = [(row.place, row.there) for row in rows]
-    return np.array([1 / groups.count(group) for group in groups])
+    """Of rows float64 [M]: kinds of places alike, their places too, and what is there or is not."""
+    groups = Counter((row.place, row.there) for row in rows)
+    places = Counter(kind_of(place) for place in {row.place for row in rows})
+    return np.array([1 / groups[row.place, row.there] / places[kind_of(row.place)] for row in rows])
+
+
+def kind_of(place: str) -> str:
+    """Office, places or things."""
+    return place if place == "office" else "things" if place in THINGS else "places"
 
 
 def signs(rows: Sequence[Row], on: Sequence[str]) -> np.ndarray:
@@ -190,7 +203,7 @@ def judged(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> dict
     curve = bins(p, right, w)
     by_place = {
         place: auroc(p[places == place], right[places == place], w[places == place])
-        for place in ("office", *PLACES)
+        for place in EVERY
     }
     error = sum(one["share"] * abs(one["said"] - one["right"]) for one in curve)
     return {
@@ -203,32 +216,30 @@ def judged(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> dict
     }
 
 
-def false_found(rows: Sequence[Row], on: Sequence[str] = RESTS_ON) -> dict[str, float]:
-    """The probability of a point above which :data:`KEPT` of the right ones lie, and what else."""
-    p, w = left_out(rows, "point", on), weights(rows)
-    point, there = (np.array([getattr(row, name) for row in rows]) for name in ("point", "there"))
-    limit = float(np.quantile(p[point], 1 - KEPT))
-    selected = np.array([row.gap > 0 for row in rows])
-    places = np.array([row.place for row in rows])
+def verdicts(rows: Sequence[Row], on: Sequence[str] = RESTS_ON) -> list[dict]:
+    """What is said at places left out, a line a kind of places and one for all."""
+    mask, point = (left_out(rows, what, on) for what in ("mask", "point"))
+    there, w = np.array([row.there for row in rows]), weights(rows)
+    kinds = np.array([kind_of(row.place) for row in rows])
+    denied = point < confidence.ABSENT
+    found = ~denied & (mask >= 0.5) & np.array([row.gap > 0 for row in rows])
 
     def share(which: np.ndarray, of: np.ndarray) -> float:
         return float(w[of & which].sum() / w[of].sum())
 
-    by_place = {
-        place: share(p >= limit, ~there & (places == place)) for place in ("office", *PLACES)
-    }
-    return {
-        "by_place": by_place,
-        "limit": limit,
-        "before": share(selected, ~there),
-        "after": share(p >= limit, ~there),
-        "kept": share(p >= limit, there),
-    }
+    lines = []
+    for kind in ("things", "office", "places", "all"):
+        own = (kinds == kind) | (kind == "all")
+        line = {"kind": kind, "denied": share(denied, own & there)}
+        line |= {"absent denied": share(denied, own & ~there), "found": share(found, own & there)}
+        line |= {"absent found": share(found, own & ~there)}
+        lines.append(line | {"right": share(~there, own & denied)})
+    return lines
 
 
 def main() -> None:
     arguments = parser(__doc__, "words.md")
-    arguments.add_argument("data", type=data_folder("office", "places"))
+    arguments.add_argument("data", type=data_folder("office", "places", "things"))
     arguments.add_argument("--rows", type=Path)
     arguments.add_argument("--seeds", type=int, default=3)
     asked = arguments.parse_args()
@@ -236,8 +247,9 @@ def main() -> None:
     known = asked.rows.read_text().splitlines() if asked.rows and asked.rows.exists() else []
     rows = [Row(*json.loads(line)) for line in known]
     done = {(row.place, row.scene, row.seed) for row in rows}
-    for place in ("office", *PLACES):
-        folder = place if place == "office" else f"places/{place}"
+    for place in EVERY:
+        kind = kind_of(place)
+        folder = place if kind == place else f"{kind}/{place}"
         for scene in labelled([folder], asked.data):
             seeds = [s for s in range(asked.seeds) if (place, scene.name, s) not in done]
             new = list(answers(place, scene, seeds)) if seeds else []
@@ -259,7 +271,6 @@ def main() -> None:
         f"{what} {name}": (f"{what}: {name}", ".2f")
         for what in ("mask", "point") for name in ("said", "right")
     }  # fmt: skip
-    found = false_found(rows)
     constants = [
         {"what": one["what"], **dict(zip((*RESTS_ON, "offset"), one["constants"], strict=True))}
         for one in both
@@ -272,11 +283,19 @@ def main() -> None:
         "that are there.",
         table([one | one["by_place"] for one in both], columns),
         table(tenths, of_tenths),
-        f"Without confidence, {found['before']:.0%} of the things that are not there are found. At "
-        f"a limit of {found['limit']:.2f}, which {KEPT:.0%} of the right points reach, "
-        f"{found['after']:.0%} are, and {found['kept']:.0%} of those that are there. By place: "
-        + ", ".join(f"{place} {share:.0%}" for place, share in found["by_place"].items())
-        + f". The limit that ships is {confidence.ABSENT}.",
+        f"Not here is said where the point is right with less than {confidence.ABSENT}, found where "
+        "the mask is with at least 0.5; at places left out:",
+        table(
+            verdicts(rows),
+            {
+                "kind": ("places", str),
+                "found": ("there: found", ".0%"),
+                "denied": ("there: not here", ".0%"),
+                "absent found": ("absent: found", ".0%"),
+                "absent denied": ("absent: not here", ".0%"),
+                "right": ("not here is right", ".0%"),
+            },
+        ),
         "Constants fitted to all places:",
         table(
             constants,

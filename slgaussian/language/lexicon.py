@@ -70,7 +70,8 @@ class Lexicon:
     classifier: str = "none"
     name: ClassVar[str] = "lexicon"
     calibration: ClassVar[Calibration] = Calibration(
-        mask=Curve(6.71, 1.82, -1.81, -5.11), point=Curve(8.82, 1.18, -1.19, -4.09)
+        mask=Curve(1.96, 1.886, -0.288, 0.364, -4.691),
+        point=Curve(2.399, 1.232, -0.189, 0.483, -3.073),
     )
 
     ranking: ClassVar[Ranking] = Ranking(

@@ -53,10 +53,11 @@ def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int
     float64 [..., V]
         Log of the ratio, in nats.
     """
-    chosen = list(classes)
-    here, everywhere = (
-        np.logaddexp.reduce(-STEP * stored[..., chosen].astype(np.float64), axis=-1)
-        for stored in (regions, photographs)
-    )
-    lead: np.ndarray = here - everywhere
+    lead: np.ndarray = log_probability(regions, classes) - log_probability(photographs, classes)
     return lead
+
+
+def log_probability(stored: np.ndarray, classes: Sequence[int]) -> np.ndarray:
+    """Log of the probability of any of some classes, float64 [...], of uint8 [..., 1000]."""
+    total: np.ndarray = np.logaddexp.reduce(-STEP * stored[..., list(classes)], axis=-1)
+    return total

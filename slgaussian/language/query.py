@@ -6,7 +6,7 @@ Every answer is one number an object, spread over the image by id; no pixel is s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -15,8 +15,8 @@ from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import short
 from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.confidence import USUAL, Confidence, confidence, signs
-from slgaussian.language.nouns import evidence
+from slgaussian.language.confidence import OFTEN, USUAL, Confidence, confidence, signs
+from slgaussian.language.nouns import evidence, log_probability
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature, sigmoid
 from slgaussian.language.taught import TaughtWords, normal, spelled
@@ -157,6 +157,9 @@ class Understood:
         Of a name or a taught word that the encoder knows too: what it would have read.
     measurements : int
         How many the text asks for, or as many as most do where nobody counts them.
+    named : float
+        By how much the classifier names some object so; see
+        :class:`slgaussian.language.confidence.Signs`.
     describing : int
         How many words describe the noun.
     untold : str
@@ -172,6 +175,7 @@ class Understood:
     examples: int = 0
     instead_of: str = ""
     measurements: int = USUAL
+    named: float = 0.0
     describing: int = 0
     untold: str = ""
     question: str = ""
@@ -301,6 +305,19 @@ class BankReader(TextReader):
         most = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
         leads: np.ndarray = most * np.tanh(nats / CLASS_SCALE)
         return leads
+
+    def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
+        vector, read = super()._encode(text)
+        likeliest = self._likeliest(text)
+        return vector, read if likeliest is None else replace(read, named=likeliest - OFTEN)
+
+    def _likeliest(self, text: str) -> float | None:
+        """Log-probability of the noun's classes in the object that has most of it."""
+        classes = getattr(self.encoder, "classes", lambda _: ())(text)
+        if not classes or self.bank.class_scores is None or not self.bank.present.any():
+            return None
+        objects = self.bank.class_scores[: len(self.bank)][self.bank.present]
+        return float(log_probability(objects, classes).max())
 
     def class_evidence(self, text: str) -> np.ndarray | None:
         """How much likelier the noun's classes are there than in whole photographs, in nats.
@@ -582,8 +599,9 @@ def answer(
     read, sure = reader.understood(text), None
     why = "" if read.kind == "named" else doubt
     if calibration is not None and not doubt and len(ranked) and read.kind != "named":
-        own = gaps[ranked], chosen[ranked], read.measurements, seen.parts(chosen & (gaps > -np.inf))
-        sure = confidence(calibration, signs(*own))
+        parts = seen.parts(chosen & (gaps > -np.inf))
+        at = signs(gaps[ranked], chosen[ranked], read.measurements, parts, read.named)
+        sure = confidence(calibration, at)
     found = ranked, as_good, chosen, sure, why
     return kind(text, scores, read, reader.bank.ids, seen, *found)
 

@@ -122,6 +122,7 @@ class LiveField:
             ],
             "taken": taken.tolist(),
             "measurements": read.measurements,
+            "named": read.named,
             "alone": read.alone,
             "untold": read.untold,
             "unknown": list(read.unknown),

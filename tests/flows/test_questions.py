@@ -253,12 +253,14 @@ def test_how_sure_an_answer_is_is_said(field, ask, monkeypatch, capsys):
     mask, point = (answer["confidence"][name] for name in ("mask", "point"))
     said_so = f"not sure: {mask:.2f} that the mask is right, {point:.2f} that the point is\n"
     assert capsys.readouterr().out.startswith(said_so)
+    monkeypatch.setattr("slgaussian.language.confidence.ABSENT", 0.9)
     status, (answer,) = ask("query", field, "tall")
     assert (status, answer["found"], answer["verdict"]) == (3, False, "not here")
     assert run(monkeypatch, "query", field, "tall") == 3
     point = answer["confidence"]["point"]
     said_so = f"probably not here: {point:.2f} that the best object is it\n"
     assert capsys.readouterr().out.startswith(said_so)
+    monkeypatch.undo()
     status, (other,) = ask("query", field, "red", "--set", "protocol=langsplat")
     assert (other["confidence"], other["verdict"]) == (None, "found")
     assert run(monkeypatch, "query", field, "red", "--set", "protocol=langsplat") == 0

@@ -72,8 +72,8 @@ def test_what_leads_by_more_is_surer(rest, lead, measurements):
 
 
 def test_extremes_are_no_overflow():
-    assert 0 < Curve(1e6, 0, 0, 0)(Signs(-1, 0, 0)) < 1e-9
-    assert Curve(1e6, 0, 0, 0)(Signs(1, 0, 0)) <= 1
+    assert 0 < Curve(1e6, 0, 0, 0, 0)(Signs(-1, 0, 0)) < 1e-9
+    assert Curve(1e6, 0, 0, 0, 0)(Signs(1, 0, 0)) <= 1
 
 
 def test_the_lexicon_counts_what_a_text_asks_for():
@@ -99,7 +99,7 @@ def test_the_verdict(mask, point, verdict):
 
 
 def test_each_curve_gives_its_own_probability():
-    calibration = Calibration(Curve(0, 0, 0, 1), Curve(0, 0, 0, -1))
+    calibration = Calibration(Curve(0, 0, 0, 0, 1), Curve(0, 0, 0, 0, -1))
     sure = confidence(calibration, Signs(0.1, 2, 1))
     assert sure.mask == pytest.approx(1 / (1 + np.exp(-1)))
     assert sure.point == pytest.approx(1 / (1 + np.exp(1)))

@@ -116,7 +116,7 @@ def test_a_request_of_many_bytes_is_refused(client):
 
 
 def test_answers_are_those_of_the_field(client, field):
-    texts = ["red", "yellow square", "red xyzzy", "xyzzy"]
+    texts = ["red", "yellow square", "red xyzzy", "xyzzy", "not red"]
     *answers, refused = post(client, "query", texts=texts)["answers"]
     ids = sorted(IDS)
     for text, answer in zip(texts, answers, strict=False):
@@ -128,7 +128,8 @@ def test_answers_are_those_of_the_field(client, field):
         assert taken == {id_ for id_, _ in field.find(text)}
         assert answer["kind"] == field.reader.understood(text).kind
     assert answers[2]["unknown"] == ["xyzzy"] and answers[2]["alone"] == ", for 'red' alone"
-    assert "xyzzy" in refused["refused"] and "gaps" not in refused
+    assert answers[-1]["untold"] == field.reader.understood("xyzzy").untold != ""
+    assert "'not'" in refused["refused"] and "gaps" not in refused
 
 
 def test_changes_are_made_taken_back_and_saved_as_the_commands_do(

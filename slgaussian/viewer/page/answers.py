@@ -51,6 +51,9 @@ class Answers:
         together.
     measurements : tuple of int
         How many each text asks for.
+    named : tuple of float
+        By how much the classifier names some thing so, as
+        :class:`slgaussian.language.confidence.Signs` has it.
     calibration : Calibration or None
         Of the encoder.
     uncalibrated : str
@@ -65,6 +68,7 @@ class Answers:
     skipped: tuple[str, ...]
     pairs: bool
     measurements: tuple[int, ...] = ()
+    named: tuple[float, ...] = ()
     calibration: Calibration | None = None
     uncalibrated: str = ""
 
@@ -104,7 +108,7 @@ def answers_of(
     calibration, doubt = field.encoder.calibration, unmeasured(field.encoder, Rules())
     if live:
         nothing = np.zeros((0, len(ids)), np.float32)
-        return Answers((), nothing, nothing > 0, kinds, {}, (), bool(pairs), (), calibration, doubt)
+        return Answers((), nothing, nothing > 0, kinds, {}, (), bool(pairs), (), (), calibration, doubt)
     for text in more:
         if untold := field.reader.understood(text).untold:
             raise InputError(f"text {text!r}: {untold}")
@@ -121,8 +125,10 @@ def answers_of(
         answers = [(own, reader.chosen(text, own, shown, Rules())) for text, own in of_texts]
         gaps, taken = np.array(answers).transpose(1, 0, 2)[..., rows]
     known_as = texts, gaps.astype(np.float32), taken > 0, kinds, spellings, skipped
-    measurements = tuple(field.reader.understood(text).measurements for text in texts)
-    return Answers(*known_as, bool(pairs), measurements, calibration, doubt)
+    read = [field.reader.understood(text) for text in texts]
+    measurements = tuple(one.measurements for one in read)
+    named = tuple(one.named for one in read)
+    return Answers(*known_as, bool(pairs), measurements, named, calibration, doubt)
 
 
 def _plain(text: str) -> str:

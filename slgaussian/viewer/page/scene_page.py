@@ -174,6 +174,7 @@ def _page(
         "skipped": list(answers.skipped),
         "pairs": answers.pairs,
         "measurements": list(answers.measurements),
+        "named": [round(named, 3) for named in answers.named],
         "touching": touching,
         "said_words": _said_words(answers, live),
         "temperature": rules.temperature,

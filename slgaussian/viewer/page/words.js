@@ -56,7 +56,7 @@ class Words {
     return [null, 1];
   }
 
-  /** The answer to what was typed: {text, kind, gaps, taken, measurements}, or {refused}. */
+  /** The answer to what was typed: {text, kind, gaps, taken, measurements, named}, or {refused}. */
   answer(typed) {
     const { text, why } = this.read(typed);
     return why ? { refused: why } : this.baked(text);
@@ -67,6 +67,7 @@ class Words {
     const own = [row * count, (row + 1) * count];
     return {
       text, kind: this.kinds.get(text), measurements: about.measurements[row],
+      named: about.named[row],
       gaps: Array.from(this.gaps.subarray(...own)),
       taken: Array.from(this.taken.subarray(...own), Boolean),
     };
@@ -79,11 +80,11 @@ class Words {
    * confidence(), null where that is not known: of a name, or where it was not measured. The last
    * three are those of QueryResult (slgaussian/language/query.py).
    */
-  judged({ kind, gaps, taken, measurements, alone = "", untold = "" }) {
+  judged({ kind, gaps, taken, measurements, named: seen = 0, alone = "", untold = "" }) {
     const top = Math.max(-Infinity, ...gaps);
     const named = kind === "named";
     const doubted = about.calibration && !named && top > -Infinity;
-    const sure = doubted ? confidence(gaps, taken, top, measurements) : null;
+    const sure = doubted ? confidence(gaps, taken, top, measurements, seen) : null;
     const scores = gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap)));
     const best = gaps.indexOf(top), any = taken.includes(true);
     const verdict = untold ? "cannot tell" : any ? verdictOf(sure) : "not here";
@@ -112,7 +113,7 @@ function verdictOf(sure) {
  * How likely an answer is right, {mask, point}: slgaussian/language/confidence.py, whose constants
  * are in about.calibration.
  */
-function confidence(gaps, taken, top, measurements) {
+function confidence(gaps, taken, top, measurements, named) {
   const { mask, point, typical, even_out: evenOut } = about.calibration;
   const any = taken.includes(true);
   const own = [], rest = [];
@@ -126,7 +127,7 @@ function confidence(gaps, taken, top, measurements) {
     const spread = Math.sqrt(mean(rest.map((gap) => (gap - middle) ** 2)));
     apart = (mean(own) - middle) / (spread + evenOut);
   }
-  const signs = [top * measurements, apart, Math.log(Math.max(parts(taken), 1)), 1];
+  const signs = [top * measurements, apart, Math.log(Math.max(parts(taken), 1)), named, 1];
   const chance = (curve) => 1 / (1 + Math.exp(-curve.reduce((sum, c, k) => sum + c * signs[k], 0)));
   return { mask: chance(mask), point: chance(point) };
 }
