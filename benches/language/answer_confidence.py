@@ -283,8 +283,8 @@ def main() -> None:
         "that are there.",
         table([one | one["by_place"] for one in both], columns),
         table(tenths, of_tenths),
-        f"Not here is said where the point is right with less than {confidence.ABSENT}, found where "
-        "the mask is with at least 0.5; at places left out:",
+        f"Not here is said where the point is right with less than {confidence.ABSENT}, found "
+        "where the mask is with at least 0.5; at places left out:",
         table(
             verdicts(rows),
             {
