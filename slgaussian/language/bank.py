@@ -262,8 +262,9 @@ def build_bank(
     features = np.stack(columns, 1)
     together = np.stack(unions, 1) if members is not None else None
     codes = np.asarray(codes, np.float32)
-    named = (np.stack(classes, 1), np.stack(photographs)) if classes else (None, None)
-    return MemoryBank(ids, codes, features, present, boxes, levels, together, *named, wholes)
+    named = np.stack(classes, 1) if classes else None
+    whole = np.stack(photographs) if classes else None
+    return MemoryBank(ids, codes, features, present, boxes, levels, together, named, whole, wholes)
 
 
 def merge(first: MemoryBank, later: MemoryBank) -> MemoryBank:

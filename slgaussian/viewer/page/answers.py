@@ -10,7 +10,7 @@ relevancy gaps (:mod:`slgaussian.language.relevancy`), by which the page says ho
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -108,8 +108,8 @@ def answers_of(
     calibration, doubt = field.encoder.calibration, unmeasured(field.encoder, Rules())
     if live:
         nothing = np.zeros((0, len(ids)), np.float32)
-        known_as = (), nothing, nothing > 0, kinds, {}, ()
-        return Answers(*known_as, bool(pairs), (), (), calibration, doubt)
+        offered = Answers((), nothing, nothing > 0, kinds, {}, (), bool(pairs))
+        return replace(offered, calibration=calibration, uncalibrated=doubt)
     for text in more:
         if untold := field.reader.understood(text).untold:
             raise InputError(f"text {text!r}: {untold}")
@@ -125,11 +125,11 @@ def answers_of(
         of_texts = zip(texts, reader.gaps(texts, Rules()), strict=True)
         answers = [(own, reader.chosen(text, own, shown, Rules())) for text, own in of_texts]
         gaps, taken = np.array(answers).transpose(1, 0, 2)[..., rows]
-    all_of = texts, gaps.astype(np.float32), taken > 0, kinds, spellings, skipped
+    known_as = texts, gaps.astype(np.float32), taken > 0, kinds, spellings, skipped
     read = [field.reader.understood(text) for text in texts]
     measurements = tuple(one.measurements for one in read)
     named = tuple(one.named for one in read)
-    return Answers(*all_of, bool(pairs), measurements, named, calibration, doubt)
+    return Answers(*known_as, bool(pairs), measurements, named, calibration, doubt)
 
 
 def _plain(text: str) -> str:

@@ -125,6 +125,7 @@ def gaussians_page(gaussians: Gaussians, title: str) -> str:
     image = rasterize(gaussians, None, camera)
     rgb = shown(image.values.numpy(), image.alpha.numpy())
     depth = np.where(image.alpha.numpy() >= VISIBLE, image.depth.numpy(), 0)
+    nothing = np.zeros((0, 0), np.float32)
     return _page(
         gaussians,
         np.zeros(len(gaussians), np.int64),
@@ -132,7 +133,7 @@ def gaussians_page(gaussians: Gaussians, title: str) -> str:
         up=np.array([0.0, -1.0, 0.0]),
         depths=depth_range(depth),
         things=[],
-        answers=Answers((), np.zeros((0, 0), np.float32), {}, {}, (), False),
+        answers=Answers((), nothing, nothing > 0, {}, {}, (), False),
         touching=[],
         title=title,
         honest=f"{len(gaussians):,} Gaussians of a .ply, without objects or words, colours of "
