@@ -145,8 +145,10 @@ class SceneGeometry:
         other, shown = self.views[there].camera, self.depths[there]
         pixels, z = other.project(camera.unproject(depth))
         inside, _ = self.seen_again(here, there)
-        u, v = np.where(inside[..., None], pixels, 0).astype(np.float32).transpose(2, 0, 1)
-        visible = inside & (z <= (1 + CONFIRMS) * shown[v.astype(int), u.astype(int)])
+        at = np.where(inside[..., None], pixels, 0)
+        u, v = at.astype(np.float32).transpose(2, 0, 1)
+        column, row = at.astype(np.int64).transpose(2, 0, 1)  # float32 may round up to the width
+        visible = inside & (z <= (1 + CONFIRMS) * shown[row, column])
         if not visible.any():
             return 0.0
         mine, others = (cv2.GaussianBlur(self.views[i].lab, (0, 0), SMOOTH) for i in (here, there))
