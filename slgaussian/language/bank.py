@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -75,7 +75,7 @@ class MemoryBank:
     group_features: np.ndarray | None = None
     class_scores: np.ndarray | None = None
     photograph_scores: np.ndarray | None = None
-    wholes: Wholes | None = None
+    wholes: Wholes | None = field(default=None, repr=False)
 
     __repr__ = short_repr
 

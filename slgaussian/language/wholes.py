@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.io import short_repr
 
 NEAR_BEST = 0.6
 """An object fits about as well as the best one if its gap reaches this share of the best gap."""
@@ -114,6 +115,8 @@ class Wholes:
     at_edge: np.ndarray
     borders: np.ndarray
     border_sums: np.ndarray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         (w, n), e = self.members.shape, len(self.borders)
