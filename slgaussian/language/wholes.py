@@ -177,23 +177,25 @@ class Wholes:
         top = max(float(gaps[visible].max(initial=-np.inf)), LEAST_BEST)
         known = np.where(gaps > -np.inf, gaps, UNSEEN)
         alike = near_best(gaps, top, share)
-        sets, whole, places = self._candidates
+        sets, whole, around, places = self._candidates
         shown = sets @ np.where(visible, areas, 0) >= LEAST_PIXELS
-        sets, whole, standing = sets[shown], whole[shown], self._standing[places[shown]]
+        sets, whole, around = sets[shown], whole[shown], around[shown]
+        standing = self._standing[places[shown]]
         if (alike & visible).any():
             sets = np.concatenate([sets, alike[None]])
             whole = np.concatenate([whole, self._numbers(alike[None].astype(float))])
+            around = np.concatenate([around, self._around(alike[None].astype(float))])
             standing = np.append(standing, 0.0)
         if not len(sets):
             return alike & visible
-        area, around = np.exp(whole[:, 0]), self._around(sets)
-        mean = (sets * self._area) @ known / area
+        area = np.exp(whole[:, 0])
+        mean = _times(sets, self._area * known) / area
         fits = self._area * np.maximum(known, 0) * visible
         numbers = [
             np.maximum(mean / top, -2),
-            np.maximum(around @ known / top, -2),
+            np.maximum(_times(around, known) / top, -2),
             mean,
-            sets @ fits / max(fits.sum(), 1e-12),
+            _times(sets, fits) / max(fits.sum(), 1e-12),
             sets[:, np.where(visible, gaps, -np.inf).argmax()],
             (sets[:, visible] == alike[visible]).all(1),
         ]
@@ -203,8 +205,10 @@ class Wholes:
             evidence = np.nan_to_num(evidence * self.shares).mean(1) / np.maximum(self._area, 1e-12)
             evidence = np.clip(evidence, *EVIDENCE)
             fits = self._area * np.maximum(evidence, 0) * visible
-            numbers += [(sets * self._area) @ evidence / area, sets @ fits / max(fits.sum(), 1e-12)]
-        score = np.column_stack([*numbers, whole[:, :3], standing, whole[:, 3]]) @ np.array(ranking)
+            mean = _times(sets, self._area * evidence) / area
+            numbers += [mean, _times(sets, fits) / max(fits.sum(), 1e-12)]
+        table = np.column_stack([*numbers, whole[:, :3], standing, whole[:, 3]])
+        score = _times(table, np.array(ranking))
         chosen: np.ndarray = sets[score.argmax()] > 0
         return chosen & (gaps > -np.inf)
 
@@ -226,17 +230,19 @@ class Wholes:
         return tables[0], tables[1]
 
     @cached_property
-    def _candidates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Objects and wholes that are no crumbs: float64 [G, N], their :meth:`_numbers`, places."""
+    def _candidates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Objects and wholes that are no crumbs: sets float64 [G, N], their :meth:`_numbers` and
+        :meth:`_around`, and places."""
         sets = np.concatenate([np.eye(len(self.at_edge)), self.members])
         places = np.flatnonzero(sets @ self._area >= LEAST_SHARE)
-        return sets[places], self._numbers(sets[places]), places
+        sets = sets[places]
+        return sets, self._numbers(sets), self._around(sets), places
 
     def _numbers(self, sets: np.ndarray) -> np.ndarray:
         """``size``, ``outline``, ``edge`` and ``agreement`` of sets [G, N]: float64 [G, 4]."""
         length, strength = self._beside
         around, strong = (
-            sets @ table.sum(1) - np.einsum("gn,gn->g", sets @ table, sets)
+            _times(sets, table.sum(1)) - np.einsum("gn,gn->g", _beside(sets, table), sets)
             for table in (length, strength)
         )
         at_edge, in_views = sets @ self.at_edge, sets @ self.shares
@@ -252,7 +258,7 @@ class Wholes:
 
     def _around(self, sets: np.ndarray) -> np.ndarray:
         """Weights, summing to 1, of the objects around sets by their common border [G, N]."""
-        ring = (sets @ self._beside[0]) * (1 - sets)
+        ring = _beside(sets, self._beside[0]) * (1 - sets)
         return ring / np.maximum(ring.sum(1, keepdims=True), 1e-9)
 
 
@@ -260,3 +266,15 @@ def near_best(gaps: np.ndarray, best: float, share: float = NEAR_BEST) -> np.nda
     """Take the objects with a gap above 0 and at least a share of the ``best``: bool [N]."""
     taken: np.ndarray = (gaps > 0) & (gaps >= share * best)
     return taken
+
+
+def _times(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sum ``values`` [N] by ``rows`` [G, N]; no BLAS product, which varies with threads."""
+    sums: np.ndarray = np.einsum("gn,n->g", rows, values)
+    return sums
+
+
+def _beside(sets: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Sum the rows of ``table`` [N, N] over sets [G, N], as :func:`_times`."""
+    sums: np.ndarray = np.einsum("gn,nm->gm", sets, table)
+    return sums
