@@ -222,7 +222,7 @@ def verdicts(rows: Sequence[Row], on: Sequence[str] = RESTS_ON) -> list[dict]:
     there, w = np.array([row.there for row in rows]), weights(rows)
     kinds = np.array([kind_of(row.place) for row in rows])
     denied = point < confidence.ABSENT
-    found = ~denied & (mask >= 0.5) & np.array([row.gap > 0 for row in rows])
+    found = ~denied & (mask >= 0.5)
 
     def share(which: np.ndarray, of: np.ndarray) -> float:
         return float(w[of & which].sum() / w[of].sum())

@@ -40,10 +40,10 @@ USUAL = 6
 OFTEN = -3.0
 """Log-probability of a noun's classes, in the object that has most of it, that says nothing."""
 
-ABSENT = 0.12
+ABSENT = 0.1
 """Probability that the point is on the thing below which it is said not to be there. Measured, with
 the classifier, at places that the constants were not fitted to: 9 % of what is there is denied, and
-85 % of what is denied is not there, where half of what is asked for is."""
+84 % of what is denied is not there, where half of what is asked for is."""
 
 
 class Signs(NamedTuple):

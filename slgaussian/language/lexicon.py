@@ -71,7 +71,7 @@ class Lexicon:
     name: ClassVar[str] = "lexicon"
     calibration: ClassVar[Calibration] = Calibration(
         mask=Curve(1.96, 1.886, -0.288, 0.364, -4.691),
-        point=Curve(2.399, 1.232, -0.189, 0.483, -3.073),
+        point=Curve(2.314, 1.252, -0.536, 0.45, -2.762),
     )
 
     ranking: ClassVar[Ranking] = Ranking(
