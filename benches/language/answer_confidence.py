@@ -24,7 +24,7 @@ from scipy.special import expit
 
 from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
-from benches.scores.scene_sets import PLACES, built, labelled, read
+from benches.scores.scene_sets import PLACES, THINGS, built, labelled, read
 from flows.config import SceneSettings, Settings
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.errors import InputError
@@ -39,7 +39,6 @@ OUTDOORS = "grass, bed, toilet, bathtub, road, brick wall, gravel, green grass, 
 road, refrigerator, oven, tree"
 TABLES = "bed, toilet, bathtub, refrigerator, oven, banana, laptop, keyboard, piano, guitar, \
 bicycle, foosball table, coffee machine, red crate, towel, fireplace, truck"
-THINGS = ("boxes", "can", "carton", "duck", "stitch")
 INDOORS = (
     "sofa, bed, bottle, mug, cushion, carpet, backpack, laptop, keyboard, refrigerator, oven, \
 sink, toilet, bathtub, towel, pillow, vase, banana, wooden table, grey sofa, pink placemat, coffee \

@@ -35,6 +35,9 @@ SHEETS = ("office/pairs.json", *(f"places/{name}/pairs.json" for name in PLACES)
 """What DATA must hold."""
 
 
+THINGS = ("boxes", "can", "carton", "duck", "stitch")
+
+
 @dataclass(frozen=True)
 class Set:
     """Scenes that are averaged; ``chosen`` says whether constants were chosen on them."""
@@ -64,14 +67,14 @@ SETS: Mapping[str, Set] = {
         "office: 8 pairs of one building, 57 queries",
         OF_LABELS.format("DATA/office"),
         True,
-        10,
+        3,
         partial(labelled, ["office"]),
     ),
     "demo": Set(
         "demo: rooms 0 to 2",
         "slgaussian demo --seed K",
         True,
-        10,
+        3,
         lambda _: [room_scene(seed) for seed in ROOMS],
     ),
     "motorcycle": Set(
@@ -85,8 +88,15 @@ SETS: Mapping[str, Set] = {
         "places: 8 pairs of 6 other places, 63 queries",
         OF_LABELS.format("DATA/places/PLACE") + ", place by place",
         True,
-        10,
+        3,
         partial(labelled, [f"places/{name}" for name in PLACES]),
+    ),
+    "things": Set(
+        "things: 5 pairs of single things on tables and floors",
+        OF_LABELS.format("DATA/things/THING") + ", thing by thing",
+        True,
+        3,
+        partial(labelled, [f"things/{name}" for name in THINGS]),
     ),
     "rooms": Set(
         f"rooms {UNSEEN[0]} to {UNSEEN[-1]}",
