@@ -69,6 +69,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         field = build_field(sample, Method(replicas=1, settings=given))
         field.save(tmp_path / "field")
         settings = dict(SemanticField.load(tmp_path / "field").settings)
+        settings.pop("lexicon", None)  # names the classifier where its weights are installed
         quality, account = settings.pop("quality"), FieldStatistics(**settings.pop("account"))
         assert account.gaussians_kept == len(field.gaussians) < account.gaussians_made
         assert 0 < account.change_mean < account.change_rms < 1 < account.change_greatest

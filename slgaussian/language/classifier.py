@@ -19,6 +19,7 @@ from torch import nn
 from torch.nn import functional as F
 
 from slgaussian.errors import InputError
+from slgaussian.formats import tensorfile
 from slgaussian.language.weights import INSTALL, PACKAGE, SHA256, find_weights
 
 CLASSES = 1000
@@ -127,7 +128,7 @@ class Classifier:
                 f"{digest[:8]}, expected {SHA256[:8]}; install it again: {INSTALL}"
             )
         self.network = _Lite0()
-        self.network.load_state_dict(torch.load(file, weights_only=True))
+        self.network.load_state_dict(tensorfile.load(file))
         self.network.eval()
         for weights in self.network.parameters():
             if weights.dim() == 4:  # half the time of the other layout
