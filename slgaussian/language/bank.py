@@ -54,7 +54,7 @@ class MemoryBank:
         Unit vectors of the groups, zero where a view holds none of a group's objects.
     class_scores : uint8 [N + G, V, 1000], optional
         Log-probabilities of the classes of ImageNet in objects and, after them, groups, as
-        :func:`slgaussian.language.nouns.quantised` has them; zeros where absent.
+        :func:`slgaussian.language.class_evidence.quantised` has them; zeros where absent.
     photograph_scores : uint8 [V, 1000], with ``class_scores``
         Their means over whole photographs.
     wholes : Wholes, optional

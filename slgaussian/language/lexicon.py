@@ -29,8 +29,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
+from slgaussian.language.class_evidence import quantised
 from slgaussian.language.confidence import Calibration, Curve
-from slgaussian.language.nouns import quantised
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary, unusable
 from slgaussian.language.weights import INSTALL
 from slgaussian.language.wholes import Ranking
@@ -156,8 +156,9 @@ class Lexicon:
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """What the classifier sees in regions bool [M, H, W], and in the whole uint8 photograph.
 
-        uint8 [M, 1000] and [1000], as :func:`slgaussian.language.nouns.quantised` has them;
-        None without a classifier. InputError if its weights are missing or not those known.
+        uint8 [M, 1000] and [1000], as :func:`~slgaussian.language.class_evidence.quantised`
+        has them; None without a classifier. InputError if its weights are missing or not those
+        known.
         """
         if self.classifier == "none":
             return None

@@ -15,8 +15,8 @@ from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import short
 from slgaussian.language import Encoder, langsplat
 from slgaussian.language.bank import MemoryBank
+from slgaussian.language.class_evidence import evidence, log_probability
 from slgaussian.language.confidence import OFTEN, USUAL, Confidence, confidence, signs
-from slgaussian.language.nouns import evidence, log_probability
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature, sigmoid
 from slgaussian.language.taught import TaughtWords, normal, spelled
@@ -322,7 +322,7 @@ class BankReader(TextReader):
     def class_evidence(self, text: str) -> np.ndarray | None:
         """How much likelier the noun's classes are there than in whole photographs, in nats.
 
-        float64 [M, V] over ``bank.nodes``, see :func:`slgaussian.language.nouns.evidence`;
+        float64 [M, V] over ``bank.nodes``, see :func:`slgaussian.language.class_evidence.evidence`;
         None if there are none, or nothing was classified. InputError if the text cannot be used.
         """
         bank = self.bank

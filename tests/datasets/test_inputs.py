@@ -97,7 +97,8 @@ def test_a_scene_can_be_sent_to_another_process(tmp_path, name):
 
 
 def test_every_reader_is_tried():
-    assert set(datasets.READERS) - set(datasets.SOURCES) <= set(WRITERS)
+    """But for npz, which needs photographs that match: test_npz.py tries it."""
+    assert set(datasets.READERS) - set(datasets.SOURCES) - {"npz"} <= set(WRITERS)
 
 
 class Labelled:

@@ -7,7 +7,8 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.language import classifier, weights
-from slgaussian.language.nouns import STEP, evidence, noun_classes, quantised
+from slgaussian.language.class_evidence import STEP, evidence, quantised
+from slgaussian.language.nouns import noun_classes
 
 needs_weights = pytest.mark.skipif(
     weights.find_weights() is None, reason=f"needs the weights: {weights.INSTALL}"

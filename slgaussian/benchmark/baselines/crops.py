@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slgaussian.benchmark.answering import understands
 from slgaussian.benchmark.baselines.dense import DenseView
 from slgaussian.benchmark.baselines.drawn import draw_picture, draw_vectors, reduced
 from slgaussian.benchmark.baselines.inputs import Inputs
@@ -94,7 +95,7 @@ class Ovs3dLike:
         shorter = min(inputs.sample.context[0].image.shape[:2])
         sides = [max(shorter // part, 1) for part in self.parts]
         levels = encode_pyramid(inputs, sides, [self.stride] * len(sides))
-        classes = tuple(text for text in inputs.classes if _is_usable(inputs, text))
+        classes = tuple(text for text in inputs.classes if understands(inputs.reader, text))
         chosen = choose_scales(inputs, levels, classes)
 
         def at(pixels: np.ndarray, start: int, stop: int) -> np.ndarray:
@@ -153,14 +154,6 @@ def choose_scales(inputs: Inputs, levels: Sequence[Level], classes: Sequence[str
         ranked = np.sort(cosines.at(pixels, 0, len(texts)), axis=1)
         leads.append(ranked[:, -1] - (ranked[:, -2] if len(texts) > 1 else 0))
     return np.stack(leads).argmax(0).astype(np.int8)
-
-
-def _is_usable(inputs: Inputs, text: str) -> bool:
-    try:
-        inputs.reader.vectors([text])
-    except InputError:
-        return False
-    return True
 
 
 @dataclass(frozen=True, eq=False)

@@ -228,7 +228,8 @@ def test_zero_vectors_lift_what_one_view_lacks(room):
     once[0] = True
     features = np.where(once[..., None], bank.features, 0).astype(np.float32)
     partial = replace(bank, features=features, present=once, boxes=None)
-    partial = replace(partial, levels=None, group_features=None)
+    gone = ("levels", "group_features", "class_scores", "photograph_scores")
+    partial = replace(partial, **dict.fromkeys(gone))
     field = room.field.changed(bank=partial)
     view = field.render(room.sample.targets[0].camera)
     for text in room.truth["view_01"]:
