@@ -20,6 +20,7 @@ from torch.nn import functional as F
 
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
+from slgaussian.kernels import threads
 from slgaussian.language.weights import INSTALL, PACKAGE, SHA256, find_weights
 
 CLASSES = 1000
@@ -156,7 +157,7 @@ class Classifier:
             how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
             pixels = cv2.resize(image, (width, height), interpolation=how)
             x = (torch.from_numpy(pixels).float().permute(2, 0, 1)[None] - 127) / 128
-            with torch.inference_mode():
+            with threads.inside(self.network), torch.inference_mode():
                 maps.append(self.network(x.contiguous(memory_format=torch.channels_last)))
         size = maps[-1].shape[:2]
         stacked = [
@@ -198,5 +199,6 @@ def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
         cv2.resize(mask.astype(np.float32), (w, h), share, interpolation=cv2.INTER_AREA)
     weights = shares.reshape(len(masks), h * w)
     weights /= np.maximum(weights.sum(1, keepdims=True), np.finfo(np.float32).tiny)
-    pooled: np.ndarray = weights @ class_map.reshape(h * w, classes)
+    # Without BLAS, whose last digits depend on its threads.
+    pooled: np.ndarray = np.einsum("nk,kc->nc", weights, class_map.reshape(h * w, classes))
     return pooled
