@@ -99,7 +99,7 @@ def test_of_photographs_without_labels_the_middle_one_is_held_out(monkeypatch, c
     assert run(monkeypatch, "benchmark", folder, *cameras, *words, *out) == 0
     assert "view_01.png is held out" in capsys.readouterr().err
     page = (tmp_path / "out" / "report.md").read_text("utf-8")
-    errors = re.findall(r"^\| (slgaussian[^|]*) \| – \| – \| ([\d.]+) \|", page, re.MULTILINE)
+    errors = re.findall(r"^\| (slgaussian[^|]*) \| – \| ([\d.]+) \|", page, re.MULTILINE)
     assert len(dict(errors)) == 2 and all(float(psnr) > 15 for _, psnr in errors)
     two = [folder / "view_00.png", folder / "view_02.png"]
     assert run(monkeypatch, "benchmark", *two, *out) == 2
