@@ -11,6 +11,7 @@ import fsspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command import run
 from PIL import Image
 
 from flows import corpus
@@ -329,9 +330,9 @@ def test_what_is_asked_of_a_pair_is_the_same_from_everywhere(tmp_path):
     assert Bounds(**settings_for(tmp_path).bounds()) == Bounds()
 
 
-def test_what_cannot_be_asked_is_one_sentence(tmp_path):
-    with pytest.raises(InputError, match="chunks: is no folder"):
-        settings_for(tmp_path)
+def test_what_cannot_be_asked_is_one_sentence(tmp_path, monkeypatch, capsys):
+    assert run(monkeypatch, "supervise", tmp_path / "chunks", "-o", tmp_path / "out") == 2
+    assert "chunks: is no folder; expected one of chunks" in capsys.readouterr().err
     (tmp_path / "chunks").mkdir()
     with pytest.raises(InputError, match="chunks: holds no chunk"):
         run_flow("ingest", settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
