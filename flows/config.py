@@ -546,6 +546,12 @@ _CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
 class TrainSettings(Training):
     """A training on lessons that are there already."""
 
+    preset: Literal["paper"] | None = Field(
+        None,
+        examples=["paper"],
+        description="Begin from named settings: paper, as it prints its training; other options "
+        "win.",
+    )
     codes: str = Field(
         "separated",
         examples=["separated", "grid"],
@@ -554,8 +560,8 @@ class TrainSettings(Training):
     architecture: Literal["several", "paper"] = Field(
         "several",
         examples=["several", "paper"],
-        description="What a branch sees of a pixel: what several views say of it, or its own view "
-        "alone (as the paper).",
+        description="The network and its loss: several, which sees what other views say of a "
+        "pixel, or paper, as printed.",
     )
     seed: int = _METHOD["seed"]
     store: str = _CORPUS["store"]

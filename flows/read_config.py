@@ -24,6 +24,7 @@ from flows.config import (
     RetrainSettings,
     SceneSettings,
     Settings,
+    TrainSettings,
     table_of,
 )
 from slgaussian.components.registry import find_config
@@ -47,7 +48,8 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
         if isinstance(values.get(name), str):
             check_url(values[name], f"{source}: {name}")
     if "preset" in model.model_fields and values.get("preset") is not None:
-        values = layered(preset_values(values["preset"], source), values)
+        of = "train_" if model is TrainSettings else ""
+        values = layered(preset_values(values["preset"], source, of), values)
     try:
         config = model(**values)
     except ValidationError as error:
@@ -113,20 +115,22 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
     return layered(values, overrides)
 
 
-def preset_values(preset: Any, source: str) -> dict[str, Any]:
-    """Return the settings of the named preset.
+def preset_values(preset: Any, source: str, of: str = "") -> dict[str, Any]:
+    """Return the settings of the named preset; ``of`` is before the name of its file.
 
     Raises
     ------
     InputError
         If there is no such preset.
     """
-    if preset not in PRESETS:
+    folder = Path(__file__).parent / "presets"
+    known = [name for name in PRESETS if (folder / f"{of}{name}.toml").is_file()]
+    if preset not in known:
         raise InputError(
-            f"{source}: preset: found {preset!r}, expected one of {', '.join(PRESETS)}"
-            f"{did_you_mean(preset, PRESETS)}"
+            f"{source}: preset: found {preset!r}, expected one of {', '.join(known)}"
+            f"{did_you_mean(preset, known)}"
         )
-    file = Path(__file__).parent / "presets" / f"{preset}.toml"
+    file = folder / f"{of}{preset}.toml"
     return tomllib.loads(file.read_text("utf-8"))
 
 

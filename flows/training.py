@@ -117,14 +117,13 @@ def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Traine
     start = None if config.start is None else find_weights(config.start)
     store.check_writable()
     check_folder(config.out)
-    chosen = Architecture(others=config.architecture != "paper")
-    if start is not None and "architecture" in config.model_fields_set:
-        architecture = load_branch(start).architecture
-        if architecture.others != chosen.others:
-            raise InputError(
-                f"{start}: its weights are of another architecture than {config.architecture!r}; "
-                "leave out --architecture, or --from"
-            )
+    chosen = Architecture(config.architecture)
+    began = None if start is None else load_branch(start).architecture.name
+    if "architecture" in config.model_fields_set and began not in (None, chosen.name):
+        raise InputError(
+            f"{start}: its weights are of another architecture than {config.architecture!r}; "
+            "leave out --architecture, or --from"
+        )
     common = config.codes, config.seed, start, store, verbose
     trained = train_on(lessons, config, *common, architecture=chosen, card=card)
     trained.write(config.out, store)

@@ -65,7 +65,7 @@ def branch_from_arrays(arrays: Arrays) -> Branch:
         return load_branch(file)
 
 
-@stage("train", version=2, unkeyed=("checkpoints",))
+@stage("train", version=3, unkeyed=("checkpoints",))
 def train(
     run: RunContext,
     lessons: ArtifactRef,
@@ -106,7 +106,7 @@ LABELS = ("as found", "corrupted")
 """What liftings are shown."""
 
 
-@stage("judge", version=2)
+@stage("judge", version=3)
 def judge(
     run: RunContext,
     lessons: ArtifactRef,
@@ -140,9 +140,8 @@ def liftings(
     trained = {
         name: branch_from_arrays(store.get(ref)) for name, ref in refs.items() if ref is not None
     }
-    untrained = Branch(trained["branch"].architecture)
     learnt = {name: BranchLifting(branch) for name, branch in trained.items()}
-    return {"hard": HardIndex(), "filled": Filled(), "identity": BranchLifting(untrained), **learnt}
+    return {"hard": HardIndex(), "filled": Filled(), **learnt}
 
 
 def labels_of(lesson: Lesson, kind: str, seed: int) -> np.ndarray:

@@ -32,7 +32,7 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.masks.precomputed import read_ids
 from slgaussian.predict.mvsplat.checkpoint import read_state
 from slgaussian.scene import Camera, Scene, View
-from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_branch
+from slgaussian.semantic.branch import Architecture, Branch, load_branch, make_branch, save_branch
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.encoding import decode_arrays, decode_table, encode_arrays, encode_table
@@ -355,7 +355,7 @@ RUN = {"architecture": {"widths": [4, 6], "hidden": 8, "others": True}, "steps":
 
 
 def trained() -> tuple[Branch, torch.optim.Optimizer]:
-    branch = Branch(SMALL, 0)
+    branch = make_branch(SMALL, 0)
     optimiser = torch.optim.AdamW(branch.parameters(), foreach=False)
     for parameter in branch.parameters():
         parameter.grad = torch.ones_like(parameter)

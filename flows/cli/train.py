@@ -14,7 +14,7 @@ from flows.read_config import checked, read_retraining
 from slgaussian.errors import InputError
 
 
-@options.configured("steps", "seed", "store", "architecture", model=TrainSettings)
+@options.configured("preset", "steps", "seed", "store", "architecture", model=TrainSettings)
 def train(
     ctx: typer.Context,
     lessons: Annotated[Path, options.field_option("lessons", TrainSettings)],
@@ -33,6 +33,7 @@ def train(
 
     \b
     slgaussian train --lessons corpus -o trained
+    slgaussian train --lessons corpus --preset paper -o printed
     slgaussian train --lessons corpus --from trained/branch.safetensors --set batch=2 -o more
     slgaussian field a.png b.png --set lifting=branch \\
         --set branch.weights=trained/branch.safetensors -o field/

@@ -13,7 +13,6 @@ import numpy as np
 
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.semantic.corruption import corrupt
-from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
 from slgaussian.semantic.lesson import Lesson
 
 if TYPE_CHECKING:
@@ -44,8 +43,6 @@ class Draw:
         How often all lessons were drawn before.
     rng : numpy Generator
         For the codes.
-    others : CrossViewLabels or None
-        What other views say, if the architecture wants to know.
     """
 
     lesson: Lesson
@@ -54,7 +51,6 @@ class Draw:
     views: list[int]
     epoch: int
     rng: np.random.Generator
-    others: CrossViewLabels | None
 
 
 def draw_batch(lessons: Sequence[Lesson], settings: TrainingSettings, step: int) -> list[Draw]:
@@ -68,8 +64,5 @@ def draw_batch(lessons: Sequence[Lesson], settings: TrainingSettings, step: int)
         corrupted = bool(rng.random() < settings.corrupted)
         labels = corrupt(lesson.labels, rng, HARMED, LEARNT) if corrupted else lesson.labels
         views = sorted(rng.permutation(len(lesson.cameras))[: settings.targets].tolist())
-        others = None
-        if settings.architecture.others:
-            others = match_across_views(lesson.gaussians, lesson.labels.shape)
-        made.append(Draw(lesson, labels, corrupted, views, epoch, rng, others))
+        made.append(Draw(lesson, labels, corrupted, views, epoch, rng))
     return made

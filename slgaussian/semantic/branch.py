@@ -1,14 +1,7 @@
 """The semantic branch: from code images to the feature of every Gaussian (paper, section 3.1).
 
-A convolution, residual blocks that each halve the resolution (He et al. 2016), up-sampling back,
-all added to the input, then an MLP for each pixel, whose output is the feature of the Gaussians
-that come from it. The last layers start at zero, so that an untrained branch is the control
-without a network, :class:`slgaussian.semantic.hard.HardIndex`.
-
-One that also sees the other views (:mod:`slgaussian.semantic.cross_view_labels`) is given label
-images in which pixels without an object took that of their match in another view, and beside them
-what that view says, of which it may take a part. Untrained, it is
-:class:`slgaussian.semantic.hard.Filled`. That is beyond the paper.
+Two networks: ``paper`` is the printed one (:class:`PaperBranch`), ``several`` also sees what other
+views say about each pixel (:class:`SeveralViewsBranch`), which is beyond the paper.
 """
 
 from __future__ import annotations
@@ -18,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 import safetensors
@@ -44,24 +37,31 @@ OWN = DIMENSION + 1
 """Channels of a code image, and of a feature: the code times the weight, and the weight."""
 
 
+Name = Literal["several", "paper"]
+"""The networks."""
+
+
 @dataclass(frozen=True)
 class Architecture:
     """What a branch is made of; weights of one do not fit another.
 
     Attributes
     ----------
+    name : str
     widths : tuple of int
         Channels at full resolution, then after each residual block, at half of it, a quarter ...
-        Without any there are no convolutions: the MLP gets the input itself.
     hidden : int
         Of the MLP's one hidden layer.
-    others : bool
-        Whether it also sees what other views say about each pixel. The paper's does not.
     """
 
+    name: Name = "several"
     widths: tuple[int, ...] = (8, 16, 24, 32)
     hidden: int = 32
-    others: bool = True
+
+    @property
+    def others(self) -> bool:
+        """Whether it sees what other views say (:mod:`slgaussian.semantic.cross_view_labels`)."""
+        return self.name == "several"
 
     @property
     def channels(self) -> int:
@@ -70,40 +70,83 @@ class Architecture:
 
 
 class Branch(nn.Module):
-    """The network.
+    """A network from input images to features, both at full resolution; see :func:`make_branch`.
 
-    Parameters
-    ----------
-    architecture : Architecture
-    seed : int
-        Decides the weights at the start; the same seed gives the same weights.
+    ``forward`` takes float [V, H, W, C] of any size, C of :attr:`Architecture.channels`, the first
+    4 of them the view's own code image. It returns float [V, H, W, 4]: code times weight, and the
+    weight. They are linear fractions of light like any other, and not held to [0, 1].
     """
 
-    def __init__(self, architecture: Architecture, seed: int = 0) -> None:
+    def __init__(self, architecture: Architecture) -> None:
         super().__init__()
         self.architecture = architecture
-        channels, hidden = architecture.channels, architecture.hidden
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            self.convolutions = _Convolutions(channels, architecture.widths)
-            self.first = nn.Conv2d(channels, hidden, 1)
-            self.last = _zeroed(nn.Conv2d(hidden, OWN + 2 * architecture.others, 1))
+
+
+class PaperBranch(Branch):
+    """The network as printed (section 3.1, Semantic Parameters Prediction).
+
+    The code image M_i [3, H, W] passes through a convolution and residual blocks that each halve
+    the resolution (He et al. 2016), is up-sampled back to the full one and added to M_i; an MLP
+    maps each pixel of the sum to f_i, three numbers.
+
+    Left open there and chosen here: 3x3 convolutions, ReLU, widths, no normalisation (a batch is
+    one scene), a 1x1 convolution to the three channels of M_i before bilinear up-sampling, one
+    hidden layer, PyTorch's initial weights. The weight beside f_i is 1: every Gaussian has an
+    object, and a pixel without one is (0, 0, 0) in M_i.
+    """
+
+    def __init__(self, architecture: Architecture) -> None:
+        super().__init__(architecture)
+        widths, hidden = architecture.widths, architecture.hidden
+        self.stem = nn.Conv2d(DIMENSION, widths[0], 3, padding=1)
+        self.down = nn.Sequential(*(_HalvingBlock(*pair) for pair in pairwise(widths)))
+        self.up = nn.Conv2d(widths[-1], DIMENSION, 1)
+        self.first = nn.Conv2d(DIMENSION, hidden, 1)
+        self.last = nn.Conv2d(hidden, DIMENSION, 1)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Features float [V, H, W, 4] of input images float [V, H, W, C], of any size.
+        """See :class:`Branch`."""
+        codes = images[..., :DIMENSION].permute(0, 3, 1, 2)
+        coarse = self.up(self.down(F.relu(self.stem(codes))))
+        mixed = codes + F.interpolate(coarse, codes.shape[-2:], mode="bilinear")
+        features = self.last(F.relu(self.first(mixed))).permute(0, 2, 3, 1)
+        return torch.cat([features, torch.ones_like(features[..., :1])], -1)
 
-        C is :attr:`Architecture.channels`, the first 4 of them the view's own. Features are linear
-        fractions of light like any other, and not held to [0, 1].
-        """
+
+class SeveralViewsBranch(Branch):
+    """A network that changes what it is given, and sees what other views say. Beyond the paper.
+
+    It gets label images in which pixels without an object took that of their match in another view,
+    and beside them what that view says, of which it may take a part. Convolutions have lateral sums
+    at every level, the MLP adds to its input, and the last layers start at zero: untrained it is
+    :class:`slgaussian.semantic.hard.Filled`.
+    """
+
+    def __init__(self, architecture: Architecture) -> None:
+        super().__init__(architecture)
+        channels, hidden = architecture.channels, architecture.hidden
+        self.convolutions = _Convolutions(channels, architecture.widths)
+        self.first = nn.Conv2d(channels, hidden, 1)
+        self.last = _zeroed(nn.Conv2d(hidden, OWN + 2, 1))
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """See :class:`Branch`."""
         stacked = images.permute(0, 3, 1, 2)
         mixed = stacked + self.convolutions(stacked)
-        found = self.last(F.relu(self.first(mixed)))
-        features = mixed[:, :OWN] + found[:, :OWN]
-        if self.architecture.others:
-            # Copying is a product, which sums of half-planes are slow to learn: codes change.
-            more, taken = found[:, OWN : OWN + 1], found[:, OWN + 1 :]
-            features = features + more * stacked[:, :OWN] + taken * stacked[:, OWN : 2 * OWN]
+        change = self.last(F.relu(self.first(mixed)))
+        # Copying is a product, which sums of half-planes are slow to learn: codes change.
+        more, taken = change[:, OWN : OWN + 1], change[:, OWN + 1 :]
+        features = mixed[:, :OWN] + change[:, :OWN]
+        features = features + more * stacked[:, :OWN] + taken * stacked[:, OWN : 2 * OWN]
         return features.permute(0, 2, 3, 1)
+
+
+def make_branch(architecture: Architecture, seed: int = 0) -> Branch:
+    """Make an untrained network; the same seed gives the same weights."""
+    network = PaperBranch if architecture.name == "paper" else SeveralViewsBranch
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return network(architecture)
 
 
 def _zeroed(convolution: nn.Conv2d) -> nn.Conv2d:
@@ -116,22 +159,21 @@ def _zeroed(convolution: nn.Conv2d) -> nn.Conv2d:
 class _Convolutions(nn.Module):
     def __init__(self, channels: int, widths: tuple[int, ...]) -> None:
         super().__init__()
-        self.stem = nn.Conv2d(channels, widths[0], 3, padding=1) if widths else None
+        self.stem = nn.Conv2d(channels, widths[0], 3, padding=1)
         pairs = list(pairwise(widths))
         self.down = nn.ModuleList(_HalvingBlock(*pair) for pair in pairs)
         self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairs)
-        self.head = _zeroed(nn.Conv2d(widths[0], channels, 1)) if widths else None
+        self.head = _zeroed(nn.Conv2d(widths[0], channels, 1))
 
-    def forward(self, images: torch.Tensor) -> torch.Tensor | float:
-        if self.stem is None or self.head is None:
-            return 0.0
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
         levels = [F.relu(self.stem(images))]
         for block in self.down:
             levels.append(block(levels[-1]))
-        found = levels.pop()
+        fused = levels.pop()
         for lateral, finer in zip(reversed(self.up), reversed(levels), strict=True):
-            found = finer + F.interpolate(lateral(found), finer.shape[-2:], mode="bilinear")
-        return self.head(found)
+            fused = finer + F.interpolate(lateral(fused), finer.shape[-2:], mode="bilinear")
+        change: torch.Tensor = self.head(fused)
+        return change
 
 
 class _HalvingBlock(nn.Module):
@@ -252,16 +294,24 @@ def branch_of(
 ) -> Branch:
     """Return the branch of named tensors; see :func:`load_branch`."""
     try:
-        given = about["architecture"]
-        architecture = Architecture(**{**given, "widths": tuple(given["widths"])})
+        values = {**about["architecture"], "widths": tuple(about["architecture"]["widths"])}
+        if values.pop("others", True) is False:
+            raise InputError(
+                f"weights {path}: are of a network that saw one view and was called 'paper', which "
+                "was not the paper's (it added to its input, and its loss left out unknown pixels) "
+                "and is gone; train again with --architecture paper, or without for 'several'"
+            )
+        architecture = Architecture(**values)
     except (KeyError, TypeError):
         raise InputError(
             f"weights {path}: does not say which branch it is of, expected a file that "
             "`slgaussian train` wrote"
         ) from None
     try:
+        if architecture.name not in get_args(Name):
+            raise ValueError(f"no network is called {architecture.name!r}")
         with torch.device("meta"):
-            branch = Branch(architecture)
+            branch = make_branch(architecture)
         branch.load_state_dict(dict(tensors), assign=True)
     except (RuntimeError, TypeError, ValueError, OverflowError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[-1].strip()[:200]

@@ -12,7 +12,7 @@ from slgaussian.language import load_codes
 from slgaussian.language.bank import MemoryBank
 from slgaussian.rasterize.planned import plan
 from slgaussian.semantic import Lifting
-from slgaussian.semantic.decode import Decoder
+from slgaussian.semantic.decode import Decoder, NearestCode
 from slgaussian.semantic.lesson import Lesson
 
 
@@ -22,6 +22,7 @@ def label_iou(
     labels: np.ndarray | None = None,
     codes: str = "separated",
     seed: int = 0,
+    decoder: type[Decoder] | type[NearestCode] = Decoder,
 ) -> dict[str, float]:
     """Compute the mean IoU of the objects in the target views, as :func:`novel_labels` shows them.
 
@@ -36,7 +37,7 @@ def label_iou(
     asked = np.unique(lesson.labels)
     asked = asked[asked > 0]
     scores = {}
-    for name, views in novel_labels(lesson, liftings, labels, codes, seed).items():
+    for name, views in novel_labels(lesson, liftings, labels, codes, seed, decoder).items():
         own: list[float] = []
         for found, target in zip(views, lesson.targets, strict=True):
             own += _ious(np.where(target > 0, found, 0), target, asked)
@@ -50,11 +51,11 @@ def novel_labels(
     labels: np.ndarray | None = None,
     codes: str = "separated",
     seed: int = 0,
+    decoder: type[Decoder] | type[NearestCode] = Decoder,
 ) -> dict[str, np.ndarray]:
     """Render and decode the objects of the target views, as a field of these Gaussians shows them.
 
-    Rendered with the planned splat and decoded as a field decodes
-    (:mod:`slgaussian.semantic.decode`).
+    Rendered with the planned splat and decoded by :mod:`slgaussian.semantic.decode`.
 
     Parameters
     ----------
@@ -67,6 +68,8 @@ def novel_labels(
         Code strategy by name; codes of one to three numbers.
     seed : int
         Decides the codes.
+    decoder
+        By default as a field decodes unless it is told otherwise.
 
     Returns
     -------
@@ -79,7 +82,7 @@ def novel_labels(
     drawn = load_codes(codes)(maps, rng_for(seed, lesson.content, "judge"))
     nothing = np.zeros((len(ids), len(labels), 1), np.float32)
     bank = MemoryBank(ids, drawn, nothing, np.zeros(nothing.shape[:2], bool))
-    decode = Decoder(bank)
+    decode = decoder(bank)
     lifted = {
         name: lift(lesson.gaussians, maps, bank).require_features()
         for name, lift in liftings.items()

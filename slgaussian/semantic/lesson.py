@@ -19,6 +19,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
 from slgaussian.scene import Camera
+from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
 
 GEOMETRY = ("means", "scales", "quats", "opacities", "source")
 """The arrays of the Gaussians that a lesson stores; labels have no use for colours."""
@@ -87,6 +88,11 @@ class Lesson:
         cameras = [np.stack([camera.K for camera in self.cameras])]
         cameras.append(np.stack([camera.c2w for camera in self.cameras]))
         return content_of(self.labels, self.targets, *cameras)
+
+    @cached_property
+    def matches(self) -> CrossViewLabels:
+        """For each pixel of the context views its place in another one."""
+        return match_across_views(self.gaussians, self.labels.shape)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name, as ``data_specs/lesson.toml`` says."""

@@ -1,13 +1,13 @@
 """Training the semantic branch: rendered features against the labels of target views.
 
-The loss is the paper's (Implementation Details), a mean squared error on the splatted features with
-the base Gaussians frozen. Three things it leaves open are settled here. Codes are drawn anew
-whenever a lesson is seen, so that none is learnt by heart. The error is taken where a target pixel
-has an object that the context labels name: nothing else can be answered. And the target of a
-pixel is the code times the light that the Gaussians give it, since what they leave empty is not the
-branch's to fill.
+The base Gaussians are frozen and the loss is a mean squared error on the splatted features (paper,
+Implementation Details). Codes are drawn anew whenever a lesson is seen, so that none is learnt by
+heart: the paper does not say. The network ``several`` departs further. Its error is taken where a
+target pixel has an object that the context labels name, since nothing else can be answered; and the
+target of a pixel is the code times the light that the Gaussians give it, since what they leave
+empty is not the branch's to fill.
 
-In most of the steps the context labels are corrupted as masks often are
+Unless asked otherwise, in most of the steps the context labels are corrupted as masks often are
 (:mod:`slgaussian.semantic.corruption`), and the targets stay clean. Without that, on labels that
 agree, there is little to learn beyond copying them.
 
@@ -45,14 +45,15 @@ from slgaussian.language import load_codes
 from slgaussian.rasterize.planned import plan
 from slgaussian.semantic.batch_sampler import Draw, draw_batch
 from slgaussian.semantic.branch import (
+    DIMENSION,
     Architecture,
     Branch,
     features_of,
     input_images,
+    make_branch,
     save_branch,
 )
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, table_of
-from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
 from slgaussian.semantic.hard import code_images
 from slgaussian.semantic.lesson import Lesson
 
@@ -181,7 +182,7 @@ def train(
         raise InputError("training: found no lessons, expected at least one")
     device = found_device(settings.device)
     architecture = settings.architecture
-    branch = Branch(architecture, seed_for(settings.seed, "", "branch") % 2**63)
+    branch = make_branch(architecture, seed_for(settings.seed, "", "branch") % 2**63)
     if start is not None:
         if start.architecture != settings.architecture:
             raise InputError(
@@ -241,9 +242,11 @@ def loss_of(
     views: Sequence[int],
     codes: str,
     rng: Any,
-    others: CrossViewLabels | None = None,
 ) -> torch.Tensor:
-    """Mean squared error of some of the target views of a lesson.
+    """Compute the mean squared error of some of the target views of a lesson.
+
+    Of the network ``paper`` it is the printed one, of all pixels: rendered codes against the codes
+    of the targets, (0, 0, 0) where they have no object. Of ``several`` see the module.
 
     Parameters
     ----------
@@ -257,28 +260,33 @@ def loss_of(
         Code strategy by name.
     rng : numpy Generator
         Decides the codes.
-    others : CrossViewLabels, optional
-        Of this lesson, if they were looked for already.
 
     Returns
     -------
     scalar tensor
-        Zero, without gradient, if no target pixel has an object that ``labels`` name.
+        Zero, without gradient, if there is nothing to learn from: no object, or for ``several``
+        none that ``labels`` name.
     """
-    maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    paper = branch.architecture.name == "paper"
+    views_with_codes = np.concatenate([labels, lesson.targets]) if paper else labels
+    maps = LabelMaps(views_with_codes, np.ones(views_with_codes.shape, np.float32))
     if len(maps.ids) == 0:
         return torch.zeros(())
     drawn = load_codes(codes)(maps, rng)
-    if others is None and branch.architecture.others:
-        others = match_across_views(lesson.gaussians, labels.shape)
+    others = lesson.matches if branch.architecture.others else None
     images = input_images(labels, maps.ids, drawn, others)
     features = features_of(branch, images, lesson.gaussians.source)
     total, counted = torch.zeros(()), 0
     for view in views:
         wanted = torch.from_numpy(code_images(lesson.targets[view], maps.ids, drawn))
         planned = plan(lesson.gaussians, lesson.cameras[view])
-        error = planned.render(features) - planned.alpha[..., None] * wanted
-        known = wanted[..., -1:]
+        rendered = planned.render(features)
+        if paper:
+            error = (rendered - wanted)[..., :DIMENSION]
+            known = torch.ones_like(wanted[..., -1:])
+        else:
+            error = rendered - planned.alpha[..., None] * wanted
+            known = wanted[..., -1:]
         total = total + (known * error.square()).sum()
         counted += int(known.sum()) * error.shape[-1]
     return total / counted if counted else torch.zeros(())
@@ -294,7 +302,7 @@ def _step(
     optimiser.zero_grad()
     losses = []
     for draw in drawn:
-        asked = draw.lesson, draw.labels, draw.views, settings.codes, draw.rng, draw.others
+        asked = draw.lesson, draw.labels, draw.views, settings.codes, draw.rng
         loss = loss_of(branch, *asked) / len(drawn)
         if loss.requires_grad:
             loss.backward()

@@ -15,7 +15,7 @@ from slgaussian.components.method import Method
 from slgaussian.components.registry import KINDS, find_config, names_of
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile, file_digest
-from slgaussian.semantic.branch import Architecture, Branch, BranchLifting, save_branch
+from slgaussian.semantic.branch import Architecture, BranchLifting, make_branch, save_branch
 
 NAMES = {kind: known.default for kind, known in KINDS.items()}
 
@@ -24,7 +24,7 @@ NAMES = {kind: known.default for kind, known in KINDS.items()}
 def weights(tmp_path) -> Path:
     """Weights of the lifting ``branch``, drawn at random."""
     file = tmp_path / "branch.safetensors"
-    file.write_bytes(save_branch(Branch(Architecture(widths=(4, 8), hidden=8))))
+    file.write_bytes(save_branch(make_branch(Architecture(widths=(4, 8), hidden=8))))
     return file
 
 

@@ -7,8 +7,8 @@ import pytest
 from command import run, said, save_photographs
 
 from flows import config as settings_module
-from flows.config import PRESETS, TABLES, Method, Settings
-from flows.read_config import make_settings, read_toml
+from flows.config import PRESETS, TABLES, Method, Settings, TrainSettings
+from flows.read_config import checked, make_settings, read_toml
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 
@@ -24,7 +24,19 @@ def method_of(values: dict) -> dict:
 
 
 def test_there_is_a_file_for_every_name_and_no_other():
-    assert {file.name for file in FOLDER.iterdir()} == {f"{name}.toml" for name in PRESETS}
+    names = {f"{name}.toml" for name in PRESETS} | {"train_paper.toml"}
+    assert {file.name for file in FOLDER.iterdir()} == names
+
+
+def test_the_papers_training_is_a_preset():
+    """Implementation Details: 80,000 iterations, a batch of 1, mask identifiers as they are."""
+    values = {"preset": "paper", "lessons": "corpus", "out": "out"}
+    chosen = checked(TrainSettings, values, "train")
+    printed = chosen.architecture, chosen.steps, chosen.batch, chosen.codes, chosen.corrupted
+    assert printed == ("paper", 80_000, 1, "grid", 0)
+    assert checked(TrainSettings, {**values, "steps": 5}, "train").steps == 5
+    with pytest.raises(InputError, match="found 'fast', expected one of paper"):
+        checked(TrainSettings, {**values, "preset": "fast"}, "train")
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -24,7 +24,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import held_out
 from slgaussian.scene import Camera
 from slgaussian.semantic import load_lifting
-from slgaussian.semantic.branch import Architecture, Branch, load_branch, save_branch
+from slgaussian.semantic.branch import Architecture, load_branch, make_branch, save_branch
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.versions import Versions
 from slgaussian.storage.encoding import encode_table
@@ -34,6 +34,7 @@ from slgaussian.storage.store import ArtifactStore
 pytestmark = pytest.mark.usefixtures("server")
 
 SIZE = (16, 20)
+SMALL = Architecture(widths=(4, 8), hidden=8)
 FEW = ("--steps", "4", "--set", "held_out=0.4")
 
 
@@ -121,7 +122,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, caps
     assert 0 < len(kept) < 12 and {row["clip"] for row in judged} == kept and not kept & learnt
     one = [row for row in judged if row["sample"] == min(kept)]
     assert {row["labels"] for row in one} == {"as found", "corrupted"}
-    assert {"hard", "identity", "branch"} <= {row["lifting"] for row in one}
+    assert {"hard", "filled", "branch"} <= {row["lifting"] for row in one}
     page = made["report.html"].decode()
     assert "http" not in page.replace("http://www.w3.org", "") and page.count("<svg") == 1
     assert not list((tmp_path / "store" / "checkpoints").rglob("*.safetensors"))
@@ -136,7 +137,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, caps
 
 def test_a_training_begins_from_weights_and_is_compared_with_them(tmp_path, monkeypatch, capsys):
     lessons_of(tmp_path, range(6))
-    start = Branch(Architecture((4, 8), 8), seed=3)
+    start = make_branch(SMALL, seed=3)
     (tmp_path / "start").write_bytes(save_branch(start))
     assert run(monkeypatch, *command(tmp_path, "out", *FEW, "--from", f"{tmp_path}/start")) == 0
     assert "to tell it from before" in capsys.readouterr().out
@@ -151,11 +152,11 @@ def test_the_papers_branch_is_trained_by_a_word(tmp_path, monkeypatch, capsys):
     paper = "--architecture", "paper"
     assert run(monkeypatch, *command(tmp_path, "out", *FEW, *paper)) == 0
     made = load_branch(tmp_path / "out" / "branch.safetensors")
-    assert made.architecture == Architecture(others=False)
+    assert made.architecture == Architecture("paper")
     judged = pq.read_table(tmp_path / "out" / "judgements.parquet")["lifting"].to_pylist()
-    assert {"branch", "hard", "identity"} <= set(judged)
+    assert {"branch", "hard", "filled"} <= set(judged)
     capsys.readouterr()
-    (tmp_path / "start").write_bytes(save_branch(Branch(Architecture((4, 8), 8), seed=3)))
+    (tmp_path / "start").write_bytes(save_branch(make_branch(SMALL, seed=3)))
     start = "--from", f"{tmp_path}/start"
     assert run(monkeypatch, *command(tmp_path, "more", *FEW, *paper, *start)) == 2
     assert "are of another architecture than 'paper'" in capsys.readouterr().err
@@ -239,7 +240,7 @@ def retrain_settings(folder: Path, **more):
 
 
 def bad_branch() -> bytes:
-    branch = Branch(Architecture((4, 8), 8), seed=3)
+    branch = make_branch(Architecture(widths=(4, 8), hidden=8), seed=3)
     with torch.no_grad():
         branch.last.bias -= 1.0
     return save_branch(branch)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drawn_lessons import lesson
 
-from slgaussian.semantic.branch import Architecture, Branch, BranchLifting
+from slgaussian.semantic.branch import Architecture, BranchLifting, make_branch
 from slgaussian.semantic.corruption import KINDS
 from slgaussian.semantic.evaluation import label_iou
 from slgaussian.semantic.hard import HardIndex
@@ -20,7 +20,8 @@ def test_right_labels_of_a_wall_are_nearly_all_right():
 
 
 def test_an_untrained_branch_is_judged_as_the_control_is():
-    both = {**HARD, "branch": BranchLifting(Branch(Architecture((4, 8), 8, False)))}
+    branch = make_branch(Architecture(widths=(4, 8), hidden=8))
+    both = {**HARD, "branch": BranchLifting(branch)}
     scores = label_iou(lesson(), both)
     assert scores["branch"] == scores["hard"]
     assert label_iou(lesson(), both) == scores

@@ -17,7 +17,13 @@ from train_and_die import LESSONS, SETTINGS
 from slgaussian.errors import InputError, SpecError
 from slgaussian.kernels.threads import kernels_on
 from slgaussian.semantic.batch_sampler import draw_batch
-from slgaussian.semantic.branch import Architecture, Branch, load_branch, read_tensors, save_branch
+from slgaussian.semantic.branch import (
+    Architecture,
+    load_branch,
+    make_branch,
+    read_tensors,
+    save_branch,
+)
 from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
 from slgaussian.semantic.training import TrainingSettings, loss_of, train
 from slgaussian.storage.specs import load_spec
@@ -46,7 +52,7 @@ def uninterrupted(tmp_path_factory) -> Path:
 def test_it_learns_and_its_metrics_say_so(tmp_path):
     settings = replace(SETTINGS, steps=36, every=36, corrupted=1.0, rate=1e-2)
     # An untrained branch is the control already and gains nothing in so few steps: begin worse.
-    start = Branch(SETTINGS.architecture, 9)
+    start = make_branch(SETTINGS.architecture, 9)
     state = torch.Generator().manual_seed(0)
     for parameter in start.parameters():
         parameter.data += 0.1 * torch.randn(parameter.shape, generator=state)
@@ -109,7 +115,7 @@ def test_bytes_do_not_depend_on_the_thread_count(tmp_path, uninterrupted):
 def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
     """One step of a batch of all lessons is one along the mean of the gradients of each."""
     settings = replace(SETTINGS, steps=1, batch=len(LESSONS), every=1)
-    branch = Branch(settings.architecture, 4)
+    branch = make_branch(settings.architecture, 4)
     losses = []
     for drawn in draw_batch(LESSONS, settings, 0):
         asked = drawn.lesson, drawn.labels, drawn.views, settings.codes, drawn.rng
@@ -132,7 +138,7 @@ def test_a_device_that_is_not_there_is_one_sentence(tmp_path, device):
 
 
 def test_weights_say_what_they_were_trained_on_and_lift_as_without(tmp_path):
-    branch = Branch(SETTINGS.architecture, 2)
+    branch = make_branch(SETTINGS.architecture, 2)
     told = {"data": {"card": "0" * 64}, "metrics": {"loss": 0.25}}
     (tmp_path / "told").write_bytes(save_branch(branch, told))
     (tmp_path / "mute").write_bytes(save_branch(branch))
@@ -161,12 +167,12 @@ def test_names_of_samples_do_not_matter(tmp_path, uninterrupted):
 
 
 def test_it_begins_from_given_weights(tmp_path):
-    start = Branch(SETTINGS.architecture, 9)
+    start = make_branch(SETTINGS.architecture, 9)
     settings = replace(SETTINGS, steps=1, rate=1e-12)
     trained = train(LESSONS, settings, tmp_path / "a", start)
     for name, weights in start.state_dict().items():
         torch.testing.assert_close(trained.branch.state_dict()[name], weights)
-    other = Branch(Architecture((4, 6), 8))
+    other = make_branch(Architecture(widths=(4, 6), hidden=8))
     with pytest.raises(InputError, match=r"widths=\(4, 6\).*choose that architecture"):
         train(LESSONS, settings, tmp_path / "b", other)
 
@@ -176,13 +182,14 @@ def test_another_training_in_the_folder_is_refused(tmp_path, uninterrupted):
     with pytest.raises(InputError, match=r"another training \(rate 0.003 instead of 0.1\)"):
         train(LESSONS, replace(SETTINGS, rate=0.1), uninterrupted)
     with pytest.raises(InputError, match=r"architecture .* instead of"):
-        train(LESSONS, replace(SETTINGS, architecture=Architecture((4,), 8)), uninterrupted)
+        other = Architecture(widths=(4,), hidden=8)
+        train(LESSONS, replace(SETTINGS, architecture=other), uninterrupted)
     with pytest.raises(InputError, match="lessons 3 instead of 2"):
         train(LESSONS[:2], SETTINGS, uninterrupted)
     with pytest.raises(InputError, match="start"):
-        train(LESSONS, SETTINGS, uninterrupted, Branch(SETTINGS.architecture, 9))
+        train(LESSONS, SETTINGS, uninterrupted, make_branch(SETTINGS.architecture, 9))
     assert bytes_in(uninterrupted) == before
-    (tmp_path / CHECKPOINT).write_bytes(save_branch(Branch(SETTINGS.architecture)))
+    (tmp_path / CHECKPOINT).write_bytes(save_branch(make_branch(SETTINGS.architecture)))
     with pytest.raises(InputError, match="does not say of which"):
         train(LESSONS, SETTINGS, tmp_path)
 
@@ -197,7 +204,7 @@ def test_damaged_files_are_refused(tmp_path, uninterrupted, name):
 
 def test_a_loss_that_is_no_number_stops_with_the_sample_named(tmp_path):
     bad = lesson(7)
-    start = Branch(SETTINGS.architecture)
+    start = make_branch(SETTINGS.architecture)
     start.first.weight.data[0] = torch.nan
     with pytest.raises(InputError, match=r"step 1: sample 'wall \d' gives a loss of nan"):
         train([bad], SETTINGS, tmp_path, start)
@@ -226,7 +233,7 @@ def test_no_lessons_are_refused(tmp_path):
 
 
 def test_what_cannot_be_answered_is_not_asked(tmp_path):
-    branch, mine = Branch(SETTINGS.architecture), lesson()
+    branch, mine = make_branch(SETTINGS.architecture), lesson()
     rng = np.random.default_rng(0)
     nothing = np.zeros_like(mine.labels)
     assert loss_of(branch, mine, nothing, [0], "separated", rng) == 0
@@ -241,7 +248,7 @@ def test_the_loss_is_that_of_the_picture(tmp_path):
     mine = lesson()
     one = replace(mine, labels=np.ones_like(mine.labels), targets=np.ones_like(mine.targets))
     loss = loss_of(
-        Branch(SETTINGS.architecture),
+        make_branch(SETTINGS.architecture),
         one,
         one.labels,
         [0, 1],

@@ -19,7 +19,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.language.bank import MemoryBank
 from slgaussian.scene import Camera
-from slgaussian.semantic.branch import Architecture, Branch, save_branch
+from slgaussian.semantic.branch import Architecture, make_branch, save_branch
 from slgaussian.storage.encoding import encode_arrays, encode_table
 from slgaussian.storage.inspection import inspect
 from slgaussian.storage.provenance import Made, making
@@ -98,7 +98,7 @@ def test_a_field_is_shown_file_by_file(field):
 
 
 def test_weights_are_known_by_their_tensors(tmp_path):
-    data = save_branch(Branch(Architecture(widths=(4, 6), hidden=8), 0))
+    data = save_branch(make_branch(Architecture(widths=(4, 6), hidden=8), 0))
     (tmp_path / "branch.safetensors").write_bytes(data)
     (found,) = inspect(tmp_path / "branch.safetensors")
     assert not found["problem"] and found["made"]

@@ -33,7 +33,6 @@ from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison
 ABOUT = {
     "hard": "each Gaussian has the object of its own pixel; no network",
     "filled": "the same, after pixels without an object took one from other views; no network",
-    "identity": "the branch before training: equals filled, or hard if it sees single views",
     "branch": "the branch that was trained",
     "before": "the weights that training began from, or that are in use",
 }
