@@ -46,14 +46,11 @@ class Estimated:
         Where the focal length comes from: "EXIF", "matches", "guess" or "given".
     confidence : float
         0 to 1: that the poses of the scene are right to some degrees.
-    up : (float, float, float) or None
-        Unit vector against gravity in world axes, if a phone measured it.
     """
 
     focal: tuple[float, float]
     source: str
     confidence: float
-    up: tuple[float, float, float] | None = None
 
     @staticmethod
     def of(content: Any) -> Estimated:
@@ -66,17 +63,12 @@ class Estimated:
         """
         try:
             low, high = map(float, content["focal"])
-            up = None
-            if content["up"] is not None:
-                x, y, z = map(float, content["up"])
-                up = x, y, z
-            found = Estimated((low, high), str(content["source"]), float(content["confidence"]), up)
-            known = bool(np.isfinite(found.up or ()).all())
+            estimated = Estimated((low, high), str(content["source"]), float(content["confidence"]))
         except (TypeError, KeyError, ValueError):
-            known = False
-        if not (known and 0 < low <= high < np.inf and 0 <= found.confidence <= 1):
+            low = high = np.nan
+        if not (0 < low <= high < np.inf and 0 <= estimated.confidence <= 1):
             raise ValueError("says how a camera was estimated in no form that is known")
-        return found
+        return estimated
 
 
 @dataclass(frozen=True, eq=False)

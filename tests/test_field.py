@@ -165,7 +165,7 @@ def test_a_saved_field_loads_the_same(field, tmp_path):
 
 
 def test_cameras_that_were_found_say_so_in_a_saved_field(field, tmp_path):
-    said = Estimated((0.9, 1.2), "EXIF", 0.8, (0.0, -1.0, 0.0))
+    said = Estimated((0.9, 1.2), "EXIF", 0.8)
     cameras = {**field.cameras, "a": replace(field.cameras["a"], estimated=said)}
     SemanticField(field.gaussians, field.bank, cameras, field.settings).save(tmp_path / "field")
     again = SemanticField.load(tmp_path / "field")

@@ -23,12 +23,13 @@ from slgaussian.cameras.paths import between
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
-from slgaussian.formats.spz import load_spz, save_spz
+from slgaussian.formats.spz import save_spz
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser
+from tests.formats.spz_reader import load_spz
 
 SCENES = 3
 

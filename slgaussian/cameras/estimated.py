@@ -82,8 +82,6 @@ class EstimatedCameras:
     k1 : mapping str -> float
         First radial distortion (OpenCV's) of each photograph; 0 unless enough views showed it.
     pairs : tuple of EstimatedPair
-    points : float64 [N, 3]
-        Where matched points lie.
     confidence : float
         0 to 1: that every pose is right to some degrees.
     warnings : tuple of str
@@ -96,7 +94,6 @@ class EstimatedCameras:
     focals: Mapping[str, Focal]
     k1: Mapping[str, float]
     pairs: tuple[EstimatedPair, ...]
-    points: np.ndarray
     confidence: float
     warnings: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
@@ -142,22 +139,15 @@ class EstimatedCameras:
         # The first is the origin of a found world; of any other it is brought there first.
         start, goal = self.cameras[names[0]], given[names[0]]
         turn = goal.c2w[:3, :3] @ start.c2w[:3, :3].T
-
-        def placed(points: np.ndarray) -> np.ndarray:
-            return goal.center + scale * (points - start.center) @ turn.T
-
         cameras = {}
         for name, camera in self.cameras.items():
             c2w = np.eye(4)
-            c2w[:3, :3], c2w[:3, 3] = turn @ camera.c2w[:3, :3], placed(camera.center)
-            said = camera.estimated
-            if said is not None and said.up is not None:
-                x, y, z = (turn @ said.up).tolist()
-                said = replace(said, up=(x, y, z))
-            own = [None if end is None else scale * end for end in (camera.near, camera.far)]
-            moved = replace(camera, c2w=c2w, near=own[0], far=own[1], estimated=said)
+            c2w[:3, :3] = turn @ camera.c2w[:3, :3]
+            c2w[:3, 3] = goal.center + scale * (camera.center - start.center) @ turn.T
+            ends = [None if end is None else scale * end for end in (camera.near, camera.far)]
+            moved = replace(camera, c2w=c2w, near=ends[0], far=ends[1])
             cameras[name] = moved.ranged(given[name].near, given[name].far)
-        return replace(self, cameras=cameras, points=placed(self.points))
+        return replace(self, cameras=cameras)
 
     def summary(self) -> str:
         """One line for people: of several focal lengths the range, of several pairs the weakest."""

@@ -137,13 +137,10 @@ def _find_two(a: Described, b: Described, solved: Solved) -> Many:
             f"{pose.found.said}; {pose.advice}"
         )
     moves = np.sqrt(np.diag(views.covariance)[5:])
-    z = views.depths(pose.x, pose.y)[0]
-    points = np.concatenate([pose.x / views.focals[0], np.ones((len(z), 1))], 1) * z[:, None]
     R, t = views.R, views.t
     focals = views.focals
     deviations = np.array([first.focal[1], second.focal[1]]) * (moves if len(moves) else 0)
     if first is not a:
-        points = points @ R.T + t
         R, t = R.T, -R.T @ t
         focals, deviations = focals[::-1], deviations[::-1]
     return Many(
@@ -152,7 +149,6 @@ def _find_two(a: Described, b: Described, solved: Solved) -> Many:
         focals,
         deviations,
         np.zeros(2),
-        points,
         (replace(pose.found, views=(a.photograph.name, b.photograph.name)),),
         confidence(pose) * (DOUBTED if pose.found.verdict == DOUBTFUL else 1),
     )
@@ -173,11 +169,10 @@ def _told(found: Many, described: Sequence[Described]) -> EstimatedCameras:
         focals[photograph.name] = focal
         cameras[photograph.name] = camera_of(photograph, focal, c2w, found.confidence)
     return EstimatedCameras(
-        with_up(cameras, photographs),
+        cameras,
         focals,
         {p.name: float(k1) for p, k1 in zip(photographs, found.k1, strict=True)},
         found.pairs,
-        found.points,
         found.confidence,
         (f"these cameras are doubtful: {doubt}",) if doubt else (),
     )
@@ -202,18 +197,3 @@ def camera_of(photograph: Photograph, focal: Focal, c2w: np.ndarray, sure: float
     K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]])
     said = Estimated((focal.low / f, focal.high / f), focal.source, sure)
     return Camera(K, c2w, width, height, estimated=said)
-
-
-def with_up(cameras: dict[str, Camera], photographs: Sequence[Photograph]) -> dict[str, Camera]:
-    """The cameras with the world's up, where phones measured it: the mean of what they say."""
-    said = [cameras[p.name].c2w[:3, :3] @ p.up for p in photographs if p.up is not None]
-    total = np.sum(said, axis=0) if said else np.zeros(3)
-    length = np.linalg.norm(total)
-    if length < 0.5 * max(len(said), 1):  # none, or they contradict each other
-        return cameras
-    x, y, z = (total / length).tolist()
-    return {
-        name: replace(camera, estimated=replace(camera.estimated, up=(x, y, z)))
-        for name, camera in cameras.items()
-        if camera.estimated is not None
-    }

@@ -54,7 +54,6 @@ class Many:
         World to camera; the first two are at distance 1.
     focals, deviations, k1 : float64 [V]
         Focal lengths in pixels of the images, standard deviations of their logarithms, distortion.
-    points : float64 [N, 3]
     pairs : tuple of EstimatedPair
         All that were looked at.
     confidence : float
@@ -65,7 +64,6 @@ class Many:
     focals: np.ndarray
     deviations: np.ndarray
     k1: np.ndarray
-    points: np.ndarray
     pairs: tuple[EstimatedPair, ...]
     confidence: float
 
@@ -145,7 +143,6 @@ def find_many(described: Sequence[Described], solved: Solved) -> Many:
         )
     pairs = {views: _checked(pose, placed, views, order) for views, pose in poses.items()}
     sure = _confidence(ordered, placed, pairs)
-    inside = bundle.points @ bundle.R[back[0]].T + bundle.t[back[0]]
     lens = bundle.group[back]
     return Many(
         R,
@@ -153,7 +150,6 @@ def find_many(described: Sequence[Described], solved: Solved) -> Many:
         bundle.focals[lens],
         placed.adjusted.focal_deviations[lens],
         bundle.k1[lens],
-        inside / scale,
         tuple(pairs.values()),
         sure,
     )

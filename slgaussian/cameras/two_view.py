@@ -92,8 +92,6 @@ class Photograph:
         Photographs of one size and one lens share a focal length.
     focal : float or None
         Focal length by EXIF, pixels of the whole photograph.
-    up : float64 [3] or None
-        Unit vector against gravity in the camera's axes (OpenCV's), where a phone measured it.
     """
 
     name: str
@@ -102,7 +100,6 @@ class Photograph:
     height: int
     lens: str = ""
     focal: float | None = None
-    up: np.ndarray | None = None
 
     __repr__ = short_repr
 

@@ -1,16 +1,12 @@
-"""Lens and way up of a photograph, as its file has them: EXIF, and Apple's maker note.
+"""Lens and orientation of a photograph, by the EXIF header of its file.
 
 Tags and their meaning are those of CIPA DC-008, "Exchangeable image file format for digital still
-cameras", and of ExifTool's tables (https://exiftool.org/TagNames/EXIF.html,
-https://exiftool.org/TagNames/Apple.html).
+cameras", and of ExifTool's tables (https://exiftool.org/TagNames/EXIF.html).
 """
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -28,38 +24,11 @@ SENSOR_WIDTHS = 1.0, 100.0
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """Millimetres in the units of a focal plane resolution."""
 
-TURNS = {
-    1: ((1, 0), (0, 1)), 2: ((-1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 4: ((1, 0), (0, -1)),
-    5: ((0, 1), (1, 0)), 6: ((0, -1), (1, 0)), 7: ((0, -1), (-1, 0)), 8: ((0, 1), (-1, 0)),
-}  # fmt: skip
-"""By EXIF orientation, matrices from directions (right, down) in stored pixels to upright ones."""
-
 SIDEWAYS = (5, 6, 7, 8)
 """EXIF orientations whose upright photograph is as wide as the stored one is high."""
 
 TRANSPOSED = dict(zip(range(2, 9), map(Image.Transpose, (0, 3, 1, 5, 4, 6, 2)), strict=True))
 """By EXIF orientation, what makes the upright photograph of the stored one."""
-
-APPLE = b"Apple iOS\0\0\1MM"
-"""The beginning of an iPhone's maker note; a directory in big-endian order follows."""
-
-ACCELERATION = 8
-SIGNED_RATIONAL = 10
-
-
-@dataclass(frozen=True, eq=False)
-class LensData:
-    """Lens, focal length and way up of a photograph.
-
-    Attributes
-    ----------
-    lens, focal, up
-        As :class:`slgaussian.cameras.two_view.Photograph` has them.
-    """
-
-    lens: str = ""
-    focal: float | None = None
-    up: np.ndarray | None = None
 
 
 def orientation_of(image: Image.Image) -> int:
@@ -71,7 +40,7 @@ def orientation_of(image: Image.Image) -> int:
         stated = image.getexif().get(ExifTags.Base.Orientation, 1)
     except Exception:  # a damaged header raises almost anything
         return 1
-    return stated if stated in TURNS else 1
+    return stated if stated in range(1, 9) else 1
 
 
 def upright(image: Image.Image, orientation: int) -> Image.Image:
@@ -79,19 +48,17 @@ def upright(image: Image.Image, orientation: int) -> Image.Image:
     return image if orientation == 1 else image.transpose(TRANSPOSED[orientation])
 
 
-def read_lens(image: Image.Image) -> LensData:
-    """Read the header of an opened image; nonsense counts as nothing said."""
+def read_lens(image: Image.Image) -> tuple[str, float | None]:
+    """Read lens and focal length of an opened image; nonsense counts as nothing.
+
+    As :class:`slgaussian.cameras.two_view.Photograph` has them.
+    """
     try:
         exif = image.getexif()
         base, exif_ifd = dict(exif), exif.get_ifd(ExifTags.IFD.Exif)
-        # pillow-heif turns pixels upright itself, and keeps here how they had been.
-        orientation = image.info.get("original_orientation") or orientation_of(image)
-        lens = _lens_name(base, exif_ifd)
-        note = exif_ifd.get(ExifTags.Base.MakerNote)
-        up = None if "front" in lens.lower() else _up(note, orientation)
-        return LensData(lens, _focal(exif_ifd, *image.size), up)
+        return _lens_name(base, exif_ifd), _focal(exif_ifd, *image.size)
     except Exception:  # a damaged header raises almost anything, and the pixels may be good
-        return LensData()
+        return "", None
 
 
 def _lens_name(base: Mapping[int, Any], exif_ifd: Mapping[int, Any]) -> str:
@@ -147,37 +114,3 @@ def _number(value: Any) -> float | None:
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
     return number if 0 < number < np.inf else None
-
-
-def _up(note: Any, orientation: Any) -> np.ndarray | None:
-    """Return up in OpenCV's axes of the upright photograph, by the accelerometer of an iPhone.
-
-    At rest it measures one g upwards. Its x, y and z, seen from the front, point to the left, to
-    the bottom and into the phone (ExifTool), and stored rows lie along its side: the sensor's right
-    is the phone's bottom, and its bottom the phone's left.
-    """
-    if not isinstance(note, bytes) or not note.startswith(APPLE) or orientation not in TURNS:
-        return None
-    try:
-        left, bottom, into = _acceleration(note)
-    except (struct.error, ZeroDivisionError):
-        return None
-    up = np.array([*(np.array(TURNS[orientation], float) @ (bottom, left)), into])
-    length = float(np.linalg.norm(up))
-    # The orientation comes from the same sensor. Where they disagree, the file was edited.
-    level = np.hypot(up[0], up[1]) > 0.5
-    if not 0.8 < length < 1.2 or (level and -up[1] < abs(up[0]) / 2):
-        return None
-    return up / length
-
-
-def _acceleration(note: bytes) -> tuple[float, float, float]:
-    """Read what the accelerometer measured; struct.error if the note does not hold it."""
-    (count,) = struct.unpack_from(">H", note, len(APPLE))
-    for at in range(len(APPLE) + 2, len(APPLE) + 2 + 12 * count, 12):
-        tag, kind, many, place = struct.unpack_from(">HHII", note, at)
-        if (tag, kind, many) == (ACCELERATION, SIGNED_RATIONAL, 3):
-            parts = struct.unpack_from(">6i", note, place)
-            x, y, z = (float(Fraction(*parts[k : k + 2])) for k in (0, 2, 4))
-            return x, y, z
-    raise struct.error("it has no such entry")

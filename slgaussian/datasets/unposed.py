@@ -206,7 +206,7 @@ def photograph(file: Path, name: str) -> Photograph:
 
 
 def _photograph(image: Image.Image, name: str) -> Photograph:
-    whole, stated = image.size, read_lens(image)
+    whole, (lens, focal) = image.size, read_lens(image)
     orientation = orientation_of(image)
     small_size = _shrunk(*whole)
     # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.
@@ -217,7 +217,7 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
     small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
     pixels = rgb(upright(small, orientation))
     width, height = whole[::-1] if orientation in SIDEWAYS else whole
-    return Photograph(name, pixels, width, height, stated.lens, stated.focal, stated.up)
+    return Photograph(name, pixels, width, height, lens, focal)
 
 
 def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:

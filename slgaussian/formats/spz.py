@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import gzip
 import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -27,12 +26,7 @@ MAGIC, VERSION = 0x5053474E, 3
 COLOUR = 0.15
 
 MOST_BITS = 20
-MOST_UNPACKED = 2**30
-"""Bytes that a file may unpack to: 16 million Gaussians of degree 3, 53 million of degree 0."""
-
-ANTIALIASED, EXTENDED = 1, 2
-"""Flags: trained with anti-aliasing (Yu et al., "Mip-Splatting", CVPR 2024), and followed by
-extensions of vendors, one of which changes the axes."""
+"""Fractional bits of means, at most."""
 
 TURN = np.array([1, -1, -1], np.float32)
 """From x right, y down, z forward to x right, y up, z backward, and back."""
@@ -90,79 +84,6 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
     write_file(path, gzip.compress(b"".join(parts), 6, mtime=0))
 
 
-def load_spz(path: str | Path) -> Gaussians:
-    """Read an ``.spz`` of version 3 as :func:`save_spz` writes it; sources are numbered from 0.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is no whole ``.spz``, is of another version, has a flag that
-        changes how it is drawn, or unpacks to more than :data:`MOST_UNPACKED`.
-    """
-    try:
-        with open(path, "rb") as raw:
-            start = raw.read(8)
-        if start[:4] == struct.pack("<I", MAGIC) and len(start) == 8:  # not gzipped: from 4 on
-            raise _other_version(path, struct.unpack("<I", start[4:])[0])
-        with gzip.open(path) as file:
-            magic, version, n, degree, bits, flags, _ = struct.unpack("<IIIBBBB", file.read(16))
-            if magic == MAGIC and version != VERSION:
-                raise _other_version(path, version)
-            terms = (degree + 1) ** 2
-            wide = [9, 1, 3, 3, 4, 3 * (terms - 1)]
-            size = n * sum(wide)
-            for wrong, reason in (
-                (magic != MAGIC, f"found {magic:#x}, expected an .spz ({MAGIC:#x})"),
-                (degree > 3, f"found harmonics of degree {degree}, expected 0 to 3"),
-                (bits > 24, f"found {bits} fractional bits, expected at most 24"),
-                (
-                    flags & ANTIALIASED,
-                    "was trained with anti-aliasing (flag 0x1), without which its small Gaussians "
-                    "are drawn too thick; train or export it without",
-                ),
-                (flags == EXTENDED, "has extensions (flag 0x2), which may change its axes"),
-                (flags, f"has unknown flags ({flags:#x}), expected none"),
-                (
-                    size > MOST_UNPACKED,
-                    f"unpacks to {size / 2**30:.1f} GiB, of which at most {MOST_UNPACKED >> 30} is "
-                    "read; divide it, or convert it to .ply",
-                ),
-            ):
-                if wrong:
-                    raise InputError(f"{path}: {reason}")
-            data = file.read(size + 1)
-    except (OSError, EOFError, zlib.error, struct.error) as error:
-        raise InputError(f"{path}: is not a whole .spz file ({error}); write it again") from error
-    if len(data) != size:
-        amount = "more" if len(data) > size else f"{len(data):,}"
-        raise InputError(
-            f"{path}: found {amount} bytes of {n:,} Gaussians, expected {size:,}; write it again"
-        )
-    ends = n * np.cumsum(wide)
-    columns = [
-        np.frombuffer(data, np.uint8, n * width, end - n * width).reshape(n, width)
-        for width, end in zip(wide, ends, strict=True)
-    ]
-    fixed = np.zeros((n, 3, 4), np.uint8)
-    fixed[..., 1:] = columns[0].reshape(n, 3, 3)  # the sign comes along in the highest byte
-    means = (fixed.view("<i4")[..., 0] >> 8) / np.float32(2**bits) * TURN
-    quats = unpack_quats(np.ascontiguousarray(columns[4]).view("<u4")[:, 0])
-    higher = (columns[5].astype(np.float32) - 128) / 128
-    dc = (columns[2].astype(np.float32) / 255 - np.float32(0.5)) / np.float32(COLOUR)
-    sh = np.concatenate([dc, higher], 1).reshape(n, terms, 3)
-    sh[:, 1:] *= _TURN_SH[: terms - 1, None]
-    return Gaussians.from_arrays(
-        {
-            "means": means.astype(np.float32),
-            "scales": np.exp(columns[3].astype(np.float32) / 16 - 10),
-            "quats": (quats * np.append(TURN, np.float32(1)))[:, [3, 0, 1, 2]],
-            "opacities": columns[1][:, 0].astype(np.float32) / 255,
-            "sh": sh,
-            "source": np.arange(n, dtype=np.int32),
-        }
-    )
-
-
 def pack_quats(quats: np.ndarray) -> np.ndarray:
     """Pack quaternions xyzw float32 [N, 4], of any length but zero, into uint32 [N].
 
@@ -181,26 +102,6 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     for column in range(3):
         packed = packed << np.uint32(10) | codes[:, column]
     return packed
-
-
-def unpack_quats(packed: np.ndarray) -> np.ndarray:
-    """Return unit quaternions xyzw float32 [N, 4]; inverse of :func:`pack_quats`."""
-    largest = (packed >> np.uint32(30)).astype(np.int64)
-    codes = packed[:, None] >> np.array([20, 10, 0], np.uint32)
-    sizes = (codes & np.uint32(511)).astype(np.float32) / _MOST
-    others = np.where(codes & np.uint32(512), -sizes, sizes)
-    quats = np.empty((len(packed), 4), np.float32)
-    rows = np.arange(len(packed))
-    quats[rows[:, None], _OTHERS[largest]] = others
-    quats[rows, largest] = np.sqrt(np.maximum(0, 1 - (others**2).sum(1)))
-    return quats
-
-
-def _other_version(path: str | Path, version: int) -> InputError:
-    return InputError(
-        f"{path}: is an .spz of version {version}, and only version {VERSION} is read; convert it, "
-        f"as with `splat-transform {Path(path).name} {Path(path).stem}.ply`, and load the .ply"
-    )
 
 
 def _bytes(values: np.ndarray) -> bytes:

@@ -6,7 +6,7 @@ that faces up, and the unit of length is the height of the cameras above it: abo
 people take photographs, less on most robots.
 
 Cameras that were found from photographs alone have the axes of the first one, however it was held,
-which say nothing; but up is known if a phone measured gravity.
+which say nothing.
 """
 
 from __future__ import annotations
@@ -169,12 +169,7 @@ def _up(cameras: Sequence[Camera], normals: np.ndarray) -> np.ndarray:
     """Up, from what is known of the cameras and from the normals [N, 3] of surfaces."""
     upright = -np.mean([camera.c2w[:3, 1] for camera in cameras], 0)
     upright /= np.linalg.norm(upright)
-    found = [camera.estimated for camera in cameras if camera.estimated is not None]
-    measured = [one.up for one in found if one.up is not None]
-    if measured:
-        gravity = np.mean(measured, 0)
-        return gravity / np.linalg.norm(gravity)
-    if found:
+    if any(camera.estimated is not None for camera in cameras):
         return _find_up(normals, upright, None)
     axis = np.zeros(3)
     axis[np.abs(upright).argmax()] = np.sign(upright[np.abs(upright).argmax()])

@@ -1,8 +1,7 @@
-"""Photographs as telephones and cameras write them: EXIF, orientations, an iPhone's maker note."""
+"""Photographs as telephones and cameras write them: EXIF and orientations."""
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -37,14 +36,6 @@ def taken(
     exif.get_ifd(ExifTags.IFD.Exif).update(own or {})
     image.save(file, exif=exif, **({"quality": 95} if file.suffix == ".jpg" else {}))
     return file
-
-
-def apple_note(x: float, y: float, z: float) -> bytes:
-    """A maker note of an iPhone with an acceleration vector and a number before it."""
-    numbers = b"".join(struct.pack(">ii", round(value * 10000), 10000) for value in (x, y, z))
-    head = b"Apple iOS\0\0\1MM" + struct.pack(">H", 2)
-    entries = struct.pack(">HHII", 1, 9, 1, 4) + struct.pack(">HHII", 8, 10, 3, len(head) + 28)
-    return head + entries + bytes(4) + numbers
 
 
 def stereo_pair() -> tuple[np.ndarray, np.ndarray]:

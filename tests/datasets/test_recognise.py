@@ -134,7 +134,7 @@ def test_photographs_alone_are_a_scene_too(folder, monkeypatch):
 
     found = cameras_in(folder / "nerf")
     named = {Path(name).name: camera for name, camera in found.items()}
-    made = EstimatedCameras(named, {}, dict.fromkeys(named, 0.0), (), np.zeros((0, 3)), 0.5)
+    made = EstimatedCameras(named, {}, dict.fromkeys(named, 0.0), (), 0.5)
     monkeypatch.setattr(unposed, "find", lambda files: made)
     (folder / "nerf/transforms.json").unlink()
     for place in ("nerf", "nerf/images"):

@@ -23,14 +23,14 @@ def made_up(photographs):
         pose = np.eye(4)
         pose[0, 3] = number
         K = [[f, 0, photograph.width / 2], [0, f, photograph.height / 2], [0, 0, 1]]
-        said = Estimated((0.9, 1.1), "guess", 0.75, (0.0, -1.0, 0.0))
+        said = Estimated((0.9, 1.1), "guess", 0.75)
         size = photograph.width, photograph.height
         cameras[photograph.name] = Camera(np.array(K), pose, *size, estimated=said)
         focals[photograph.name] = Focal(f, 0.9 * f, 1.1 * f, "guess")
     names = list(cameras)
     pairs = (EstimatedPair((names[0], names[1]), 200, 150, float("nan"), 1.0, GOOD, ""),)
     k1 = dict.fromkeys(cameras, 0.0)
-    return EstimatedCameras(cameras, focals, k1, pairs, np.zeros((0, 3)), 0.75)
+    return EstimatedCameras(cameras, focals, k1, pairs, 0.75)
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def test_a_folder_is_a_scene_of_upright_photographs(folder, pair, asked):
     sample = scene.sample(["a", "b"], size=(100, 150))
     assert sample.found == scene.found and sample.resized(50, 75).found == scene.found
     for view in sample.context:
-        assert view.camera.estimated == Estimated((0.9, 1.1), "guess", 0.75, (0.0, -1.0, 0.0))
+        assert view.camera.estimated == Estimated((0.9, 1.1), "guess", 0.75)
     files, _ = datasets.inputs("photographs", folder, ["a.png"])
     assert files == [folder / "a.png", folder / "b.png"]
 
@@ -148,7 +148,7 @@ def test_distortion_that_was_found_is_undone(folder, asked, monkeypatch, pair):
         found = made_up(photographs)
         return EstimatedCameras(
             found.cameras, found.focals, dict.fromkeys(found.k1, -0.3), found.pairs,
-            found.points, found.confidence,
+            found.confidence,
         )  # fmt: skip
 
     monkeypatch.setattr(unposed, "find_cameras", bent)

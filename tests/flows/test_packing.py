@@ -58,7 +58,7 @@ def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path,
 
 def test_a_folder_of_photographs_alone_becomes_a_clip(photos, tmp_path, monkeypatch):
     known = nerfstudio.read(photos).cameras
-    made = EstimatedCameras(known, {}, dict.fromkeys(known, 0.0), (), np.zeros((0, 3)), 0.5)
+    made = EstimatedCameras(known, {}, dict.fromkeys(known, 0.0), (), 0.5)
     monkeypatch.setattr(unposed, "find", lambda files: made)
     (photos / "transforms.json").unlink()
     assert pack([str(photos)], tmp_path / "chunks", SMALL).clips == 1

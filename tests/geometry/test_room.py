@@ -108,19 +108,6 @@ def test_axes_of_found_cameras_are_not_taken_for_up(held):
     np.testing.assert_array_equal(given.up, [0, -1, 0])
 
 
-def test_gravity_that_a_phone_measured_is_up(held):
-    cameras, depths, up = held
-    nothing = [np.zeros_like(depth) for depth in depths]
-    assert off(find_room(cameras, nothing), up) > 20  # the cameras' upright is all there is
-    told = [
-        replace(camera, estimated=replace(camera.estimated, up=tuple(up))) for camera in cameras
-    ]
-    assert off(find_room(told, nothing), up) < 1e-5
-    found = find_room(told, depths)
-    assert off(found, up) < 1e-5
-    assert found.floor == pytest.approx(-1.6, rel=0.02)
-
-
 def test_without_a_floor_nothing_is_said_of_heights(room):
     cameras, depths = room
     cut = [

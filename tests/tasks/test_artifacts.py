@@ -54,7 +54,7 @@ def test_a_sample_with_all_its_truths(sample, store):
 
 
 def test_cameras_that_were_found_say_so_in_the_store_too(sample, store):
-    said = Estimated((0.9, 1.2), "EXIF", 0.8, (0.0, -1.0, 0.0))
+    said = Estimated((0.9, 1.2), "EXIF", 0.8)
     left, right = sample.context
     camera = replace(left.camera, estimated=said)
     partly = replace(sample, context=(replace(left, camera=camera), right), found={"k1": {"a": 0}})
