@@ -6,9 +6,10 @@ import os
 import signal
 import sys
 import webbrowser
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NamedTuple, NoReturn
 
 import typer
 
@@ -23,89 +24,145 @@ if TYPE_CHECKING:
     from slgaussian.gaussians import Gaussians
     from slgaussian.scene import Camera
 
-    Panels = tuple[np.ndarray, np.ndarray, list[tuple[str, np.ndarray]]]
-
 EXPORTS = (".html", ".ply", ".spz")
+
+SEEN_FOR_RANGE = 8
+"""Frames of a film that tell the range of its depth."""
+
+
+class Shot(NamedTuple):
+    """A source as one camera sees it: uint8 [H, W, 3], float32 [H, W], int32 [H, W] or None."""
+
+    rgb: np.ndarray
+    depth: np.ndarray
+    ids: np.ndarray | None
 
 
 def render(
     source: options.FieldOrPly,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Picture: .png or .jpg.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Picture: .png or .jpg; of frames: .mp4.")
+    ],
     view: options.Views = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
     orbit: Annotated[
         int | None, typer.Option(metavar="N", min=2, max=2000, help="Draw a turn of N frames.")
     ] = None,
+    path: Annotated[
+        Path | None, typer.Option(help="Draw a frame from each camera of a JSON file, in order.")
+    ] = None,
+    depth: Annotated[
+        Path | None, typer.Option(help="Write z-depth too: .npy, .png (thousandths) or .exr.")
+    ] = None,
+    ids: Annotated[Path | None, typer.Option(help="Write ids of objects too: a .png.")] = None,
+    panels: Annotated[
+        bool, typer.Option("--panels", help="Draw depth and objects beside the colours.")
+    ] = False,
 ) -> None:
     """Draw a field, or any .ply of Gaussians, from a camera.
 
-    Draws colour and depth, and of a field its objects. A field knows its own cameras; a .ply knows
-    none, so give some in its world with --camera. No GPU and no photograph is needed.
+    A field knows its own cameras; a .ply knows none, so give some in its world with --camera. A
+    --path is a camera path of nerfstudio's viewer, or a transforms.json. Depth is 0 where nothing
+    is, and ids are 16-bit numbers, 0 for none; both are of one view.
 
     \b
-    slgaussian render field/ -o picture.png --view 1
-    slgaussian render field/ -o middle.png --between 0 1 0.5
+    slgaussian render field/ -o picture.png --view 1 --depth depth.npy --ids ids.png
+    slgaussian render field/ -o middle.png --between 0 1 0.5 --panels
     slgaussian render field/ -o turn.mp4 --orbit 60
+    slgaussian render field/ -o flight.mp4 --path camera_path.json
     slgaussian render scene.ply --camera transforms.json -o picture.png
     """
     from flows.cli.open_field import choose_cameras
     from flows.cli.pictures import FILMS, PICTURES, check_picture, write_film, write_picture
-    from slgaussian.benchmark import pictures
     from slgaussian.cameras import paths
     from slgaussian.datasets.recognise import cameras_in
     from slgaussian.field import SemanticField
+    from slgaussian.formats.depth_maps import WRITTEN, check_exr, write_map
     from slgaussian.formats.ply import load_ply
+    from slgaussian.io import write_file
+    from slgaussian.masks.precomputed import encode_ids
 
-    check_picture(out, PICTURES if orbit is None else FILMS)
-    if orbit is not None and (view or between):
-        raise InputError("--orbit: is a way to look of its own; leave out --view and --between")
-    if source.suffix.lower() != ".ply" or source.is_dir():
-        field = SemanticField.load(source)
-        cameras = field.cameras if camera is None else cameras_in(camera)
-        points, panels = field.gaussians.means, partial(_field_panels, field)
-    else:
-        if camera is None:
-            raise InputError(
-                f"{source}: a .ply has no cameras; add --camera transforms.json, in the world of "
-                "the .ply, and --view with the name of one of its frames"
-            )
+    film = orbit is not None or path is not None
+    check_picture(out, FILMS if film else PICTURES)
+    ways = {"--orbit": orbit, "--path": path, "--view": view, "--between": between}
+    given = [name for name, value in ways.items() if value]
+    if film and given[1:]:
+        raise InputError(f"{given[0]}: is a way to look of its own; leave out {given[1]}")
+    for name, file, kinds in (("--depth", depth, WRITTEN), ("--ids", ids, (".png",))):
+        if file is not None and (film or len(view or ()) > 1):
+            raise InputError(f"{name}: is of one view; leave out {given[0]}, or name one view")
+        if file is not None:
+            check_picture(file, kinds)
+    if depth is not None and depth.suffix.lower() == ".exr":
+        check_exr(depth)
+    is_ply = source.suffix.lower() == ".ply" and not source.is_dir()
+    if is_ply and ids is not None:
+        raise InputError(f"{source}: a .ply has no objects; leave out --ids")
+    if is_ply and camera is None and path is None:
+        raise InputError(
+            f"{source}: a .ply has no cameras; add --camera transforms.json, in the world of "
+            "the .ply, and --view with the name of one of its frames"
+        )
+    if is_ply:
         gaussians, _ = load_ply(source)
         if not len(gaussians):
             raise InputError(f"{source}: holds no Gaussians, so there is nothing to draw")
-        cameras = cameras_in(camera)
-        points, panels = gaussians.means, partial(_ply_panels, gaussians, source)
-    if orbit is None:
-        shots = choose_cameras(camera or source, cameras, view, between=between)
+        look = partial(_look_at_ply, gaussians, source)
+        cameras: Mapping[str, Camera] = {}
     else:
-        turn = paths.orbit(list(cameras.values()), points.numpy(), orbit)
+        field = SemanticField.load(source)
+        gaussians, cameras = field.gaussians, field.cameras
+        look = partial(_look_at_field, field)
+    if path is not None:
+        shots = dict(cameras_in(path))
+        if len({(one.width, one.height) for one in shots.values()}) > 1:
+            raise InputError(f"{path}: has cameras of several sizes, and a film has one")
+    elif orbit is not None:
+        cameras = cameras if camera is None else cameras_in(camera)
+        turn = paths.orbit(list(cameras.values()), gaussians.means.numpy(), orbit)
         shots = {f"turn {number} of {orbit}": shot for number, shot in enumerate(turn, 1)}
-    depths: list[tuple[float, float]] = []
-
-    def draw(name: str) -> np.ndarray:
-        rgb, depth, others = panels(shots[name])
-        # One scale for all frames, so that a film does not flicker.
-        depths.append(depths[0] if depths else pictures.depth_range(depth))
-        painted = pictures.paint_depth(depth, *depths[0])
-        return pictures.side_by_side([(f"rendering, {name}", rgb), ("depth", painted), *others])
-
-    if orbit is None:
-        write_picture(out, *map(draw, shots))
     else:
-        write_film(out, map(draw, shots))
+        shots = choose_cameras(source, cameras, view, camera, between)
+    see = lru_cache(1)(lambda name: look(shots[name]))
+    draw = (see(name).rgb for name in shots) if not panels else _draw_panels(see, list(shots))
+    if film:
+        write_film(out, draw)
+    else:
+        write_picture(out, *draw)
+        (name, *_) = shots
+        if depth is not None:
+            write_map(depth, see(name).depth)
+        if ids is not None and (labels := see(name).ids) is not None:
+            write_file(ids, encode_ids(labels)[1])
     typer.echo(out)
 
 
-def _field_panels(field: SemanticField, camera: Camera) -> Panels:
-    """Return a picture uint8 [H, W, 3], z-depth float [H, W], and further pictures by caption."""
+def _draw_panels(see: Callable[[str], Shot], names: Sequence[str]) -> Iterator[np.ndarray]:
+    """Draw colours, depth and objects side by side, depth on one scale so that no film flickers."""
     from slgaussian.benchmark import pictures
 
+    some = names[:: -(-len(names) // SEEN_FOR_RANGE)]
+    near, far = pictures.depth_range(*(see(name).depth for name in some))
+    for name in names:
+        rgb, depth, ids = see(name)
+        painted = pictures.paint_depth(depth, near, far)
+        shown = [
+            (f"rendering, {name}", rgb),
+            ("depth, scene units", pictures.with_depth_scale(painted, near, far)),
+        ]
+        if ids is not None:
+            shown.append(("objects", pictures.paint_labels(ids, rgb)))
+        yield pictures.side_by_side(shown)
+
+
+def _look_at_field(field: SemanticField, camera: Camera) -> Shot:
     seen = field.render(camera)
-    return seen.rgb, seen.depth, [("objects", pictures.paint_labels(seen.ids, seen.rgb))]
+    return Shot(seen.rgb, seen.depth, seen.ids)
 
 
-def _ply_panels(gaussians: Gaussians, file: Path, camera: Camera) -> Panels:
-    """Return the same of Gaussians; warn if hardly any is in view."""
+def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
+    """Draw Gaussians; warn if hardly any is in view."""
     import numpy as np
 
     from slgaussian.labels import VISIBLE
@@ -123,7 +180,7 @@ def _ply_panels(gaussians: Gaussians, file: Path, camera: Camera) -> Panels:
         )
     # Over black, as such files are trained; where little is seen, the mean depth means nothing.
     rgb = np.rint(seen.values.clip(0, 1) * 255).astype(np.uint8)
-    return rgb, np.where(visible, seen.depth, 0), []
+    return Shot(rgb, np.where(visible, seen.depth, 0), None)
 
 
 @options.configured()
@@ -190,23 +247,28 @@ def export(
         list[str] | None,
         typer.Option("--text", help="What a page shall answer, beside its words; may be repeated."),
     ] = None,
+    points: Annotated[
+        bool, typer.Option("--points", help="Write a .ply of points, not of Gaussians.")
+    ] = False,
 ) -> None:
     """Write a field as one file: a page to send, or for a viewer.
 
     A page (.html) opens from disk in any browser, without a network: look around, ask words, click
     things. It holds small copies of the photographs. A .ply keeps everything: each Gaussian also
     carries its ID code and weight (f_sem_0 and on; without codes the number of its object), the
-    pixel that it came from (source), and its object (label, 0 for none). A .spz keeps
-    Gaussians in fewer bytes.
+    pixel that it came from (source), and its object (label, 0 for none); with --points it is a
+    plain point cloud with colours and labels, as MeshLab and Open3D read it. A .spz keeps Gaussians
+    in fewer bytes.
 
     \b
     slgaussian export field/ -o scene.html
     slgaussian export field/ -o scene.spz
+    slgaussian export field/ -o cloud.ply --points
     slgaussian export scene.ply -o scene.html
     """
     from flows.cli.open_field import open_field
     from slgaussian.field import SemanticField
-    from slgaussian.formats.ply import load_ply, save_ply
+    from slgaussian.formats.ply import load_ply, save_ply, save_points
     from slgaussian.formats.spz import save_spz
     from slgaussian.io import write_file
     from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
@@ -220,11 +282,13 @@ def export(
         )
     if suffix != ".html" and texts:
         raise InputError(f"{out}: --text is for pages (.html); leave it out")
+    if points and suffix != ".ply":
+        raise InputError(f"{out}: --points are written as .ply; name such a file")
     field = labels = None
     if source.suffix.lower() == ".ply" and not source.is_dir():
         if texts:
             raise InputError(f"{source}: a .ply answers no words; leave out --text")
-        if suffix == ".ply":
+        if suffix == ".ply" and not points:
             raise InputError(f"{source}: is a .ply already; name another format")
         gaussians, _ = load_ply(source)
     else:
@@ -236,7 +300,7 @@ def export(
         field = field.dropped()
         gaussians, labels = field.gaussians, field.labels()
     if suffix == ".ply":
-        save_ply(gaussians, out, labels)
+        (save_points if points else save_ply)(gaussians, out, labels)
     elif suffix == ".spz":
         save_spz(gaussians, out)
     else:

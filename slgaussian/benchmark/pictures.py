@@ -101,7 +101,10 @@ def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
     weight = _heat_weight(share)[..., None]
     heat = _heat(share)
     painted = (1 - weight) * grey + weight * heat
-    return _with_scale(np.clip(painted, 0, 255).astype(np.uint8), low, high)
+    share = np.linspace(0, 1, 256)[None]
+    weight = _heat_weight(share)[..., None]
+    bar = (1 - weight) * 110 + weight * _heat(share)
+    return _with_scale(np.clip(painted, 0, 255).astype(np.uint8), low, high, bar.astype(np.uint8))
 
 
 def _heat_weight(share: np.ndarray) -> np.ndarray:
@@ -114,8 +117,14 @@ def _heat(share: np.ndarray) -> np.ndarray:
     return _colormap(1.5 * share - 0.5, cv2.COLORMAP_INFERNO).astype(np.float64)
 
 
-def _with_scale(image: np.ndarray, low: float, high: float) -> np.ndarray:
-    """A copy with a bar of the colours and both its ends, below to the left."""
+def with_depth_scale(image: np.ndarray, near: float, far: float) -> np.ndarray:
+    """A copy of what :func:`paint_depth` made, with a bar of its colours from near to far."""
+    bar = _colormap(np.linspace(1, 0, 256)[None], cv2.COLORMAP_TURBO)
+    return _with_scale(image, near, far, bar)
+
+
+def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) -> np.ndarray:
+    """A copy with a bar of colours uint8 [1, 256, 3] and both its ends, below to the left."""
     height, width = image.shape[:2]
     size = max(9, round(width / 24))
     font = ImageFont.load_default(size=size)
@@ -129,10 +138,7 @@ def _with_scale(image: np.ndarray, low: float, high: float) -> np.ndarray:
     draw = ImageDraw.Draw(sheet)
     top = height - box[1]
     draw.rectangle((0, top, box[0], height), fill=(20, 22, 28))
-    share = np.linspace(0, 1, wide)
-    weight = _heat_weight(share)[:, None]
-    colors = (1 - weight) * 110 + weight * _heat(share[None])[0]
-    bar = np.repeat(colors[None].astype(np.uint8), max(1, size // 2), 0)
+    bar = cv2.resize(colors, (wide, max(1, size // 2)), interpolation=cv2.INTER_NEAREST)
     sheet.paste(Image.fromarray(bar), (2 * pad + ends[0], top + (box[1] - len(bar)) // 2))
     middle = top + box[1] / 2
     draw.text((pad, middle), texts[0], fill=(255, 255, 255), font=font, anchor="lm")

@@ -16,6 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets.lens import straightened
 from slgaussian.datasets.nerfstudio_frame import OPENGL, OWN, Frame
@@ -157,7 +159,8 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     path : path
         ``transforms.json`` or the folder that holds it; or the JSON of one frame by itself, as
         ``{"fl_x": 500, "w": 640, "h": 480, "transform_matrix": [[...], ...]}``, whose camera is
-        called by its ``file_path``, or else as the file is. Keys and axes as in :func:`read`.
+        called by its ``file_path``, or else as the file is. Keys and axes as in :func:`read`. Or a
+        camera path, as nerfstudio's viewer exports it: its frames are ``frame 0``, ``frame 1``, ...
 
     Raises
     ------
@@ -170,7 +173,38 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
     if isinstance(content, dict) and "transform_matrix" in content and "frames" not in content:
         name = str(content.get("file_path") or file.name)
         return {name: Frame.of(file, name, content).camera(None)}
+    if isinstance(content, dict) and "camera_path" in content:
+        return _camera_path(file, content)
     return dict(read(path).cameras)
+
+
+def _camera_path(file: Path, content: Mapping[str, Any]) -> dict[str, Camera]:
+    """Return the cameras of a camera path; ``fov`` is the vertical angle of view in degrees.
+
+    The form is that of ``get_path_from_json`` of nerfstudio 1.1 (``cameras/camera_paths.py``).
+    """
+    if (kind := content.get("camera_type", "perspective")) != "perspective":
+        raise InputError(f"{file}: has cameras of type {kind!r}; expected 'perspective'")
+    if content.get("crop"):
+        raise InputError(f"{file}: crops the scene, which is not done here; leave out 'crop'")
+    try:
+        width, height = int(content["render_width"]), int(content["render_height"])
+        cameras = {}
+        for number, frame in enumerate(content["camera_path"]):
+            c2w = np.array(frame["camera_to_world"], np.float64).reshape(4, 4)
+            focal = height / 2 / np.tan(np.radians(float(frame["fov"])) / 2)
+            K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+            cameras[f"frame {number}"] = Camera(K, c2w * OPENGL, width, height)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{file}: is no camera path of nerfstudio's ({type(error).__name__}: {error}); "
+            "expected render_width, render_height and camera_path with camera_to_world and fov"
+        ) from None
+    if not cameras:
+        raise InputError(f"{file}: has no camera")
+    return cameras
 
 
 def _parsed(file: Path) -> Any:

@@ -6,6 +6,9 @@ to find out (:mod:`slgaussian.predict.precomputed`).
 
 from __future__ import annotations
 
+import importlib.util
+import io
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +16,12 @@ from zipfile import ZipFile
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
 from slgaussian.formats.images import MOST_PIXELS, opened, read_npy, unreadable
-from slgaussian.io import short_repr
+from slgaussian.io import short_repr, write_file
 
 KEYS = {
     "depth": ("depth", "depths", "depthmap", "depthmaps", "depth_map", "depth_maps"),
@@ -36,6 +40,9 @@ MILLIMETRE = 1e-3
 
 MOST_BYTES = 48 * MOST_PIXELS
 """Bytes of the largest NPZ, unpacked: 4 GiB."""
+
+WRITTEN = (".npy", ".png", ".exr")
+"""Suffixes of maps that are written."""
 
 CHANNELS = ("Z", "Y", "R", "V", "depth.Z", "Depth.Z", "depth.V", "Depth.V")
 """Channels of EXR that hold depth, the first that is there."""
@@ -204,6 +211,47 @@ def read_map(file: Path, byte: bool = False) -> np.ndarray:
     return pixels * MILLIMETRE if pixels.dtype.kind in "ui" else pixels
 
 
+def write_map(file: Path, depth: np.ndarray) -> None:
+    """Write z-depth float32 [H, W] as :func:`read_map` reads it: .npy, .png or .exr.
+
+    A .png has 16 bits, thousandths of a unit.
+
+    Raises
+    ------
+    InputError
+        If the suffix is another, a .png cannot hold so much, OpenEXR is not installed, or the file
+        cannot be written.
+    """
+    content, suffix = io.BytesIO(), file.suffix.lower()
+    if suffix == ".npy":
+        np.save(content, depth)
+    elif suffix == ".png":
+        if depth.max(initial=0) > MILLIMETRE * (2**16 - 1):
+            raise InputError(
+                f"{file}: depth reaches {depth.max():.4g}, and a .png holds at most 65.535; "
+                "write .npy"
+            )
+        Image.fromarray(np.rint(depth / MILLIMETRE).astype(np.uint16)).save(content, "PNG")
+    elif suffix == ".exr":
+        check_exr(file)
+        import OpenEXR
+
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        with tempfile.TemporaryDirectory() as folder:
+            draft = Path(folder) / "depth.exr"
+            OpenEXR.File(header, {"Z": np.ascontiguousarray(depth)}).write(str(draft))
+            content.write(draft.read_bytes())
+    else:
+        raise InputError(f"{file}: expected the name to end in {', '.join(WRITTEN)}")
+    write_file(file, content.getvalue())
+
+
+def check_exr(file: Path) -> None:
+    """Raise InputError unless OpenEXR is installed."""
+    if importlib.util.find_spec("OpenEXR") is None:
+        raise InputError(f"{file}: is EXR, which needs OpenEXR; {install_line('exr')}, or take NPY")
+
+
 def known_depth(depth: np.ndarray) -> np.ndarray:
     """Return depth as floating-point numbers, 0 where it is not finite and positive."""
     depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
@@ -228,12 +276,9 @@ def _read_npz(file: Path) -> dict[str, np.ndarray]:
 
 
 def _read_exr(file: Path) -> np.ndarray:
-    try:
-        import OpenEXR
-    except ImportError:
-        raise InputError(
-            f"{file}: is EXR, which needs OpenEXR; {install_line('exr')}, or convert it to NPY"
-        ) from None
+    check_exr(file)
+    import OpenEXR
+
     try:
         with OpenEXR.File(str(file), separate_channels=True) as image:
             channels: Mapping[str, np.ndarray] = {

@@ -23,8 +23,9 @@ from plyfile import PlyData, PlyElement
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError, check_type
-from slgaussian.gaussians import Gaussians
+from slgaussian.gaussians import SH_C0, Gaussians
 from slgaussian.io import write_file
+from slgaussian.labels import VISIBLE
 
 LOWEST = -104.0
 """Stands for the logit and the logarithm of 0: the greatest whole number whose sigmoid and
@@ -119,6 +120,33 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
         block = slice(start, start + _BLOCK)
         for name, values in columns:
             table[name][block] = values[block]
+    buffer = io.BytesIO()
+    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
+    write_file(path, buffer.getbuffer())
+
+
+def save_points(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
+    """Write the centres of Gaussians as a binary ``.ply`` of points, for MeshLab, Open3D and alike.
+
+    With ``red``, ``green`` and ``blue`` uchar, the colours that do not depend on the view, and
+    ``label`` int if ``labels`` int [N] are given. Gaussians that are more than half transparent
+    are left out. InputError as :func:`save_ply`.
+    """
+    check_type(gaussians, Gaussians, "save_points: expected Gaussians, and then a path")
+    gaussians.check()
+    arrays = gaussians.to_arrays()
+    opaque = arrays["opacities"] >= VISIBLE
+    colours = (SH_C0 * arrays["sh"][:, 0] + 0.5).clip(0, 1)
+    columns = [
+        (name, "<f4", column) for name, column in zip(_MEANS, arrays["means"].T, strict=True)
+    ]
+    for name, column in zip(("red", "green", "blue"), np.rint(255 * colours).T, strict=True):
+        columns.append((name, "u1", column))
+    if labels is not None:
+        columns.append(("label", "<i4", _checked(labels, len(gaussians))))
+    table = np.empty(int(opaque.sum()), [(name, kind) for name, kind, _ in columns])
+    for name, _, column in columns:
+        table[name] = column[opaque]
     buffer = io.BytesIO()
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
     write_file(path, buffer.getbuffer())

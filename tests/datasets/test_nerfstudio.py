@@ -379,3 +379,19 @@ def test_depth_is_scaled_as_poses_were(tmp_path):
     Image.fromarray(np.full((HEIGHT, WIDTH), 1500, np.uint16)).save(tmp_path / "d.png")
     file = write(tmp_path, [frame("a.png", depth_file_path="d.png")], applied_scale=0.5)
     assert (nerfstudio.read(file).read("a.png").depth == 0.75).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"camera_type": "equirectangular"}, "cameras of type 'equirectangular'"),
+        ({"camera_path": []}, "has no camera"),
+        ({"camera_path": [{"fov": 50}]}, "is no camera path of nerfstudio's"),
+    ],
+)
+def test_a_camera_path_that_cannot_be_followed_is_refused(tmp_path, change, sentence):
+    frame = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50}
+    content = {"render_width": 64, "render_height": 48, "camera_path": [frame]}
+    (tmp_path / "path.json").write_text(json.dumps(content | change))
+    with pytest.raises(InputError, match=sentence):
+        nerfstudio.read_cameras(tmp_path / "path.json")

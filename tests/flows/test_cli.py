@@ -3,11 +3,13 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from command import run, transforms, two_walls
 from PIL import Image
+from plyfile import PlyData
 
 from flows.config import Settings
 from flows.read_config import make_settings, read_toml
@@ -136,16 +138,57 @@ def test_a_store_that_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys):
 
 
 def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
-    assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png", "--view", "1") == 0
+    words = ["--view", "1", "--depth", tmp_path / "depth.npy", "--ids", tmp_path / "ids.png"]
+    assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png", *words) == 0
     assert run(monkeypatch, "export", field, "-o", tmp_path / "scene.ply") == 0
-    assert (tmp_path / "seen.png").read_bytes()[:4] == b"\x89PNG"
-    assert len(list(tmp_path.iterdir())) == 2
+    assert len(list(tmp_path.iterdir())) == 4
+    opened = SemanticField.load(field)
+    view = opened.render(list(opened.cameras.values())[1])
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "seen.png")), view.rgb)
+    assert np.array_equal(np.load(tmp_path / "depth.npy"), view.depth)
+    assert np.array_equal(np.asarray(Image.open(tmp_path / "ids.png")), view.ids)
     made, extra = load_ply(tmp_path / "scene.ply")
     kept = SemanticField.load(field).gaussians
     assert torch.equal(made.features, kept.features)
     assert torch.equal(made.source, kept.source)
     is_red = (np.arange(32 * 48) % 48) < 24
     assert extra["label"].tolist() == np.where(is_red, 1, 2).tolist()
+    assert run(monkeypatch, "export", field, "-o", tmp_path / "cloud.ply", "--points") == 0
+    points = PlyData.read(tmp_path / "cloud.ply")["vertex"]
+    assert np.array_equal(points["x"], kept.means[:, 0]) and len(points) == len(kept)
+    assert np.array_equal(points["label"], extra["label"])
+    assert (points["red"][is_red] > points["blue"][is_red]).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--depth", "d.npy", "--view", "0", "--view", "1"], "--depth: is of one view"),
+        (["--depth", "d.tif"], "d.tif: found '.tif', expected the name of a"),
+        (["--ids", "i.npy"], "i.npy: found '.npy', expected the name of a"),
+        (["--path", "p.json"], "end in .mp4"),
+    ],
+)
+def test_what_render_cannot_write_is_refused(field, tmp_path, monkeypatch, capsys, words, sentence):
+    monkeypatch.chdir(tmp_path)
+    assert run(monkeypatch, "render", field, "-o", "a.png", *words) == 2
+    assert sentence in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_follows_a_camera_path_of_nerfstudio(field, tmp_path, monkeypatch):
+    own = SemanticField.load(field)
+    first = next(iter(own.cameras.values()))
+    fov = np.degrees(2 * np.arctan(first.height / 2 / first.K[1, 1]))
+    frames = [
+        {"camera_to_world": (first.c2w * [1, -1, -1, 1]).ravel().tolist(), "fov": fov, "aspect": 1}
+    ]
+    content = {"render_width": first.width, "render_height": first.height, "camera_path": frames}
+    (tmp_path / "path.json").write_text(json.dumps(content))
+    words = ["--path", tmp_path / "path.json", "-o", tmp_path / "a.mp4"]
+    assert run(monkeypatch, "render", field, *words) == 0
+    frame = cv2.VideoCapture(str(tmp_path / "a.mp4")).read()[1][..., ::-1].astype(int)
+    assert np.abs(frame - own.render(first).rgb).mean() < 12
 
 
 def test_a_ply_is_rendered_from_cameras_that_are_given(field, tmp_path, monkeypatch, capsys):
@@ -154,7 +197,7 @@ def test_a_ply_is_rendered_from_cameras_that_are_given(field, tmp_path, monkeypa
     sh[:, :1] = loaded.sh
     sh[:, 3, 1] = -2.0  # greener to the right of the camera, by 0.49 * 2 * x of the direction
     save_ply(replace(loaded, sh=sh), tmp_path / "scene.ply")
-    given = ["--cameras", transforms(tmp_path), "--view", "007"]
+    given = ["--cameras", transforms(tmp_path), "--view", "007", "--panels"]
     assert run(monkeypatch, "render", tmp_path / "scene.ply", *given, "-o", tmp_path / "a.png") == 0
     said = capsys.readouterr()
     assert (said.out.strip(), said.err) == (str(tmp_path / "a.png"), "")

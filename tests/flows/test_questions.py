@@ -169,7 +169,7 @@ def test_a_camera_file_may_hold_one_camera_or_many(field, tmp_path, ask, monkeyp
         ("a.gif", [], "expected the name of a picture"),
         ("a.png", ["--orbit", "4"], "expected the name of a film to end in .mp4"),
         ("a.mp4", ["--orbit", "1"], "greater than or equal to 2"),
-        ("a.mp4", ["--orbit", "4", "--view", "1"], "leave out --view and --between"),
+        ("a.mp4", ["--orbit", "4", "--view", "1"], "leave out --view"),
     ],
 )
 def test_a_film_that_cannot_be_is_refused(
@@ -194,7 +194,7 @@ def test_a_turn_is_a_film_whose_frames_decode(field, tmp_path, monkeypatch):
     turn = slg.cameras.orbit(list(own.cameras.values()), points, 5)
     for frame, camera in zip(frames, turn, strict=True):
         seen = own.render(camera).rgb.astype(int)
-        assert np.abs(frame[12:44, 12:60].astype(int) - seen).mean() < 12
+        assert np.abs(frame.astype(int) - seen).mean() < 12
 
 
 def test_a_film_that_fails_leaves_nothing(field, tmp_path, monkeypatch):

@@ -13,7 +13,7 @@ from slgaussian.build import predict
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.component import Component
 from slgaussian.errors import InputError
-from slgaussian.formats.depth_maps import read_map
+from slgaussian.formats.depth_maps import read_map, write_map
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict import load_predictor
 from slgaussian.predict.planesweep import PlaneSweep, sweep
@@ -79,9 +79,8 @@ def test_dense_depth_read_again_makes_the_same_gaussians_as_in_single_files(tmp_
 
 
 def write_exr(file: Path, depth: np.ndarray) -> None:
-    OpenEXR = pytest.importorskip("OpenEXR")
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {"Z": depth}).write(str(file))
+    pytest.importorskip("OpenEXR")
+    write_map(file, depth)
 
 
 def write_pfm(file: Path, depth: np.ndarray) -> None:
@@ -90,9 +89,9 @@ def write_pfm(file: Path, depth: np.ndarray) -> None:
 
 
 KINDS = {
-    "png": lambda file, depth: Image.fromarray((1000 * depth).astype(np.uint16)).save(file),
+    "png": write_map,
     "tiff": lambda file, depth: Image.fromarray(depth).save(file),
-    "npy": lambda file, depth: np.save(file, depth),
+    "npy": write_map,
     "pfm": write_pfm,
     "exr": write_exr,
 }
@@ -103,6 +102,11 @@ def test_files_of_a_map_are_read(tmp_path, kind):
     depth = np.linspace(0.5, 7.0, 12, dtype=np.float32).reshape(3, 4)
     KINDS[kind](tmp_path / f"d.{kind}", depth)
     np.testing.assert_allclose(read_map(tmp_path / f"d.{kind}"), depth, atol=1e-3)
+
+
+def test_a_map_that_a_png_cannot_hold_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"d\.png: depth reaches 70, and a \.png holds at most 65"):
+        write_map(tmp_path / "d.png", np.full((3, 4), 70, np.float32))
 
 
 def test_a_folder_of_millimetres_at_half_the_size_is_read_below_the_scene(tmp_path, steep):
