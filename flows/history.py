@@ -123,6 +123,10 @@ def markdown_of(record: Mapping[str, Any]) -> str:
         lines += [
             f"Left out: {_cell(f'{n}: {why}')}" for n, why in record["newly left out"].items()
         ]
+    for one in record.get("drift", ()):
+        low, _, high = one["known"]
+        verdict = "drifted" if one["drifted"] else "as before"
+        lines.append(f"{one['measure']}: {low:.3g} to {high:.3g}, now {one['come']:.3g}, {verdict}")
     if "seconds" in record:
         lines.append(f"{record['seconds']} s, begun {record['begun']}")
     return "\n\n".join(lines) + "\n"

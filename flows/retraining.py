@@ -25,7 +25,7 @@ from flows.runners.batches import Outcome
 from flows.runners.session import check_folder, completed, run_session
 from flows.training import Parted, parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
-from slgaussian.datasets.new_clips import changes, clips_of
+from slgaussian.datasets.new_clips import changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.semantic.versions import Version, Versions, called
 from slgaussian.storage.encoding import table_digest
@@ -108,7 +108,7 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
     ``Refused``, ``Regressed``, ``LeftOut``, ``NothingNew`` or ``Busy``; one that fails fails the
-    run. A record and an artifact of Prefect say what arrived, changed and was withdrawn,
+    run. A record and an artifact of Prefect say what arrived, changed and was withdrawn, drift,
     scores and the decision.
 
     Raises
@@ -167,6 +167,9 @@ def _learn_what_is_new(
     new = sorted(left_out.keys() - left_out_before)
     record["left out"] = sorted(left_out)
     record["newly left out"] = {name: left_out[name] for name in first_names(new)["first"]}
+    record["drift"] = [
+        asdict(one) for one in drift(before, _clips_named(clips, {*found.arrived, *found.changed}))
+    ]
 
     lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
     learnt = learn(
@@ -191,6 +194,9 @@ def _learn_what_is_new(
     if new:
         name = new[0]
         messages.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
+    drifted = [one["measure"] for one in record["drift"] if one["drifted"]]
+    if drifted:
+        messages.append(f"what arrived differs from what there was in {', '.join(drifted)}")
     record |= {"outcome": _outcome(learnt, bool(new)), "messages": messages}
     return clips
 
@@ -261,7 +267,7 @@ def learn(
         rival=incumbent,
         clips=None
         if clips is None
-        else clips.filter(pc.is_in(clips["clip"], pc.unique(lessons.learnt["clip"]))),
+        else _clips_named(clips, set(lessons.learnt["clip"].to_pylist())),
     )
     done = "put to use" if added.promoted else "kept, not used"
     anew = ""
@@ -294,6 +300,10 @@ def few(names: Sequence[str]) -> str:
     """Some names in words, and how many more there are."""
     more = f" and {len(names) - FEW} more" if len(names) > FEW else ""
     return f"{', '.join(names[:FEW])}{more}"
+
+
+def _clips_named(clips: pa.Table, names: Collection[str]) -> pa.Table:
+    return clips.filter(pc.is_in(clips["clip"], pa.array(sorted(names), pa.string())))
 
 
 def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:

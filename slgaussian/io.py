@@ -25,13 +25,14 @@ Digest = Callable[[str | Path], str]
 
 
 def write_atomic(
-    path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False
+    path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False, new: bool = False
 ) -> None:
     """Write a local file so that no reader, and no crash of the program, ever sees a part of it.
 
-    With ``sync``, no crash of the machine either: it is on the disk when this returns.
+    With ``sync``, no crash of the machine either: it is on the disk when this returns. With
+    ``new``, FileExistsError if there is one already and the disk knows hard links, which can tell.
     """
-    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+    with atomic_path(path, new) as temporary, open(temporary, "wb") as file:
         file.write(data)
         if sync:
             file.flush()
@@ -39,12 +40,25 @@ def write_atomic(
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str]) -> Iterator[str]:
-    """Yield a name to write a local file under, which replaces ``path`` once it is whole."""
+def atomic_path(path: str | os.PathLike[str], new: bool = False) -> Iterator[str]:
+    """Yield a name to write a local file under, which replaces ``path`` once it is whole.
+
+    ``new`` as :func:`write_atomic` has it.
+    """
     folder, name = os.path.split(os.fspath(path))
     temporary = os.path.join(folder, f".{name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
         yield temporary
+        if new:
+            try:
+                os.link(temporary, path)
+            except FileExistsError:
+                raise
+            except OSError:
+                pass  # one that has no links
+            else:
+                os.remove(temporary)
+                return
         os.replace(temporary, path)
     except BaseException:
         if os.path.exists(temporary):

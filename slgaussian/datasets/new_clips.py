@@ -1,4 +1,4 @@
-"""Compare two looks at a corpus: clips that arrived, changed and were withdrawn.
+"""Compare two looks at a corpus: clips that came, changed and went, and drift of their quality.
 
 A clip is known by its key, and its content by a digest. A clip is one place: whatever is said of
 new places is said of keys that were not there before.
@@ -12,11 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
+from scipy.stats import ks_2samp
 
 from slgaussian.storage.specs import load_spec
 
-MEASURES = ("blur", "mean", "clipped")
-"""Columns of spec ``views`` whose means over a clip are those of spec ``clips``."""
+MEASURES = {"blur": "blur", "mean": "exposure", "clipped": "black or white"}
+"""Measures that are compared of clips, by column of spec ``clips``."""
+
+SURE = 0.01
+"""Probability, in a world without drift, below which a difference is called one."""
+
+LEAST = 6
+"""Clips on either side below which none is."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +42,29 @@ class Changes:
     changed: tuple[str, ...]
     withdrawn: tuple[str, ...]
     damaged: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A measure of the clips known before and of those that came.
+
+    Attributes
+    ----------
+    measure : str
+        One of the values of :data:`MEASURES`.
+    known : (float, float, float)
+        Lower quartile, median and upper quartile of the clips known before.
+    come : float
+        Median of those that came.
+    drifted : bool
+        Whether the median of those that came is outside the quartiles, and a two-sample
+        Kolmogorov-Smirnov test tells them apart at :data:`SURE` over all measures (Bonferroni).
+    """
+
+    measure: str
+    known: tuple[float, float, float]
+    come: float
+    drifted: bool
 
 
 def clips_of(views: pa.Table) -> pa.Table:
@@ -79,3 +109,19 @@ def changes(before: pa.Table, now: pa.Table, failed: Collection[str] = ()) -> Ch
 def contents(clips: pa.Table) -> dict[str, str]:
     """Return the digest of each clip's content by its key."""
     return dict(zip(clips["clip"].to_pylist(), clips["content"].to_pylist(), strict=True))
+
+
+def drift(known: pa.Table, come: pa.Table) -> list[Drift]:
+    """Compare each measure of the clips of two tables of spec ``clips``; none if one is empty."""
+    drifts = []
+    if not known.num_rows or not come.num_rows:
+        return []
+    enough = min(known.num_rows, come.num_rows) >= LEAST
+    for name, measure in MEASURES.items():
+        before, after = known[name].to_numpy(), come[name].to_numpy()
+        low, middle, high = map(float, np.quantile(before, (0.25, 0.5, 0.75)))
+        median = float(np.median(after))
+        drifted = enough and not low <= median <= high
+        drifted = drifted and ks_2samp(before, after).pvalue < SURE / len(MEASURES)
+        drifts.append(Drift(measure, (low, middle, high), median, bool(drifted)))
+    return drifts

@@ -158,18 +158,24 @@ class ArtifactStore:
             If the store cannot be written to.
         """
         digest, data = packed(spec, content, f"new {spec} artifact")
-        ref = ArtifactRef(spec, address(spec, digest), digest)
-        with suppress(SpecError):  # nothing there, or nothing whole
-            stored, _ = self.fetch(
-                ref.uri, "an artifact", lambda read: self.near or self.understood(ref, read)
-            )
-            if _precedence(stored) < _precedence(data):
-                self.understood(ref, stored)
-                data = stored
-        self.write(ref.uri, data)
-        if self.cache is not None:
-            self.cache.put(ref.uri, data)
-        return replace(ref, meta={**(meta or {}), "bytes": len(data)})
+        ref, is_new = ArtifactRef(spec, address(spec, digest), digest), True
+        while True:
+            there = None
+            with suppress(SpecError):  # nothing there, or nothing whole
+                there, _ = self.fetch(
+                    ref.uri, "an artifact", lambda read: self.near or self.understood(ref, read)
+                )
+                if _precedence(there) < _precedence(data):
+                    self.understood(ref, there)
+                    data = there
+            try:
+                self.write(ref.uri, data, new=is_new and there is None)
+            except FileExistsError:  # others made the same in between, or it cannot be read
+                is_new = False
+                continue
+            if self.cache is not None:
+                self.cache.put(ref.uri, data)
+            return replace(ref, meta={**(meta or {}), "bytes": len(data)})
 
     def get(self, ref: ArtifactRef) -> Any:
         """Read an artifact, arrays by name or a table, checked against its spec and its digest.
@@ -313,19 +319,22 @@ class ArtifactStore:
         finally:
             self.remove([probe])
 
-    def write(self, uri: str, data: bytes) -> None:
-        """Write a file, whole or not at all; InputError if that fails."""
+    def write(self, uri: str, data: bytes, new: bool = False) -> None:
+        """Write a file that is no artifact, whole or not at all; InputError if that fails.
+
+        FileExistsError if it is to be ``new`` and is there, where the file system can tell.
+        """
         path = f"{self.path}/{uri}"
 
         def write_file() -> None:
             if self.local:
                 os.makedirs(os.path.dirname(path), exist_ok=True)
-                write_atomic(path, data, sync=True)
+                write_atomic(path, data, sync=True, new=new)
             else:
                 # One put, or parts that are shown when the last has arrived: whole or not at all.
                 self.fs.pipe_file(path, data, **({} if self.near else {"chunksize": PART}))
 
-        self._ask("write", write_file)
+        self._ask("write", write_file, FileExistsError if new else ())
 
     def remove(self, uris: Iterable[str]) -> None:
         """Delete files, whether they are there or not; InputError if that fails."""

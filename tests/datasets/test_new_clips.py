@@ -1,10 +1,10 @@
-"""What came, changed and went: by content, damage apart from withdrawal."""
+"""What came, changed and went: by content, damage apart from withdrawal, drift beyond noise."""
 
 import numpy as np
 import pyarrow as pa
 import pytest
 
-from slgaussian.datasets.new_clips import changes, clips_of, contents
+from slgaussian.datasets.new_clips import LEAST, changes, clips_of, contents, drift
 from slgaussian.storage.specs import load_spec
 
 
@@ -51,3 +51,14 @@ def clips(blur: np.ndarray) -> pa.Table:
         for i, b in enumerate(blur.tolist())
     ]  # fmt: skip
     return pa.Table.from_pylist(rows, schema=load_spec("clips").schema)
+
+
+def test_drift_is_said_beyond_noise_and_not_of_a_few():
+    rng = np.random.default_rng(0)
+    known = clips(rng.normal(0.3, 0.02, 40))
+    blur, exposure, clipped = drift(known, clips(rng.normal(0.4, 0.02, LEAST)))
+    assert blur.drifted and exposure.drifted and not clipped.drifted
+    assert blur.known[0] < blur.known[1] < blur.known[2] < blur.come == pytest.approx(0.4, abs=0.02)
+    assert not any(one.drifted for one in drift(known, clips(rng.normal(0.3, 0.02, 40))))
+    assert not any(one.drifted for one in drift(known, clips(np.full(LEAST - 1, 0.9))))
+    assert drift(known, clips(np.empty(0))) == [] == drift(clips(np.empty(0)), known)

@@ -218,6 +218,25 @@ def test_the_same_work_leaves_the_same_bytes_whatever_the_tables_own_metadata():
         assert json.dumps(statement()) == json.dumps(statement())
 
 
+def test_who_comes_in_between_is_heard(tmp_path, monkeypatch):
+    """Another process makes the same content after this one saw that nobody has."""
+    store = ArtifactStore(tmp_path / "store")
+    first, second = Made("a", 1), Made("b", 1)
+    read = ArtifactStore.read
+
+    def interrupted(self, uri, what="a file"):
+        monkeypatch.setattr(ArtifactStore, "read", read)
+        with making(first):
+            ArtifactStore(tmp_path / "store").put("labels", labels())
+        raise SpecError("nothing")
+
+    monkeypatch.setattr(ArtifactStore, "read", interrupted)
+    with making(second):
+        ref = store.put("labels", labels())
+    assert stated(store.read(ref.uri))["made"]["stage"] == "a"
+    assert [file.name for file in tmp_path.rglob("*.*")] == [ref.uri.split("/")[-1]]
+
+
 def test_a_file_that_cannot_be_read_is_replaced(tmp_path, monkeypatch):
     store = ArtifactStore(tmp_path / "store")
     ref = store.put("labels", labels())
