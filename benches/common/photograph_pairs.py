@@ -37,15 +37,15 @@ photographs = data_folder("transforms.json", "pairs.json")
 labelled = data_folder("transforms.json", "pairs.json", "labels")
 
 
-def load_samples(folder: Path | None) -> dict[str, Sample]:
+def load_samples(folder: Path | None, size: tuple[int, int] = SIZE) -> dict[str, Sample]:
     """Two context views and a target of every scene of ``folder``, or of a procedural one."""
     if folder is None:
-        scene = datasets.load("procedural", seed=0, height=SIZE[0], width=SIZE[1])
+        scene = datasets.load("procedural", seed=0, height=size[0], width=size[1])
         names = list(scene.cameras)
         return {"procedural": scene.sample([names[0], names[-1]], names[1:2])}
     scene = datasets.load("nerfstudio", folder)
     return {
-        name: scene.sample(context, target[:1], size=SIZE)
+        name: scene.sample(context, target[:1], size=size)
         for name, (context, target) in read_pairs(folder / "pairs.json").items()
     }
 

@@ -1,108 +1,164 @@
 """Whether a trained branch earns its place: label IoU of novel views, and what training costs.
 
-    python -m benches.semantic.branch_gain CACHE DATA [-o docs/measured] [--steps 500]
+    python -m benches.semantic.branch_gain CACHE OFFICE [-o docs/measured] [--steps 6000]
+        [--seeds 3] [--learn PLACE ...]
 
-It makes rooms (a few seconds each, kept in CACHE), trains (a training that was interrupted goes
-on) and judges. DATA holds real pairs, as for other benches.
+It makes rooms (a second each, kept in CACHE), trains the printed network and ours with each seed
+(a training that was interrupted goes on, one that is done is read) and judges. OFFICE holds real
+pairs to judge by, each PLACE others to learn from beside the rooms, as for other benches.
 """
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import DATA_HELP, photographs
-from benches.semantic.branch_rooms import HELD_OUT, TRAINING, Rooms, real_lessons
+from benches.semantic.branch_rooms import HELD_OUT, LEARN_SIZE, TRAINING, Rooms, real_lessons
 from slgaussian.benchmark.statistics import compare
 from slgaussian.kernels import threads
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.branch import Architecture, BranchLifting
 from slgaussian.semantic.corruption import KINDS, corrupt
+from slgaussian.semantic.decode import Decoder, NearestCode
 from slgaussian.semantic.evaluation import label_iou
 from slgaussian.semantic.hard import Filled, HardIndex
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.semantic.training import TrainingSettings, train
+from slgaussian.semantic.training import Progress, TrainingSettings, train
 
-WIDTHS = Architecture().widths
-TRAINED = {"branch": Architecture(WIDTHS, others=False), "branch, others": Architecture(WIDTHS)}
+TRAINED = {
+    "paper": TrainingSettings(
+        Architecture("paper", (16, 32, 64, 64), 64), corrupted=0.0, codes="grid"
+    ),
+    "several": TrainingSettings(Architecture("several")),
+}
+"""The trainings of `train --preset paper` and of `train`, but for their steps."""
+
+DECODINGS = {
+    "The paper's decoding (grid codes, the nearest)": {"codes": "grid", "decoder": NearestCode},
+    "Decoding as fields here (separated codes, settled pixels)": {
+        "codes": "separated",
+        "decoder": Decoder,
+    },
+}
+
+HARMED = [
+    *((rate, "wrong", tuple(KINDS)) for rate in (0.1, 0.3, 0.6)),
+    *((0.3, kind, (kind,)) for kind in KINDS),
+]
+"""The share of the objects that are harmed in one view, what it is called, and the ways."""
+
+REPEAT = 2
+"""Real lessons are learnt from so many times as often as each room."""
 
 
-def trained_liftings(
-    rooms: Sequence[Lesson], cache: Path, steps: int
-) -> tuple[dict[str, Lifting], dict[str, float]]:
-    """Liftings by name, and CPU minutes of their training where it ran now."""
-    liftings: dict[str, Lifting] = {"hard": HardIndex(), "filled": Filled()}
-    minutes = {}
-    for name, architecture in TRAINED.items():
-        start = time.process_time()
-        trained = train(rooms, TrainingSettings(architecture, steps), cache / f"{name} {steps}")
-        minutes[name] = (time.process_time() - start) / 60
-        liftings[name] = BranchLifting(trained.branch)
-    return liftings, minutes
+def learn(
+    lessons: Sequence[Lesson], cache: Path, steps: int, seeds: int
+) -> tuple[dict[str, list[Lifting]], list[str]]:
+    """Liftings of each seed by network, and sentences on the cost of what was trained now."""
+    liftings: dict[str, list[Lifting]] = {name: [] for name in TRAINED}
+    costs = []
+    for seed, (name, settings) in product(range(seeds), TRAINED.items()):
+        settings = replace(settings, steps=steps, seed=seed)
+        start, reached = time.process_time(), []
+
+        def show(progress: Progress, name: str = name, reached: list[int] = reached) -> None:
+            reached.append(progress.step)
+            if progress.step % 200 == 0:
+                print(f"{name} {progress}, {progress.seconds_left:.0f} s left", flush=True)
+
+        trained = train(lessons, settings, cache / f"{name} {steps} {seed}", progress=show)
+        if reached:
+            spent = (time.process_time() - start) / len(reached)
+            loss = trained.metrics["loss"].to_numpy()[-steps // 20 :].mean()
+            costs.append(f"{name}, seed {seed}: {spent:.3f} CPU s a step, loss {loss:.5f}")
+        liftings[name].append(BranchLifting(trained.branch))
+    return liftings, costs
 
 
-def judged(
+def judge(
     lessons: Sequence[Lesson],
-    liftings: dict[str, Lifting],
+    liftings: dict[str, list[Lifting]],
     shown: Callable[[int], dict[str, np.ndarray]],
+    **decoding: object,
 ) -> list[dict]:
     """A row a kind of labels: IoU of ``hard``, and by how much others are better.
 
-    ``shown`` gives the labels of a lesson by what they are called.
+    ``shown`` gives labels of a lesson by what they are called. Of several seeds the interval is of
+    their mean, over lessons, and their own gains follow.
     """
-    scores: dict[tuple[str, str], list[float]] = {}
+    plain = {"hard": [HardIndex()], "filled": [Filled()], **liftings}
+    named = {(name, seed): lift for name, lifts in plain.items() for seed, lift in enumerate(lifts)}
+    scores: dict[str, dict[tuple[str, int], list[float]]] = {}
     for index, lesson in enumerate(lessons):
-        kinds = {kind: corrupt(lesson.labels, rng_for(7, lesson.content, kind), kinds=(kind,))
-                 for kind in KINDS}  # fmt: skip
-        for labels, maps in {**shown(index), **kinds}.items():
-            for name, score in label_iou(lesson, liftings, maps).items():
-                scores.setdefault((labels, name), []).append(score)
-    rows: dict[str, dict] = {}
-    for (labels, name), own in scores.items():
-        row = rows.setdefault(labels, {"labels": labels})
-        if name == "hard":
-            row[name] = float(np.nanmean(own))
-        else:
-            gain = compare(own, scores[labels, "hard"])
+        harmed = {
+            f"{rate:.0%} {name}": corrupt(
+                lesson.labels, rng_for(7, lesson.content, name), rate, kinds
+            )
+            for rate, name, kinds in HARMED
+        }
+        for labels, maps in {**shown(index), **harmed}.items():
+            for key, score in label_iou(lesson, named, maps, **decoding).items():
+                scores.setdefault(labels, {}).setdefault(key, []).append(score)
+        print(f"judged {lesson.sample}", flush=True)
+    rows = []
+    for labels, of_key in scores.items():
+        hard = np.array(of_key["hard", 0])
+        row: dict[str, object] = {"labels": labels}
+        for name, lifts in plain.items():
+            seeds = np.array([of_key[name, seed] for seed in range(len(lifts))])
+            gain = compare(seeds.mean(0).tolist(), hard.tolist())
             row[name] = f"{gain.difference:+.3f} ({gain.low:+.3f} to {gain.high:+.3f})"
-    return list(rows.values())
+            if len(lifts) > 1:
+                own = np.nanmean(seeds - hard, axis=1)
+                row[name] += "; " + " ".join(f"{each:+.3f}" for each in own)
+        row["hard"] = float(np.nanmean(hard))
+        rows.append(row)
+    return rows
 
 
 def main() -> None:
     arguments = parser(__doc__, "branch.md")
     arguments.add_argument("cache", type=Path, help="folder for rooms and trainings")
-    arguments.add_argument("data", type=photographs, help=DATA_HELP)
-    arguments.add_argument("--steps", type=int, default=500)
+    arguments.add_argument("office", type=photographs, help=DATA_HELP)
+    arguments.add_argument("--learn", type=photographs, nargs="*", default=[], help=DATA_HELP)
+    arguments.add_argument("--steps", type=int, default=6000)
+    arguments.add_argument("--seeds", type=int, default=3)
     asked = arguments.parse_args()
-    threads.limit()
+    threads.limit(1)
     rooms, held_out = (Rooms(asked.cache, seeds) for seeds in (TRAINING, HELD_OUT))
     rooms.make()
     held_out.make()
-    liftings, minutes = trained_liftings(rooms, asked.cache, asked.steps)
-    real = real_lessons(asked.data)
+    # In memory, so that what other views say of each is looked for once.
+    lessons = [rooms[i] for i in range(len(rooms))]
+    for place in asked.learn:
+        lessons += real_lessons(place, LEARN_SIZE) * REPEAT
+    liftings, costs = learn(lessons, asked.cache, asked.steps, asked.seeds)
     columns = {"labels": ("labels", str), "hard": ("hard: IoU", ".3f")}
-    columns |= {name: (f"{name}: gain", str) for name in liftings if name != "hard"}
+    columns |= {name: (f"{name}: gain", str) for name in ("filled", *liftings)}
+    real = real_lessons(asked.office)
+    blocks = []
+    for title, decoding in DECODINGS.items():
+        seen = judge(
+            held_out,
+            liftings,
+            lambda i: {"true": held_out[i].labels, "masks": held_out.found(i)},
+            **decoding,
+        )
+        office = judge(real, liftings, lambda i: {"as found": real[i].labels}, **decoding)
+        blocks += [f"{title}, rooms that no training saw:", table(seen, columns)]
+        blocks += [f"{title}, pairs of photographs of the office:", table(office, columns)]
     publish(
         asked.out,
         "branch.md",
-        "python -m benches.semantic.branch_gain CACHE DATA",
-        "Rooms that no training saw:",
-        table(
-            judged(
-                held_out,
-                liftings,
-                lambda i: {"true": held_out[i].labels, "masks": held_out.found(i)},
-            ),
-            columns,
-        ),
-        "Real pairs:",
-        table(judged(real, liftings, lambda i: {"as found": real[i].labels}), columns),
-        f"{asked.steps} steps took "
-        + ", ".join(f"{spent:.1f} CPU minutes ({name})" for name, spent in minutes.items())
-        + ".",
+        "python -m benches.semantic.branch_gain CACHE OFFICE --learn PLACE ...",
+        *blocks,
+        f"{asked.steps} steps with each of {asked.seeds} seeds. " + "; ".join(costs) + ".",
     )
 
 

@@ -24,7 +24,9 @@ from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.encoding import encode_arrays
 from slgaussian.storage.specs import load_spec
 
-SIZE = 256
+SIZE = 96
+LEARN_SIZE, REAL_SIZE = (128, 176), (160, 224)
+"""Of photographs to learn from; and to judge by, as much larger as the paper's are."""
 VIEWS = 6
 TRAINING = range(1000, 1160)
 HELD_OUT = range(5000, 5032)
@@ -32,7 +34,7 @@ HELD_OUT = range(5000, 5032)
 
 
 class Rooms(Sequence[Lesson]):
-    """Rooms of some seeds, at 256x256: the ends of the arc are context, four views between targets.
+    """Rooms of some seeds, at 96x96: the ends of the arc are context, four views between targets.
 
     Labels are the true objects. ``found`` has the labels that masks make of the context views, each
     mask named for the true object that most of it is.
@@ -92,10 +94,10 @@ def room(seed: int) -> Sample:
     return scene.sample([names[0], names[-1]], names[1:-1], near=1.4, far=6.0)
 
 
-def real_lessons(data: Path) -> list[Lesson]:
+def real_lessons(data: Path, size: tuple[int, int] = REAL_SIZE) -> list[Lesson]:
     """Of the pairs of a nerfstudio folder: what masks make of context views and target together."""
     lessons = []
-    for name, sample in load_samples(data).items():
+    for name, sample in load_samples(data, size).items():
         gaussians = load_predictor("planesweep")(sample)
         labels = association(sample.context, gaussians, sample.targets)
         lessons.append(lesson_of(sample, gaussians, labels[:2], labels[2:], name))
