@@ -21,7 +21,7 @@ from pydantic_core import PydanticCustomError
 
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig
-from slgaussian.components.method import BANK, KEEP, OWN
+from slgaussian.components.method import BANK, KEEP, OWN, VOTES
 from slgaussian.components.method import Method as BuildMethod
 from slgaussian.components.registry import KINDS, brought, find_config
 from slgaussian.datasets import FROM_FILES
@@ -183,6 +183,12 @@ class MethodSettings(QueryRules):
         description="Go on even if the matches between the photographs contradict their cameras.",
     )
     replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
+    votes: Literal["views", "copies"] = Field(
+        "views",
+        examples=list(VOTES),
+        description="Who votes on labels: views (copies that differ, then all views on what is one "
+        "object), or copies (all of each view, as the paper).",
+    )
     seed: int = Field(0, ge=0, description="Seed of everything random.")
     keep: Literal["needed", "all"] = Field(
         "needed",

@@ -111,7 +111,7 @@ def supervise_chunk(file: str, bounds: Bounds, framing: Framing, method: Method)
     chunk = known_chunk(current_run().store, file)
     samples = pairs(views(chunk), bounds)
     predicted = predictions(samples, chunk, framing, method.predictor, method.seed)
-    components = method.proposer, method.tracker, method.replicas
+    components = method.proposer, method.tracker, method.replicas, method.votes
     lessons(samples, predicted, chunk, framing, *components)
 
 

@@ -147,7 +147,7 @@ def make_example(
     """Take a sample through the first stages of :func:`flows.scene.answer_scene`, with targets."""
     sample = framed(chunk, frames, framing)
     base = geometry(sample, method.predictor, method.seed, trust_cameras)
-    ids = all_masks(sample, base, method.proposer, method.tracker, method.replicas)
+    ids = all_masks(sample, base, method.proposer, method.tracker, method.replicas, method.votes)
     bank = supervision(sample, base, ids, method.encoder, method.codes, method.seed, method.bank)
     return example(sample, base, ids, bank, known, images, with_gaussians)
 

@@ -63,7 +63,7 @@ def answer_scene(
     sample = ingest(photographs)
     known = truth(sample, labels.of_views(sample.meta["targets"]))
     gaussians = geometry(sample, method.predictor, method.seed, trust_cameras)
-    ids = masks(sample, gaussians, method.proposer, method.tracker, method.replicas)
+    ids = masks(sample, gaussians, method.proposer, method.tracker, method.replicas, method.votes)
     bank = supervision(
         sample, gaussians, ids, method.encoder, method.codes, method.seed, method.bank
     )

@@ -13,7 +13,7 @@ from slgaussian.cameras.check import check_pairs, refuse
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.component import Component
-from slgaussian.components.method import BANK, Method
+from slgaussian.components.method import BANK, VOTES, Method
 from slgaussian.errors import check_type
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
@@ -99,7 +99,8 @@ def build_field(
         gaussians, quality, depths = predicted
         geometry = SceneGeometry.of(sample.context, gaussians)
     with _timed("masks", took):
-        label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
+        masking = method.proposer, method.tracker, method.replicas, method.votes
+        label_maps = label_views(geometry, *masking)
     with _timed("supervision", took):
         made = method.encoder, method.codes, method.seed, method.bank
         bank = remember(sample, geometry, label_maps, *made)
@@ -140,10 +141,14 @@ def predict(
 
 
 def label_views(
-    geometry: SceneGeometry, proposer: Component, tracker: Component, replicas: int
+    geometry: SceneGeometry,
+    proposer: Component,
+    tracker: Component,
+    replicas: int,
+    votes: str = VOTES[0],
 ) -> LabelMaps:
     """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
-    maps = associate(geometry.seen, proposer.load(), tracker.load(), replicas)
+    maps = associate(geometry.seen, proposer.load(), tracker.load(), replicas, votes)
     opaque = _opaque(geometry.views)
     return maps if opaque is None else replace(maps, labels=np.where(opaque, maps.labels, 0))
 

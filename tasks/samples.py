@@ -66,13 +66,14 @@ def all_masks(
     proposer: Component,
     tracker: Component,
     replicas: int,
+    votes: str,
 ) -> ArtifactRef:
     """Labels of the context views: spec ``labels``; ``meta["targets"]`` is the place of the others.
 
     The targets have the ids of the context views and no others.
     """
     seen = read_everywhere(run, sample, gaussians)
-    found = associate(seen, proposer.load(), tracker.load(), replicas)
+    found = associate(seen, proposer.load(), tracker.load(), replicas, votes)
     count = len(run.read(sample, sample_from_arrays).context)
     context = LabelMaps(found.labels[:count], found.margin[:count])
     targets = LabelMaps(known_alone(found.labels[count:], context.labels), found.margin[count:])
@@ -130,6 +131,7 @@ def lessons(
     proposer: Component,
     tracker: Component,
     replicas: int,
+    votes: str,
 ) -> ArtifactRef:
     """Lessons of the samples of a chunk: spec ``lessons``.
 
@@ -147,7 +149,7 @@ def lessons(
         try:
             sample = read_sample(clips[row["clip"]], row, framing, targets=True)
             seen = seen_everywhere(sample, gaussians)
-            found = associate(seen, propose, tracker.load(), replicas)
+            found = associate(seen, propose, tracker.load(), replicas, votes)
         except InputError as error:
             bad.append(left_out(made["sample"], error))
             continue

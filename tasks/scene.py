@@ -303,7 +303,7 @@ def read_geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) 
     return run.once((SceneGeometry, sample.digest, gaussians.digest), make)
 
 
-@stage("masks", version=6)
+@stage("masks", version=7)
 def masks(
     run: RunContext,
     sample: ArtifactRef,
@@ -311,12 +311,14 @@ def masks(
     proposer: Component,
     tracker: Component,
     replicas: int,
+    votes: str,
 ) -> ArtifactRef:
     """Object ids that agree across the context views: spec ``labels``.
 
     ``meta["computed"]`` says how many copies of a view were segmented.
     """
-    label_maps = label_views(read_geometry(run, sample, gaussians), proposer, tracker, replicas)
+    seen = read_geometry(run, sample, gaussians)
+    label_maps = label_views(seen, proposer, tracker, replicas, votes)
     meta = {"objects": len(label_maps.ids), "computed": label_maps.computed}
     return run.store.put("labels", labels_to_arrays(label_maps), meta)
 

@@ -83,6 +83,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
             "scene": sample.scene,
             **NAMES,
             "replicas": 1,
+            "votes": "views",
             "seed": 0,
             "keep": "needed",
             "bank": "groups",

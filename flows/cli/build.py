@@ -234,7 +234,7 @@ def masks(
     start = time.perf_counter()
     predicted = predict(sample, graph, components[0], method.seed, method.trust_cameras)
     geometry = SceneGeometry.of(sample.context, predicted.gaussians)
-    maps = associate(geometry.seen, proposing, tracking, method.replicas)
+    maps = associate(geometry.seen, proposing, tracking, method.replicas, method.votes)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 
     files, panels = {}, []
@@ -253,7 +253,7 @@ def masks(
         look = pictures.side_by_side(panels)
         (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
         about: dict[str, Any] = {c.kind: c.name for c in components}
-        about |= {"replicas": method.replicas}
+        about |= {"replicas": method.replicas, "votes": method.votes}
         about |= {c.name: c.identity() for c in components if c.settings}
         text = {"size": [height, width], "views": files, "settings": about}
         (draft / MASKS).write_text(json.dumps(text, indent=1) + "\n", "utf-8")

@@ -17,7 +17,11 @@ BANK = ("groups", "objects")
 """Contents of a memory bank: objects and the groups that a word may mean as one, or, as in the
 paper, objects alone."""
 
-OWN = ("replicas", "seed", "keep", "bank")
+VOTES = ("views", "copies")
+"""Who votes on label maps: copies of a view that differ, and then all views on what is one object;
+or, as in the paper, all copies of each view and nobody else."""
+
+OWN = ("replicas", "votes", "seed", "keep", "bank")
 """The fields of the method that belong to no component."""
 
 
@@ -31,6 +35,8 @@ class Method:
         The component of each kind, by its name or with its fields.
     replicas : int
         How many copies of each view vote on its labels (five in the paper, section 3.2).
+    votes : "views" or "copies"
+        Who votes besides; see :func:`slgaussian.masks.associate.associate`.
     seed : int
         Of everything random: ID codes, and what components of other packages draw. The same seed
         gives the same bytes, whatever scene and views are called.
@@ -57,6 +63,7 @@ class Method:
     codes: Component
     lifting: Component
     replicas: int
+    votes: str
     seed: int
     keep: str
     bank: str
@@ -73,6 +80,7 @@ class Method:
         seed: int = 0,
         keep: str = KEEP[0],
         bank: str = BANK[0],
+        votes: str = VOTES[0],
         settings: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         chosen = (predictor, proposer, tracker, encoder, codes, lifting)
@@ -91,11 +99,12 @@ class Method:
             else:
                 component = Component.of(kind, choice, fields.get(choice))
             object.__setattr__(self, kind, component)
-        for name, text, choices in (("keep", keep, KEEP), ("bank", bank, BANK)):
+        choices_of = ("keep", keep, KEEP), ("bank", bank, BANK), ("votes", votes, VOTES)
+        for name, text, choices in choices_of:
             if text not in choices:
                 near = did_you_mean(text, choices)
                 raise InputError(f"{name}: found {text!r}, expected {' or '.join(choices)}{near}")
-        for name, value in zip(OWN, (replicas, seed, keep, bank), strict=True):
+        for name, value in zip(OWN, (replicas, votes, seed, keep, bank), strict=True):
             object.__setattr__(self, name, value)
 
     @property
@@ -106,7 +115,7 @@ class Method:
     def identity(self) -> dict[str, Any]:
         """Return what a field depends on besides the sample, as cache keys and artifacts hold it.
 
-        The name of each component, replicas, seed, keep and bank, and under a component's name its
+        The name of each component, the fields of :data:`OWN`, and under a component's name its
         fields, files by content; of a component without fields nothing.
         """
         named = {component.kind: component.name for component in self.components}

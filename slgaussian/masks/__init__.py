@@ -66,9 +66,13 @@ class MaskTracker(Protocol):
     final : bool
         Whether it brings the labels of whole views by itself: nothing is proposed, merged or voted
         on then, and its ids stay as they are.
+    repeatable : bool
+        Whether it answers a view again as before while nothing more is remembered; not, if it does
+        not say.
     """
 
     final: bool
+    repeatable: bool
 
     def add(self, seen: SeenView, labels: np.ndarray) -> None:
         """Remember a frame and its labels, int32 [H, W], 0 = unassigned."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import find_objects
 
+from slgaussian.components.method import VOTES
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
@@ -34,27 +35,26 @@ def associate(
     proposer: MaskProposer,
     tracker: MaskTracker,
     replicas: int = 5,
-    back: MaskTracker | None = None,
+    votes: str = VOTES[0],
 ) -> LabelMaps:
     """Label maps of a sequence of views with ids that mean the same object in every view.
 
     Views of which the tracker says that they show one thing need not follow each other: it
-    remembers them all. What it cannot know when it comes to a view, the votes of all views settle
-    in the end, if there are three or more and all have a depth: :mod:`slgaussian.masks.consensus`.
+    remembers them all.
 
     The paper repeats every view five times, in block order (view 1 x 5, then view 2 x 5), tracks
     the sequence and votes per pixel. Here, as there, the first copy of a view is its detection: the
     labels propagated from all earlier views, merged with fresh proposals (:func:`match_detections`)
     and then remembered. The later copies are propagations from that memory.
 
-    Copies are asked of the tracker one after the other until one repeats its predecessor. From
-    there on, image, memory and last answer are the same again, so every further copy would be the
-    same too; it counts and is not computed: :attr:`LabelMaps.computed` says how many were. Trackers
-    that return remembered labels for a remembered image, like ``geometric``, thus cost one look-up
-    a view and the vote is unanimous: copies do nothing for them. One that segments a
-    remembered image anew, like ``sam2-video``, is asked twice, and its own answer has the majority
-    over the detection from three copies on. One with a working memory is asked up to
-    ``replicas - 1`` times and its noise is voted down.
+    Of a ``repeatable`` tracker, as ``geometric`` and ``sam2-video`` are, every later copy is the
+    same: one is made, and counts for all. :attr:`LabelMaps.computed` says how many were made.
+    Where the tracker returns remembered labels for a remembered image, as ``geometric`` does, the
+    vote is unanimous; where it segments the image anew, its answer has the majority over the
+    detection from three copies on; where it is not repeatable, its noise is voted down.
+
+    What no tracker can know when it comes to a view, all views settle in the end, if there are
+    three or more and all have a depth: :mod:`slgaussian.masks.consensus`.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def associate(
         Fresh, without memory.
     replicas : int
         Copies of every view, at least 1; 1 is the detection alone.
-    back : MaskTracker, optional
-        A second fresh tracker, for a reverse pass: see :func:`reconcile`.
+    votes : "views" or "copies"
+        As above, or as the paper prints it: all copies are made, and their vote is the last word.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def associate(
         given = [tracker.propagate(here) for here in seen]
         return LabelMaps(np.stack(given), np.ones((len(given), *given[0].shape), np.float32), 1)
     winners, margins, cuts = [], [], []
-    known = computed = 0
+    known, computed, all_made = 0, 1, votes == "copies"
     for index, here in enumerate(seen):
         carried = tracker.propagate(here) if index else np.zeros(here.image.shape[:2], np.int32)
         detected = _detect(here, proposer, carried)
@@ -106,16 +106,13 @@ def associate(
         first = _without_gaps(first, known)
         known = max(known, int(first.max()))
         tracker.add(here, first)
-        copies, times, asked = _copies(here, tracker, first, replicas)
-        computed = max(computed, asked)
+        copies, times = _copies(here, tracker, first, replicas, all_made)
+        computed = len(copies)
         labels, margin = vote(copies, times)
         winners.append(labels)
         margins.append(margin)
-    labels = np.stack(winners)
-    if back is not None:
-        labels = reconcile(seen, labels, back)
-    labels = renumbered(labels)
-    if all(here.depth is not None for here in seen):
+    labels = renumbered(np.stack(winners))
+    if not all_made and all(here.depth is not None for here in seen):
         labels = settle(seen, labels, np.stack(cuts))
     return LabelMaps(labels, np.stack(margins), computed)
 
@@ -167,50 +164,6 @@ def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) ->
     return out
 
 
-def reconcile(seen: Sequence[SeenView], labels: np.ndarray, tracker: MaskTracker) -> np.ndarray:
-    """Find objects that the way forth took for new, on the way back.
-
-    The views are tracked from the last to the first. An object that is new in a later view and is
-    carried onto one that no later view has, with an IoU above 0.5, is that object: it takes its id.
-    The larger IoU goes first, then the lower ids.
-
-    Parameters
-    ----------
-    seen
-        As in :func:`associate`.
-    labels : int32 [V, H, W]
-    tracker : MaskTracker
-        Fresh, without memory.
-    """
-    labels = labels.copy()
-    tracker.add(seen[-1], labels[-1])
-    for index in reversed(range(len(seen) - 1)):
-        carried = tracker.propagate(seen[index])
-        new = np.setdiff1d(labels[index + 1 :], labels[: index + 1])
-        gone = np.setdiff1d(labels[: index + 1], labels[index + 1 :])
-        renamed: dict[int, int] = {}
-        for _, one, other in sorted(_overlaps(carried, labels[index], new, gone)):
-            if one not in renamed and other not in renamed.values():
-                renamed[one] = other
-        for one, other in renamed.items():
-            labels[labels == one] = other
-        tracker.add(seen[index], labels[index])
-    return labels
-
-
-def _overlaps(
-    a: np.ndarray, b: np.ndarray, ids_a: np.ndarray, ids_b: np.ndarray
-) -> list[tuple[float, int, int]]:
-    """(-IoU, id in a, id in b) of the given ids above 0 whose masks overlap by more than 0.5."""
-    columns = int(b.max(initial=0)) + 1
-    pairs, shared = np.unique(a.astype(np.int64) * columns + b, return_counts=True)
-    area_a, area_b = np.bincount(a.ravel()), np.bincount(b.ravel())
-    one, other = np.divmod(pairs, columns)
-    iou = shared / (area_a[one] + area_b[other] - shared)
-    keep = (iou > SAME_IOU) & np.isin(one, ids_a[ids_a > 0]) & np.isin(other, ids_b[ids_b > 0])
-    return list(zip((-iou[keep]).tolist(), one[keep].tolist(), other[keep].tolist(), strict=True))
-
-
 def _detect(seen: SeenView, proposer: MaskProposer, carried: np.ndarray) -> np.ndarray:
     """Proposals of a view as labels, asked for again where neither they nor the past reach."""
     detected = flatten(proposer.propose(seen))
@@ -230,17 +183,10 @@ def _without_gaps(labels: np.ndarray, known: int) -> np.ndarray:
 
 
 def _copies(
-    seen: SeenView, tracker: MaskTracker, first: np.ndarray, replicas: int
-) -> tuple[np.ndarray, list[int], int]:
-    """The different copies of a view, int32 [R, H, W], how often each counts, and how many were
-    computed; see :func:`associate`.
-    """
-    copies, computed = [first], 1
-    while len(copies) < replicas:
-        again = tracker.propagate(seen)
-        computed += 1
-        if np.array_equal(again, copies[-1]):
-            break
-        copies.append(again)
-    times = [1] * (len(copies) - 1) + [replicas - len(copies) + 1]
-    return np.stack(copies), times, computed
+    seen: SeenView, tracker: MaskTracker, first: np.ndarray, replicas: int, all_made: bool
+) -> tuple[np.ndarray, list[int]]:
+    """The copies of a view that are made, int32 [R, H, W], and how often each counts."""
+    same = getattr(tracker, "repeatable", False) and not all_made
+    made = min(1, replicas - 1) if same else replicas - 1
+    copies = [first, *(tracker.propagate(seen) for _ in range(made))]
+    return np.stack(copies), [1] * made + [replicas - made]

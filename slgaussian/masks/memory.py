@@ -61,6 +61,7 @@ class MemoryTracker(ABC):
     """
 
     final: ClassVar[bool] = False
+    repeatable: ClassVar[bool] = True
 
     def __init__(self) -> None:
         self._frames: list[Frame] = []

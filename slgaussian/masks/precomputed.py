@@ -50,6 +50,7 @@ class Precomputed(PrecomputedConfig):
     """
 
     final: ClassVar[bool] = True
+    repeatable: ClassVar[bool] = True
     _views: dict[Path, str] = PrivateAttr(default_factory=dict)
 
     def __init__(self, **values: Any) -> None:

@@ -48,6 +48,7 @@ class Sam2Video(Sam2VideoConfig):
 
     device: str = "auto"
     final: ClassVar[bool] = False
+    repeatable: ClassVar[bool] = True
     _memory: VideoMemory = PrivateAttr()
 
     def __init__(self, **values: Any) -> None:

@@ -32,6 +32,7 @@ def test_the_identity_is_flat_plain_and_complete():
     expected = {
         **NAMES,
         "replicas": 5,
+        "votes": "views",
         "seed": 0,
         "keep": "needed",
         "bank": "groups",

@@ -1,4 +1,4 @@
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ from drawn_views import SIZE, canvas, flat, paste, view, with_depths
 
 from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
+from slgaussian.geometry import SeenView
 from slgaussian.masks import Proposals
 from slgaussian.masks.associate import associate, match_detections
 from slgaussian.masks.geometric import GeometricTracker
@@ -116,14 +117,90 @@ def test_replicas_outvote_the_detection():
     assert (alone.labels == 1).all() and alone.computed == 1
 
 
-def test_copies_that_repeat_are_counted_and_not_computed():
-    settled = Wandering(looks_that_differ=2)
-    maps = associate([view(picture())], Drawn([WHOLE]), settled, replicas=9)
-    assert settled.looks == 3 and maps.computed == 4
-    computed = Wandering(looks_that_differ=2)
-    computed.add(None, np.ones(SIZE, np.int32))
-    lost = np.stack([computed.propagate(None) == 0 for _ in range(8)]).sum(0)
-    np.testing.assert_array_equal(maps.labels[0] == 0, lost > 4)
+class Forgetful(GeometricTracker):
+    """Remembers views but not that it saw one, and each look takes one object for a neighbour.
+
+    So does a tracker that segments a frame anew from a memory of frames, as SAM 2 does.
+    """
+
+    repeatable = False
+
+    def __init__(self, rate, seed=0):
+        super().__init__()
+        self.rate, self.rng = rate, np.random.default_rng(seed)
+
+    def add(self, seen, labels):
+        if not self._frames:
+            super().add(seen, labels)
+
+    def propagate(self, seen):
+        carried = super().propagate(seen)
+        for ident in np.unique(carried[carried > 0]):
+            if self.rng.random() < self.rate:
+                carried[carried == ident] = self.rng.choice(np.unique(carried[carried > 0]))
+        return carried
+
+
+@cache
+def room_views(seed):
+    scene = reader.read(seed, height=96, width=128, views=3, baseline=0.6)
+    views = [scene.read(name) for name in scene.cameras][::2]
+    return views, [SeenView(view, view.depth) for view in views]
+
+
+class TrueObjects:
+    """Proposes the true objects of a room."""
+
+    def propose(self, seen, where=None):
+        ids = np.unique(seen.view.instances)
+        masks = np.stack([seen.view.instances == ident for ident in ids])
+        return Proposals(masks, np.ones(len(ids), np.float32))
+
+
+def agreement(seed, replicas):
+    """Share of the second view whose object has the id that it has in the first."""
+    views, seen = room_views(seed)
+    labels = associate(seen, TrueObjects(), Forgetful(0.25, seed), replicas).labels
+    true = np.stack([view.instances for view in views])
+    wanted = np.full_like(true[1], -1)
+    for ident in np.unique(true[0]):
+        wanted[true[1] == ident] = np.bincount(labels[0][true[0] == ident]).argmax()
+    return float((labels[1] == wanted)[wanted >= 0].mean())
+
+
+def test_the_vote_gives_objects_the_right_ids_that_one_look_confuses():
+    """Of a room, six seeds. Measured: 0.84 of the second view right by one look, 0.94 by five."""
+    once, voted = ([agreement(seed, replicas) for seed in range(6)] for replicas in (1, 5))
+    assert np.mean(voted) > np.mean(once) + 0.05
+    assert min(v - o for v, o in zip(voted, once, strict=True)) > 0
+
+
+@pytest.mark.parametrize("kind", [GeometricTracker, partial(Forgetful, 0.25)])
+def test_copies_that_would_be_the_same_are_not_made_and_change_nothing(kind):
+    """Ten frames, all made, against those that can differ: of two views the same bytes."""
+    _, seen = room_views(0)
+    asked = []
+
+    def found(votes):
+        tracker = kind()
+        propagate = tracker.propagate
+        tracker.propagate = lambda here: asked.append(here.view.name) or propagate(here)
+        return associate(seen, Regions(), tracker, 5, votes)
+
+    few, count = found("views"), len(asked)
+    every = found("copies")
+    np.testing.assert_array_equal(few.labels, every.labels)
+    np.testing.assert_array_equal(few.margin, every.margin)
+    assert (every.computed, len(asked) - count) == (5, 4 + 5)
+    assert few.computed == (2 if kind is GeometricTracker else 5)
+
+
+def test_where_copies_alone_vote_no_view_overrules_them(monkeypatch):
+    views = [flat(picture(seed), name) for seed, name in enumerate("abc")]
+    monkeypatch.setattr("slgaussian.masks.associate.settle", None)
+    associate(views, Regions(), GeometricTracker(), 5, "copies")
+    with pytest.raises(TypeError):
+        associate(views, Regions(), GeometricTracker())
 
 
 def test_geometry_asks_once_a_view_and_agrees():

@@ -10,7 +10,7 @@ from drawn_views import SIZE, canvas, main_label, paste, view, with_depths
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import Proposals, load_tracker
-from slgaussian.masks.associate import associate, match_detections, reconcile
+from slgaussian.masks.associate import associate, match_detections
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.vote import vote
 from slgaussian.scene import Camera, View
@@ -154,67 +154,6 @@ def test_ties_in_the_vote_go_to_the_earliest_copy_and_have_no_margin():
     stack = np.array([[[7, 0]], [[3, 5]], [[3, 5]], [[7, 0]]], np.int32)
     labels, margin = vote(stack)
     assert labels.tolist() == [[7, 0]] and margin.tolist() == [[0, 0]]
-
-
-class Told:
-    """A tracker that carries what it is told, by view name."""
-
-    final = False
-
-    def __init__(self, **labels):
-        self.labels = labels
-
-    def add(self, seen, labels):
-        pass
-
-    def propagate(self, seen):
-        return self.labels[seen.view.name]
-
-
-def halves(*ids):
-    return np.repeat(np.array([ids], np.int32), 4, 0).repeat(4, 1)
-
-
-def test_the_way_back_joins_what_the_way_forth_took_for_two():
-    views = [view(np.zeros((4, 16, 3)), name) for name in "ab"]
-    labels = np.stack([halves(1, 2, 3, 4), halves(1, 5, 6, 7)])
-    # 5 lands on 2; 6 on half of 3 and half of 4; 7 on 1, which is known to be another object.
-    back = Told(a=halves(7, 5, 6, 6))
-    joined = reconcile(views, labels, back)
-    np.testing.assert_array_equal(joined[0], labels[0])
-    np.testing.assert_array_equal(joined[1], halves(1, 2, 6, 7))
-    np.testing.assert_array_equal(labels[1], halves(1, 5, 6, 7))
-
-
-@pytest.mark.parametrize(
-    ("carried", "first", "joined"),
-    [
-        ([5, 5, 5, 0], [2, 2, 2, 2], True),  # IoU 3 / 4
-        ([5, 0, 0, 0], [2, 2, 2, 2], False),  # 1 / 4, though 5 lies in it whole
-        ([5, 5, 5, 5], [2, 1, 1, 1], False),  # 1 / 4, though all of 2 is covered
-        ([5, 5, 0, 0], [2, 2, 2, 2], False),  # 1 / 2 is not more than half
-        ([5, 5, 5, 1], [1, 2, 2, 2], False),  # 2 / 4
-        ([5, 5, 5, 5, 1, 1], [2, 2, 2, 1, 2, 1], True),  # 3 / 5, of 7 and of 8 pixels together
-    ],
-)
-def test_the_way_back_goes_by_the_intersection_over_the_union(carried, first, joined):
-    size = len(carried)
-    views = [view(np.zeros((4, 4 * size, 3)), name) for name in "ab"]
-    labels = np.stack([halves(*first), halves(*[5] * (size - 1), 1)])
-    found = reconcile(views, labels, Told(a=halves(*carried)))
-    assert np.unique(found[1]).tolist() == ([1, 2] if joined else [1, 5])
-
-
-def test_the_way_back_is_part_of_the_association():
-    views, proposer = scene([RED, BLUE], [RED, BLUE])
-    blind = Told(b=np.zeros(SIZE, np.int32), a=np.zeros(SIZE, np.int32))
-    kinds = {"forth": None, "back": load_tracker("geometric")}
-    found = {
-        kind: associate(views, proposer, blind, replicas=1, back=back)
-        for kind, back in kinds.items()
-    }
-    assert len(found["forth"].ids) == len(found["forth"].seen_once) == 6
-    assert found["back"].ids.tolist() == [1, 2, 3] and len(found["back"].seen_once) == 0
 
 
 def test_an_id_map_with_holes_keeps_them(tmp_path):

@@ -149,9 +149,14 @@ def test_the_whole_association_with_copies(folder):
             return super().propagate(seen)
 
     maps = associate(views, Regions(), Counted(model=folder, device="cpu"), replicas=5)
-    # Two copies of each view say that the others would be the same; the second comes carried too.
-    assert asked == ["a", "a", "b", "b", "b"]
+    # One copy of each view stands for the others; the second comes carried too.
+    assert asked == ["a", "b", "b"]
     assert maps.labels.shape == (2, *SIZE) and (maps.margin >= 0.6 - 1e-6).all()
+    every = associate(views, Regions(), Counted(model=folder, device="cpu"), 5, "copies")
+    assert asked[3:] == ["a"] * 4 + ["b"] * 5
+    np.testing.assert_array_equal(every.labels, maps.labels)
+    np.testing.assert_array_equal(every.margin, maps.margin)
+    assert (maps.margin < 1).any()  # its copies differ from the detection
 
 
 def test_what_cannot_be_used_is_one_sentence(folder, tmp_path):
