@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from slgaussian.field import FieldView
     from slgaussian.language.query import QueryResult
 
+BEST = 3
+"""Objects of an answer that are printed."""
+
 NOTHING = "no text fits"
 """Label of pixels that fit no text better than the canonical phrases."""
 
@@ -143,17 +146,20 @@ def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str
 
 
 def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
-    """Return an answer for people, a line each for what it says."""
+    """Return an answer for people: a sentence, the best objects, and words that do not count."""
     if answer["refused"]:
         return f"{answer['text']!r} is {answer['summary']}"
     lines = [f"{answer['text']!r} in {answer['view']}"] if with_title else []
     lines.append(answer["summary"])
-    if answer["point"] or answer["objects"]:
-        ids = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"])
-        lines.append(f"score  {answer['score']:.3f}  (0.5 is as good as any phrase)")
+    if answer["objects"]:
+        best = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"][:BEST])
+        more = f" and {len(answer['objects']) - BEST} more" if answer["objects"][BEST:] else ""
         if answer["point"]:
-            lines.append("point  x {}, y {}".format(*answer["point"]))
-        lines.append(f"{'objects' if answer['point'] else 'most like it'}  {ids or 'none'}")
+            lines.append(
+                f"objects  {best}{more}; point x {answer['point'][0]}, y {answer['point'][1]}"
+            )
+        else:
+            lines.append(f"most like it  {best}")
     return "\n".join([*lines, *_describe_words(answer)])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import time
+import warnings
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
@@ -63,6 +64,9 @@ def field(
     strict: Annotated[
         bool, typer.Option("--strict", help="End with status 4 if the scene is poor.")
     ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Print all warnings, and what it is made of.")
+    ] = False,
 ) -> None:
     """Build a field from two or more photographs.
 
@@ -75,10 +79,11 @@ def field(
     slgaussian field walk/*.jpg --cameras sparse/0 --keyframes 24 -o field/
     slgaussian field a.jpg b.jpg --encoder clip --set clip.model=models/clip -o field/
     """
-    from flows.cli.photographs import load_photographs
+    from flows.cli.photographs import load_photographs, print_warnings
     from slgaussian import precompile
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import POOR, Quality
+    from slgaussian.language.weights import INSTALL, find_weights
     from slgaussian.storage.field_folder import check_target
     from slgaussian.storage.inputs import describe_photographs
     from slgaussian.storage.statistics import FieldStatistics
@@ -86,25 +91,31 @@ def field(
     settings = make_settings(options.settings_from(ctx), "field")
     check_target(out)  # before the work
     start = time.perf_counter()
-    sample, places = load_photographs(photos, cameras, refine, settings, keyframes)
+    sample, places = load_photographs(photos, cameras, refine, settings, keyframes, verbose)
     seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
     precompile.begin()
     height, width = sample.context[0].image.shape[:2]
-    names = ", ".join(component.name for component in settings.built_by.components)
     views = f"{len(sample.context)} views of {width}x{height}"
-    typer.echo(f"building a field from {views} with {names}", err=True)
-    built = build_field(sample, settings.built_by, settings.trust_cameras, seconds.__setitem__)
+    names = ", ".join(component.name for component in settings.built_by.components)
+    typer.echo(f"building a field from {views}{f' with {names}' if verbose else ''}", err=True)
+    with warnings.catch_warnings(record=True) as caught:
+        built = build_field(sample, settings.built_by, settings.trust_cameras, seconds.__setitem__)
+    print_warnings([str(warning.message) for warning in caught], verbose)
     built.save(out, describe_photographs(places))
     quality = Quality(**built.settings["quality"])
-    size_text = f"{len(built.gaussians)} Gaussians, {len(built.bank)} objects"
+    size_text = f"{len(built.gaussians):,} Gaussians, {len(built.bank)} objects"
     lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
-    lines += [quality.summary(), *FieldStatistics(**built.settings["account"]).lines()]
-    lines.append(f"seconds: {', '.join(f'{step} {taken:.2f}' for step, taken in seconds.items())}")
+    if verbose:
+        lines += [quality.summary(), *FieldStatistics(**built.settings["account"]).lines()]
+        steps = ", ".join(f"{step} {taken:.2f}" for step, taken in seconds.items())
+        lines.append(f"seconds: {steps}")
+    lines.append(quality.verdict().sentence())
+    if built.settings["encoder"] == "lexicon" and find_weights() is None:
+        lines.append(f"it knows few nouns: the optional classifier is not installed; {INSTALL}")
     if (word := choose_word(built)) is not None:
         command = ["slgaussian", "query", str(out), word, "-o", "hit.png"]
         lines.append(f"ask it: {shlex.join(command)}")
     lines.append(f"look at it: {shlex.join(['slgaussian', 'view', str(out)])}")
-    lines.append(quality.verdict().sentence())
     typer.echo("\n".join(lines), err=True)
     typer.echo(out)
     if strict and quality.verdict().level == POOR:
@@ -143,7 +154,7 @@ def cameras(
     slgaussian cameras a.jpg b.jpg -o transforms.json
     slgaussian field photos/a.jpg photos/b.jpg --cameras transforms.json -o field/
     """
-    from flows.cli.photographs import report_cameras
+    from flows.cli.photographs import print_warnings
     from slgaussian.datasets import nerfstudio, unposed
 
     if out is not None:
@@ -170,7 +181,8 @@ def cameras(
                 "upright photographs: for programs that do not turn them, save upright copies",
                 err=True,
             )
-    report_cameras(estimate)
+    print_warnings(estimate.warnings, verbose=True)
+    typer.echo(estimate.summary(), err=True)
     typer.echo(json.dumps(estimate.as_json()) if as_json else _pairs_text(estimate))
     if out is not None and not as_json:
         typer.echo(out)

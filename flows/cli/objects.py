@@ -20,8 +20,11 @@ if TYPE_CHECKING:
     from slgaussian.field import SemanticField
     from slgaussian.objects import SceneObject
 
-EVEN = 0.5
-"""Relevancy of what fits a text as well as it fits the canonical phrases."""
+LARGEST = 20
+"""Objects that are listed, those of most Gaussians."""
+
+SURE_VIEWS = 4
+"""Context views, at most, in which words are asked for."""
 
 UNITS = {
     True: "Sizes are in metres.",
@@ -45,14 +48,18 @@ def list_(
     texts: options.Texts = None,
     words: options.Words = None,
     out: options.Picture = None,
+    show_all: Annotated[
+        bool, typer.Option("--all", help="List them all, not the largest.")
+    ] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the objects of a field: words, size, place and views.
+    """List the twenty largest objects of a field: words, size, place and views.
 
-    Each has the words that fit it best, of all that the field knows or of the texts given; how
-    clearly its pixels are its own (from 0 to 1); the size of the upright box around it, longer
-    side, shorter side and height; and the views that hold it. --json has its centre and axes too.
-    The exit status is 1 if a text is refused.
+    Each has the words, of all that the field knows or of the texts given, with which a query finds
+    it, or in brackets the one that fits it best; how clearly its pixels are its own (from 0 to 1);
+    the size of the upright box around it, longer side, shorter side and height; and the views that
+    hold it. --json has all objects, with the words that fit best, centres and axes. The exit status
+    is 1 if a text is refused.
 
     \b
     slgaussian objects list field/
@@ -67,19 +74,23 @@ def list_(
     rules, opened = open_field(field, options.settings_from(ctx, Method), words)
     accepted, refused = sort_texts(opened, texts or [], untold=False)
     things = opened.inventory(accepted or None, **rules)
+    largest = sorted(things, key=lambda thing: -thing.gaussians)
+    listed = largest if show_all else largest[:LARGEST]
+    sure = {} if as_json and out is None else _sure_words(opened, accepted, rules)
     if out is not None:
-        write_picture(out, _picture(field, opened, things))
-    rows = [_row(thing) for thing in things]
+        write_picture(out, _picture(field, opened, listed, sure))
     notes = [{"text": text, "refused": reason} for text, reason in refused.items()]
     if as_json:
-        typer.echo("\n".join(map(json.dumps, [*rows, *notes])))
+        typer.echo("\n".join(map(json.dumps, [*map(_row, things), *notes])))
     else:
-        lines = [("object", "best words", "sure", "size", "seen in"), *map(_cells, rows)]
-        typer.echo(table_text(lines, "><><<"))
-        if any(row["relevancies"][:1] <= [EVEN] for row in rows):
-            typer.echo("(in brackets: no text fits better than the canonical phrases do)")
-        if things:
-            typer.echo(UNITS[things[0].metres])
+        rows = [_cells(thing, sure.get(thing.id, [])) for thing in listed]
+        typer.echo(table_text([("object", "words", "clear", "size", "seen in"), *rows], "><><<"))
+        if any(words.startswith("(") for _, words, *_ in rows):
+            typer.echo("(in brackets: the word that fits best; a query for it is not sure)")
+        if listed:
+            typer.echo(UNITS[listed[0].metres])
+        if largest[len(listed) :]:
+            typer.echo(f"{len(largest) - len(listed)} smaller ones are listed with --all")
         for line in refusals(notes):
             typer.echo(line)
     raise typer.Exit(1 if refused else 0)
@@ -289,17 +300,42 @@ def _row(thing: SceneObject) -> dict[str, Any]:
     }
 
 
-def _cells(row: Mapping[str, Any]) -> Sequence[str]:
-    pairs = list(zip(row["words"], row["relevancies"], strict=True))
-    fitting = [f"{text} {relevancy:.3f}" for text, relevancy in pairs if relevancy > EVEN]
-    words = ", ".join(fitting or [f"({text} {r:.3f})" for text, r in pairs[:1]])
-    if row["name"] is not None:
-        words = f"{row['name']!r}: {words}"
-    size = " x ".join(f"{2 * half:.2f}" for half in row["half_sizes"] or ())
-    return str(row["id"]), words, f"{row['confidence']:.2f}", size, ", ".join(row["views"])
+def _sure_words(
+    field: SemanticField, texts: Sequence[str], rules: Mapping[str, Any]
+) -> dict[int, list[str]]:
+    """Return the words with which a query in a context view finds each object, surest first."""
+    from slgaussian.objects import words_for
+
+    asked = list(dict.fromkeys([*field.taught, *(texts or words_for(field.encoder))]))
+    surest: dict[tuple[int, str], float] = {}
+    for camera in list(field.cameras.values())[:SURE_VIEWS]:
+        for hit in field.render(camera).query_all(asked, **rules):
+            if hit.found:
+                mask = 1.0 if hit.confidence is None else hit.confidence.mask
+                surest |= {
+                    (id_, hit.text): max(mask, surest.get((id_, hit.text), 0.0))
+                    for id_, _ in hit.objects
+                }
+    words: dict[int, list[str]] = {}
+    for id_, text in sorted(surest, key=lambda key: -surest[key]):
+        words.setdefault(id_, []).append(text)
+    return words
 
 
-def _picture(folder: Path, field: SemanticField, things: Sequence[SceneObject]) -> np.ndarray:
+def _cells(thing: SceneObject, sure: Sequence[str]) -> Sequence[str]:
+    words = ", ".join(sure) or ", ".join(f"({text})" for text, _ in thing.words[:1])
+    if thing.name is not None:
+        words = f"{thing.name!r}: {words}"
+    size = "" if thing.box is None else " x ".join(f"{2 * x:.2f}" for x in thing.box.half_sizes)
+    return str(thing.id), words, f"{thing.confidence:.2f}", size, ", ".join(thing.views)
+
+
+def _picture(
+    folder: Path,
+    field: SemanticField,
+    things: Sequence[SceneObject],
+    sure: Mapping[int, Sequence[str]],
+) -> np.ndarray:
     """Draw how each object looks in the view that shows most of it."""
     import numpy as np
 
@@ -316,7 +352,6 @@ def _picture(folder: Path, field: SemanticField, things: Sequence[SceneObject]) 
     cuts = pictures.cut_out([v.rgb for v in views], [v.ids for v in views], ids, boxes)
     tiles = []
     for thing, cut in zip(things, cuts, strict=True):
-        fits = thing.words and thing.words[0][1] > EVEN
-        called = thing.name or (thing.words[0][0] if fits else "")
+        called = thing.name or next(iter(sure.get(thing.id, ())), "")
         tiles.append((f"{thing.id} {called}".strip(), cut))
     return pictures.contact_sheet(tiles, side=112, columns=8)

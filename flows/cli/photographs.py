@@ -29,12 +29,14 @@ def load_photographs(
     refine: bool,
     settings: Settings,
     keyframes: int | None = None,
+    verbose: bool = True,
 ) -> tuple[Sample, dict[str, str]]:
     """Load photographs with their cameras, at the size that the settings ask for.
 
     Cameras that are left out are those of precomputed geometry, if it has some, or else estimated;
     with ``refine`` they are estimated anew, in the same world; how is printed. Of more photographs,
-    ``keyframes`` are taken. Those that cannot be placed are left out with a warning.
+    ``keyframes`` are taken. Those that cannot be placed are left out with a warning; of several
+    warnings one is printed unless ``verbose``.
 
     Returns
     -------
@@ -61,7 +63,7 @@ def load_photographs(
             looks = [glance(path.read_bytes())[0] for path in files.values()]
             files = {name: files[name] for name in _keyframes(list(files), looks, keyframes)}
         estimate = unposed.find(files)
-        report_cameras(estimate)
+        _print_cameras(estimate, verbose)
         scene = unposed.posed(files, estimate)
         names = list(scene.cameras)
     else:
@@ -75,7 +77,7 @@ def load_photographs(
         if refine:
             there = {name: file for name, file in files.items() if file.is_file()}
             scene, estimate = unposed.refined(scene, names, there)
-            report_cameras(estimate)
+            _print_cameras(estimate, verbose)
             names = list(scene.cameras)
     places = {n: str(file.absolute()) if file.is_file() else n for n, file in files.items()}
     sample = scene.sample(names, size=settings.size, near=settings.near, far=settings.far)
@@ -92,11 +94,16 @@ def _cameras_of(geometry: Path | None) -> Path | None:
     return None if stored.poses is None or stored.maps[0].K is None else geometry
 
 
-def report_cameras(estimate: EstimatedCameras) -> None:
-    """Print how cameras were estimated, and warnings."""
-    for warning in estimate.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
+def _print_cameras(estimate: EstimatedCameras, verbose: bool) -> None:
+    print_warnings(estimate.warnings, verbose)
     print(estimate.summary(), file=sys.stderr)
+
+
+def print_warnings(warnings: Sequence[str], verbose: bool) -> None:
+    """Print warnings: all, or else the first and how many there are more."""
+    for warning in warnings if verbose else warnings[:1]:
+        more = f" (and {len(warnings) - 1} more, with -v)" if warnings[1:] else ""
+        print(f"warning: {warning}{'' if verbose else more}", file=sys.stderr)
 
 
 def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[str, Path]]:

@@ -36,7 +36,7 @@ def test_a_copy_and_a_stranger_are_left_out_by_name(photos, monkeypatch, capsys)
     words = ("--cameras", "transforms.json", "-o")
     assert run(monkeypatch, "field", *NAMES, *words, "plain") == 0
     assert "left out" not in capsys.readouterr().err
-    assert run(monkeypatch, "field", *NAMES, "copy.png", "elsewhere.png", *words, "odd") == 0
+    assert run(monkeypatch, "field", *NAMES, "copy.png", "elsewhere.png", "-v", *words, "odd") == 0
     told = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
     assert told == [
         "warning: copy.png is left out: it is the same picture as b.png, from the same place",

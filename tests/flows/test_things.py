@@ -9,6 +9,7 @@ from command import run, said, two_walls
 from PIL import Image
 from plyfile import PlyData
 
+from flows.cli import objects
 from slgaussian.field import SemanticField
 from slgaussian.language import confidence
 
@@ -54,6 +55,12 @@ def test_what_is_in_a_field_is_listed(field, ask, monkeypatch, capsys):
     assert [one["words"][0] for one in things] == ["red wall", "blue"]
     assert run(monkeypatch, "objects", "list", field, "yellow") == 0
     assert capsys.readouterr().out.count("(yellow") == 2
+    monkeypatch.setattr(objects, "LARGEST", 1)
+    for words, count in (([], 1), (["--all"], 2)):
+        assert run(monkeypatch, "objects", "list", field, "yellow", *words) == 0
+        out = capsys.readouterr().out
+        assert out.count("(yellow") == count
+        assert ("1 smaller ones are listed with --all" in out) == (count == 1)
 
 
 def test_the_list_as_a_picture(field, tmp_path, monkeypatch, capsys):
