@@ -105,9 +105,9 @@ def ours_known(a: View, b: View) -> Answer | None:
     )
     focals = np.log([(k[0, 0] + k[1, 1]) / 2 for k in K])
     pose = find_pair(*described, FocalPrior(focals, np.zeros(2), shared=False))
-    if pose.found.verdict == UNUSED or pose.views is None:
+    if pose.estimate.verdict == UNUSED or pose.views is None:
         return None
-    return Answer(pose.views.R, pose.views.t, doubted=pose.found.verdict == DOUBTFUL)
+    return Answer(pose.views.R, pose.views.t, doubted=pose.estimate.verdict == DOUBTFUL)
 
 
 def _centred(image: np.ndarray, x: float, y: float) -> np.ndarray:

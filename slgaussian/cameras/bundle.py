@@ -27,7 +27,7 @@ _CHUNK = 1 << 21
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """Where the cameras are believed to stand; it fixes the frame and the scale.
+    """Prior of camera poses; it fixes the frame and the scale.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class PosePrior:
     __repr__ = short_repr
 
     def pull(self, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How far off poses are in standard deviations [V, 6], and derivatives [V, 6, 6]."""
+        """Return distances of poses in standard deviations [V, 6], and derivatives [V, 6, 6]."""
         back = R.transpose(0, 2, 1)
         turned = Rotation.from_matrix(R @ self.R.transpose(0, 2, 1)).as_rotvec()
         moved = -(back @ t[:, :, None])[..., 0] - self.centers
@@ -107,7 +107,7 @@ class Bundle:
     __repr__ = short_repr
 
     def residuals(self) -> np.ndarray:
-        """Where each point lands minus where it was seen, pixels: float64 [M, 2]."""
+        """Return projected minus observed positions, pixels: float64 [M, 2]."""
         return _project(self, homogeneous(self.points)).residuals
 
     def depths(self) -> np.ndarray:
@@ -118,7 +118,7 @@ class Bundle:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """What :func:`adjust` found.
+    """Result of :func:`adjust`.
 
     Attributes
     ----------
@@ -154,7 +154,9 @@ class Adjusted:
         length = max(float(np.linalg.norm(t)), 1e-12)
         across = np.eye(3) - np.outer(t, t) / length**2
         turned, moved = block[:3, :3], across @ block[3:, 3:] @ across / length**2
-        worst = [float(np.sqrt(max(np.linalg.eigvalsh(one)[-1], 0.0))) for one in (turned, moved)]
+        worst = [
+            float(np.sqrt(max(np.linalg.eigvalsh(matrix)[-1], 0.0))) for matrix in (turned, moved)
+        ]
         return float(np.degrees(worst[0])), float(np.degrees(worst[1]))
 
 
@@ -186,10 +188,10 @@ def adjust(
         bundle, view=bundle.view[order], point=bundle.point[order], xy=bundle.xy[order]
     )
     q = homogeneous(bundle.points)
-    seen = _project(bundle, q)
+    projected = _project(bundle, q)
     layout = _Layout.of(bundle)
-    cost = _cost(bundle, layout, seen.residuals, scale)
-    normal = _normal(bundle, layout, q, seen, scale)
+    cost = _cost(bundle, layout, projected.residuals, scale)
+    normal = _normal(bundle, layout, q, projected, scale)
     damping, growth = 1e-4, 2.0
     for _ in range(iterations):
         step, moved = _step(bundle, layout, normal, damping)
@@ -202,16 +204,16 @@ def adjust(
                 break
             continue
         gain = cost - trial_cost
-        bundle, q, seen, cost = trial, trial_q, trial_seen, trial_cost
-        normal = _normal(bundle, layout, q, seen, scale)
+        bundle, q, projected, cost = trial, trial_q, trial_seen, trial_cost
+        normal = _normal(bundle, layout, q, projected, scale)
         damping, growth = max(damping / 5, 1e-12), 2.0
         if gain < tolerance * max(cost, 1e-300):
             break
-    covariance = _covariance(bundle, layout, normal, seen.residuals, scale)
+    covariance = _covariance(bundle, layout, normal, projected.residuals, scale)
     residuals, view, point, xy = (
-        np.empty_like(a) for a in (seen.residuals, bundle.view, bundle.point, bundle.xy)
+        np.empty_like(a) for a in (projected.residuals, bundle.view, bundle.point, bundle.xy)
     )
-    residuals[order], view[order], point[order] = seen.residuals, bundle.view, bundle.point
+    residuals[order], view[order], point[order] = projected.residuals, bundle.view, bundle.point
     xy[order] = bundle.xy
     w = q[:, 3:]
     points = q[:, :3] / np.where(np.abs(w) > 1e-12, w, 1e-12)
@@ -258,24 +260,24 @@ def _tangents(q: np.ndarray) -> np.ndarray:
     return np.array(rows).transpose(2, 0, 1)
 
 
-def _derivatives(bundle: Bundle, q: np.ndarray, seen: _Seen) -> tuple[np.ndarray, np.ndarray]:
+def _derivatives(bundle: Bundle, q: np.ndarray, projected: _Seen) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of the residuals by the camera [M, 2, 8] and by the point [M, 2, 3]."""
     lens = bundle.group[bundle.view]
     f, k1 = bundle.focals[lens], bundle.k1[lens]
-    u, v = seen.uv.T
+    u, v = projected.uv.T
     r2 = u**2 + v**2
     by_uv = (f * (1 + k1 * r2))[:, None, None] * np.eye(2)
-    by_uv += (2 * f * k1)[:, None, None] * (seen.uv[:, :, None] * seen.uv[:, None, :])
+    by_uv += (2 * f * k1)[:, None, None] * (projected.uv[:, :, None] * projected.uv[:, None, :])
     by_X = np.empty((len(u), 2, 3))
-    by_X[:, :, :2] = by_uv * seen.inverse_depth[:, None, None]
-    by_X[:, :, 2] = -(by_X[:, :, :2] @ seen.uv[:, :, None])[..., 0]
+    by_X[:, :, :2] = by_uv * projected.inverse_depth[:, None, None]
+    by_X[:, :, 2] = -(by_X[:, :, :2] @ projected.uv[:, :, None])[..., 0]
     at = q[bundle.point]
     camera = np.empty((len(u), 2, _LOCAL))
     # A small rotation w moves a point X by w x X, so a row r of by_X answers with X x r.
-    camera[:, :, :3] = np.cross(seen.turned[:, None, :], by_X)
+    camera[:, :, :3] = np.cross(projected.turned[:, None, :], by_X)
     camera[:, :, 3:6] = by_X * at[:, 3, None, None]
-    camera[:, :, 6] = seen.uv * (f * (1 + k1 * r2))[:, None]
-    camera[:, :, 7] = seen.uv * (f * r2)[:, None]
+    camera[:, :, 6] = projected.uv * (f * (1 + k1 * r2))[:, None]
+    camera[:, :, 7] = projected.uv * (f * r2)[:, None]
     pose = np.concatenate([bundle.R, bundle.t[:, :, None]], 2)
     point = by_X @ (pose[bundle.view] @ _tangents(q)[bundle.point])
     return camera, point
@@ -307,10 +309,12 @@ class _Normal:
     prior: np.ndarray  # [P, P] of the cameras
 
 
-def _normal(bundle: Bundle, layout: _Layout, q: np.ndarray, seen: _Seen, scale: float) -> _Normal:
-    camera, point = _derivatives(bundle, q, seen)
-    weight = 3 / (scale**2 + (seen.residuals**2).sum(1))[:, None, None]
-    weighted, minus = (weight * camera).transpose(0, 2, 1), -seen.residuals[:, :, None]
+def _normal(
+    bundle: Bundle, layout: _Layout, q: np.ndarray, projected: _Seen, scale: float
+) -> _Normal:
+    camera, point = _derivatives(bundle, q, projected)
+    weight = 3 / (scale**2 + (projected.residuals**2).sum(1))[:, None, None]
+    weighted, minus = (weight * camera).transpose(0, 2, 1), -projected.residuals[:, :, None]
     of_points = (weight * point).transpose(0, 2, 1)
     V, G, M = len(bundle.R), len(bundle.focals), len(bundle.view)
     P = 6 * V + 2 * G
@@ -323,8 +327,10 @@ def _normal(bundle: Bundle, layout: _Layout, q: np.ndarray, seen: _Seen, scale: 
     prior = np.diag(np.concatenate([np.zeros(6 * V), layout.prior]))
     if bundle.poses is not None:
         off, slopes = bundle.poses.pull(bundle.R, bundle.t)
-        own = columns[:, :6]
-        prior[own[:, :, None], own[:, None, :]] = slopes.transpose(0, 2, 1) @ slopes
+        pose_columns = columns[:, :6]
+        prior[pose_columns[:, :, None], pose_columns[:, None, :]] = (
+            slopes.transpose(0, 2, 1) @ slopes
+        )
         side[: 6 * V] -= (off[:, None] @ slopes).ravel()
     return _Normal(
         H,
@@ -338,7 +344,7 @@ def _normal(bundle: Bundle, layout: _Layout, q: np.ndarray, seen: _Seen, scale: 
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Where things stand; the same in every step.
+    """Indices of the parameters; the same in every step.
 
     ``by_view``, ``by_point`` and ``by_lens`` [count, M] sum the rows of observations that share a
     view, a point, or a point and a lens.
@@ -391,8 +397,8 @@ def _reduced(
     """Schur complement [P, P] and right side [P] of the cameras, and inverse blocks of points."""
     diagonal = np.einsum("nii->ni", normal.points)
     damped = normal.points.copy()
-    least = 1e-14 * diagonal.sum(1, keepdims=True) + 1e-300
-    np.einsum("nii->ni", damped)[:] += damping * diagonal + least
+    floor = 1e-14 * diagonal.sum(1, keepdims=True) + 1e-300
+    np.einsum("nii->ni", damped)[:] += damping * diagonal + floor
     inverse = np.linalg.inv(damped)
     P, N = len(normal.cameras), len(bundle.points)
     S = normal.cameras.copy()
@@ -403,8 +409,8 @@ def _reduced(
         W = _wide(bundle, layout, normal.between, start, stop)
         flat = W.reshape(-1, P)
         S -= flat.T @ (inverse[start:stop] @ W).reshape(-1, P)
-        there = inverse[start:stop] @ normal.point_side[start:stop, :, None]
-        side -= flat.T @ there.ravel()
+        solved = inverse[start:stop] @ normal.point_side[start:stop, :, None]
+        side -= flat.T @ solved.ravel()
     return S, side, inverse
 
 

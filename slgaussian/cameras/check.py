@@ -1,4 +1,4 @@
-"""Whether given cameras are those that the photographs were taken with: feature matches know.
+"""Check given cameras by the feature matches of their photographs.
 
 A match says where two photographs show one point. Under the right cameras it lies near its epipolar
 line, and its point in front of both; under exchanged poses, other axes or another focal length most
@@ -76,7 +76,7 @@ class Correction:
 
 @dataclass(frozen=True)
 class PairCheck:
-    """What the matches of two photographs say of their cameras.
+    """Agreement of the matches of two photographs with their cameras.
 
     Attributes
     ----------
@@ -109,18 +109,18 @@ class PairCheck:
 
     @property
     def judged(self) -> bool:
-        """Whether enough matches agree with one another to tell anything."""
+        """Tell whether enough matches agree with one another to judge the cameras."""
         return enough(self.matches, self.agreeing)
 
     @property
     def refuted(self) -> bool:
-        """Whether the cameras cannot be those of the photographs."""
-        few = self.coarse * self.matches < BOUND * self.agreeing
-        return self.judged and (few or self.correction is not None)
+        """Tell whether the cameras cannot be those of the photographs."""
+        too_few = self.coarse * self.matches < BOUND * self.agreeing
+        return self.judged and (too_few or self.correction is not None)
 
 
 def enough(matches: int, agreeing: int) -> bool:
-    """Whether so many of the matches agree with one another that they can judge cameras."""
+    """Tell whether enough matches agree with one another to judge cameras."""
     return agreeing >= max(MIN_AGREEING, MIN_AGREEMENT * matches)
 
 
@@ -152,17 +152,17 @@ def telling(checks: Mapping[tuple[int, int], PairCheck]) -> list[PairCheck]:
     """
     piece = {view: view for pair in checks for view in pair}
     sizes = dict.fromkeys(piece, 1)
-    kept = []
+    selected = []
     for pair, check in sorted(
         checks.items(), key=lambda item: (-item[1].agreeing, -item[1].matches, item[0])
     ):
         into, away = (piece[view] for view in pair)
         alone = min(sizes[into], sizes[away]) == 1
         if into != away and (check.judged or alone):
-            kept.append(pair)
+            selected.append(pair)
             sizes[into] += sizes[away]
             piece = {view: into if of == away else of for view, of in piece.items()}
-    return [checks[pair] for pair in sorted(kept)]
+    return [checks[pair] for pair in sorted(selected)]
 
 
 def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairCheck:
@@ -171,24 +171,28 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
     coarse, fine = COARSE * diagonal, max(FINE * diagonal, LEAST)
     pair = a.camera, b.camera
     agreeing, finely = (int(agree(at_a, at_b, far).sum()) for far in (coarse, fine))
-    seen, close = (explained(*pair, at_a, at_b, far) for far in (coarse, fine))
+    within_coarse, within_fine = (explained(*pair, at_a, at_b, far) for far in (coarse, fine))
     check = PairCheck(
         views=(a.name, b.name),
         matches=len(at_a),
         agreeing=agreeing,
-        coarse=float(seen.mean()) if len(seen) else 0.0,
-        fine=float(close.mean()) if len(close) else 0.0,
+        coarse=float(within_coarse.mean()) if len(within_coarse) else 0.0,
+        fine=float(within_fine.mean()) if len(within_fine) else 0.0,
         pixels=(coarse, fine),
-        angle=float(np.median(angles(*pair, at_a[seen], at_b[seen]))) if seen.any() else np.nan,
+        angle=float(np.median(angles(*pair, at_a[within_coarse], at_b[within_coarse])))
+        if within_coarse.any()
+        else np.nan,
         gain=0.0,
         correction=None,
     )
     if not check.judged:
         return check
-    counts = [explained(*one.apply(*pair), at_a, at_b, fine).sum() for one in CORRECTIONS]
+    counts = [
+        explained(*correction.apply(*pair), at_a, at_b, fine).sum() for correction in CORRECTIONS
+    ]
     best = int(np.argmax(counts))
     if counts[best] >= max(FITS * finely, MIN_AGREEING / 2):
-        gain = float(counts[best] / max(close.sum(), 1))
+        gain = float(counts[best] / max(within_fine.sum(), 1))
         advice = CORRECTIONS[best].advice if gain >= BETTER else None
         check = replace(check, gain=gain, correction=advice)
     return check
@@ -197,21 +201,23 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
 def explained(
     a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray, distance: float
 ) -> np.ndarray:
-    """Which matches [M, 2] and [M, 2] two cameras explain: bool [M].
+    """Find the matches [M, 2] and [M, 2] that two cameras explain: bool [M].
 
     Those at most ``distance`` pixels (Sampson's) from their epipolar lines whose points lie in
     front of both cameras.
     """
-    there = Relative.between(a, b)
-    if not np.linalg.norm(there.t) > 0:
+    relative = Relative.between(a, b)
+    if not np.linalg.norm(relative.t) > 0:
         return np.zeros(len(at_a), bool)
-    near = np.abs(there.epipolar_distance(at_a, at_b)) < distance
-    front = (there.triangulate(at_a, at_b) > 0) & (there.reversed().triangulate(at_b, at_a) > 0)
+    near = np.abs(relative.epipolar_distance(at_a, at_b)) < distance
+    front = (relative.triangulate(at_a, at_b) > 0) & (
+        relative.reversed().triangulate(at_b, at_a) > 0
+    )
     return near & front
 
 
 def agree(at_a: np.ndarray, at_b: np.ndarray, distance: float) -> np.ndarray:
-    """Which matches [M, 2] and [M, 2] agree with one another on some geometry: bool [M].
+    """Find the matches [M, 2] and [M, 2] that agree on some epipolar geometry: bool [M].
 
     Those at most ``distance`` pixels off the fundamental matrix that most of them fit (USAC,
     Raguram et al. 2013, from a fixed seed).
@@ -219,10 +225,10 @@ def agree(at_a: np.ndarray, at_b: np.ndarray, distance: float) -> np.ndarray:
     if len(at_a) < 8:
         return np.zeros(len(at_a), bool)
     try:
-        _, found = cv2.findFundamentalMat(at_a, at_b, cv2.USAC_ACCURATE, distance, 0.999, 2000)
+        _, inliers = cv2.findFundamentalMat(at_a, at_b, cv2.USAC_ACCURATE, distance, 0.999, 2000)
     except cv2.error:  # all of them on one line, for instance
-        found = None
-    return np.zeros(len(at_a), bool) if found is None else found.ravel() > 0
+        inliers = None
+    return np.zeros(len(at_a), bool) if inliers is None else inliers.ravel() > 0
 
 
 def angles(a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray) -> np.ndarray:

@@ -29,16 +29,16 @@ FOCALS = np.linspace(-3.4, 3.6, 15)
 def why_no_depth(
     x: np.ndarray, y: np.ndarray, prior: FocalPrior, explained: int
 ) -> tuple[np.ndarray, tuple[str, str] | None]:
-    """Which matches [M, 2] and [M, 2], pixels from the middles, obey one homography, bool [M].
+    """Find the matches [M, 2] and [M, 2], pixels from the middles, of one homography, bool [M].
 
-    And what is wrong with them and what to do, two clauses; None if there is depth in them, of
+    And the reason why they hold no depth and what to do, two clauses; None if they hold some, of
     which ``explained`` fit one relative pose.
     """
     try:
-        H, kept = cv2.findHomography(x, y, cv2.USAC_ACCURATE, NEAR, None, 2000, 0.999)
+        H, inliers = cv2.findHomography(x, y, cv2.USAC_ACCURATE, NEAR, None, 2000, 0.999)
     except cv2.error:
         return np.zeros(len(x), bool), None
-    on = np.zeros(len(x), bool) if H is None else kept.ravel() > 0
+    on = np.zeros(len(x), bool) if H is None else inliers.ravel() > 0
     if on.sum() < FLAT * explained:
         return on, None
     x, y = x[on], y[on]
@@ -67,7 +67,7 @@ def _off_crop(x: np.ndarray, y: np.ndarray) -> float:
 
 def _off_turn(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> float:
     """Median distance, pixels, of ``y`` from ``x`` under the best rotation and focal lengths."""
-    least = np.inf
+    smallest = np.inf
     for moves in FOCALS if len(prior.directions) else np.zeros(1):
         fa, fb = np.exp(prior.mean + np.full(len(prior.directions), moves) @ prior.directions)
         a = np.concatenate([x / fa, np.ones((len(x), 1))], 1)
@@ -75,8 +75,9 @@ def _off_turn(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> float:
         a, b = (rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (a, b))
         U, _, V = np.linalg.svd(b.T @ a)  # Kabsch
         R = U @ np.diag([1, 1, np.linalg.det(U @ V)]) @ V
-        there = a @ R.T
-        least = min(
-            least, float(np.median(np.linalg.norm(fb * there[:, :2] / there[:, 2:] - y, axis=1)))
+        turned = a @ R.T
+        smallest = min(
+            smallest,
+            float(np.median(np.linalg.norm(fb * turned[:, :2] / turned[:, 2:] - y, axis=1))),
         )
-    return least
+    return smallest

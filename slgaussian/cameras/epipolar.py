@@ -60,7 +60,7 @@ MOST = 1200
 
 @dataclass(frozen=True, eq=False)
 class FocalPrior:
-    """What is known of two focal lengths before any match.
+    """Prior of two focal lengths.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class FocalPrior:
 
     @property
     def directions(self) -> np.ndarray:
-        """How the two logarithms may move, in deviations: float64 [F, 2], F from 0 to 2."""
+        """Directions in which the two logarithms may move, in deviations: float64 [F, 2]."""
         if self.shared:
             return np.full((int(self.sigma.max() > 0), 2), self.sigma.min())
         return np.diag(self.sigma)[self.sigma > 0]
@@ -143,7 +143,7 @@ class TwoViews:
         return np.degrees(np.arctan2(cross, (a * b).sum(1)))
 
     def inliers(self, x: np.ndarray, y: np.ndarray, within: float) -> np.ndarray:
-        """Which matches lie in front of both cameras and so near their lines, bool [M]."""
+        """Find matches in front of both cameras and ``within`` pixels of their lines, bool [M]."""
         return (np.abs(self.distance(x, y)) < within) & (self.depths(x, y) > 0).all(0)
 
     def moved(self, step: np.ndarray, prior: FocalPrior) -> TwoViews:
@@ -154,9 +154,9 @@ class TwoViews:
         R = cv2.Rodrigues(step[:3])[0] @ self.R
         return replace(self, R=R, t=t / np.linalg.norm(t), focals=focals, moves=moves)
 
-    def turned_from(self, other: TwoViews) -> float:
+    def turned_from(self, reference: TwoViews) -> float:
         """Degrees between two answers: the larger of those of rotation and direction."""
-        cosines = (np.trace(self.R @ other.R.T) - 1) / 2, self.t @ other.t
+        cosines = (np.trace(self.R @ reference.R.T) - 1) / 2, self.t @ reference.t
         return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).max())
 
 
@@ -169,37 +169,39 @@ def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> tuple[list[TwoView
     x, y = x[:MOST], y[:MOST]
     if len(x) < 8:
         return [], prior
-    found = _solved(x, y, prior)
-    apart = replace(prior, shared=False)
+    solutions = _solved(x, y, prior)
+    separate = replace(prior, shared=False)
     if not prior.shared or not len(prior.directions):
-        return found, prior
-    if found and not _zoomed(found[0], x, y, apart):
-        return found, prior
-    other = _solved(x, y, apart)
-    if other and (not found or _gain(found[0], other[0], x, y, apart) > ZOOMED):
-        return other, apart
-    return found, prior
+        return solutions, prior
+    if solutions and not _zoomed(solutions[0], x, y, separate):
+        return solutions, prior
+    alternatives = _solved(x, y, separate)
+    if alternatives and (
+        not solutions or _gain(solutions[0], alternatives[0], x, y, separate) > ZOOMED
+    ):
+        return alternatives, separate
+    return solutions, prior
 
 
-def _zoomed(views: TwoViews, x: np.ndarray, y: np.ndarray, apart: FocalPrior) -> bool:
-    """Whether two focal lengths are worth a try where one was found."""
+def _zoomed(views: TwoViews, x: np.ndarray, y: np.ndarray, separate: FocalPrior) -> bool:
+    """Tell whether two focal lengths are worth a try where one was estimated."""
     if views.inliers(x, y, 3 * views.scale).mean() < 0.5:
         return True
     moves = np.repeat(views.moves, 2)
-    other = _descended(replace(views, moves=moves), x, y, apart, 2)
-    return other is not None and _gain(views, other, x, y, apart) > ZOOMED / 2
+    alternative = _descended(replace(views, moves=moves), x, y, separate, 2)
+    return alternative is not None and _gain(views, alternative, x, y, separate) > ZOOMED / 2
 
 
 def _gain(
-    shared: TwoViews, other: TwoViews, x: np.ndarray, y: np.ndarray, apart: FocalPrior
+    shared: TwoViews, alternative: TwoViews, x: np.ndarray, y: np.ndarray, separate: FocalPrior
 ) -> float:
-    return shared.cost - posterior(other, x, y, apart, shared.scale)
+    return shared.cost - posterior(alternative, x, y, separate, shared.scale)
 
 
 def _solved(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
-    few = x[:ROUGHLY], y[:ROUGHLY]
-    rough = (_descended(start, *few, prior, 2) for start in _starts(x, y, prior))
-    ends = _rated([end for end in rough if end is not None], *few, prior)
+    subset = x[:ROUGHLY], y[:ROUGHLY]
+    rough = (_descended(start, *subset, prior, 2) for start in _starts(x, y, prior))
+    ends = _rated([end for end in rough if end is not None], *subset, prior)
     fine = (_descended(end, x, y, prior, 3) for end in _unlike(ends, 1.0)[:FINELY])
     ends = _rated([end for end in fine if end is not None], x, y, prior)
     return [_with_covariance(end, x, y, prior) for end in _unlike(ends, 3.0)]
@@ -214,11 +216,11 @@ def _rated(ends: list[TwoViews], x: np.ndarray, y: np.ndarray, prior: FocalPrior
 
 def _unlike(ends: list[TwoViews], degrees: float) -> list[TwoViews]:
     """Those that are not within so many degrees of one before them."""
-    kept: list[TwoViews] = []
+    distinct: list[TwoViews] = []
     for end in ends:
-        if all(end.turned_from(better) > degrees for better in kept):
-            kept.append(end)
-    return kept
+        if all(end.turned_from(better) > degrees for better in distinct):
+            distinct.append(end)
+    return distinct
 
 
 def posterior(
@@ -263,14 +265,14 @@ def _two_views(
 def _descended(
     start: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior, rounds: int
 ) -> TwoViews | None:
-    """Where the posterior leads from a start; None if it loses its matches on the way."""
+    """Descend the posterior from a start; None if it loses its matches on the way."""
     views = start
     for _ in range(rounds):
-        kept = views.inliers(x, y, FAR)
-        if kept.sum() < 8:
+        inliers = views.inliers(x, y, FAR)
+        if inliers.sum() < 8:
             return None
-        views = _descent(views, x[kept], y[kept], prior)
-        distance = np.abs(views.distance(x[kept], y[kept]))
+        views = _descent(views, x[inliers], y[inliers], prior)
+        distance = np.abs(views.distance(x[inliers], y[inliers]))
         near = distance[distance < FAR / 2]
         if not len(near):
             return None
@@ -325,18 +327,18 @@ def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -
     square = (a**2).sum(1) + (b**2).sum(1)
     slopes = views.fundamental_slopes(prior)
     at_x, at_y = _homogeneous(x), _homogeneous(y)
-    there = at_x @ slopes.transpose(0, 2, 1)
-    here = at_y @ slopes[:, :, :2]
-    slope = (a * there[..., :2]).sum(2) + (b * here).sum(2)
-    columns = ((at_y * there).sum(2) - numerator * slope / square) / np.sqrt(square)
+    slopes_b = at_x @ slopes.transpose(0, 2, 1)
+    slopes_a = at_y @ slopes[:, :, :2]
+    slope = (a * slopes_b[..., :2]).sum(2) + (b * slopes_a).sum(2)
+    columns = ((at_y * slopes_b).sum(2) - numerator * slope / square) / np.sqrt(square)
     return columns.T
 
 
 def _with_covariance(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
-    kept = views.inliers(x, y, FAR)
-    if kept.sum() < 8:
+    inliers = views.inliers(x, y, FAR)
+    if inliers.sum() < 8:
         return replace(views, covariance=np.eye(5 + len(views.moves)))
-    hessian, _ = _normal(views, x[kept], y[kept], prior)
+    hessian, _ = _normal(views, x[inliers], y[inliers], prior)
     return replace(views, covariance=np.linalg.inv(hessian + 1e-9 * np.eye(len(hessian))))
 
 
@@ -344,9 +346,9 @@ def _sampson(
     F: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Numerator [M] and the two halves of the denominator's gradient [M, 2] and [M, 2]."""
-    there = x @ F[:, :2].T + F[:, 2]
-    here = y @ F[:2, :2] + F[2, :2]
-    return (y * there[:, :2]).sum(1) + there[:, 2], there[:, :2], here
+    lines_b = x @ F[:, :2].T + F[:, 2]
+    lines_a = y @ F[:2, :2] + F[2, :2]
+    return (y * lines_b[:, :2]).sum(1) + lines_b[:, 2], lines_b[:, :2], lines_a
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

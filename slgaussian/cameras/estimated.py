@@ -40,7 +40,7 @@ class Focal:
 
 @dataclass(frozen=True)
 class EstimatedPair:
-    """What two photographs say of each other.
+    """Relative pose of two photographs: its support and verdict.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class EstimatedCameras:
     __repr__ = short_repr
 
     def as_json(self) -> dict[str, Any]:
-        """How the cameras were found, for people and programs that read it later."""
+        """Return the record of the estimation as plain data, for files."""
         return {
             "confidence": round(self.confidence, 3),
             "focals": {name: asdict(focal) for name, focal in self.focals.items()},
@@ -113,7 +113,7 @@ class EstimatedCameras:
             "left_out": dict(self.left_out),
         }
 
-    def in_frame_of(self, given: Mapping[str, Camera]) -> EstimatedCameras:
+    def in_frame_of(self, reference: Mapping[str, Camera]) -> EstimatedCameras:
         """The same cameras in the world of others of the same names.
 
         The first camera takes the pose of its namesake, and distances become as large as those of
@@ -126,7 +126,7 @@ class EstimatedCameras:
         """
         names = list(self.cameras)
         ratios = [
-            np.linalg.norm(given[a].center - given[b].center)
+            np.linalg.norm(reference[a].center - reference[b].center)
             / max(float(np.linalg.norm(self.cameras[a].center - self.cameras[b].center)), 1e-12)
             for a, b in combinations(names, 2)
         ]
@@ -137,7 +137,7 @@ class EstimatedCameras:
                 "that are found; leave them out (--cameras)"
             )
         # The first is the origin of a found world; of any other it is brought there first.
-        start, goal = self.cameras[names[0]], given[names[0]]
+        start, goal = self.cameras[names[0]], reference[names[0]]
         turn = goal.c2w[:3, :3] @ start.c2w[:3, :3].T
         cameras = {}
         for name, camera in self.cameras.items():
@@ -146,7 +146,7 @@ class EstimatedCameras:
             c2w[:3, 3] = goal.center + scale * (camera.center - start.center) @ turn.T
             ends = [None if end is None else scale * end for end in (camera.near, camera.far)]
             moved = replace(camera, c2w=c2w, near=ends[0], far=ends[1])
-            cameras[name] = moved.ranged(given[name].near, given[name].far)
+            cameras[name] = moved.ranged(reference[name].near, reference[name].far)
         return replace(self, cameras=cameras)
 
     def summary(self) -> str:
@@ -159,18 +159,18 @@ class EstimatedCameras:
         sources = " and ".join(sorted({focal.source for focal in self.focals.values()}))
         several = f" to {max(pixels):.0f}" if max(pixels) - min(pixels) >= 1 else ""
         used = [pair for pair in self.pairs if pair.verdict != UNUSED] or self.pairs
-        told = ""
+        agreement = ""
         if used:
             weakest = min(used, key=lambda pair: pair.inliers)
             of = "" if len(used) == 1 else f" of the weakest of {len(used)} pairs"
-            told = f"; {weakest.inliers} of {weakest.matches} matches{of} agree"
+            agreement = f"; {weakest.inliers} of {weakest.matches} matches{of} agree"
             if np.isfinite(weakest.angle):
-                told += f", lines of sight {weakest.angle:.0f} degrees apart"
-        placed, given = len(self.cameras), len(self.cameras) + len(self.left_out)
-        of_some = f" of {placed} of {given} photographs" if self.left_out else ""
+                agreement += f", lines of sight {weakest.angle:.0f} degrees apart"
+        placed, total = len(self.cameras), len(self.cameras) + len(self.left_out)
+        of_some = f" of {placed} of {total} photographs" if self.left_out else ""
         return (
             f"cameras found{of_some}: focal length {min(pixels):.0f}{several} pixels ({low:.0f} to "
-            f"{high:.0f}, from {sources}){told}"
+            f"{high:.0f}, from {sources}){agreement}"
         )
 
 

@@ -49,92 +49,94 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
     InputError
         If they cannot be found; the message says of which photographs, why, and what to do.
     """
-    once, again = _once(photographs)
-    if not again or len(once) < 2:
+    once, duplicates = _once(photographs)
+    if not duplicates or len(once) < 2:
         return _find(photographs)
-    found = _find(once)
-    said = (f"{name} is left out: {why}" for name, why in again.items())
-    warnings = (*found.warnings, *said)
-    return replace(found, warnings=warnings, left_out={**found.left_out, **again})
+    estimate = _find(once)
+    sentences = (f"{name} is left out: {why}" for name, why in duplicates.items())
+    warnings = (*estimate.warnings, *sentences)
+    return replace(estimate, warnings=warnings, left_out={**estimate.left_out, **duplicates})
 
 
 def _once(photographs: Sequence[Photograph]) -> tuple[list[Photograph], dict[str, str]]:
     """The different ones, and of the others, by name, which they are again."""
     once: list[Photograph] = []
-    again = {}
+    duplicates = {}
     for photograph in photographs:
-        same = (one for one in once if np.array_equal(one.image, photograph.image))
+        same = (earlier for earlier in once if np.array_equal(earlier.image, photograph.image))
         first = next(same, None)
         if first is None:
             once.append(photograph)
         else:
-            again[photograph.name] = f"it is the same picture as {first.name}"
-    return once, again
+            duplicates[photograph.name] = f"it is the same picture as {first.name}"
+    return once, duplicates
 
 
 def _find(photographs: Sequence[Photograph]) -> EstimatedCameras:
     """As :func:`find_cameras`, of photographs all of which may have a say."""
     described = [Described.of(photograph) for photograph in photographs]
-    kept, left = described, dict[str, str]()
+    remaining, left = described, dict[str, str]()
     solved = Solved()
     while True:
         try:
-            found = (
-                find_many(kept, solved) if len(kept) > 2 else _find_two(kept[0], kept[1], solved)
+            solution = (
+                find_many(remaining, solved)
+                if len(remaining) > 2
+                else _find_two(remaining[0], remaining[1], solved)
             )
             break
         except Unplaced as gap:
             if 2 * (len(left) + len(gap.left_out)) >= len(described):
                 raise
             left |= gap.left_out
-            kept = [one for one in kept if one.photograph.name not in left]
+            remaining = [item for item in remaining if item.photograph.name not in left]
         except InputError as refusal:
             if not left:
                 raise
             raise InputError(f"{_left_out(left, len(described))}; and then {refusal}") from None
     left = {p.name: left[p.name] for p in photographs if p.name in left}
-    told = _told(found, kept)
+    estimate = _estimated_cameras(solution, remaining)
     if not left:
-        return told
-    aside = tuple(_aside(solved, described, left))
-    warnings = (*told.warnings, _left_out(left, len(described)))
-    return replace(told, pairs=told.pairs + aside, warnings=warnings, left_out=left)
+        return estimate
+    aside = tuple(_left_out_pairs(solved, described, left))
+    warnings = (*estimate.warnings, _left_out(left, len(described)))
+    return replace(estimate, pairs=estimate.pairs + aside, warnings=warnings, left_out=left)
 
 
 def _left_out(left: Mapping[str, str], count: int) -> str:
-    """Which photographs were left out, why, and what to do."""
-    told = [f"{name!r} ({why})" for name, why in list(left.items())[:MENTIONED]]
-    more = f", and {len(left) - MENTIONED} more" if len(left) > MENTIONED else ""
+    """Return a sentence that names the photographs left out, the reasons and what to do."""
+    reasons = [f"{name!r} ({why})" for name, why in list(left.items())[:MENTIONED]]
+    rest = f", and {len(left) - MENTIONED} more" if len(left) > MENTIONED else ""
     return (
         f"{len(left)} of {count} photographs cannot be placed among the others, and "
-        f"{'is' if len(left) == 1 else 'are'} left out: {', '.join(told)}{more}; take photographs "
-        "between them and the others that overlap both by half or more"
+        f"{'is' if len(left) == 1 else 'are'} left out: {', '.join(reasons)}{rest}; take "
+        "photographs between them and the others that overlap both by half or more"
     )
 
 
-def _aside(
+def _left_out_pairs(
     solved: Solved, described: Sequence[Described], left: Mapping[str, str]
 ) -> list[EstimatedPair]:
-    """What was seen of pairs with photographs that were left out; not used, whatever it is."""
-    place = {one.photograph.name: k for k, one in enumerate(described)}
-    found = []
+    """List the pairs with photographs that were left out, as unused."""
+    place = {entry.photograph.name: k for k, entry in enumerate(described)}
+    pairs = []
     for pose in solved.poses.values():
-        views = sorted(pose.found.views, key=place.__getitem__)
+        views = sorted(pose.estimate.views, key=place.__getitem__)
         if left.keys() & {*views}:
-            said = pose.found.said or "of a photograph that cannot be placed among the others"
-            one = replace(pose.found, views=(views[0], views[1]), verdict=UNUSED, said=said)
-            found.append(one)
-    return found
+            reason = pose.estimate.said or "of a photograph that cannot be placed among the others"
+            entry = replace(pose.estimate, views=(views[0], views[1]), verdict=UNUSED, said=reason)
+            pairs.append(entry)
+    return pairs
 
 
 def _find_two(a: Described, b: Described, solved: Solved) -> Many:
-    first, second = sorted((a, b), key=lambda one: one.digest)
+    first, second = sorted((a, b), key=lambda item: item.digest)
     pose = solved(first, second)
     views = pose.views
-    if pose.found.verdict == UNUSED or views is None or views.covariance is None:
+    if pose.estimate.verdict == UNUSED or views is None or views.covariance is None:
         raise InputError(
             f"{a.photograph.name!r} and {b.photograph.name!r}: no cameras can be found: "
-            f"{pose.found.said}; {pose.advice}"
+            f"{pose.estimate.said}; {pose.advice}"
         )
     moves = np.sqrt(np.diag(views.covariance)[5:])
     R, t = views.R, views.t
@@ -149,31 +151,35 @@ def _find_two(a: Described, b: Described, solved: Solved) -> Many:
         focals,
         deviations,
         np.zeros(2),
-        (replace(pose.found, views=(a.photograph.name, b.photograph.name)),),
-        confidence(pose) * (DOUBTED if pose.found.verdict == DOUBTFUL else 1),
+        (replace(pose.estimate, views=(a.photograph.name, b.photograph.name)),),
+        confidence(pose) * (DOUBTED if pose.estimate.verdict == DOUBTFUL else 1),
     )
 
 
-def _told(found: Many, described: Sequence[Described]) -> EstimatedCameras:
-    photographs = [one.photograph for one in described]
-    if len(found.pairs) == 1:
-        (pair,) = found.pairs
+def _estimated_cameras(solution: Many, described: Sequence[Described]) -> EstimatedCameras:
+    photographs = [item.photograph for item in described]
+    if len(solution.pairs) == 1:
+        (pair,) = solution.pairs
         doubt = pair.said if pair.verdict == DOUBTFUL else ""
     else:
-        doubt = "some photographs share little with the others" if found.confidence < SURE else ""
+        doubt = (
+            "some photographs share little with the others" if solution.confidence < SURE else ""
+        )
     cameras, focals = {}, {}
-    for k, (one, photograph) in enumerate(zip(described, photographs, strict=True)):
-        focal = focal_of(found.focals[k] / one.shrunk, float(found.deviations[k]), photograph)
+    for k, (item, photograph) in enumerate(zip(described, photographs, strict=True)):
+        focal = focal_of(
+            solution.focals[k] / item.shrunk, float(solution.deviations[k]), photograph
+        )
         c2w = np.eye(4)
-        c2w[:3, :3], c2w[:3, 3] = found.R[k].T, -found.R[k].T @ found.t[k]
+        c2w[:3, :3], c2w[:3, 3] = solution.R[k].T, -solution.R[k].T @ solution.t[k]
         focals[photograph.name] = focal
-        cameras[photograph.name] = camera_of(photograph, focal, c2w, found.confidence)
+        cameras[photograph.name] = camera_of(photograph, focal, c2w, solution.confidence)
     return EstimatedCameras(
         cameras,
         focals,
-        {p.name: float(k1) for p, k1 in zip(photographs, found.k1, strict=True)},
-        found.pairs,
-        found.confidence,
+        {p.name: float(k1) for p, k1 in zip(photographs, solution.k1, strict=True)},
+        solution.pairs,
+        solution.confidence,
         (f"these cameras are doubtful: {doubt}",) if doubt else (),
     )
 
@@ -181,8 +187,8 @@ def _told(found: Many, described: Sequence[Described]) -> EstimatedCameras:
 def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:
     """A focal length of the whole photograph with its interval, from the deviation of its
     logarithm."""
-    known = EXIF_SPREAD if photograph.focal is not None else SPREAD
-    deviation = min(float(np.hypot(OPTIMISM * deviation, MODEL)), known)
+    prior = EXIF_SPREAD if photograph.focal is not None else SPREAD
+    deviation = min(float(np.hypot(OPTIMISM * deviation, MODEL)), prior)
     wide = float(np.exp(WITHIN * deviation))
     if photograph.focal is not None:
         source = "EXIF"
@@ -195,5 +201,5 @@ def camera_of(photograph: Photograph, focal: Focal, c2w: np.ndarray, sure: float
     """The camera of a whole photograph, its principal point in the middle."""
     f, width, height = focal.pixels, photograph.width, photograph.height
     K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]])
-    said = Estimated((focal.low / f, focal.high / f), focal.source, sure)
-    return Camera(K, c2w, width, height, estimated=said)
+    estimated = Estimated((focal.low / f, focal.high / f), focal.source, sure)
+    return Camera(K, c2w, width, height, estimated=estimated)

@@ -150,16 +150,16 @@ def place(
         return together[tie.views[0]], len(tie.features[0]) * width * (0.1 + tie.confidence)
 
     starts = sorted((tie for tie in ties if tie.pose is not None), key=worth, reverse=True)
-    found: list[tuple[tuple[int, int], _Growing]] = []
+    trials: list[tuple[tuple[int, int], _Growing]] = []
     for start in starts[:STARTS]:
         grown = _Growing(tracks, centers, group, focal_prior, focal_sigma, ties)
         if not grown.grow(start):
             continue
         explained = grown.explained()
-        found.append(((len(grown.placed), explained), grown))
+        trials.append(((len(grown.placed), explained), grown))
         if len(grown.placed) == len(keypoints) and explained > ENOUGH * len(tracks.view):
             break
-    return max(found, key=lambda one: one[0])[1].finished() if found else None
+    return max(trials, key=lambda trial: trial[0])[1].finished() if trials else None
 
 
 def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> Tracks:
@@ -167,7 +167,7 @@ def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> Tracks:
 
     A track lies where its feature in the first of its views lies in the others.
     """
-    points = [found.copy() for found in keypoints]
+    points = [view_points.copy() for view_points in keypoints]
     for tie in reversed(ties):
         points[tie.views[1]][tie.features[1]] = tie.xy
     return join_tracks(points, [(*tie.views, *tie.features) for tie in ties])
@@ -242,7 +242,7 @@ class _Growing:
         return Placed(np.array(self.placed), last)
 
     def explained(self) -> int:
-        """How many observations lie where their points land."""
+        """Count the observations that lie where their points land."""
         return int(self._points(1.0)[1].sum())
 
     def _meet(self, view: int, focal: float) -> None:
@@ -282,8 +282,8 @@ class _Growing:
         uv[every] = self._rays(every)
         for _ in range(4):
             mine = np.flatnonzero(good)
-            seen = np.bincount(tracks.track[mine], minlength=tracks.count)
-            mine = mine[seen[tracks.track[mine]] > 1]
+            counts = np.bincount(tracks.track[mine], minlength=tracks.count)
+            mine = mine[counts[tracks.track[mine]] > 1]
             good = np.zeros(len(good), bool)
             good[mine] = True
             view, track = tracks.view[mine], tracks.track[mine]
@@ -303,8 +303,8 @@ class _Growing:
             if not bad.any():
                 break
         mine = np.flatnonzero(good)
-        seen = np.bincount(tracks.track[mine], minlength=tracks.count)
-        good[mine[seen[tracks.track[mine]] < 2]] = False
+        counts = np.bincount(tracks.track[mine], minlength=tracks.count)
+        good[mine[counts[tracks.track[mine]] < 2]] = False
         return X, good, self._widths(uv, good)
 
     def _widths(self, uv: np.ndarray, good: np.ndarray) -> np.ndarray:
@@ -324,7 +324,7 @@ class _Growing:
         )
         return widths
 
-    def _adjust(self, loose: float, most: int) -> Adjusted | None:
+    def _adjust(self, loose: float, max_tracks: int) -> Adjusted | None:
         """Adjust all placed views; None if they see too little."""
         tracks = self.tracks
         X, good, _ = self._points(loose)
@@ -335,11 +335,11 @@ class _Growing:
         new = np.diff(view, prepend=-1) > 0
         place = np.arange(len(view)) - np.flatnonzero(new)[np.cumsum(new) - 1]
         wanted = np.zeros(tracks.count, bool)
-        wanted[tracks.track[mine][order[place < most]]] = True
+        wanted[tracks.track[mine][order[place < max_tracks]]] = True
         mine = mine[wanted[tracks.track[mine]]]
         if len(mine) < 4 * LEAST:
             return None
-        kept, point = np.unique(tracks.track[mine], return_inverse=True)
+        track_ids, point = np.unique(tracks.track[mine], return_inverse=True)
         number = np.zeros(len(self.centers), int)
         number[self.placed] = np.arange(len(self.placed))
         lenses, group = np.unique(self.group[self.placed], return_inverse=True)
@@ -350,7 +350,7 @@ class _Growing:
             group=group,
             focals=self.focals[lenses],
             k1=self.k1[lenses],
-            points=X[kept],
+            points=X[track_ids],
             view=number[tracks.view[mine]],
             point=point,
             xy=tracks.xy[mine],
@@ -358,57 +358,57 @@ class _Growing:
             focal_sigma=self.focal_sigma[lenses],
             k1_sigma=self.k1_sigma,
         )
-        on_the_way = most == FEW
-        found = adjust(
+        on_the_way = max_tracks == FEW
+        adjusted = adjust(
             bundle,
             iterations=10 if on_the_way else 30,
             tolerance=1e-4 if on_the_way else 1e-6,
         )
-        self._take(found)
-        return found
+        self._take(adjusted)
+        return adjusted
 
-    def _take(self, found: Adjusted) -> None:
+    def _take(self, adjusted: Adjusted) -> None:
         lenses = np.unique(self.group[self.placed])
-        self.R[self.placed], self.t[self.placed] = found.bundle.R, found.bundle.t
-        self.focals[lenses], self.k1[lenses] = found.bundle.focals, found.bundle.k1
+        self.R[self.placed], self.t[self.placed] = adjusted.bundle.R, adjusted.bundle.t
+        self.focals[lenses], self.k1[lenses] = adjusted.bundle.focals, adjusted.bundle.k1
 
     def _most_seen(self) -> tuple[int, tuple[np.ndarray, np.ndarray]] | None:
         """The view whose place most points tell, and its pose; None if none can be placed."""
         tracks = self.tracks
         X, good, width = self._points(1.0)
-        told = np.zeros(tracks.count, bool)
-        told[tracks.track[good]] = True
+        triangulated = np.zeros(tracks.count, bool)
+        triangulated[tracks.track[good]] = True
         left = np.setdiff1d(np.arange(len(self.centers)), self.placed)
         for wide in WIDE:
-            sharp = (told & (width > wide))[tracks.track]
-            seen = {int(view): np.flatnonzero((tracks.view == view) & sharp) for view in left}
-            for view in sorted(seen, key=lambda view: -len(seen[view])):
-                pose = self._pose(view, seen[view], X, LEAST)
+            sharp = (triangulated & (width > wide))[tracks.track]
+            observed = {int(view): np.flatnonzero((tracks.view == view) & sharp) for view in left}
+            for view in sorted(observed, key=lambda view: -len(observed[view])):
+                pose = self._pose(view, observed[view], X, LEAST)
                 if pose is not None:
                     return view, pose
-        for view in sorted(seen, key=lambda view: -len(seen[view])):
-            pose = self._pose(view, seen[view], X, TIED)
+        for view in sorted(observed, key=lambda view: -len(observed[view])):
+            pose = self._pose(view, observed[view], X, TIED)
             if pose is not None:
                 return view, pose
         return None
 
     def _pose(
-        self, view: int, mine: np.ndarray, X: np.ndarray, least: int
+        self, view: int, mine: np.ndarray, X: np.ndarray, minimum: int
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Pose that explains most of what a view sees; None if it is too little."""
-        if len(mine) < least:
+        if len(mine) < minimum:
             return None
         points, lens = X[self.tracks.track[mine]], int(self.group[view])
-        best, most = None, max(least, SHARE * len(mine)) - 1
+        best, best_count = None, max(minimum, SHARE * len(mine)) - 1
         for focal in self._tried(view):
             self.focals[lens] = focal
             uv, within = self._rays(mine), LOOSE * PIXELS / focal
-            for R, t in self._guesses(view, points, uv, within, least < LEAST):
+            for R, t in self._guesses(view, points, uv, within, minimum < LEAST):
                 local = points @ R.T + t
                 off = local[:, :2] / np.where(local[:, 2:] > 0, local[:, 2:], 1) - uv
                 near = (np.linalg.norm(off, axis=1) < within) & (local[:, 2] > 0)
-                if near.sum() > most:
-                    best, most = (R, t, focal, near), int(near.sum())
+                if near.sum() > best_count:
+                    best, best_count = (R, t, focal, near), int(near.sum())
         if best is None:
             return None
         R, t, focal, near = best
@@ -426,12 +426,12 @@ class _Growing:
         lens = int(self.group[view])
         if lens in self.known or not self.focal_sigma[lens] > 0:
             return [float(self.focals[lens])]
-        told = [
+        pair_focals = [
             tie.focals[tie.views.index(view)]
             for tie in self.ties
             if view in tie.views and tie.focals is not None
         ]
-        middle = float(np.median(told)) if told else float(self.focal_prior[lens])
+        middle = float(np.median(pair_focals)) if pair_focals else float(self.focal_prior[lens])
         return [0.8 * middle, middle, 1.25 * middle]
 
     def _guesses(
@@ -441,7 +441,7 @@ class _Growing:
 
         If ``tied``, by those pairs alone that can be trusted.
         """
-        found = []
+        poses = []
         if not tied:
             cv2.setRNGSeed(0)
             ok, turn, t, _ = cv2.solvePnPRansac(
@@ -455,22 +455,22 @@ class _Growing:
                 flags=cv2.SOLVEPNP_EPNP,
             )
             if ok:
-                found.append((cv2.Rodrigues(turn)[0], t[:, 0]))
+                poses.append((cv2.Rodrigues(turn)[0], t[:, 0]))
         for tie in self.ties:
             if view not in tie.views or tie.pose is None:
                 continue
-            other = tie.views[1 - tie.views.index(view)]
-            if other not in self.placed or (tied and tie.confidence < TRUSTED):
+            neighbour = tie.views[1 - tie.views.index(view)]
+            if neighbour not in self.placed or (tied and tie.confidence < TRUSTED):
                 continue
             R, t = tie.pose
             if tie.views[0] == view:
                 R, t = R.T, -R.T @ t
-            R, base, t = R @ self.R[other], R @ self.t[other], t / np.linalg.norm(t)
+            R, base, t = R @ self.R[neighbour], R @ self.t[neighbour], t / np.linalg.norm(t)
             # uv z = X + base + s t, for each point a distance s: the median of them.
             local = points @ R.T + base
             slope = t[:2] - uv * t[2]
             scales = (slope * (uv * local[:, 2:] - local[:, :2])).sum(1) / np.maximum(
                 (slope**2).sum(1), 1e-12
             )
-            found.append((R, base + float(np.median(scales)) * t))
-        return found
+            poses.append((R, base + float(np.median(scales)) * t))
+        return poses

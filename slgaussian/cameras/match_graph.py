@@ -1,4 +1,4 @@
-"""Which points of which views match: found once for a set of views, and passed on to all readers.
+"""Keypoint matches of a set of views, computed once and passed on to all readers.
 
 Checks of given cameras, the choice of sources, depth ranges and quality read one graph.
 """
@@ -43,16 +43,16 @@ class MatchGraph:
     def of(views: Sequence[View]) -> MatchGraph:
         """Detect and match the SIFT features of views."""
         features = [sift(view.grey) for view in views]
-        apart = _distances(views)
-        successive = {(i, i + 1) for i in range(len(views) - 1) if apart[i, i + 1] > 0}
+        distances = _distances(views)
+        successive = {(i, i + 1) for i in range(len(views) - 1) if distances[i, i + 1] > 0}
         pairs = sorted({*neighbours(views), *successive})
         matches = {(i, j): match(features[i], features[j], RATIO)[:2] for i, j in pairs}
-        return MatchGraph([one.points for one in features], matches)
+        return MatchGraph([item.points for item in features], matches)
 
     def points(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the matching points of views i < j: float64 [M, 2] and [M, 2], pixels."""
-        here, there = self.matches[i, j]
-        return self.keypoints[i][here], self.keypoints[j][there]
+        first, second = self.matches[i, j]
+        return self.keypoints[i][first], self.keypoints[j][second]
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by name, as ``data_specs/matches.toml`` says."""
@@ -88,15 +88,15 @@ def neighbours(views: Sequence[View], count: int = TRIED) -> list[tuple[int, int
     all where none do. Where cameras stand in one place two views are no pair.
     """
     axes = np.array([view.camera.c2w[:3, 2] for view in views])
-    apart = _distances(views)
+    distances = _distances(views)
     same_way = axes @ axes.T > np.cos(np.radians(TURNED))
-    possible = apart > 0
+    possible = distances > 0
     pairs = set()
     for i in range(len(views)):
-        others = np.flatnonzero(possible[i] & same_way[i])
-        if not len(others):
-            others = np.flatnonzero(possible[i])
-        nearest = others[np.argsort(apart[i, others], kind="stable")][:count]
+        candidates = np.flatnonzero(possible[i] & same_way[i])
+        if not len(candidates):
+            candidates = np.flatnonzero(possible[i])
+        nearest = candidates[np.argsort(distances[i, candidates], kind="stable")][:count]
         pairs |= {(min(i, int(j)), max(i, int(j))) for j in nearest}
     return sorted(pairs)
 
@@ -104,6 +104,6 @@ def neighbours(views: Sequence[View], count: int = TRIED) -> list[tuple[int, int
 def _distances(views: Sequence[View]) -> np.ndarray:
     """Distances [V, V] of cameras in scene units, 0 for those in one place."""
     centers = np.array([view.camera.center for view in views])
-    apart = np.linalg.norm(centers[:, None] - centers, axis=-1)
-    least = 1e-9 * max(float(np.abs(centers).max()), 1e-12)
-    return np.where(apart > least, apart, 0)
+    distances = np.linalg.norm(centers[:, None] - centers, axis=-1)
+    tolerance = 1e-9 * max(float(np.abs(centers).max()), 1e-12)
+    return np.where(distances > tolerance, distances, 0)

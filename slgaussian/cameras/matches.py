@@ -22,7 +22,7 @@ _ROWS = 128
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What is remarkable in one image.
+    """SIFT features of one image.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class Features:
         return len(self.points)
 
 
-def find_features(grey: np.ndarray, most: int, contrast: float) -> Features:
-    """Return the ``most`` strongest features of a grey uint8 image [H, W]."""
-    detector = cv2.SIFT_create(nfeatures=most, contrastThreshold=contrast)
+def find_features(grey: np.ndarray, limit: int, contrast: float) -> Features:
+    """Return the ``limit`` strongest features of a grey uint8 image [H, W]."""
+    detector = cv2.SIFT_create(nfeatures=limit, contrastThreshold=contrast)
     keys, raw = detector.detectAndCompute(grey, None)
     rows = [(*key.pt, key.size, key.angle) for key in keys]
     x, y, size, angle = np.array(rows, np.float64).reshape(-1, 4).T
@@ -77,17 +77,17 @@ def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarra
         part = slice(start, start + _ROWS)
         similarity = a.descriptors[part] @ b.descriptors.T
         np.maximum(column, similarity.max(0), out=column)
-        own = np.arange(len(similarity))
+        indices = np.arange(len(similarity))
         best[part] = similarity.argmax(1)
-        top[part] = similarity[own, best[part]]
-        similarity[own, best[part]] = -1
+        top[part] = similarity[indices, best[part]]
+        similarity[indices, best[part]] = -1
         second[part] = similarity.max(1)
     nearest, next_nearest = (np.sqrt(np.maximum(2 - 2 * s, 0)) for s in (top, second))
     mutual = np.flatnonzero(top >= column[best])
     # What is there twice, to the bit, is matched once.
     mutual = mutual[np.unique(best[mutual], return_index=True)[1]]
-    kept = np.sort(mutual[nearest[mutual] < ratio * next_nearest[mutual]])
-    return kept, best[kept], nearest[kept] / next_nearest[kept]
+    matched = np.sort(mutual[nearest[mutual] < ratio * next_nearest[mutual]])
+    return matched, best[matched], nearest[matched] / next_nearest[matched]
 
 
 def sift(grey: np.ndarray) -> Features:

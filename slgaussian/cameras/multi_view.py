@@ -92,7 +92,7 @@ class Solved:
 
     def __call__(self, a: Described, b: Described) -> PairPose:
         """The pose of a pair, in the order of what the two photographs hold."""
-        a, b = sorted((a, b), key=lambda one: one.digest)
+        a, b = sorted((a, b), key=lambda item: item.digest)
         names = a.photograph.name, b.photograph.name
         if names not in self.poses:
             self.poses[names] = find_pair(a, b)
@@ -115,12 +115,12 @@ def find_many(described: Sequence[Described], solved: Solved) -> Many:
     order = sorted(range(len(described)), key=lambda k: described[k].digest)
     ordered = [described[k] for k in order]
     poses = {(i, j): solved(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
-    lenses = list(dict.fromkeys(one.lens for one in ordered))
-    group = np.array([lenses.index(one.lens) for one in ordered])
+    lenses = list(dict.fromkeys(item.lens for item in ordered))
+    group = np.array([lenses.index(item.lens) for item in ordered])
     priors = [ordered[int(np.argmax(group == g))].focal for g in range(len(lenses))]
     placed = place(
-        [one.features.points for one in ordered],
-        np.array([one.middle for one in ordered]),
+        [item.features.points for item in ordered],
+        np.array([item.middle for item in ordered]),
         group,
         np.exp([mean for mean, _ in priors]),
         np.array([sigma for _, sigma in priors]),
@@ -136,7 +136,7 @@ def find_many(described: Sequence[Described], solved: Solved) -> Many:
     distances = np.linalg.norm(t, axis=1)
     scale = float(distances[1])
     if scale < STILL * distances.max():
-        first, second = (one.photograph.name for one in described[:2])
+        first, second = (item.photograph.name for item in described[:2])
         raise InputError(
             f"{first!r} and {second!r}: taken from one place, but the distance of the first two is "
             "the unit of length; leave one out, or put it last"
@@ -160,41 +160,41 @@ def worth_solving(described: Sequence[Described]) -> list[tuple[int, int]]:
 
     Each is matched with every other, but by few features; only the best are looked at in full.
     """
-    few = [_largest(one.features) for one in described]
-    count = len(few)
+    subsets = [_largest(item.features) for item in described]
+    count = len(subsets)
     shared = np.zeros((count, count))
     for i in range(count):
         for j in range(i + 1, count):
-            shared[i, j] = shared[j, i] = len(match(few[i], few[j], 0.85)[0])
-    kept = {(i, int(j)) for i in range(count) for j in np.argsort(-shared[i])[:NEIGHBOURS]}
+            shared[i, j] = shared[j, i] = len(match(subsets[i], subsets[j], 0.85)[0])
+    pairs = {(i, int(j)) for i in range(count) for j in np.argsort(-shared[i])[:NEIGHBOURS]}
     tree = minimum_spanning_tree(csr_array(1 / (1 + shared) * ~np.eye(count, dtype=bool)))
-    kept |= set(zip(*map(np.ndarray.tolist, tree.nonzero()), strict=True))
-    return sorted({(min(i, j), max(i, j)) for i, j in kept if i != j})
+    pairs |= set(zip(*map(np.ndarray.tolist, tree.nonzero()), strict=True))
+    return sorted({(min(i, j), max(i, j)) for i, j in pairs if i != j})
 
 
 def _largest(features: Features) -> Features:
-    kept = np.argsort(-features.scales, kind="stable")[:COARSE]
+    largest = np.argsort(-features.scales, kind="stable")[:COARSE]
     return Features(
-        features.points[kept],
-        features.descriptors[kept],
-        features.scales[kept],
-        features.angles[kept],
+        features.points[largest],
+        features.descriptors[largest],
+        features.scales[largest],
+        features.angles[largest],
     )
 
 
 def _tie(views: tuple[int, int], pose: PairPose) -> Tie:
-    """What a pair gives; matches alone if two photographs were taken from one place, or of a plane.
+    """Make the tie of a pair; of matches alone for photographs from one place, or of a plane.
 
     A third one may see the same from elsewhere.
     """
-    known = pose.views
+    relative = pose.views
     return Tie(
         views,
         (pose.i, pose.j),
         pose.y + pose.second.middle,
-        None if known is None else (known.R, known.t),
-        None if known is None else (float(known.focals[0]), float(known.focals[1])),
-        float(np.nan_to_num(pose.found.angle)),
+        None if relative is None else (relative.R, relative.t),
+        None if relative is None else (float(relative.focals[0]), float(relative.focals[1])),
+        float(np.nan_to_num(pose.estimate.angle)),
         confidence(pose),
     )
 
@@ -206,72 +206,74 @@ def _all_placed(
 ) -> None:
     """Raise InputError if no photograph was placed, Unplaced if some were not."""
     if placed is None:
-        best = max(poses.values(), key=lambda pose: pose.found.inliers)
-        a, b = best.found.views
+        best = max(poses.values(), key=lambda pose: pose.estimate.inliers)
+        a, b = best.estimate.views
         raise InputError(
             f"{len(described)} photographs: no two of them tell cameras; {a!r} and {b!r} share most"
-            f", but {best.found.said or 'hold too little that both show'}; "
+            f", but {best.estimate.said or 'hold too little that both show'}; "
             f"{best.advice or 'take photographs that share more'}"
         )
-    there = set(placed.order.tolist())
-    left = [k for k in range(len(described)) if k not in there]
+    placed_views = set(placed.order.tolist())
+    left = [k for k in range(len(described)) if k not in placed_views]
     if not left:
         return
-    names = [one.photograph.name for one in described]
-    pieces = [[names[k] for k in piece] for piece in _pieces(len(described), poses, there)]
+    names = [item.photograph.name for item in described]
+    pieces = [[names[k] for k in piece] for piece in _pieces(len(described), poses, placed_views)]
     raise Unplaced(
         f"{len(described)} photographs do not all hang together: {listed(pieces)} overlap too "
         "little with each other; give those of one place alone, or take photographs between them "
         "that overlap both by half or more",
-        {names[k]: _why_unplaced(names[k], k, poses, there) for k in left},
+        {names[k]: _why_unplaced(names[k], k, poses, placed_views) for k in left},
     )
 
 
 def _pieces(
-    count: int, poses: Mapping[tuple[int, int], PairPose], there: Set[int]
+    count: int, poses: Mapping[tuple[int, int], PairPose], placed_views: Set[int]
 ) -> list[list[int]]:
-    """Which photographs hang together: those that were placed, and others by pairs, most first."""
+    """Group photographs that hang together: the placed ones, others by pairs; largest first."""
     joined = np.zeros((count, count))
     for (i, j), pose in poses.items():
-        if pose.found.verdict != UNUSED:
-            joined[i, j] = (i in there) == (j in there)
-    joined[np.ix_(sorted(there), sorted(there))] = 1
+        if pose.estimate.verdict != UNUSED:
+            joined[i, j] = (i in placed_views) == (j in placed_views)
+    joined[np.ix_(sorted(placed_views), sorted(placed_views))] = 1
     _, piece = connected_components(joined, directed=False)
-    found = [np.flatnonzero(piece == k).tolist() for k in range(piece.max() + 1)]
-    return sorted(found, key=lambda one: (-len(one), one))
+    groups = [np.flatnonzero(piece == k).tolist() for k in range(piece.max() + 1)]
+    return sorted(groups, key=lambda group: (-len(group), group))
 
 
 def _why_unplaced(
-    name: str, view: int, poses: Mapping[tuple[int, int], PairPose], there: Set[int]
+    name: str, view: int, poses: Mapping[tuple[int, int], PairPose], placed_views: Set[int]
 ) -> str:
-    """What its best pair with a photograph that was placed says against it, a clause."""
-    own = [pose for views, pose in poses.items() if view in views and there & {*views}]
-    if not own:
+    """Return the reason against a view by its best pair with a placed one, a clause."""
+    candidates = [
+        pose for views, pose in poses.items() if view in views and placed_views & {*views}
+    ]
+    if not candidates:
         return "it shares next to nothing with them"
-    best = max(own, key=lambda pose: pose.found.inliers).found
-    other = best.views[best.views[0] == name]
-    said = best.said or f"only {best.inliers} matches agree, too few of which others show"
-    return f"of it and {other!r}, which shares most with it: {said}"
+    best = max(candidates, key=lambda pose: pose.estimate.inliers).estimate
+    neighbour = best.views[best.views[0] == name]
+    reason = best.said or f"only {best.inliers} matches agree, too few of which others show"
+    return f"of it and {neighbour!r}, which shares most with it: {reason}"
 
 
 def _checked(
     pose: PairPose, placed: Placed, views: tuple[int, int], order: Sequence[int]
 ) -> EstimatedPair:
-    """What a pair said, or that all together contradict it; named in the order given."""
-    found = pose.found
+    """Return the estimate of a pair, unused if all together contradict it; names in input order."""
+    estimate = pose.estimate
     if order[views[0]] > order[views[1]]:
-        found = replace(found, views=(found.views[1], found.views[0]))
-    if pose.views is None or found.verdict == UNUSED:
-        return found
+        estimate = replace(estimate, views=(estimate.views[1], estimate.views[0]))
+    if pose.views is None or estimate.verdict == UNUSED:
+        return estimate
     a, b = (placed.order.tolist().index(view) for view in views)
     bundle = placed.adjusted.bundle
     R = bundle.R[b] @ bundle.R[a].T
     t = bundle.t[b] - R @ bundle.t[a]
     together = replace(pose.views, R=R, t=t / max(float(np.linalg.norm(t)), 1e-12))
     if pose.views.turned_from(together) < ALIKE:
-        return found
+        return estimate
     return replace(
-        found, verdict=UNUSED, said="the other photographs contradict what the two say alone"
+        estimate, verdict=UNUSED, said="the other photographs contradict what the two say alone"
     )
 
 
@@ -298,16 +300,16 @@ def _confidence(
         # Two photographs from one place among others may have any direction between them.
         off += [turned, moved * far[view]]
     worst = COUPLING**0.5 * max(off)
-    seen = np.bincount(adjusted.bundle.view)
-    sure = float((1 - np.exp(-seen.min() / LEAST)) * np.exp(-0.5 * (worst / BLUNT) ** 2))
+    counts = np.bincount(adjusted.bundle.view)
+    sure = float((1 - np.exp(-counts.min() / LEAST)) * np.exp(-0.5 * (worst / BLUNT) ** 2))
     backed = {view for views, pair in pairs.items() if pair.verdict != UNUSED for view in views}
     if len(backed) < len(described):
         sure *= UNBACKED
     if sure < OPEN:
-        fewest = int(seen.argmin())
+        fewest = int(counts.argmin())
         name = described[placed.order[fewest]].photograph.name
         why = (
-            f"it shares too little with them ({seen[fewest]} points, which leave positions open "
+            f"it shares too little with them ({counts[fewest]} points, which leave positions open "
             f"by {worst:.0f} degrees)"
         )
         raise Unplaced(

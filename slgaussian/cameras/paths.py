@@ -58,10 +58,10 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
     c2w = np.eye(4)
     c2w[:3, :3] = turn(t).as_matrix()
     c2w[:3, 3] = (1 - t) * a.center + t * b.center
-    size, other = (np.array([one.width, one.height]) for one in (a, b))
-    scale = np.sqrt(size.prod() / other.prod())
+    size, second_size = (np.array([camera.width, camera.height]) for camera in (a, b))
+    scale = np.sqrt(size.prod() / second_size.prod())
     K = b.K * [[scale], [scale], [1]]
-    K[:2, 2] += (size - scale * other) / 2
+    K[:2, 2] += (size - scale * second_size) / 2
     return replace(a, K=(1 - t) * a.K + t * K, c2w=c2w)
 
 
@@ -115,10 +115,10 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
 def _facing_alike(cameras: Sequence[Camera]) -> list[Camera]:
     axes = np.stack([camera.c2w[:3, 2] for camera in cameras])
     likeness = axes @ axes.T
-    alike = likeness[likeness.clip(ALIKE).sum(1).argmax()]
-    kept = [camera for camera, c in zip(cameras, alike, strict=True) if c >= ALIKE]
+    similarity = likeness[likeness.clip(ALIKE).sum(1).argmax()]
+    facing = [camera for camera, c in zip(cameras, similarity, strict=True) if c >= ALIKE]
     # Two that look past each other are all there is: then both.
-    return kept if len(kept) > 1 else [cameras[i] for i in sorted(np.argsort(-alike)[:2])]
+    return facing if len(facing) > 1 else [cameras[i] for i in sorted(np.argsort(-similarity)[:2])]
 
 
 def _half_axes(offsets: np.ndarray, image_axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""How good the ground is that a field stands on: what its photographs share and confirm."""
+"""Quality of the photographs of a field: overlap, agreement, verdict."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ in sight of 26 pairs of photographs (`docs/measured/poses.md`): where depth is b
 
 
 class Verdict(NamedTuple):
-    """What a scene is called, and why, with what to photograph instead; no reason if it is good."""
+    """Verdict on a scene, with the reason and what to photograph instead, if it is not good."""
 
     level: str
     reason: str
@@ -38,7 +38,7 @@ class Verdict(NamedTuple):
 
 @dataclass(frozen=True)
 class Quality:
-    """How well photographs fit together, each with those that show the same things.
+    """Measures of how photographs fit together, each with those that show the same things.
 
     Attributes
     ----------
@@ -89,10 +89,10 @@ class Quality:
     def summary(self) -> str:
         """One line for people."""
         angle = "" if self.angle is None else f", lines of sight {self.angle:.0f} degrees apart"
-        told = "" if self.judged else " (too few agree to judge the cameras)"
+        note = "" if self.judged else " (too few agree to judge the cameras)"
         return (
             f"quality: views overlap by {self.overlap:.0%}{angle}; the cameras explain "
-            f"{self.explained:.0%} of {self.matches} matches within {self.pixels:.1f} pixels{told}"
+            f"{self.explained:.0%} of {self.matches} matches within {self.pixels:.1f} pixels{note}"
             f"; {self.depth}"
         )
 
@@ -123,9 +123,9 @@ class Quality:
             f"{self.clash:.0%}"
         )
         if self.angle is not None and self.angle > WIDE:
-            apart = f"the lines of sight are {self.angle:.0f} degrees apart"
+            cause = f"the lines of sight are {self.angle:.0f} degrees apart"
         elif self.turn > TURNED:
-            apart = f"the cameras are turned by {self.turn:.0f} degrees against each other"
+            cause = f"the cameras are turned by {self.turn:.0f} degrees against each other"
         elif self.clash > LITTLE_CLASH:
             return Verdict(
                 level,
@@ -138,7 +138,7 @@ class Quality:
                 f"{clause}: much of it is blank or looks alike, and its depth a guess; add a "
                 "photograph from between, with more texture in it",
             )
-        return Verdict(level, f"{clause}: {apart}; add a photograph from between")
+        return Verdict(level, f"{clause}: {cause}; add a photograph from between")
 
 
 def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quality, np.ndarray]:
@@ -153,23 +153,23 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
     confirmed, met = np.zeros(depths.shape, bool), np.zeros(depths.shape, bool)
     for a, b in neighbours(views):
         fractions = []
-        for here, there in ((a, b), (b, a)):
-            inside, same = geometry.seen_again(here, there)
-            confirmed[here] |= same
-            met[here] |= inside
-            fractions.append(float(inside.sum() / max((depths[here] > 0).sum(), 1)))
+        for view_index, source in ((a, b), (b, a)):
+            inside, same = geometry.seen_again(view_index, source)
+            confirmed[view_index] |= same
+            met[view_index] |= inside
+            fractions.append(float(inside.sum() / max((depths[view_index] > 0).sum(), 1)))
         worst = max(geometry.clash(a, b), geometry.clash(b, a))
         for view in (a, b):
             if min(fractions) > shared[view]:
                 shared[view], clash[view] = min(fractions), worst
     axes = {view.name: view.camera.c2w[:3, 2] for view in views}
     cosines = [axes[check.views[0]] @ axes[check.views[1]] for check in checks]
-    known = [check.angle for check in checks if np.isfinite(check.angle)]
+    angles = [check.angle for check in checks if np.isfinite(check.angle)]
     matches, agreeing = (sum(getattr(c, name) for c in checks) for name in ("matches", "agreeing"))
     quality = Quality(
         overlap=float(np.median(shared)),
         confirmed=float(confirmed.sum() / max((depths > 0).sum(), 1)),
-        angle=float(np.median(known)) if known else None,
+        angle=float(np.median(angles)) if angles else None,
         turn=float(np.median(np.degrees(np.arccos(np.clip(cosines, -1, 1))))),
         matches=matches,
         explained=sum(check.coarse * check.matches for check in checks) / max(matches, 1),

@@ -24,7 +24,7 @@ def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Relative:
-    """How a reference view's pixels at some inverse depth land in a source view.
+    """Projection of pixels of a reference view, at an inverse depth, into a source view.
 
     ``X_source = R @ X_reference + t`` in camera coordinates (OpenCV axes), ``t`` in scene units.
     """

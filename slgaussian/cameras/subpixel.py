@@ -34,7 +34,7 @@ def sharpen(
     i: np.ndarray,
     j: np.ndarray,
 ) -> np.ndarray:
-    """Where features ``i`` of the first image lie in the second, near their matches ``j``.
+    """Locate features ``i`` of the first image in the second, near their matches ``j``.
 
     Parameters
     ----------
@@ -48,9 +48,9 @@ def sharpen(
     float64 [M, 2]
         Pixels; those of ``b`` where the patches do not come to lie on each other.
     """
-    given = b.points[j]
+    initial = b.points[j]
     if not len(i):
-        return given
+        return initial
     levels = [_pyramid(grey) for grey in greys]
     grid = np.stack(np.meshgrid(*[np.arange(-HALF, HALF + 1.0)] * 2), -1).reshape(-1, 2)
     weight = np.exp(-(grid**2).sum(1) / (2 * (0.6 * HALF) ** 2))
@@ -61,25 +61,25 @@ def sharpen(
     warp = warp * (step * zoom)[:, None, None]
     fine = _level(step), _level(step * zoom)
     wanted = _alike(_sampled(levels[0], fine[0], a.points[i], step[:, None, None] * grid), weight)
-    at, found = given.copy(), wanted
+    at, patches = initial.copy(), wanted
     side = 2 * HALF + 1
     for _ in range(STEPS):
-        found = _alike(_sampled(levels[1], fine[1], at, grid @ warp.mT), weight)
-        down, across = np.gradient(found.reshape(-1, side, side), axis=(1, 2))
+        patches = _alike(_sampled(levels[1], fine[1], at, grid @ warp.mT), weight)
+        down, across = np.gradient(patches.reshape(-1, side, side), axis=(1, 2))
         slope = np.stack([across.reshape(len(at), -1), down.reshape(len(at), -1)], -1)
         jacobian = np.concatenate([slope, slope[..., :1] * grid, slope[..., 1:] * grid], -1)
         weighed = jacobian * weight[:, None]
         hessian = weighed.mT @ jacobian
         damping = 1e-3 / 6 * np.trace(hessian, axis1=1, axis2=2) + 1e-9
         hessian += damping[:, None, None] * np.eye(6)
-        gradient = np.einsum("mnk,mn->mk", weighed, wanted - found)
+        gradient = np.einsum("mnk,mn->mk", weighed, wanted - patches)
         move = np.linalg.solve(hessian, gradient[..., None])[..., 0].clip(-1.5, 1.5)
         at = at + np.einsum("mij,mj->mi", warp, move[:, :2])
         warp = warp @ (np.eye(2) + move[:, 2:].reshape(-1, 2, 2).clip(-0.2, 0.2))
-    likeness = (weight * wanted * found).sum(1)
-    moved = np.linalg.norm(at - given, axis=1)
+    likeness = (weight * wanted * patches).sum(1)
+    moved = np.linalg.norm(at - initial, axis=1)
     good = (likeness > LIKENESS) & (moved < FAR * np.maximum(b.scales[j], 1.0))
-    return np.where(good[:, None], at, given)
+    return np.where(good[:, None], at, initial)
 
 
 def _pyramid(grey: np.ndarray) -> list[np.ndarray]:
@@ -102,10 +102,12 @@ def _sampled(
     out = np.empty(places.shape[:2])
     for k, image in enumerate(levels):
         # The smallest image stands in for levels that it was too small for.
-        own = level == k if k < len(levels) - 1 else level >= k
-        x, y = places[own, :, 0], places[own, :, 1]
-        if own.any():
-            out[own] = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        selected = level == k if k < len(levels) - 1 else level >= k
+        x, y = places[selected, :, 0], places[selected, :, 1]
+        if selected.any():
+            out[selected] = cv2.remap(
+                image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )
     return out
 
 

@@ -51,11 +51,11 @@ def join_tracks(keypoints: Sequence[np.ndarray], joins: Sequence[Join]) -> Track
     twice, times = np.unique(label * len(keypoints) + view, return_counts=True)
     good = size > 1
     good[twice[times > 1] // len(keypoints)] = False
-    seen = np.flatnonzero(good[label])
-    kept, track = np.unique(label[seen], return_inverse=True)
+    members = np.flatnonzero(good[label])
+    labels, track = np.unique(label[members], return_inverse=True)
     order = np.argsort(track, kind="stable")
     xy = np.concatenate(list(keypoints))
-    return Tracks(view[seen][order], track[order], xy[seen][order], len(kept))
+    return Tracks(view[members][order], track[order], xy[members][order], len(labels))
 
 
 def triangulate(

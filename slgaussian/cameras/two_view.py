@@ -1,4 +1,4 @@
-"""What two photographs say of where they were taken: a relative pose, and whether to believe it.
+"""Relative pose of two photographs, with a verdict on it.
 
 An answer is refused if it rests on too little, or if another is about as good: photographs taken
 from one place, of one flat thing, or of different places also give matches, and any estimator
@@ -122,7 +122,7 @@ class Described:
 
     @cached_property
     def digest(self) -> str:
-        """What the image holds; photographs are worked on in the order of it."""
+        """SHA-256 of the image; photographs are worked on in the order of it."""
         return hashlib.sha256(np.ascontiguousarray(self.photograph.image).data).hexdigest()
 
     @cached_property
@@ -149,18 +149,18 @@ class Described:
 
     @property
     def focal(self) -> tuple[float, float]:
-        """What is known of its focal length: logarithm in pixels of the image, and deviation."""
-        told = self.photograph.focal
-        if told is None:
+        """Prior of its focal length: logarithm in pixels of the image, and deviation."""
+        stated = self.photograph.focal
+        if stated is None:
             return float(np.log(USUAL * self.longer)), SPREAD
-        return float(np.log(told * self.shrunk)), EXIF_SPREAD
+        return float(np.log(stated * self.shrunk)), EXIF_SPREAD
 
     @property
     def lens(self) -> tuple[str, int, int, float | None]:
         """Photographs that agree in this share a focal length."""
-        taken = self.photograph
-        sides = sorted((taken.width, taken.height))
-        return taken.lens, sides[0], sides[1], taken.focal
+        photograph = self.photograph
+        sides = sorted((photograph.width, photograph.height))
+        return photograph.lens, sides[0], sides[1], photograph.focal
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +176,7 @@ class PairPose:
         Features that are inliers.
     x, y : float64 [M, 2]
         Where they lie, pixels from the middles; ``y`` is sharper than the features of ``second``.
-    found : EstimatedPair
+    estimate : EstimatedPair
         ``found.verdict`` is UNUSED if the pose is not to be used.
     advice : str
         What to do then, a clause.
@@ -191,17 +191,17 @@ class PairPose:
     j: np.ndarray
     x: np.ndarray
     y: np.ndarray
-    found: EstimatedPair
+    estimate: EstimatedPair
     advice: str = ""
     probability: float = 1.0
 
     __repr__ = short_repr
 
-    def of(self, kept: np.ndarray) -> PairPose:
+    def of(self, mask: np.ndarray) -> PairPose:
         """The same with some of its points, bool [M], as inliers."""
-        found = replace(self.found, inliers=int(kept.sum()))
-        i, j, x, y = (all[kept] for all in (self.i, self.j, self.x, self.y))
-        return replace(self, i=i, j=j, x=x, y=y, found=found)
+        estimate = replace(self.estimate, inliers=int(mask.sum()))
+        i, j, x, y = (all[mask] for all in (self.i, self.j, self.x, self.y))
+        return replace(self, i=i, j=j, x=x, y=y, estimate=estimate)
 
 
 def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> PairPose:
@@ -221,8 +221,8 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     x = a.features.points[i] - a.middle
     y = sharpen((a.grey, b.grey), a.features, b.features, i, j) - b.middle
     names = a.photograph.name, b.photograph.name
-    found = EstimatedPair(names, len(i), 0, np.nan, np.nan, GOOD, "")
-    every = PairPose(a, b, None, i, j, x, y, found)
+    estimate = EstimatedPair(names, len(i), 0, np.nan, np.nan, GOOD, "")
+    every = PairPose(a, b, None, i, j, x, y, estimate)
     answers, prior = solve(x, y, prior)
     if not answers:
         return _few(every.of(np.zeros(len(i), bool)))
@@ -246,8 +246,8 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     uncertainty = float(np.degrees(np.sqrt(np.trace(best.covariance[:5, :5]))))
     angle = float(np.median(best.angles(pose.x, pose.y)))
     probability = _probability(answers)
-    said = replace(pose.found, angle=angle, uncertainty=uncertainty)
-    pose = replace(pose, found=said, probability=probability)
+    measured = replace(pose.estimate, angle=angle, uncertainty=uncertainty)
+    pose = replace(pose, estimate=measured, probability=probability)
     mostly_flat = flat.sum() > MOSTLY * count
     if probability < (SURE if mostly_flat else UNSURE):
         return _mirrored(pose) or _refused(
@@ -283,19 +283,21 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         )
     if not doubts:
         return pose
-    return replace(pose, found=replace(pose.found, verdict=DOUBTFUL, said="; ".join(doubts)))
+    return replace(pose, estimate=replace(pose.estimate, verdict=DOUBTFUL, said="; ".join(doubts)))
 
 
 def confidence(pose: PairPose) -> float:
     """0 to 1: that a pose is right to some degrees."""
-    if pose.found.verdict == UNUSED or pose.views is None:
+    if pose.estimate.verdict == UNUSED or pose.views is None:
         return 0.0
-    enough = 1 - np.exp(-pose.found.inliers / LEAST)
-    return float(pose.probability * enough * np.exp(-0.5 * (pose.found.uncertainty / BLUNT) ** 2))
+    enough = 1 - np.exp(-pose.estimate.inliers / LEAST)
+    return float(
+        pose.probability * enough * np.exp(-0.5 * (pose.estimate.uncertainty / BLUNT) ** 2)
+    )
 
 
 def focal_prior(a: Described, b: Described) -> FocalPrior:
-    """What is known of two focal lengths, pixels of the images."""
+    """Return the prior of two focal lengths, pixels of the images."""
     (mean_a, sigma_a), (mean_b, sigma_b) = a.focal, b.focal
     return FocalPrior(
         np.array([mean_a, mean_b]), np.array([sigma_a, sigma_b]), shared=a.lens == b.lens
@@ -310,10 +312,10 @@ def _probability(answers: list[TwoViews]) -> float:
 
 
 def _flaw_of_points(
-    pose: PairPose, least: float, which: Callable[[float, float], float]
+    pose: PairPose, min_share: float, which: Callable[[float, float], float]
 ) -> tuple[str, str] | None:
-    """What is wrong with where the inliers lie, and what they are; None if nothing is."""
-    if which(_spread(pose.x, pose.first), _spread(pose.y, pose.second)) < least:
+    """Return the flaw of the distribution of inliers, with advice; None if there is none."""
+    if which(_spread(pose.x, pose.first), _spread(pose.y, pose.second)) < min_share:
         return (
             "all points that both show lie in one small part of a photograph",
             "take photographs that share more of what they show",
@@ -327,19 +329,19 @@ def _flaw_of_points(
 
 
 def _repetition(pose: PairPose) -> float:
-    """How like its match another feature of the first photograph is: the median over inliers of
-    Lowe's ratio, had the match been looked for there."""
+    """Return the median over inliers of Lowe's ratio, had each match been looked for in the first
+    photograph itself: near 1 for patterns that repeat."""
     features = pose.first.features
     some = slice(None, None, 1 + len(pose.i) // LOOKED_AT)
     i, j = pose.i[some], pose.j[some]
-    own = features.descriptors[i]
-    matched = (own * pose.second.features.descriptors[j]).sum(1)
-    likeness = own @ features.descriptors.T
+    descriptors = features.descriptors[i]
+    matched = (descriptors * pose.second.features.descriptors[j]).sum(1)
+    likeness = descriptors @ features.descriptors.T
     # One place can have several features: of two orientations, or scales.
     far = np.linalg.norm(features.points[i][:, None] - features.points, axis=2)
     likeness[far < APART * features.scales[i][:, None]] = -1
-    other = likeness.max(1)
-    return float(np.median(np.sqrt((2 - 2 * matched).clip(0) / (2 - 2 * other).clip(1e-9))))
+    second_best = likeness.max(1)
+    return float(np.median(np.sqrt((2 - 2 * matched).clip(0) / (2 - 2 * second_best).clip(1e-9))))
 
 
 def _spread(points: np.ndarray, of: Described) -> float:
@@ -348,16 +350,18 @@ def _spread(points: np.ndarray, of: Described) -> float:
     return cv2.contourArea(cv2.convexHull(points.astype(np.float32))) / (height * width)
 
 
-def _refused(pose: PairPose, said: str, advice: str) -> PairPose:
-    return replace(pose, found=replace(pose.found, verdict=UNUSED, said=said), advice=advice)
+def _refused(pose: PairPose, reason: str, advice: str) -> PairPose:
+    return replace(
+        pose, estimate=replace(pose.estimate, verdict=UNUSED, said=reason), advice=advice
+    )
 
 
 def _few(pose: PairPose) -> PairPose:
     """Too few matches agree: perhaps because one photograph is mirrored."""
-    matches = pose.found.matches
+    matches = pose.estimate.matches
     return _mirrored(pose) or _refused(
         pose,
-        f"too few points are found that both show ({pose.found.inliers} of {matches} matches "
+        f"too few points are found that both show ({pose.estimate.inliers} of {matches} matches "
         f"agree, expected {LEAST} or more)",
         "take sharp photographs of one place that overlap by half or more, a step apart",
     )
@@ -368,10 +372,10 @@ def _mirrored(pose: PairPose) -> PairPose | None:
     first, mirrored = pose.first.features, pose.second.mirrored.features
     i, j, _ = match(first, mirrored, RATIO)
     agreeing = int(agree(first.points[i], mirrored.points[j], 1.0).sum())
-    if agreeing < max(2 * LEAST, MIRRORED * pose.found.inliers):
+    if agreeing < max(2 * LEAST, MIRRORED * pose.estimate.inliers):
         return None
     return _refused(
         pose,
-        f"{agreeing} matches agree if one is mirrored, and {pose.found.inliers} as they are",
+        f"{agreeing} matches agree if one is mirrored, and {pose.estimate.inliers} as they are",
         "give both as they were taken",
     )

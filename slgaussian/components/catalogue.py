@@ -13,10 +13,10 @@ from slgaussian.errors import InputError
 def list_components() -> str:
     """Return every component of every kind with its fields, or its problem, as Markdown."""
     text = []
-    for kind, known in KINDS.items():
-        text.append(f"## {kind.capitalize()}\n\n{known.help}")
+    for kind, group in KINDS.items():
+        text.append(f"## {kind.capitalize()}\n\n{group.help}")
         for name in names_of(kind):
-            default = " (default)" if name == known.default else ""
+            default = " (default)" if name == group.default else ""
             text.append(f"### {name}{default}")
             try:
                 config = find_config(kind, name)

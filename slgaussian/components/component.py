@@ -109,14 +109,14 @@ class Component:
 
     def places(self) -> dict[str, str]:
         """Return where its files are, by field."""
-        return {key: known.place for key, known in self.files.items() if known.place}
+        return {key: known_file.place for key, known_file in self.files.items() if known_file.place}
 
     def values(self, otherwise: str = CHANGED) -> dict[str, Any]:
         """Return the settings, files by place; InputError as :meth:`load`."""
         marks = find_config(self.kind, self.name).files()
         places = {
-            key: known.checked(key, marks[key].digest, otherwise)
-            for key, known in self.files.items()
+            key: known_file.checked(key, marks[key].digest, otherwise)
+            for key, known_file in self.files.items()
         }
         return {**self.settings, **places}
 
@@ -140,5 +140,5 @@ class Component:
 def _fields_beside(config: type[ComponentConfig], keys: Iterable[str]) -> list[str]:
     """Of some keys those that the implementation takes and the config has not, as a device."""
     unknown = [key for key in keys if key not in config.model_fields]
-    taken = getattr(config.implementation(), "model_fields", {}) if unknown else {}
-    return [key for key in unknown if key in taken]
+    accepted = getattr(config.implementation(), "model_fields", {}) if unknown else {}
+    return [key for key in unknown if key in accepted]

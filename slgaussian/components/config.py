@@ -113,8 +113,8 @@ def _sentence(error: ValidationError, config: type[ComponentConfig]) -> str:
     title = config.model_config.get("title") or config.__name__.lower()
     name = str(first["loc"][0]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
-        known = config.model_fields
-        near = did_you_mean(name, known) or f"; the keys are {', '.join(known) or 'none'}"
+        fields = config.model_fields
+        near = did_you_mean(name, fields) or f"; the keys are {', '.join(fields) or 'none'}"
         return f"unknown key '{title}.{name}'{near}"
     if "error" in first.get("ctx", {}):  # of a validator of its own
         return f"{title} {name}: ".replace(" :", ":") + str(first["ctx"]["error"])

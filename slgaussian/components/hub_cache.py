@@ -27,7 +27,7 @@ def hub_download(place: str) -> Callable[..., str]:
 
 
 def local_place(place: str | Path) -> str:
-    """Where a model or tokenizer is on this machine.
+    """Return the place of a model or tokenizer on this machine.
 
     Parameters
     ----------

@@ -44,19 +44,19 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     InputError
         If a file is missing, damaged, or not what the component needs.
     """
-    config, places, whole = find_config(kind, name), dict(values), list[bool]()
+    config, places, verified = find_config(kind, name), dict(values), list[bool]()
     for key, file in config.files().items():
         if places.get(key) is not None and file.digest in (model_digest, tokenizer_digest):
             places[key] = local_place(places[key])
             if file.digest is model_digest:
                 weights = [f for f in find_model(places[key]).files if f.suffix != ".json"]
-                whole += map(is_of_hub, weights)
-    shown = ", ".join(f"{key} {places[key]}" for key in config.files() if places.get(key))
-    if shown and whole and all(whole):
-        return f"{shown}: is what the hub has, by its SHA-256"
+                verified += map(is_of_hub, weights)
+    label = ", ".join(f"{key} {places[key]}" for key in config.files() if places.get(key))
+    if label and verified and all(verified):
+        return f"{label}: is what the hub has, by its SHA-256"
     part = Component.of(kind, name, places).load()
-    check_numbers(part, shown)
-    return f"{shown}: can be loaded and used" if shown else ""
+    check_numbers(part, label)
+    return f"{label}: can be loaded and used" if label else ""
 
 
 def is_of_hub(file: Path) -> bool:

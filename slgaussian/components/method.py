@@ -27,7 +27,7 @@ OWN = ("replicas", "votes", "seed", "keep", "bank")
 
 @dataclass(frozen=True, init=False)
 class Method:
-    """How a field is built.
+    """The method by which a field is built.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ class Method:
         """
         named = {component.kind: component.name for component in self.components}
         tables = {each.name: each.identity() for each in self.components if each.settings}
-        own = {name: getattr(self, name) for name in OWN}
-        return {**named, **own, **tables}
+        shared = {name: getattr(self, name) for name in OWN}
+        return {**named, **shared, **tables}
 
     def check(self) -> None:
         """Load every component once, so that an error comes before any has worked.

@@ -98,12 +98,12 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
             f"{part} model: none given; give a folder, or a name on the hub as in "
             f"--set {part.replace('-', '_')}.model={family.example}"
         )
-    found = find_model(model)
-    if found.checkpoint is None:
-        kind = read_json(found.folder / CONFIG).get("model_type")
+    model_files = find_model(model)
+    if model_files.checkpoint is None:
+        kind = read_json(model_files.folder / CONFIG).get("model_type")
         if kind not in family.types:
             raise InputError(
-                f"model {found.folder}: is of type {kind!r}, but {part} needs "
+                f"model {model_files.folder}: is of type {kind!r}, but {part} needs "
                 f"{' or '.join(map(repr, family.types))}, such as {family.example}"
             )
     elif family.convert is None:
@@ -111,16 +111,16 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
             f"model {model}: is a file, or of open_clip; {part} expected a folder with {CONFIG} "
             f"and {WEIGHTS}, or a name on the hub, such as {family.example}"
         )
-    return _loaded(found, model_digest(model), family, chosen_device(device))
+    return _loaded(model_files, model_digest(model), family, chosen_device(device))
 
 
 @lru_cache(maxsize=4)
-def _loaded(found: ModelFiles, digest: str, family: Family, device: str) -> Any:
+def _loaded(model_files: ModelFiles, digest: str, family: Family, device: str) -> Any:
     """The model of :func:`load_pretrained`; a few are kept, as a run uses for all its scenes."""
-    if found.checkpoint is None or family.convert is None:
-        loaded = _load_folder(found.folder, family)
+    if model_files.checkpoint is None or family.convert is None:
+        loaded = _load_folder(model_files.folder, family)
     else:
-        loaded = family.convert(found)
+        loaded = family.convert(model_files)
     try:
         return loaded.eval().requires_grad_(False).to(device)
     except (RuntimeError, AssertionError) as problem:
@@ -188,7 +188,7 @@ def chosen_device(device: str) -> str:
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """Where a model was found.
+    """Files of a model.
 
     Attributes
     ----------
@@ -287,10 +287,13 @@ def model_digest(model: str | Path) -> str:
     InputError
         As :func:`find_model`.
     """
-    found = find_model(model)
-    beside = [found.folder / name for name in (PREPROCESSOR, *TOKENIZER)]
+    model_files = find_model(model)
+    beside = [model_files.folder / name for name in (PREPROCESSOR, *TOKENIZER)]
     # The name of a checkpoint is the user's own.
-    named = {"checkpoint" if file == found.checkpoint else file.name: file for file in found.files}
+    named = {
+        "checkpoint" if file == model_files.checkpoint else file.name: file
+        for file in model_files.files
+    }
     return _digest(named | {file.name: file for file in beside if file.is_file()})
 
 
@@ -321,13 +324,13 @@ def _tokenizer_files(folder: Path) -> list[Path]:
 
 def _found(folder: Path) -> ModelFiles:
     """The files of the model in a folder; InputError if one is missing."""
-    whole = [(folder / name).is_file() for name in (WEIGHTS, INDEX)]
-    if not any(whole):
+    present = [(folder / name).is_file() for name in (WEIGHTS, INDEX)]
+    if not any(present):
         for name in OPEN_CLIP_WEIGHTS:
             if (folder / name).is_file():
                 return find_model(folder / name)
     files = [folder / CONFIG]
-    if whole == [False, True]:
+    if present == [False, True]:
         index = folder / INDEX
         parts = table_in(read_json(index), "weight_map", index).values()
         for part in parts:

@@ -94,13 +94,13 @@ def find_config(kind: str, name: str) -> type[ComponentConfig]:
                 f"{built_in} of this name is built in; remove that package, or have its entry "
                 "point renamed"
             )
-    found = resolve(kind, KINDS[kind].table, name, group)
-    if isinstance(found, type) and issubclass(found, ComponentConfig):
-        return found
+    registered = resolve(kind, KINDS[kind].table, name, group)
+    if isinstance(registered, type) and issubclass(registered, ComponentConfig):
+        return registered
 
     class Plain(ComponentConfig, title=name):
-        __doc__ = found.__doc__
-        target: ClassVar[Any] = found
+        __doc__ = registered.__doc__
+        target: ClassVar[Any] = registered
 
     return Plain
 
@@ -124,29 +124,29 @@ def resolve(called: str, table: Mapping[str, str], name: str, group: str | None 
         If there is none: the message lists the names that are, and says which of them is nearest.
         If an entry point cannot be imported.
     """
-    others = {} if group is None else brought(group)
+    external = {} if group is None else brought(group)
     if name in table:
         module, attribute = table[name].split(":")
         return getattr(import_module(module), attribute)
-    if name not in others:
-        known = {**table, **others}
+    if name not in external:
+        available = {**table, **external}
         raise InputError(
-            f"unknown {called} {name!r}: expected one of {', '.join(sorted(known))}"
-            f"{did_you_mean(name, known)}"
+            f"unknown {called} {name!r}: expected one of {', '.join(sorted(available))}"
+            f"{did_you_mean(name, available)}"
         )
     try:
-        return others[name].load()
+        return external[name].load()
     except Exception as error:  # whatever another package does when it is imported
         raise InputError(
-            f"{called} {name!r}: {others[name].value} of the package {_owner(others[name])} cannot "
-            f"be imported ({type(error).__name__}: {error}); repair or remove that package"
+            f"{called} {name!r}: {external[name].value} of the package {_owner(external[name])} "
+            f"cannot be imported ({type(error).__name__}: {error}); repair or remove that package"
         ) from error
 
 
 @cache
 def brought(group: str) -> Mapping[str, EntryPoint]:
     """Return the entry points of a group by name, in alphabetical order; nothing is imported."""
-    return {found.name: found for found in sorted(_installed().select(group=group))}
+    return {entry.name: entry for entry in sorted(_installed().select(group=group))}
 
 
 _installed = cache(entry_points)  # it reads a file of every package
@@ -162,9 +162,9 @@ def known_by(group: str, name: str) -> str:
     """
     if name not in brought(group):
         return ""
-    found = brought(group)[name]
+    entry = brought(group)[name]
     try:
-        spec = find_spec(found.module.partition(".")[0])
+        spec = find_spec(entry.module.partition(".")[0])
     except (ImportError, ValueError):  # which importing it says better
         spec = None
     folders = [] if spec is None else [Path(p) for p in spec.submodule_search_locations or ()]
@@ -175,9 +175,9 @@ def known_by(group: str, name: str) -> str:
     for place, file in sorted((str(place), file) for place, file in files):
         for part in (place.encode("utf-8", "surrogateescape"), file.read_bytes()):
             content.update(len(part).to_bytes(8, "little") + part)
-    version = found.dist.version if found.dist is not None else "?"
-    return f"{_owner(found)} {version} {content.hexdigest()}"
+    version = entry.dist.version if entry.dist is not None else "?"
+    return f"{_owner(entry)} {version} {content.hexdigest()}"
 
 
-def _owner(found: EntryPoint) -> str:
-    return found.dist.name if found.dist is not None else found.module
+def _owner(entry: EntryPoint) -> str:
+    return entry.dist.name if entry.dist is not None else entry.module

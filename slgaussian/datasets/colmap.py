@@ -158,8 +158,8 @@ def _file(scene: Path, folder: Path, name: str) -> Path:
     """Return the photograph of a name, or the place where it should be."""
     # Some tools write shrunk photographs with another extension.
     for start in (folder / name, scene / name):
-        others = (start.with_suffix(end) for end in EXTENSIONS) if start.name else ()
-        for file in (start, *others):
+        alternatives = (start.with_suffix(end) for end in EXTENSIONS) if start.name else ()
+        for file in (start, *alternatives):
             if is_there(file):
                 return file
     return folder / name
@@ -185,10 +185,12 @@ class _Lens:
             rows = np.arange(top, min(top + ROWS, height))
             u, v = np.meshgrid(np.arange(width) + 0.5, rows + 0.5)
             rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ inverse
-            there = lens.img_from_cam(rays)
-            there *= (width / self.stored.width, height / self.stored.height)
-            there = np.where(np.isfinite(there), there - 0.5, OUTSIDE)  # OpenCV's pixel centres
-            maps[:, rows] = there.astype(np.float32).reshape(*u.shape, 2).transpose(2, 0, 1)
+            distorted = lens.img_from_cam(rays)
+            distorted *= (width / self.stored.width, height / self.stored.height)
+            distorted = np.where(
+                np.isfinite(distorted), distorted - 0.5, OUTSIDE
+            )  # OpenCV's pixel centres
+            maps[:, rows] = distorted.astype(np.float32).reshape(*u.shape, 2).transpose(2, 0, 1)
         return maps[0], maps[1]
 
 
@@ -203,16 +205,16 @@ def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path]) -> dict
     for number, photograph in first.items():
         stored = model.cameras[number]
         K, straight = _pinhole(stored, f"{source}: camera {number}")
-        whole = (stored.width, stored.height)
-        size = None if photograph is None else stored_size(photograph, whole)
-        if size is None or not has_shape(size, whole):  # else it was shrunk
-            size = whole
-        scale = np.array([size[0] / whole[0], size[1] / whole[1], 1])
+        full_size = (stored.width, stored.height)
+        size = None if photograph is None else stored_size(photograph, full_size)
+        if size is None or not has_shape(size, full_size):  # else it was shrunk
+            size = full_size
+        scale = np.array([size[0] / full_size[0], size[1] / full_size[1], 1])
         lenses[number] = _Lens(stored, size, scale[:, None] * K, straight)
     return lenses
 
 
-def _pinhole(camera: SparseCamera, where: str) -> tuple[np.ndarray, bool]:
+def _pinhole(camera: SparseCamera, label: str) -> tuple[np.ndarray, bool]:
     """Return intrinsics [3, 3] of the straight view, and whether the lens is that already."""
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         fx, fy, cx, cy = (
@@ -222,13 +224,13 @@ def _pinhole(camera: SparseCamera, where: str) -> tuple[np.ndarray, bool]:
     lens = _pycolmap_camera(camera)
     if not len(lens.focal_length_idxs()):
         raise InputError(
-            f"{where}: its model {camera.model} has no focal length, so that no pinhole camera "
+            f"{label}: its model {camera.model} has no focal length, so that no pinhole camera "
             "sees what it saw; cut its images into pinhole ones and reconstruct again"
         )
     K = lens.calibration_matrix()
     if not (K[0, 0] > 0 and K[1, 1] > 0 and abs(np.linalg.det(K)) > 0 and np.isfinite(K).all()):
         raise InputError(
-            f"{where}: its focal lengths are {K[0, 0]:g} and {K[1, 1]:g}, expected positive "
+            f"{label}: its focal lengths are {K[0, 0]:g} and {K[1, 1]:g}, expected positive "
             "numbers; reconstruct again"
         )
     corners = np.array([(u, v, 1.0) for u in (0, camera.width) for v in (0, camera.height)])
@@ -258,13 +260,13 @@ def _pycolmap_camera(camera: SparseCamera) -> Any:
 
 def _depth_ranges(model: SparseModel) -> dict[int, tuple[float, float]]:
     """Compute near and far of the images that see enough points, by id; see :func:`read`."""
-    seen = np.unique(model.seen, axis=0)  # an image may show a point twice
-    lengths = np.bincount(seen[:, 0], minlength=len(model.points))
-    seen = seen[lengths[seen[:, 0]] >= TRACK]
-    seen = seen[np.argsort(seen[:, 1], kind="stable")]
-    starts = np.flatnonzero(np.diff(seen[:, 1], prepend=-1))
+    observations = np.unique(model.sightings, axis=0)  # an image may show a point twice
+    lengths = np.bincount(observations[:, 0], minlength=len(model.points))
+    observations = observations[lengths[observations[:, 0]] >= TRACK]
+    observations = observations[np.argsort(observations[:, 1], kind="stable")]
+    starts = np.flatnonzero(np.diff(observations[:, 1], prepend=-1))
     ranges = {}
-    for sightings in np.split(seen, starts[1:]):
+    for sightings in np.split(observations, starts[1:]):
         image = model.images.get(int(sightings[0, 1])) if len(sightings) else None
         if image is None:
             continue

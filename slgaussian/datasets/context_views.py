@@ -63,11 +63,11 @@ def context_of(
     InputError
         If a name is none of the scene's, or there are not so many views.
     """
-    taken = [scene.find(name) for name in context]
-    if count <= len(taken):
-        places = [round(i * (len(taken) - 1) / (count - 1)) for i in range(count)]
-        return tuple(taken[place] for place in places)
-    first, last = (scene.cameras[name] for name in (taken[0], taken[-1]))
+    chosen_views = [scene.find(name) for name in context]
+    if count <= len(chosen_views):
+        places = [round(i * (len(chosen_views) - 1) / (count - 1)) for i in range(count)]
+        return tuple(chosen_views[place] for place in places)
+    first, last = (scene.cameras[name] for name in (chosen_views[0], chosen_views[-1]))
     baseline = max(float(np.linalg.norm(first.center - last.center)), 1e-12)
     middle = (first.center + last.center) / 2
     sights = np.stack([first.c2w[:3, 2], last.c2w[:3, 2]])
@@ -76,21 +76,21 @@ def context_of(
     left = [
         name
         for name, camera in scene.cameras.items()
-        if name not in taken
+        if name not in chosen_views
         and (sights @ camera.c2w[:3, 2]).max() >= np.cos(np.radians(TURNED))
         and _least_distance(centers[name], held_out) >= APART
     ]
-    while len(taken) < count:
+    while len(chosen_views) < count:
         # Rounded, so that views at equal distances are equal on every machine.
         radii = {name: round(float(np.linalg.norm(centers[name])), 6) for name in left}
-        others = [centers[name] for name in taken]
-        gaps = {name: round(_least_distance(centers[name], others), 6) for name in left}
+        chosen_centers = [centers[name] for name in chosen_views]
+        gaps = {name: round(_least_distance(centers[name], chosen_centers), 6) for name in left}
         within = [name for name in left if radii[name] <= 0.5 and gaps[name] >= WITHIN]
         beyond = [name for name in left if radii[name] > 0.5 and gaps[name] >= BEYOND]
         if not (within or beyond):
             raise InputError(
-                f"scene {scene.name!r}: found {len(taken)} context views around its targets, "
-                f"expected {count}; ask for fewer, or add photographs"
+                f"scene {scene.name!r}: found {len(chosen_views)} context views around its "
+                f"targets, expected {count}; ask for fewer, or add photographs"
             )
         chosen = max(within, key=gaps.__getitem__) if within else min(beyond, key=radii.__getitem__)
         left.remove(chosen)
@@ -98,9 +98,9 @@ def context_of(
             scene.read(chosen)
         except InputError:
             continue
-        taken.append(chosen)
-    return tuple(taken)
+        chosen_views.append(chosen)
+    return tuple(chosen_views)
 
 
-def _least_distance(place: np.ndarray, others: Sequence[np.ndarray]) -> float:
-    return min((float(np.linalg.norm(place - other)) for other in others), default=np.inf)
+def _least_distance(place: np.ndarray, centers: Sequence[np.ndarray]) -> float:
+    return min((float(np.linalg.norm(place - center)) for center in centers), default=np.inf)

@@ -75,23 +75,23 @@ def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None
     """Return the focal length in pixels of a photograph of that size, upright or not."""
     tags = ExifTags.Base
     across, down = (_number(exif_ifd.get(t)) for t in (tags.ExifImageWidth, tags.ExifImageHeight))
-    taken = (across, down) if across and down else (float(width), float(height))
+    captured = (across, down) if across and down else (float(width), float(height))
     # A photograph of another shape than was taken is cropped: nobody knows where, and how shrunk.
-    was, is_now = max(taken) / min(taken), max(width, height) / min(width, height)
+    was, is_now = max(captured) / min(captured), max(width, height) / min(width, height)
     if abs(np.log(was / is_now)) > 0.01:
         return None
     film = _number(
         exif_ifd.get(tags.FocalLengthIn35mmFilm)
     )  # of the same angle; digital zoom is in it
     by_film = film * float(np.hypot(width, height)) / FILM_DIAGONAL if film else None
-    for focal in (by_film, _focal_by_sensor(exif_ifd, taken, max(width, height))):
+    for focal in (by_film, _focal_by_sensor(exif_ifd, captured, max(width, height))):
         if focal is not None and WIDEST <= focal / max(width, height) <= LONGEST_FOCAL:
             return focal
     return None
 
 
 def _focal_by_sensor(
-    exif_ifd: Mapping[int, Any], taken: tuple[float, float], longest: int
+    exif_ifd: Mapping[int, Any], captured: tuple[float, float], longest: int
 ) -> float | None:
     """Return it by its millimetres and the pixels of the sensor in one, both ways alike."""
     tags = ExifTags.Base
@@ -101,10 +101,10 @@ def _focal_by_sensor(
     unit = UNITS.get(exif_ifd.get(tags.FocalPlaneResolutionUnit, 2))
     if not (focal and across and down and unit) or abs(np.log(across / down)) > 0.05:
         return None
-    if not SENSOR_WIDTHS[0] <= max(taken) * unit / across <= SENSOR_WIDTHS[1]:
+    if not SENSOR_WIDTHS[0] <= max(captured) * unit / across <= SENSOR_WIDTHS[1]:
         return None
     zoom = _number(exif_ifd.get(tags.DigitalZoomRatio)) or 1.0
-    return focal * zoom * across / unit * longest / max(taken)
+    return focal * zoom * across / unit * longest / max(captured)
 
 
 def _number(value: Any) -> float | None:

@@ -84,10 +84,10 @@ def _scenes_with(path: str | Path, *marks: str) -> dict[str, dict[str, Any]]:
     return {name: {"scene": name} for name in sorted(names)}
 
 
-def _find_scene(path: str | Path, scene: str, known: dict[str, Any]) -> Path:
-    if scene not in known:
+def _find_scene(path: str | Path, scene: str, scenes: dict[str, Any]) -> Path:
+    if scene not in scenes:
         raise InputError(
-            f"{path}: has no scene {scene!r}; found {', '.join(known) or 'none'} (give the folder "
+            f"{path}: has no scene {scene!r}; found {', '.join(scenes) or 'none'} (give the folder "
             "of the whole set)"
         )
     return Path(path) / scene

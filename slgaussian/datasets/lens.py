@@ -60,8 +60,8 @@ def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
         return columns, rows
     parts = cv2.connectedComponents(upright, connectivity=4)[1]
     middle = parts[columns.shape[0] // 2, columns.shape[1] // 2]
-    seen = (parts == middle) & (upright > 0)
+    visible = (parts == middle) & (upright > 0)
     return (
-        np.where(seen, columns, np.float32(OUTSIDE)),
-        np.where(seen, rows, np.float32(OUTSIDE)),
+        np.where(visible, columns, np.float32(OUTSIDE)),
+        np.where(visible, rows, np.float32(OUTSIDE)),
     )

@@ -67,9 +67,11 @@ def read(path: str | Path) -> Scene:
     meta = _load(file)
     frames: dict[str, Frame] = {}
     shared = {key: value for key, value in meta.items() if key not in (OWN, "frames")}
-    found = meta.get(OWN, {})
-    if not isinstance(found, dict):
-        raise InputError(f"{file}: {OWN} is {found!r}, expected an object; write the file again")
+    estimation = meta.get(OWN, {})
+    if not isinstance(estimation, dict):
+        raise InputError(
+            f"{file}: {OWN} is {estimation!r}, expected an object; write the file again"
+        )
     for number, entry in enumerate(meta["frames"]):
         name = entry.get("file_path") if isinstance(entry, dict) else None
         if not isinstance(name, str) or not name:
@@ -83,7 +85,7 @@ def read(path: str | Path) -> Scene:
 
     name = file.resolve().parent.name or "scene"
     read_view, sources = partial(_read_view, frames, cameras), partial(_sources, frames)
-    return Scene(name, cameras, read_view, found=found, sources=sources)
+    return Scene(name, cameras, read_view, found=estimation, sources=sources)
 
 
 def _read_view(frames: Mapping[str, Frame], cameras: Mapping[str, Camera], name: str) -> View:
@@ -108,7 +110,7 @@ def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:
     return [frame.file, *([] if frame.image_path is None else [frame.image_path]), *named]
 
 
-def write(file: Path, photographs: Mapping[str, Path], found: EstimatedCameras) -> None:
+def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCameras) -> None:
     """Write cameras that were found, and how, such that :func:`read` gives the same ones.
 
     Parameters
@@ -117,7 +119,7 @@ def write(file: Path, photographs: Mapping[str, Path], found: EstimatedCameras) 
         What is there is replaced.
     photographs : mapping str -> path
         Files by the names of their cameras.
-    found : EstimatedCameras
+    estimated : EstimatedCameras
 
     Raises
     ------
@@ -130,21 +132,21 @@ def write(file: Path, photographs: Mapping[str, Path], found: EstimatedCameras) 
         for name, photograph in photographs.items()
     }
     frames = []
-    for name, camera in found.cameras.items():
+    for name, camera in estimated.cameras.items():
         (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
         extra: dict[str, Any] = {"near": camera.near, "far": camera.far}
         if camera.estimated is not None:
             extra["estimated"] = asdict(camera.estimated)
         frame = {"file_path": paths[name], "transform_matrix": (camera.c2w * OPENGL).tolist()}
         frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
-        frame |= {"w": camera.width, "h": camera.height, "k1": found.k1[name], OWN: extra}
+        frame |= {"w": camera.width, "h": camera.height, "k1": estimated.k1[name], OWN: extra}
         frames.append(frame)
-    about = found.as_json()
+    record = estimated.as_json()
     for key in ("focals", "k1", "left_out"):
-        about[key] = {paths[name]: value for name, value in about[key].items()}
-    for pair in about["pairs"]:
+        record[key] = {paths[name]: value for name, value in record[key].items()}
+    for pair in record["pairs"]:
         pair["views"] = [paths[name] for name in pair["views"]]
-    content = {"camera_model": "OPENCV", "frames": frames, OWN: about}
+    content = {"camera_model": "OPENCV", "frames": frames, OWN: record}
     try:
         write_atomic(file, (json.dumps(content, indent=1) + "\n").encode())
     except OSError as bad:

@@ -146,10 +146,10 @@ class Frame:
             camera = checked_camera(Camera(K, c2w, int(w), int(h)))
             if self.extra is None:
                 return camera
-            more = Frame.of(self.file, self.name, self.extra)
+            extra_frame = Frame.of(self.file, self.name, self.extra)
             near, far, estimate = (
-                more.number("near"),
-                more.number("far"),
+                extra_frame.number("near"),
+                extra_frame.number("far"),
                 self.extra.get("estimated"),
             )
             estimated = None if estimate is None else Estimated.of(estimate)

@@ -67,18 +67,18 @@ def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Sc
     if photographs is None or isinstance(photographs, str):
         photographs = [str(path.parent / (photographs or "."))]
     files = named(photographs)
-    known = tuple((name, file, file_digest(file)) for name, file in files.items())
-    cameras = _cameras(path, file_digest(path), known)
-    taken = {name: files[name] for name in cameras}
-    return scene_of(folder_of(files).name, cameras, taken, path, [path], upright=True)
+    stamped = tuple((name, file, file_digest(file)) for name, file in files.items())
+    cameras = _cameras(path, file_digest(path), stamped)
+    posed_files = {name: files[name] for name in cameras}
+    return scene_of(folder_of(files).name, cameras, posed_files, path, [path], upright=True)
 
 
 @lru_cache(maxsize=8)
 def _cameras(
-    path: Path, digest: str, known: tuple[tuple[str, Path, str], ...]
+    path: Path, digest: str, stamped: tuple[tuple[str, Path, str], ...]
 ) -> Mapping[str, Camera]:
     """Return the cameras of photographs by name; of the same files, read once."""
-    stored, files = read_geometry(path), {name: file for name, file, _ in known}
+    stored, files = read_geometry(path), {name: file for name, file, _ in stamped}
     if stored.poses is None or stored.maps[0].K is None:
         raise InputError(
             f"{path}: holds no cameras; expected poses (extrinsics, poses) and intrinsics, or give "
@@ -90,13 +90,13 @@ def _cameras(
         raise InputError(f"{path}: has maps of {len(photos)} of the photographs, expected two")
     first = dict(list(photos.items())[:JUDGED])
     matches, sizes = _matches(list(first.values()))
-    tried = []
+    readings: list[precomputed.Reading] = []
     usual = "world-to-camera" if stored.inverted else "camera-to-world"
     poses = sorted(POSES, key=lambda name: ("OpenGL" in name, usual not in name))
     ways = _ways(stored, numbers, first)
     for way, pose, ray in product(ways, poses, (False, True)):
         try:
-            cameras = _taken(stored, numbers, first, ways[way], pose)
+            cameras = _cameras_of(stored, numbers, first, ways[way], pose)
         except InputError:  # of intrinsics that no photograph of this size has
             continue
         small = [
@@ -108,12 +108,12 @@ def _cameras(
             shrunk = np.diag([photo.width / camera.width, photo.height / camera.height, 1.0])
             at, depth = ways[way][0][name] @ shrunk, stored.maps[numbers[name]].depth
             depths.append(precomputed.z_at(depth, at, camera, ray))
-        tried.append(((way, pose, small), precomputed.fit(small, depths, matches)))
-    if not tried:
-        _taken(stored, numbers, first, next(iter(ways.values())), poses[0])
-    (way, pose, small), fitted = precomputed.first_best(tried)
-    blank = precomputed.fit(small, [precomputed.constant] * len(small), matches)
-    precomputed.refuse_misfit(path, fitted, blank, len(tried))
+        readings.append(((way, pose), small, depths))
+    if not readings:
+        _cameras_of(
+            stored, numbers, first, next(iter(ways.values())), poses[0]
+        )  # which refuses them
+    ((way, pose), _, _), fitted = precomputed.choose_reading(path, readings, matches)
     if pose != poses[0] or way != next(iter(ways)):
         warnings.warn(
             f"{path}: poses are read as {pose}, and intrinsics as of {way} photographs: so depth "
@@ -121,7 +121,7 @@ def _cameras(
             stacklevel=2,
         )
     ways = _ways(stored, numbers, photos)
-    return _taken(stored, numbers, photos, ways[way], pose)
+    return _cameras_of(stored, numbers, photos, ways[way], pose)
 
 
 def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tuple[int, int]]]:
@@ -172,7 +172,7 @@ def _ways(
     }
 
 
-def _taken(
+def _cameras_of(
     stored: GeometryFile,
     numbers: Mapping[str, int],
     photos: Mapping[str, Photograph],

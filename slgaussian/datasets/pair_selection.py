@@ -185,8 +185,8 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
         )
     stretches = np.array_split(usable, min(CANDIDATES, len(usable)))
     frames = np.array([stretch[clip.blur[stretch].argmin()] for stretch in stretches])
-    seen = overlaps([clip.cameras[i] for i in frames], clip.depths[frames])
-    shared, baselines, fits = _compare(clip, frames, seen, bounds)
+    overlap_matrix = overlaps([clip.cameras[i] for i in frames], clip.depths[frames])
+    shared, baselines, fits = _compare(clip, frames, overlap_matrix, bounds)
     pairs = []
     for a, b in np.argwhere(np.triu(fits, 1)):
         between = np.maximum(shared[a, a + 1 : b], shared[b, a + 1 : b])
@@ -195,13 +195,13 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
         pair = _pair(clip, frames[[a, b]], shared[a, b], baselines[a, b], bounds)
         pairs.append(replace(pair, targets=_part(frames[a : b + 1], targets)))
     if not pairs:
-        apart = np.triu(np.ones_like(fits), 1)
+        upper = np.triu(np.ones_like(fits), 1)
         raise InputError(
             f"no two of its views have an overlap of {bounds.min_overlap:g} to "
             f"{bounds.max_overlap:g}, a baseline of {bounds.min_baseline:g} to "
             f"{bounds.max_baseline:g} depths and {targets} usable views between them; found "
-            f"overlaps of {shared[apart].min():.2f} to {shared[apart].max():.2f} and baselines "
-            f"of {baselines[apart].min():.2f} to {baselines[apart].max():.2f}"
+            f"overlaps of {shared[upper].min():.2f} to {shared[upper].max():.2f} and baselines "
+            f"of {baselines[upper].min():.2f} to {baselines[upper].max():.2f}"
         )
     best = schedule(pairs)
     if bounds.most:
@@ -221,15 +221,17 @@ def surround(
     out = set(targets) | set(barred)
     usable = [int(i) for i in np.flatnonzero(clip.usable(rule.bounds)) if int(i) not in out]
     if len(usable) < 2:
-        few = f"{len(usable)} of {len(clip.cameras)} views are sharp, well exposed and not held out"
-        return [Surrounding(None, reason=few) for _ in targets]
+        too_few = (
+            f"{len(usable)} of {len(clip.cameras)} views are sharp, well exposed and not held out"
+        )
+        return [Surrounding(None, reason=too_few) for _ in targets]
     if np.isnan(clip.depths).any():
         flat = "the views show no parallax that a depth could be found from"
         return [Surrounding(None, reason=flat) for _ in targets]
-    count, shown = len(usable), [*usable, *targets]
-    sights = list(sightings([clip.cameras[i] for i in shown], clip.depths[shown]))
-    seen = np.stack([sight[:count].mean(-1) for sight in sights[:count]])
-    shared, baselines, fits = _compare(clip, np.array(usable), seen, rule.bounds)
+    count, shown_views = len(usable), [*usable, *targets]
+    sights = list(sightings([clip.cameras[i] for i in shown_views], clip.depths[shown_views]))
+    overlap_matrix = np.stack([sight[:count].mean(-1) for sight in sights[:count]])
+    shared, baselines, fits = _compare(clip, np.array(usable), overlap_matrix, rule.bounds)
     places = np.argwhere(np.triu(fits & (baselines > 0), 1))
     pairs = [
         _pair(clip, np.array(usable)[[a, b]], shared[a, b], baselines[a, b], rule.bounds)
@@ -237,11 +239,13 @@ def surround(
     ]
     a, b = np.array([pair.context for pair in pairs], np.int64).reshape(-1, 2).T
     centers = np.stack([camera.center for camera in clip.cameras])
-    apart = np.linalg.norm(centers[a] - centers[b], axis=1)
+    separations = np.linalg.norm(centers[a] - centers[b], axis=1)
     scores = np.array([pair.score for pair in pairs])
     surroundings = []
     for target, sight in zip(targets, sights[count:], strict=True):
-        aside = np.linalg.norm((centers[a] + centers[b]) / 2 - centers[target], axis=1) / apart
+        aside = (
+            np.linalg.norm((centers[a] + centers[b]) / 2 - centers[target], axis=1) / separations
+        )
         cover = (sight[places[:, 0]] | sight[places[:, 1]]).mean(1)
         between = aside <= rule.max_aside
         good = between & (cover >= rule.min_cover)
@@ -283,8 +287,8 @@ def sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndar
         pixels = np.concatenate([fractions * end, np.ones((len(fractions), 1))], 1)
         local = depth * pixels @ np.linalg.inv(camera.K).T
         world = local @ camera.c2w[:3, :3].T + camera.center
-        there = world @ w2c[:, :3, :3].mT + w2c[:, None, :3, 3]
-        image = there @ K.mT
+        in_views = world @ w2c[:, :3, :3].mT + w2c[:, None, :3, 3]
+        image = in_views @ K.mT
         z = image[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
             xy = image[..., :2] / z
@@ -313,17 +317,17 @@ def schedule(pairs: Sequence[Pair]) -> list[Pair]:
 
 
 def _compare(
-    clip: Views, frames: np.ndarray, seen: np.ndarray, bounds: Bounds
+    clip: Views, frames: np.ndarray, overlap_matrix: np.ndarray, bounds: Bounds
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return overlap, baseline and whether both are within the bounds, of all frames, [N, N].
 
-    Row a, column b of ``seen``: the fraction of the one that the other sees.
+    Row a, column b of ``overlap_matrix``: the fraction of the one that the other sees.
     """
     centers = np.stack([clip.cameras[i].center for i in frames])
     depths = clip.depths[frames]
-    apart = np.linalg.norm(centers[:, None] - centers, axis=-1)
-    baselines = apart / ((depths[:, None] + depths) / 2)
-    shared = np.minimum(seen, seen.T)
+    separations = np.linalg.norm(centers[:, None] - centers, axis=-1)
+    baselines = separations / ((depths[:, None] + depths) / 2)
+    shared = np.minimum(overlap_matrix, overlap_matrix.T)
     fits = (shared >= bounds.min_overlap) & (shared <= bounds.max_overlap)
     fits &= (baselines >= bounds.min_baseline) & (baselines <= bounds.max_baseline)
     return shared, baselines, fits

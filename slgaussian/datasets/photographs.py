@@ -77,11 +77,11 @@ def open_photograph(
         with opened(path) as image:
             turn = upright or _is_turned(image, size)
             image.load()
-            shown = turned_upright(image, orientation_of(image)) if turn else image
-            pixels = rgb(shown)
-            if "A" not in shown.getbands() and "transparency" not in image.info:
+            oriented = turned_upright(image, orientation_of(image)) if turn else image
+            pixels = rgb(oriented)
+            if "A" not in oriented.getbands() and "transparency" not in image.info:
                 return pixels, None
-            opaque = np.asarray(shown.convert("RGBA"))[..., 3] >= OPAQUE
+            opaque = np.asarray(oriented.convert("RGBA"))[..., 3] >= OPAQUE
     except (OSError, ValueError) as bad:
         raise unreadable(path, bad) from None
     return pixels, None if opaque.all() else opaque
@@ -116,10 +116,12 @@ def masked(
         )
     if alpha.max() == 1:
         alpha *= 255
-    shown = _by_rows(np.dstack([pixels, alpha]), lambda part: part[..., :3] * part[..., 3:] / 255)
-    seen = alpha >= OPAQUE
-    seen = seen if opaque is None else seen & opaque
-    return shown, None if seen.all() else seen
+    composited = _by_rows(
+        np.dstack([pixels, alpha]), lambda part: part[..., :3] * part[..., 3:] / 255
+    )
+    visible = alpha >= OPAQUE
+    visible = visible if opaque is None else visible & opaque
+    return composited, None if visible.all() else visible
 
 
 def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, int] | None:
@@ -180,10 +182,10 @@ def image_folder(scene: Path, name: str | None = None) -> Path:
     """
     if name is not None:
         return scene / name
-    whole = scene / "images"
+    full_size = scene / "images"
     shrunk = [path for path in scene.glob("images_*") if path.name[7:].isdecimal()]
-    if whole.is_dir() or not shrunk:
-        return whole
+    if full_size.is_dir() or not shrunk:
+        return full_size
     return min(shrunk, key=lambda path: int(path.name[7:]))
 
 
@@ -195,7 +197,7 @@ def scene_of(
     files: Sequence[Path] = (),
     lenses: Mapping[str, Callable[[], Maps | None]] | None = None,
     upright: bool = False,
-    found: Mapping[str, Any] | None = None,
+    estimation: Mapping[str, Any] | None = None,
 ) -> Scene:
     """Make a scene of stored photographs, which are opened and straightened when they are read.
 
@@ -212,12 +214,12 @@ def scene_of(
         Makes the maps of a view's lens, see :mod:`slgaussian.datasets.lens`; None for a pinhole.
     upright : bool
         Whether cameras are those of the upright photographs, see :func:`open_photograph`.
-    found : mapping, optional
+    estimation : mapping, optional
         How the cameras were found.
     """
     read = partial(_read_view, cameras, photographs, named_by, lenses or {}, upright)
     sources = {view: [*files, photograph] for view, photograph in photographs.items()}
-    return Scene(name, cameras, read, found=found or {}, sources=sources.__getitem__)
+    return Scene(name, cameras, read, found=estimation or {}, sources=sources.__getitem__)
 
 
 def _read_view(

@@ -121,8 +121,8 @@ def _differs(labelled: Found, scene: LabelledScene) -> str:
         texts = list(
             dict.fromkeys(text.casefold() for texts in labelled.asked.values() for text in texts)
         )
-        known = {text.casefold() for text in scene.texts}
-        strange = [text for text in texts if text not in known]
+        published_texts = {text.casefold() for text in scene.texts}
+        strange = [text for text in texts if text not in published_texts]
         if not texts or len(strange) > (1 - SHARE) * len(texts):
             return f"found labels of {_some(strange) or 'nothing'}, expected {_some(scene.texts)}"
     if scene.size is not None:
@@ -133,5 +133,5 @@ def _differs(labelled: Found, scene: LabelledScene) -> str:
     return ""
 
 
-def _some(names: Sequence[str], most: int = 4) -> str:
-    return ", ".join(names[:most]) + (" ..." if len(names) > most else "")
+def _some(names: Sequence[str], limit: int = 4) -> str:
+    return ", ".join(names[:limit]) + (" ..." if len(names) > limit else "")

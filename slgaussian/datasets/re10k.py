@@ -151,8 +151,8 @@ def files(path: str | Path, key: str) -> list[Path]:
 def _chunk_of(path: str | Path, key: str) -> str:
     index = read_index(path)
     if key not in index:
-        few = ", ".join(list(index)[:3])
-        raise InputError(f"{path}: no clip {key!r} among its {len(index)}, such as {few}")
+        examples = ", ".join(list(index)[:3])
+        raise InputError(f"{path}: no clip {key!r} among its {len(index)}, such as {examples}")
     return f"{path}/{index[key]}"
 
 
@@ -227,8 +227,8 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
     return clips
 
 
-def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
-    """Parse the clip of an entry, whose images have ``most`` bytes at most."""
+def _clip(file: str | Path, number: int, entry: Any, max_bytes: int) -> Clip:
+    """Parse the clip of an entry, whose images have ``max_bytes`` bytes at most."""
     import torch
 
     def wrong(problem: str) -> InputError:
@@ -253,7 +253,7 @@ def _clip(file: str | Path, number: int, entry: Any, most: int) -> Clip:
         isinstance(i, torch.Tensor) and i.dtype == torch.uint8 and _is_plain(i) for i in images
     ):
         raise wrong("images are not all uint8 tensors of JPEG bytes")
-    if sum(image.numel() for image in images) > most:
+    if sum(image.numel() for image in images) > max_bytes:
         raise wrong("has more bytes of images than the file")
     encoded_images = tuple(image.numpy().tobytes() for image in images)
     rows = cameras.numpy().astype(np.float32)

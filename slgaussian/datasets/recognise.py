@@ -47,8 +47,8 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
     if format == "nerfstudio":
         return nerfstudio.read(place), place if place.is_dir() else place.parent
     if format == "npz":
-        there = [photo for photo in photographs if Path(photo).exists()] or [str(place.parent)]
-        return npz.read(place, there), unposed.folder_of(unposed.named(there))
+        existing = [photo for photo in photographs if Path(photo).exists()] or [str(place.parent)]
+        return npz.read(place, existing), unposed.folder_of(unposed.named(existing))
     if format == "re10k":
         return _clip(place, photographs), place
     if format == "re10k_text":
@@ -95,11 +95,11 @@ def recognise(path: Path) -> tuple[str, Path]:
     """
     if path.is_dir():
         marks = {"nerfstudio": nerfstudio.FILE, "llff": llff.FILE, "re10k": re10k.INDEX}
-        held = [format for format, mark in marks.items() if (path / mark).is_file()]
-        if colmap.models_in(path) and "nerfstudio" not in held:
+        formats = [format for format, mark in marks.items() if (path / mark).is_file()]
+        if colmap.models_in(path) and "nerfstudio" not in formats:
             return "colmap", _scene_of(path)
-        if held:
-            return held[0], path
+        if formats:
+            return formats[0], path
         if photographs_of(path) and not _scenes_in(path) and not any(path.glob("*.json")):
             return "photographs", path
         raise InputError(f"{path}: holds no cameras: {_describe(path)}; expected {EXPECTED}")
@@ -164,7 +164,7 @@ def _describe(folder: Path) -> str:
         return (
             f"it holds the folders of {len(scenes)} scenes, such as {scenes[0]}; give one of them"
         )
-    if others := sorted(file.name for file in folder.glob("*.json")):
-        return f"it has {', '.join(others[:3])}; give the file itself"
+    if json_files := sorted(file.name for file in folder.glob("*.json")):
+        return f"it has {', '.join(json_files[:3])}; give the file itself"
     names = sorted(inside.name for inside in folder.iterdir())[:4]
     return f"it has {', '.join(names)}" if names else "it is empty"

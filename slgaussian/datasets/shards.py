@@ -36,10 +36,10 @@ def pack(key: str, members: Mapping[str, bytes]) -> bytes:
     """Pack one sample as a part of a tar file; members by what their names end in."""
     parts = []
     for ending, data in members.items():
-        about = tarfile.TarInfo(f"{key}.{ending}")
-        about.size = len(data)
+        info = tarfile.TarInfo(f"{key}.{ending}")
+        info.size = len(data)
         # Its time is 0 and its owner nobody, whoever writes it whenever.
-        parts += [about.tobuf(tarfile.PAX_FORMAT), data, bytes(-len(data) % tarfile.BLOCKSIZE)]
+        parts += [info.tobuf(tarfile.PAX_FORMAT), data, bytes(-len(data) % tarfile.BLOCKSIZE)]
     return b"".join(parts)
 
 
@@ -48,10 +48,10 @@ def unpack(data: bytes) -> dict[str, bytes]:
     members = {}
     try:
         with tarfile.open(fileobj=io.BytesIO(data + END), mode="r:") as archive:
-            for about in archive:
-                file = archive.extractfile(about)
+            for info in archive:
+                file = archive.extractfile(info)
                 if file is not None:
-                    members[about.name.partition(".")[2]] = file.read()
+                    members[info.name.partition(".")[2]] = file.read()
     except tarfile.TarError as error:
         raise ValueError(str(error)) from None
     return members

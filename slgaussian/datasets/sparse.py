@@ -67,14 +67,14 @@ class SparseModel:
     images : {id: SparseImage}
     points : float64 [P, 3]
         World points, in scene units.
-    seen : int64 [M, 2]
+    sightings : int64 [M, 2]
         Each sighting of a point: its row in ``points``, and the id of the image.
     """
 
     cameras: dict[int, SparseCamera]
     images: dict[int, SparseImage]
     points: np.ndarray
-    seen: np.ndarray
+    sightings: np.ndarray
 
 
 def model_files(folder: Path) -> list[Path]:
@@ -115,16 +115,16 @@ def read_model(folder: Path) -> SparseModel:
             f"{folder}: has no COLMAP model; expected cameras and images there, .bin or .txt"
         )
     cameras, images = _checked(files[0], _cameras), _checked(files[1], _images)
-    points, seen = np.zeros((0, 3)), np.zeros((0, 2), np.int64)
+    points, sightings = np.zeros((0, 3)), np.zeros((0, 2), np.int64)
     if len(files) > 2:
-        points, seen = _checked(files[2], _points)
+        points, sightings = _checked(files[2], _points)
     for image in images.values():
         if image.camera not in cameras:
             raise InputError(
                 f"{files[1]}: {image.name!r} was taken with camera {image.camera}, which "
                 f"{files[0].name} does not have; the two files are not of one model"
             )
-    return SparseModel(cameras, images, points, seen)
+    return SparseModel(cameras, images, points, sightings)
 
 
 def _checked(file: Path, read: Callable[[Path], T]) -> T:
@@ -168,10 +168,10 @@ class _Bytes:
         start, self.at = self.at, end + 1
         return self.data[start:end].decode("utf-8", "replace")
 
-    def entries(self, least: int) -> Iterator[int]:
-        """Count the entries that follow, as a number before them says; each has ``least`` bytes."""
+    def entries(self, min_bytes: int) -> Iterator[int]:
+        """Count the entries that follow by the number before them, each of ``min_bytes``."""
         (count,) = self.take("Q")
-        if count * least > len(self.data) - self.at:
+        if count * min_bytes > len(self.data) - self.at:
             raise _Wrong(f"says that it has {count} entries, but ends after {len(self.data)} bytes")
         yield from range(count)
         if self.at != len(self.data):
@@ -301,7 +301,7 @@ def _points(file: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _text_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    points, seen = [], []
+    points, sightings = [], []
     for line, text in _lines(file):
         words = text.split()
         if not words:
@@ -313,8 +313,8 @@ def _text_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
             track = [0]
         if len(words) < 8 or len(track) % 2 or not all(0 <= t < 2**32 for t in track[::2]):
             raise _Wrong(f"line {line} is no point")
-        seen += [(len(points) - 1, image) for image in track[::2]]
-    return np.array(points).reshape(-1, 3), np.array(seen, np.int64).reshape(-1, 2)
+        sightings += [(len(points) - 1, image) for image in track[::2]]
+    return np.array(points).reshape(-1, 3), np.array(sightings, np.int64).reshape(-1, 2)
 
 
 def _lines(file: Path) -> Iterator[tuple[int, str]]:

@@ -126,8 +126,8 @@ class TrainingSet(Dataset[dict[str, Any]]):
             for name in SPECS
             if f"{name}.npz" in members or name != "gaussians"
         }
-        about = self._about(index, members)
-        contexts = len(about["context"])
+        info = self._about(index, members)
+        contexts = len(info["context"])
         geometry, labels, bank = (arrays[name] for name in ("geometry", "labels", "bank"))
         numbers = ("K", "c2w", "near_far", "depth")
         views = {name: torch.from_numpy(geometry[name].astype(np.float32)) for name in numbers}
@@ -145,7 +145,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
             "features": torch.from_numpy(bank["features"].astype(np.float32)),
             "present": torch.from_numpy(bank["present"]),
         }
-        item["quality"] = {k: v for k, v in about.items() if isinstance(v, int | float)}
+        item["quality"] = {k: v for k, v in info.items() if isinstance(v, int | float)}
         if "gaussians" in arrays:
             item["gaussians"] = {k: torch.from_numpy(v) for k, v in arrays["gaussians"].items()}
         return item
@@ -201,18 +201,18 @@ class TrainingSet(Dataset[dict[str, Any]]):
     def _about(self, index: int, members: Mapping[str, bytes]) -> dict[str, Any]:
         label, data = self._member(index, members, "about.json")
         with _readable(label):
-            about = strict_json.parse(data)
-            if not isinstance(about, dict):
+            info = strict_json.parse(data)
+            if not isinstance(info, dict):
                 raise ValueError("it is no object")
-        return about
+        return info
 
     def _member(self, index: int, members: Mapping[str, bytes], name: str) -> tuple[str, bytes]:
         """Return a label of a member for messages, and its bytes."""
         sample = self.rows["sample"][index].as_py()
         label = f"{self.folder}/{self._places[index][0]}: {sample}.{name}"
         if name not in members:
-            more = " with --gaussians" if name == "gaussians.npz" else ""
-            raise SpecError(f"{label}: is not there; {ANEW}{more}")
+            hint = " with --gaussians" if name == "gaussians.npz" else ""
+            raise SpecError(f"{label}: is not there; {ANEW}{hint}")
         return label, members[name]
 
     def _index(self) -> pa.Table:

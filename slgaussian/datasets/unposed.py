@@ -140,9 +140,9 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
                 "below images"
             )
         listed += inside
-    whole = [Path(os.path.abspath(file)) for file in listed]
-    for i, file in enumerate(whole):
-        if file in whole[:i]:
+    absolute = [Path(os.path.abspath(file)) for file in listed]
+    for i, file in enumerate(absolute):
+        if file in absolute[:i]:
             raise InputError(f"{listed[i]}: is given twice; give each photograph once")
     if len(listed) < 2:
         only = str(listed[0]) if listed else "nothing"
@@ -150,10 +150,10 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
             f"photographs: found {only}, expected at least two; add a photograph of the same "
             "things from a step aside"
         )
-    folder = _common(whole)
+    folder = _common(absolute)
     return {
         place.relative_to(folder).as_posix(): file
-        for place, file in zip(whole, listed, strict=True)
+        for place, file in zip(absolute, listed, strict=True)
     }
 
 
@@ -206,17 +206,17 @@ def photograph(file: Path, name: str) -> Photograph:
 
 
 def _photograph(image: Image.Image, name: str) -> Photograph:
-    whole, (lens, focal) = image.size, read_lens(image)
+    full_size, (lens, focal) = image.size, read_lens(image)
     orientation = orientation_of(image)
-    small_size = _shrunk(*whole)
+    small_size = _shrunk(*full_size)
     # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.
     image.draft("RGB", small_size)
-    part = max(1, round(whole[0] / image.size[0]))
-    covered = (0.0, 0.0, whole[0] / part, whole[1] / part)  # less than the last pixels
+    part = max(1, round(full_size[0] / image.size[0]))
+    covered = (0.0, 0.0, full_size[0] / part, full_size[1] / part)  # less than the last pixels
     plain = image if image.mode == "RGB" else Image.fromarray(rgb(image))
     small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
     pixels = rgb(upright(small, orientation))
-    width, height = whole[::-1] if orientation in SIDEWAYS else whole
+    width, height = full_size[::-1] if orientation in SIDEWAYS else full_size
     return Photograph(name, pixels, width, height, lens, focal)
 
 
@@ -230,8 +230,8 @@ def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
         name: partial(_lens, estimated.cameras[name], k1) for name, k1 in estimated.k1.items() if k1
     }
     name = folder_of(files).name or "photographs"
-    about = estimated.as_json()
-    return scene_of(name, estimated.cameras, files, "photographs", (), maps, True, about)
+    record = estimated.as_json()
+    return scene_of(name, estimated.cameras, files, "photographs", (), maps, True, record)
 
 
 def refined(
@@ -252,9 +252,9 @@ def refined(
     InputError
         If cameras cannot be found, or those of the scene all stand at one place.
     """
-    taken = [_of_view(scene.read(name), files.get(name)) for name in names]
+    inputs = [_of_view(scene.read(name), files.get(name)) for name in names]
     before = {name: scene.cameras[name] for name in names}
-    estimated = find_cameras(taken).in_frame_of(before)
+    estimated = find_cameras(inputs).in_frame_of(before)
 
     def read(name: str) -> View:
         return _straight(scene.read(name), estimated)

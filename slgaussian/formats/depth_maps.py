@@ -113,9 +113,11 @@ class GeometryFile:
                     "**np.load(old), names=[...])"
                 )
             return {view: i for i, view in enumerate(views)}
-        known = {key: i for i, name in enumerate(self.names) for key in name_keys(name)}
-        found = {view: [known[k] for k in name_keys(view) if k in known] for view in views}
-        return {view: numbers[0] for view, numbers in found.items() if numbers}
+        row_of_key = {key: i for i, name in enumerate(self.names) for key in name_keys(name)}
+        candidates = {
+            view: [row_of_key[k] for k in name_keys(view) if k in row_of_key] for view in views
+        }
+        return {view: numbers[0] for view, numbers in candidates.items() if numbers}
 
 
 def name_keys(name: str) -> tuple[str, ...]:
@@ -154,11 +156,11 @@ def read_geometry(file: Path) -> GeometryFile:
         matrices = _shaped(file, "focals", matrices, count, (3, 3))
     poses, inverted = None, "w2c" in arrays
     if inverted or "c2w" in arrays:
-        given = arrays["w2c" if inverted else "c2w"]
-        if given.shape[-2:] == (3, 4):
-            last = np.broadcast_to([0.0, 0, 0, 1], (*given.shape[:-2], 1, 4))
-            given = np.concatenate([given, last], -2)
-        poses = _shaped(file, "poses", given, count, (4, 4))
+        stored_poses = arrays["w2c" if inverted else "c2w"]
+        if stored_poses.shape[-2:] == (3, 4):
+            last = np.broadcast_to([0.0, 0, 0, 1], (*stored_poses.shape[:-2], 1, 4))
+            stored_poses = np.concatenate([stored_poses, last], -2)
+        poses = _shaped(file, "poses", stored_poses, count, (4, 4))
     names = None
     if "names" in arrays:
         names = [str(name) for name in arrays["names"].reshape(-1)]
@@ -266,11 +268,11 @@ def _read_npz(file: Path) -> dict[str, np.ndarray]:
         if size > MOST_BYTES:
             raise ValueError(f"{size:,} bytes unpacked, of which at most {MOST_BYTES:,} are read")
         with np.load(file, allow_pickle=False) as stored:
-            there = {
+            present = {
                 ours: next((theirs for theirs in names if theirs in stored), None)
                 for ours, names in KEYS.items()
             }
-            return {ours: stored[theirs] for ours, theirs in there.items() if theirs is not None}
+            return {ours: stored[theirs] for ours, theirs in present.items() if theirs is not None}
     except Exception as problem:  # a damaged archive raises almost anything
         raise unreadable(file, problem) from None
 

@@ -72,9 +72,9 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
 
 
 def read_mask(
-    source: str | Path | BinaryIO, least: int = 128, kinds: Sequence[str] = KINDS
+    source: str | Path | BinaryIO, threshold: int = 128, kinds: Sequence[str] = KINDS
 ) -> np.ndarray:
-    """Read a mask of any kind of image, bool [H, W]: its :func:`mask_levels` from ``least`` on.
+    """Read a mask of any kind of image, bool [H, W]: its :func:`mask_levels` from ``threshold`` on.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def read_mask(
         If it cannot be read, or no pixel is set though some are not black.
     """
     levels = mask_levels(source, kinds)
-    mask = levels >= least
+    mask = levels >= threshold
     if levels.any() and not mask.any():
         raise InputError(
             f"{source}: its brightest pixel is {levels.max()}, expected 255 where the mask is"

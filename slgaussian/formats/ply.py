@@ -106,15 +106,15 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
         *zip(_ROTATIONS, arrays["quats"].T, strict=True),
         *((f"f_sem_{i}", column) for i, column in enumerate(features.T)),
     ]
-    whole = {"source": arrays["source"]}
+    integers = {"source": arrays["source"]}
     if labels is not None:
-        whole["label"] = _checked(labels, n)
+        integers["label"] = _checked(labels, n)
     kinds = [(name, "<f4") for name, _ in columns]
     kinds += [
         (name, "<f4" if np.array_equal(values.astype(np.float32), values) else "<i4")
-        for name, values in whole.items()
+        for name, values in integers.items()
     ]
-    columns += whole.items()
+    columns += integers.items()
     table = np.empty(n, kinds)
     for start in range(0, n, _BLOCK):
         block = slice(start, start + _BLOCK)

@@ -197,13 +197,13 @@ def sample_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     x, y = np.where(inside, x, 0).astype(np.float64), np.where(inside, y, 0).astype(np.float64)
     column, row = x.astype(np.int64), y.astype(np.int64)
     at = row, column
-    known = depth > 0
-    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=known)
+    valid = depth > 0
+    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=valid)
     nearest = inverse[at]
     value = nearest.copy()
     for offset, slopes in (
-        (x - column - 0.5, _slopes(inverse, known)),
-        (y - row - 0.5, [slope.T for slope in _slopes(inverse.T, known.T)]),
+        (x - column - 0.5, _slopes(inverse, valid)),
+        (y - row - 0.5, [slope.T for slope in _slopes(inverse.T, valid.T)]),
     ):
         behind, ahead = (slope[at] for slope in slopes)
         value += offset * np.where(offset < 0, behind, ahead)
@@ -213,22 +213,22 @@ def sample_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.divide(1.0, value, out=out, where=inside & (nearest > 0)).astype(np.float32)
 
 
-def _slopes(inverse: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slopes(inverse: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Slopes of inverse depth [H, W] along rows, to the left and to the right of each pixel.
 
     Where the neighbour on one side is on another surface, that of the other side; else 0.
     """
     step = np.diff(inverse, axis=1)
-    pair = known[:, :-1] & known[:, 1:]
-    least = LEAST_STEP * np.minimum(inverse[:, :-1], inverse[:, 1:])
-    alike = np.abs(step) <= least
+    pair = valid[:, :-1] & valid[:, 1:]
+    tolerance = LEAST_STEP * np.minimum(inverse[:, :-1], inverse[:, 1:])
+    similar = np.abs(step) <= tolerance
     goes_on = np.abs(np.diff(step, axis=1)) <= 0.5 * np.minimum(
         np.abs(step[:, :-1]), np.abs(step[:, 1:])
     )
     goes_on &= pair[:, :-1] & pair[:, 1:]
-    alike[:, 1:] |= goes_on
-    alike[:, :-1] |= goes_on
-    joined = np.pad(pair & alike, ((0, 0), (1, 1)))
+    similar[:, 1:] |= goes_on
+    similar[:, :-1] |= goes_on
+    joined = np.pad(pair & similar, ((0, 0), (1, 1)))
     step = np.pad(step, ((0, 0), (1, 1)))
     step[~joined] = 0
     behind, ahead = step[:, :-1], step[:, 1:]

@@ -95,9 +95,9 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     rows = np.arange(len(unit))
     # A quaternion and its negative are one rotation; the largest component is made positive.
     unit = unit * np.where(unit[rows, largest] < 0, -1, 1)[:, None]
-    others = unit[rows[:, None], _OTHERS[largest]]
-    sizes = np.minimum(np.rint(np.abs(others) * _MOST), 511).astype(np.uint32)
-    codes = sizes | ((others < 0).astype(np.uint32) << np.uint32(9))
+    smaller = unit[rows[:, None], _OTHERS[largest]]
+    sizes = np.minimum(np.rint(np.abs(smaller) * _MOST), 511).astype(np.uint32)
+    codes = sizes | ((smaller < 0).astype(np.uint32) << np.uint32(9))
     packed = largest.astype(np.uint32)
     for column in range(3):
         packed = packed << np.uint32(10) | codes[:, column]

@@ -36,11 +36,11 @@ def parse(text: str | bytes) -> Any:
             odd.append(digits)
         return number
 
-    def whole(digits: str) -> float:
+    def whole_number(digits: str) -> float:
         return int(digits) if len(digits) <= LONGEST else real(digits)
 
     try:
-        content = json.loads(text, parse_int=whole, parse_float=real)
+        content = json.loads(text, parse_int=whole_number, parse_float=real)
         # None where a later value of the same key has taken its place.
         if odd and (bad := next(_not_finite(content), None)):
             raise ValueError(f"{bad[0] or 'it'} is {bad[1]}, expected a number that 64 bits hold")

@@ -233,11 +233,6 @@ def z_at(depth: np.ndarray, at: np.ndarray, camera: Camera, ray: bool) -> Depth:
     return look_up
 
 
-def constant(points: np.ndarray) -> np.ndarray:
-    """One depth for all pixels."""
-    return np.ones(len(points))
-
-
 def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) -> Fitted:
     """Take matches from view to view by the z-depth of V views, scaled as little as fits.
 
@@ -284,26 +279,34 @@ def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) ->
     return best
 
 
-def first_best(tried: Sequence[tuple[Any, Fitted]]) -> tuple[Any, Fitted]:
-    """Return the first reading that no other fits much better."""
-    least = min(fitted.error for _, fitted in tried)
-    return next(one for one in tried if MUCH_BETTER * one[1].error <= least)
+Reading = tuple[Any, Sequence[Camera], Sequence[Depth]]
+"""A label of one way to read a file, and the cameras and the depth of V views that it gives."""
 
 
-def refuse_misfit(place: Path, fitted: Fitted, blank: Fitted, readings: int) -> None:
-    """Raise InputError if the best of some readings does not fit the photographs.
+def choose_reading(
+    place: Path, readings: Sequence[Reading], matches: Matches
+) -> tuple[Reading, Fitted]:
+    """Choose the first reading that no other one fits much better.
 
-    ``blank`` says how one depth for all pixels of a view fits.
+    Raises
+    ------
+    InputError
+        If even that one does not fit the photographs, nor much better than one depth for all pixels
+        of a view does.
     """
-    if fitted.count < 2 * MIN_MATCHES:
-        return
-    if fitted.share < FITS or (blank.error > PARALLAX and fitted.error > INFORMED * blank.error):
+    tried = [(reading, fit(*reading[1:], matches)) for reading in readings]
+    least = min(fitted.error for _, fitted in tried)
+    chosen, fitted = next(one for one in tried if MUCH_BETTER * one[1].error <= least)
+    blank = fit(chosen[1], [lambda points: np.ones(len(points))] * len(chosen[1]), matches)
+    misfit = blank.error > PARALLAX and fitted.error > INFORMED * blank.error
+    if fitted.count >= 2 * MIN_MATCHES and (fitted.share < FITS or misfit):
         raise InputError(
-            f"{place}: depth does not fit the photographs: the best of {readings} readings, along "
-            f"z or the ray, takes {fitted.share:.0%} of {fitted.count} matches to where the other "
-            f"view shows them, and one depth for all pixels {blank.share:.0%}; check that each map "
-            "is of its photograph, in their order, and of these cameras"
+            f"{place}: depth does not fit the photographs: the best of {len(tried)} readings, "
+            f"along z or the ray, takes {fitted.share:.0%} of {fitted.count} matches to where the "
+            f"other view shows them, and one depth for all pixels {blank.share:.0%}; check that "
+            "each map is of its photograph, in their order, and of these cameras"
         )
+    return chosen, fitted
 
 
 def _read(
@@ -314,13 +317,12 @@ def _read(
         raise InputError(f"{place}: its maps hold no depth; expected positive numbers")
     cameras = [view.camera for view in views]
     ways = [_ways(view, one) for view, one in zip(views, maps, strict=True)]
-    tried = []
+    readings: list[Reading] = []
     for way, ray in product(ways[0], (False, True)):
         at = [of_view.get(way, next(iter(of_view.values()))) for of_view in ways]
         depths = [z_at(m.depth, a, c, ray) for m, a, c in zip(maps, at, cameras, strict=True)]
-        tried.append(((way, ray, at, depths), fit(cameras, depths, matches)))
-    (way, ray, at, depths), fitted = first_best(tried)
-    refuse_misfit(place, fitted, fit(cameras, [constant] * len(maps), matches), len(tried))
+        readings.append(((way, ray, at), cameras, depths))
+    ((way, ray, at), _, _), fitted = choose_reading(place, readings, matches)
     opposite = [z_at(m.depth, a, c, ray) for m, a, c in zip(maps[::-1], at, cameras, strict=True)]
     if fit(cameras, opposite, matches).error < MUCH_BETTER * fitted.error:
         raise InputError(

@@ -75,9 +75,9 @@ def encode_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, digest: str = ""
     """
     buffer = io.BytesIO()
     method = zipfile.ZIP_DEFLATED if spec.compress else zipfile.ZIP_STORED
-    about = json.dumps({**spec.about(sorted(arrays)), **statement(digest)}, ensure_ascii=False)
+    metadata = json.dumps({**spec.about(sorted(arrays)), **statement(digest)}, ensure_ascii=False)
     with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr(_member(ABOUT), about, zipfile.ZIP_DEFLATED, compresslevel=9)
+        archive.writestr(_member(ABOUT), metadata, zipfile.ZIP_DEFLATED, compresslevel=9)
         for name in sorted(arrays):
             member = io.BytesIO()
             np.lib.format.write_array(member, arrays[name], allow_pickle=False)
@@ -128,8 +128,8 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
 def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays:
     """Read what :func:`encode_arrays` wrote; SpecError as :func:`decode_table`."""
     with _whole(data, file, spec, repair):
-        arrays, about = unpacked(data)
-        label = about.get("spec")
+        arrays, metadata = unpacked(data)
+        label = metadata.get("spec")
     spec.check_stated(label, file, repair)
     spec.check_arrays(arrays, file)
     return arrays
@@ -146,12 +146,12 @@ def unpacked(data: bytes) -> tuple[Arrays, dict[str, Any]]:
     # Not np.load, which takes whatever is no zip file for a pickle and says so.
     with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
         members: dict[str, Any] = {name: archive[name] for name in archive.files}
-    about = strict_json.parse(members.pop(ABOUT, b"{}"))
+    metadata = strict_json.parse(members.pop(ABOUT, b"{}"))
     if any(isinstance(array, bytes) for array in members.values()):
         raise ValueError("a member is no array")
-    if not isinstance(about, dict) or not isinstance(about.get("spec", ""), str):
+    if not isinstance(metadata, dict) or not isinstance(metadata.get("spec", ""), str):
         raise ValueError(f"{ABOUT} says no spec")
-    return members, about
+    return members, metadata
 
 
 def stated(data: bytes) -> dict[str, Any]:
@@ -163,8 +163,8 @@ def stated(data: bytes) -> dict[str, Any]:
     if data[:4] != b"PAR1":
         with zipfile.ZipFile(io.BytesIO(data)) as members:
             text = members.read(ABOUT) if ABOUT in members.namelist() else b"{}"
-        about: dict[str, Any] = strict_json.parse(text)
-        return about
+        parsed: dict[str, Any] = strict_json.parse(text)
+        return parsed
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -89,8 +89,8 @@ class About:
             version, maker = content.get("format"), content.get("made_by")
             if version != FORMAT:
                 stated = "none" if version is None else repr(version)[:40]
-                by = f", made by {maker:.60}" if isinstance(maker, str) else ""
-                raise mismatch(file, "format", f"{stated}{by}", f"{FORMAT}; {AGAIN}")
+                maker_text = f", made by {maker:.60}" if isinstance(maker, str) else ""
+                raise mismatch(file, "format", f"{stated}{maker_text}", f"{FORMAT}; {AGAIN}")
             cameras = {name: _camera_of(values) for name, values in content["cameras"].items()}
             settings, places = dict(content["settings"]), dict(content["places"])
             settings["encoder"], settings.get(settings["encoder"], {}).items()

@@ -155,7 +155,7 @@ def verify(
     InputError if the store cannot be read, or not written with ``remove``.
     """
     damage = Damage()
-    there: set[bytes] = set()
+    present: set[bytes] = set()
     in_use: dict[str, bool] = {}
 
     def problem_of(file: File) -> str | None:
@@ -176,7 +176,7 @@ def verify(
                 damage.damaged[file.uri] = problem
             elif problem is not None:
                 damage.sound += 1
-                there.add(_name(file.uri))
+                present.add(_name(file.uri))
     for record in chain.from_iterable(Records(store).all()):
         if record.ref is None:
             place = f"{store.root}/{record.file.uri}"
@@ -185,7 +185,7 @@ def verify(
             if uri in damage.damaged:
                 in_use[uri] = in_use.get(uri, False) or _is_current(record, versions)
             else:
-                damage.missing += _name(uri) not in there
+                damage.missing += _name(uri) not in present
     for uri, used in in_use.items():
         if not used:
             del damage.damaged[uri]

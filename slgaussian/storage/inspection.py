@@ -48,20 +48,22 @@ def _read(path: Path) -> dict[str, Any]:
         data = path.read_bytes()
         if path.suffix == ".safetensors":
             deserialize(data)
-            about = strict_json.parse(data[8 : 8 + int.from_bytes(data[:8], "little")])
+            metadata = strict_json.parse(data[8 : 8 + int.from_bytes(data[:8], "little")])
         elif path.suffix in (".npz", ".parquet"):
-            about = encoding.stated(data)
+            metadata = encoding.stated(data)
         else:
-            about = strict_json.parse(data.split(b"\n", 1)[0] if path.suffix == ".jsonl" else data)
-        label = about.get("spec", "")
+            metadata = strict_json.parse(
+                data.split(b"\n", 1)[0] if path.suffix == ".jsonl" else data
+            )
+        label = metadata.get("spec", "")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a file") from error
     except Exception as error:  # a damaged file raises almost anything
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise SpecError(f"{path}: is damaged ({reason}); {REPAIR}") from error
-    file, digest, origin = str(path), hashlib.sha256(data).hexdigest(), about.get("made", {})
+    file, digest, origin = str(path), hashlib.sha256(data).hexdigest(), metadata.get("made", {})
     if path.suffix == ".safetensors":
-        return {"meaning": "Weights.", "digest": digest, "made": about.get("__metadata__", {})}
+        return {"meaning": "Weights.", "digest": digest, "made": metadata.get("__metadata__", {})}
     by_file = {load_spec(name).file: name for name in spec_names()}
     name = parse_label(label)[0] if label else by_file.get(path.name, "")
     if name not in spec_names() or load_spec(name).suffix != path.suffix:
@@ -75,7 +77,7 @@ def _read(path: Path) -> dict[str, Any]:
     else:
         read_document(data, spec, file)
         keys = ("made_by", "slgaussian", "command", "settings")
-        origin = {key: about[key] for key in keys if key in about}
+        origin = {key: metadata[key] for key in keys if key in metadata}
     if len(path.stem) == len(digest) and path.stem != digest:
         raise mismatch(file, "digest", digest[:12], "that of its name")
     return {"spec": spec.label, "meaning": spec.doc, "digest": digest, "made": origin}

@@ -92,16 +92,16 @@ def statement(digest: str = "") -> dict[str, Any]:
     work = current()
     if work is not None and digest in work.given:
         work = None
-    about: dict[str, Any] = {"program": f"slgaussian {__version__}"}
+    record: dict[str, Any] = {"program": f"slgaussian {__version__}"}
     origin = {}
     if work is not None:
-        about["stage"] = work.stage
+        record["stage"] = work.stage
         if work.version is not None:
-            about["stage_version"] = work.version
-        about |= {"settings": dict(work.settings), "of": dict(work.of)}
+            record["stage_version"] = work.version
+        record |= {"settings": dict(work.settings), "of": dict(work.of)}
         origin = {"source": work.source, "licence": work.licence}
-    about["software"] = software()
-    return {"made": about, **{name: text for name, text in origin.items() if text}}
+    record["software"] = software()
+    return {"made": record, **{name: text for name, text in origin.items() if text}}
 
 
 def speaking(schema: pa.Schema, digest: str = "") -> pa.Schema:

@@ -94,12 +94,12 @@ class Records:
                 fields = strict_json.parse(data)
                 stamp = fields.pop("stamp", None)
                 ref = ArtifactRef(**fields)
-                whole = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
+                is_valid = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
                 # Nothing outside the store is even looked at, whoever wrote the record.
-                whole = whole and is_digest(ref.digest) and all(map(_is_below, ref.uris))
+                is_valid = is_valid and is_digest(ref.digest) and all(map(_is_below, ref.uris))
             except (ValueError, TypeError, AttributeError):
-                whole = False
-            if not whole:
+                is_valid = False
+            if not is_valid:
                 raise SpecError(f"{self.store.root}/{uri}: found no record, expected a ref as JSON")
             return ref, stamp
 

@@ -264,9 +264,9 @@ def parse_label(label: str) -> tuple[str, int]:
     return (label, 0) if match is None else (match[1], int(match[2]))
 
 
-def mismatch(file: str, field: str, found: str, expected: str) -> SpecError:
+def mismatch(file: str, field: str, actual: str, expected: str) -> SpecError:
     """Return a :class:`SpecError` about a file in the one form of all."""
-    return SpecError(f"{file}: {field}: found {found}, expected {expected}")
+    return SpecError(f"{file}: {field}: found {actual}, expected {expected}")
 
 
 def _check_values(
@@ -280,10 +280,10 @@ def _check_values(
         if strange:
             raise mismatch(file, name, f"{strange[0]!r:.80}", f"one of {list(entry.values)}")
     # One pass for each bound that there is: arrays may be large.
-    if entry.low is not None and values.size and (least := values.min()) < entry.low - slack:
-        raise mismatch(file, name, f"{least:g}", f"values of at least {entry.low:g}")
-    if entry.high is not None and values.size and (most := values.max()) > entry.high + slack:
-        raise mismatch(file, name, f"{most:g}", f"values of at most {entry.high:g}")
+    if entry.low is not None and values.size and (minimum := values.min()) < entry.low - slack:
+        raise mismatch(file, name, f"{minimum:g}", f"values of at least {entry.low:g}")
+    if entry.high is not None and values.size and (maximum := values.max()) > entry.high + slack:
+        raise mismatch(file, name, f"{maximum:g}", f"values of at most {entry.high:g}")
 
 
 def _check_array(

@@ -360,12 +360,12 @@ class ArtifactStore:
                 yield from self.walk(below)
 
     def at_once(
-        self, function: Callable[[Item], Result], items: Sequence[Item], most: int = AT_ONCE
+        self, function: Callable[[Item], Result], items: Sequence[Item], workers: int = AT_ONCE
     ) -> list[Result]:
         """Call a function for each item, those of a store elsewhere side by side: it waits."""
         if self.near or len(items) < 2:
             return [function(item) for item in items]
-        with ThreadPoolExecutor(most) as pool:
+        with ThreadPoolExecutor(workers) as pool:
             return list(pool.map(function, items))
 
     def _ask(
@@ -417,8 +417,8 @@ class ArtifactStore:
         if ref.uri != expected:
             raise self._damaged(ref.uri, "a ref to it", f"one to {expected}")
 
-    def _damaged(self, uri: str, found: str, expected: str, field: str = "file") -> DamagedError:
-        return DamagedError(str(mismatch(f"{self.root}/{uri}", field, found, expected)), uri)
+    def _damaged(self, uri: str, actual: str, expected: str, field: str = "file") -> DamagedError:
+        return DamagedError(str(mismatch(f"{self.root}/{uri}", field, actual, expected)), uri)
 
 
 def address(spec: str, digest: str) -> str:

@@ -50,12 +50,12 @@ def read_table(source: bytes | str | Path, columns: Sequence[str] | None = None)
             width = _WIDTHS.get(chunk.physical_type) or max(4, file.schema.column(number).length)
             total += chunk.total_uncompressed_size + width * (chunk.num_values + group.num_rows)
             if chunk.physical_type == "BYTE_ARRAY":
-                most = chunk.num_values * chunk.total_uncompressed_size
-                worst[chunk.path_in_schema] = worst.get(chunk.path_in_schema, 0) + most
+                bound = chunk.num_values * chunk.total_uncompressed_size
+                worst[chunk.path_in_schema] = worst.get(chunk.path_in_schema, 0) + bound
     if total <= MOST_UNPACKED < total + sum(worst.values()):
-        for name, most in worst.items():
+        for name, bound in worst.items():
             if "." in name:  # of lists
-                total += most
+                total += bound
                 continue
             for texts in opened([name]).read([name], use_threads=False).column(name).chunks:
                 lengths = pc.binary_length(texts.dictionary.cast(pa.binary())).cast(pa.int64())

@@ -66,12 +66,6 @@ def test_between_is_a_rigid_pose_on_the_way_the_same_from_either_end(first, seco
     assert angle(made, b) == pytest.approx((1 - t) * angle(a, b), abs=1e-6)
 
 
-def test_between_two_sizes_of_picture_has_the_first_ones():
-    a, b = camera(), at(1.0).resized(640, 480)
-    np.testing.assert_allclose(between(a, b, 0.5).K, K)
-    np.testing.assert_allclose(between(b, a, 0.5).K, b.K)
-
-
 BALL = np.random.default_rng(0).normal(size=(4000, 3))
 BALL *= 0.05 / np.linalg.norm(BALL, axis=1, keepdims=True)
 

@@ -51,7 +51,7 @@ def test_a_bound_refuses(case, described, monkeypatch):
     for name, value in bounds.items():
         monkeypatch.setattr(two_view, name, value)
     found = find_pair(*described)
-    assert found.found.verdict == UNUSED and said in found.found.said and found.advice
+    assert found.estimate.verdict == UNUSED and said in found.estimate.said and found.advice
 
 
 @pytest.mark.parametrize("case", DOUBTING)
@@ -60,11 +60,11 @@ def test_a_bound_doubts(case, described, plain, monkeypatch):
     for name, value in bounds.items():
         monkeypatch.setattr(two_view, name, value)
     found = find_pair(*described)
-    assert plain.found.verdict == GOOD
-    assert found.found.verdict == DOUBTFUL and said in found.found.said
+    assert plain.estimate.verdict == GOOD
+    assert found.estimate.verdict == DOUBTFUL and said in found.estimate.said
 
 
 def test_few_matches_are_doubted(described, plain, monkeypatch):
-    monkeypatch.setattr(two_view, "LEAST", plain.found.inliers - 1)
-    found = find_pair(*described).found
+    monkeypatch.setattr(two_view, "LEAST", plain.estimate.inliers - 1)
+    found = find_pair(*described).estimate
     assert found.verdict == DOUBTFUL and "matches agree" in found.said

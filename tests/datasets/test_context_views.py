@@ -1,15 +1,11 @@
 """Which context views are added around two: between them first, never a target, nor beside one."""
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian import datasets
-from slgaussian.benchmark.index import read_index
 from slgaussian.datasets.context_views import APART, BEYOND, TURNED, WITHIN, context_of
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
@@ -103,36 +99,3 @@ def test_a_smaller_number_is_part_of_a_larger_one_and_all_are_apart(places, coun
         between = min(first, last) <= int(name) <= max(first, last)
         assert gap / unit >= (WITHIN if between else BEYOND) - 1e-6
         assert abs(int(name) - target) / unit >= APART - 1e-6
-
-
-def test_an_index_of_llff_with_more_context_views_and_a_target_is_read_and_added_to(
-    real_data, tmp_path
-):
-    """Every eighth photograph is held out, as is usual with LLFF."""
-    scene = datasets.load("llff", real_data / "fern")
-    names = list(scene.cameras)
-    entry = {"context": names[1:8:2], "target": names[::8], "categories": ["fern"]}
-    (tmp_path / "pairs.json").write_text(json.dumps({"fern": entry}))
-    (pair,) = read_index(tmp_path / "pairs.json").pairs
-    assert len(pair.context) == 4
-    chosen = context_of(scene, pair.context, pair.targets, 8)
-    assert chosen[:4] == pair.context and not set(chosen) & set(pair.targets)
-    two = context_of(scene, pair.context, pair.targets, 2)
-    assert two == (pair.context[0], pair.context[-1])
-
-
-def test_clips_of_realestate10k_have_more_context_views(tmp_path):
-    """In an index, and around the two of the published one: the third is in the middle."""
-    scene = walk(range(150))
-    clips = {
-        "ab": {"context": [58, 133], "target": [84, 102, 129]},
-        "cd": {"context": [10, 30, 50, 70], "target": [20, 40]},
-    }
-    (tmp_path / "index.json").write_text(json.dumps(clips))
-    two, four = read_index(tmp_path / "index.json").pairs
-    assert four.context == ("10", "30", "50", "70")
-    assert context_of(scene, four.context, four.targets, 4) == four.context
-    chosen = context_of(scene, two.context, two.targets, 8)
-    assert chosen[:3] in (("58", "133", "94"), ("58", "133", "93"))
-    between = [58 <= int(name) <= 133 for name in chosen]
-    assert between == sorted(between, reverse=True) and sum(between) >= 6

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from implicit_solids import inside_below_zero
 
-from slgaussian.datasets import load
 from slgaussian.datasets.procedural import raycast, reader
 from slgaussian.datasets.procedural.names import (
     COLOURS,
@@ -173,16 +172,6 @@ def test_shadows_fall_where_an_object_hides_the_lamp():
     near = lit & (np.abs(points[..., 0]) < 1.5) & (points[..., 1] > -1)
     assert dark.sum() > 100
     assert np.median(view.image[dark]) < 0.85 * np.median(view.image[near])
-
-
-def test_the_ends_make_a_two_view_sample_and_the_middle_its_targets():
-    scene = load("procedural", seed=7, **SMALL)
-    sample = scene.sample(["view_00", "view_03"], ["view_01", "view_02"])
-    assert sample.phrases == scene.phrases
-    ends = [view.camera.center for view in sample.context]
-    assert np.linalg.norm(ends[0] - ends[1]) == pytest.approx(0.6)
-    depth = sample.context[0].depth
-    assert depth.min() > 1.5 and depth.max() < 8
 
 
 @pytest.mark.parametrize(

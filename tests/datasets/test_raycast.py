@@ -98,29 +98,8 @@ def normal_rise(solid: Solid, point: np.ndarray, normal: np.ndarray) -> np.ndarr
     return inside_below_zero(solid, point + step) - inside_below_zero(solid, point - step)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_length_of_the_ray_is_the_unit_of_t(kind):
-    rng = np.random.default_rng(3)
-    solid = random_solid(kind, rng)
-    origin = np.add(solid.centre, (0.1, 0.2, 5))
-    ray = np.asarray(solid.centre) + 0.6 * solid.reach * np.array((0.5, 0.3, 0)) - origin
-    t = shoot(solid, origin, ray)
-    if kind != RING:  # the ring's hole may let it through
-        assert np.isfinite(t)
-    assert shoot(solid, origin, ray / 64) == pytest.approx(64 * t, rel=1e-12)
-
-
 class TestRing:
     ring = Solid(RING, (1.0, 0.25), (0.0, 0.0, 0.0))
-
-    def test_lets_a_ray_through_its_hole(self):
-        assert shoot(self.ring, (0, 0, 3), (0, 0, -1)) == math.inf
-        assert shoot(self.ring, (0.3, -0.6, 3), (0, 0, -1)) == math.inf
-
-    def test_is_met_first_at_the_nearest_of_four_crossings(self):
-        assert shoot(self.ring, (3, 0, 0), (-1, 0, 0)) == pytest.approx(1.75, abs=1e-14)
-        # From inside the hole, the inner wall.
-        assert shoot(self.ring, (0, 0, 0), (-1, 0, 0)) == pytest.approx(0.75, abs=1e-14)
 
     def test_is_met_just_inside_its_tangent_and_missed_just_outside(self):
         for gap, hit in ((-1e-9, True), (1e-9, False)):
@@ -132,9 +111,6 @@ class TestRing:
         assert shoot(self.ring, (1000, 0.2, 0), (-1, 0, 0)) == pytest.approx(
             1000 - math.sqrt(1.25**2 - 0.2**2), abs=1e-11
         )
-
-    def test_is_missed_when_behind(self):
-        assert shoot(self.ring, (3, 0, 0), (1, 0, 0)) == math.inf
 
 
 class TestCone:
@@ -148,9 +124,6 @@ class TestCone:
 
     def test_is_met_at_its_apex_from_above(self):
         assert shoot(self.cone, (0, 0, 4), (0, 0, -1)) == pytest.approx(3.0, abs=1e-12)
-
-    def test_has_no_second_nappe(self):
-        assert shoot(self.cone, (3, 0, 2), (-1, 0, 0)) == math.inf
 
 
 def test_axis_parallel_rays_meet_boxes_and_cylinders_squarely():

@@ -45,19 +45,3 @@ def test_the_right_photograph_agrees_with_that_and_with_no_other_offset():
         return float(np.abs(warped - left.image[inside]).mean())
 
     assert difference(0) < min(difference(-1), difference(1), difference(-0.5), difference(0.5))
-
-
-def test_views_make_a_sample_in_metres():
-    sample = stereo.read().sample(["left", "right"], size="original")
-    depth = sample.context[0].depth
-    assert depth[depth > 0].min() > 2.0 and depth.max() < 5.5
-    assert sample.context[1].depth is None
-    baseline = sample.context[1].camera.center - sample.context[0].camera.center
-    assert np.allclose(baseline, (0.193001, 0, 0))
-
-
-def test_unknown_disparities_have_no_depth():
-    depth = stereo.depth_from_disparity(np.array([[np.nan, np.inf, 10.0]]))
-    assert depth.dtype == np.float32
-    assert depth[0, :2].tolist() == [0, 0]
-    assert np.isclose(depth[0, 2], 0.193001 * 994.978 / 41.086)

@@ -96,34 +96,6 @@ def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
             assert found.reason == ""
 
 
-def test_held_out_views_are_never_chosen():
-    clip, barred = views(path()), set()
-    for _ in range(21):  # bar what was chosen until nothing is left
-        (found,) = surround(clip, [10], barred, Rule())
-        if found.pair is None:
-            break
-        assert not {10, *barred} & set(found.pair.context)
-        barred.add(found.pair.context[0])
-    assert found.pair is None
-    assert barred
-
-
-def test_neighbouring_targets_do_not_serve_each_other():
-    clip = views(path(7, 0.25))
-    first, second = surround(clip, [2, 3], set(), Rule(max_aside=0.49))
-    assert first.pair is None or not {2, 3} & set(first.pair.context)
-    assert second.pair is not None
-    assert not {2, 3} & set(second.pair.context)
-
-
-def test_a_blurred_view_gives_way_to_a_sharp_one():
-    blur = np.full(21, 0.3)
-    (sharp,) = surround(views(path(), blur=blur), [10], set(), Rule())
-    blur[list(sharp.pair.context)] = 0.42
-    (other,) = surround(views(path(), blur=blur), [10], set(), Rule())
-    assert not set(other.pair.context) & set(sharp.pair.context)
-
-
 def test_equal_scores_go_to_the_earlier_views():
     twice = [*path(), *path()]
     (found,) = surround(views(twice), [10], {31}, Rule())

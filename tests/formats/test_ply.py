@@ -8,8 +8,6 @@ from plyfile import PlyData, PlyElement
 from slgaussian.errors import InputError
 from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.gaussians import Gaussians, covariances
-from slgaussian.rasterize import rasterize
-from slgaussian.scene import Camera
 
 EPS = 2.0**-24
 """Relative round-off of float32."""
@@ -186,21 +184,6 @@ def test_the_3d_filter_widens_and_fades(tmp_path):
     size = np.linalg.norm(after, axis=(1, 2), keepdims=True)
     assert (np.abs(covariances(loaded).numpy() - after) / size).max() < 100 * EPS
     np.testing.assert_allclose(loaded.opacities, made.opacities.numpy() * fade, rtol=2e-5)
-
-
-def test_a_filtered_gaussian_has_the_alpha_of_its_integral(tmp_path):
-    """Small and seen from afar, as in the published scenes: most of its opacity goes."""
-    s, f, z, focal, opacity = 1e-3, 0.05, 5.0, 100.0, 0.9
-    data = columns(1, 1) | dict.fromkeys(("x", "y"), np.zeros(1)) | {"z": np.full(1, z)}
-    data |= {f"scale_{i}": np.full(1, np.log(s)) for i in range(3)}
-    data |= {"opacity": np.full(1, np.log(opacity / (1 - opacity))), "filter_3D": np.full(1, f)}
-    gaussians, _ = load_ply(write(tmp_path / "mip.ply", data, "f8"))
-    camera = Camera(np.array([[focal, 0, 32], [0, focal, 24], [0, 0, 1]]), np.eye(4), 64, 48)
-    drawn = rasterize(gaussians, None, camera, settings="exact").alpha.mean()
-    width = s**2 + f**2
-    variance = width * (focal / z) ** 2 + 0.3  # px^2, with the low-pass filter
-    expected = opacity * (s**2 / width) ** 1.5 * 2 * np.pi * variance / (64 * 48)
-    assert drawn == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(

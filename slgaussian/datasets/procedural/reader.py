@@ -75,13 +75,12 @@ def read(
         "noise": (noise, 0.0, 1.0),
         "exposure": (exposure, 0.0, 1.0),
     }
-    for option, (value, least, most) in limits.items():
-        whole = isinstance(least, int)
-        if not least <= value <= most or (whole and value != int(value)):
-            kind = "whole number" if whole else "number"
+    for option, (value, low, high) in limits.items():
+        is_integer = isinstance(low, int)
+        if not low <= value <= high or (is_integer and value != int(value)):
+            kind = "whole number" if is_integer else "number"
             raise InputError(
-                f"procedural scene {option}: found {value}, expected a {kind} from {least} to "
-                f"{most}"
+                f"procedural scene {option}: found {value}, expected a {kind} from {low} to {high}"
             )
     name = f"procedural_{seed}"
     arc = rng_for(seed, name, "arc")

@@ -97,26 +97,26 @@ def furnish(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -
 
 
 def _attempt(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -> Room | None:
-    taken: set[tuple[str, str]] = set()
-    things = _shell(rng, taken)
+    used_looks: set[tuple[str, str]] = set()
+    things = _shell(rng, used_looks)
     ground = _Ground()
     if rng.random() < 0.75:
-        things.append(_carpet(rng, ground, things[0], taken))
+        things.append(_carpet(rng, ground, things[0], used_looks))
     if rng.random() < 0.75:
-        things.append(_table(rng, ground, taken))
+        things.append(_table(rng, ground, used_looks))
     if rng.random() < 0.8:
         things.append(_picture(rng))
     fixed = len(things)
     for _ in range(30 * objects):
         if len(things) - fixed == objects:
             break
-        candidate = _object(rng, ground, taken)
+        candidate = _object(rng, ground, used_looks)
         if candidate is None:
             continue
         thing, key, place, circle, top = candidate
         if _all_seen([*things, thing], fixed, cameras):
             things.append(thing)
-            taken.add(key)
+            used_looks.add(key)
             place.circles.append(circle)
             ground.tops += [] if top is None else [top]
     if len(things) - fixed < objects:
@@ -151,13 +151,13 @@ def _paler(material: Material) -> Material:
     return replace(material, first=(r, g, b), gloss=0.0)
 
 
-def _shell(rng: np.random.Generator, taken: set[tuple[str, str]]) -> list[Thing]:
+def _shell(rng: np.random.Generator, used_looks: set[tuple[str, str]]) -> list[Thing]:
     """Make floor, ceiling, back wall and, as one thing, side walls and the one behind cameras."""
     floor = str(rng.choice(_FLOORS))
     back = str(rng.choice(_WALLS))
     side = str(rng.choice([w for w in _WALLS if look(w) != look(back) and w != "brick"]))
     middle, depth, half, t = (_BACK + _FRONT) / 2, (_BACK - _FRONT) / 2, _HEIGHT / 2, 0.1
-    taken.update({("floor", look(floor)), ("wall", look(back)), ("wall", look(side))})
+    used_looks.update({("floor", look(floor)), ("wall", look(back)), ("wall", look(side))})
     below = Solid(BOX, (_WIDTH, depth, t), (0, middle, -t))
     above = Solid(BOX, (_WIDTH, depth, t), (0, middle, _HEIGHT + t))
     ends = [Solid(BOX, (_WIDTH, t, half), (0, y, half)) for y in (_BACK + t, _FRONT - t)]
@@ -225,7 +225,7 @@ class _Ground:
 
 
 def _carpet(
-    rng: np.random.Generator, ground: _Ground, floor: Thing, taken: set[tuple[str, str]]
+    rng: np.random.Generator, ground: _Ground, floor: Thing, used_looks: set[tuple[str, str]]
 ) -> Thing:
     below = look(floor.phrase)
     colours = [c for c in ("red", "blue", "green", "purple", "orange", "beige") if c != below]
@@ -239,11 +239,11 @@ def _carpet(
     angle = float(rng.uniform(-0.2, 0.2))
     ground.carpet = _Place(centre, angle, half, _THICK, ground.floor.circles)
     solid = Solid(BOX, (*half, _THICK / 2), (*centre, _THICK / 2), _turned(angle))
-    taken.add(("carpet", look(words)))
+    used_looks.add(("carpet", look(words)))
     return Thing(f"{words} carpet", replace(material(rng, words, 0.16), gloss=0.0), (solid,))
 
 
-def _table(rng: np.random.Generator, ground: _Ground, taken: set[tuple[str, str]]) -> Thing:
+def _table(rng: np.random.Generator, ground: _Ground, used_looks: set[tuple[str, str]]) -> Thing:
     words = str(rng.choice(["wooden", "wooden", "white", "black", "brown"]))
     half = (float(rng.uniform(0.45, 0.6)), float(rng.uniform(0.28, 0.36)))
     height, top, leg = float(rng.uniform(0.42, 0.6)), 0.025, 0.03
@@ -261,7 +261,7 @@ def _table(rng: np.random.Generator, ground: _Ground, taken: set[tuple[str, str]
             foot = (centre[0] + float(at[0]), centre[1] + float(at[1]), reach)
             solids.append(Solid(BOX, (leg, leg, reach), foot, turn))
     ground.table = _Place(centre, angle, half, height, [])
-    taken.add(("table", look(words)))
+    used_looks.add(("table", look(words)))
     return Thing(f"{words} table", material(rng, words, 0.4), tuple(solids))
 
 
@@ -275,7 +275,7 @@ def _picture(rng: np.random.Generator) -> Thing:
 
 
 def _object(
-    rng: np.random.Generator, ground: _Ground, taken: set[tuple[str, str]]
+    rng: np.random.Generator, ground: _Ground, used_looks: set[tuple[str, str]]
 ) -> tuple[Thing, tuple[str, str], _Place, tuple[float, float, float], _Place | None] | None:
     """Make an object of a look and shape that no other has at a free spot, if there is one.
 
@@ -289,7 +289,7 @@ def _object(
         words = str(rng.choice(list(COLOURS)))
         if draw > 0.55:
             words += " " + str(rng.choice(PATTERNS))
-    if (shape, look(words)) in taken:
+    if (shape, look(words)) in used_looks:
         return None
     scale = float(rng.uniform(0.15, 0.31))
     spot = ground.find(rng, scale * 1.02)
