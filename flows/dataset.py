@@ -29,7 +29,7 @@ from slgaussian.datasets.scene_grouping import Places
 from slgaussian.datasets.training_set import SPLITS
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
-from slgaussian.kernels.seeding import held_out
+from slgaussian.kernels.seeding import hold_out
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.choices import choices
 from tasks.chunks import Framing, PosedFolder, Room, known_chunk, packed, views
@@ -239,16 +239,15 @@ def _finish(
     for about in abouts.values():
         places.seen_in(about["clip"], about["url"])
     by_clip = places.by_clip()
-    finished = []
+    good = []
     for name, about in sorted(abouts.items()):
         why = refused(about, settings)
         if why is not None:
             failures.append(Failure(name, FILTER, "Filtered", why))
             continue
-        place = by_clip[about["clip"]]
-        split = SPLITS[held_out(place, settings.held_out)]
-        finished.append(Finished(outcome.refs[name][example.name], place, split))
-    return finished
+        good.append((outcome.refs[name][example.name], by_clip[about["clip"]]))
+    tested = hold_out({place for _, place in good}, settings.held_out)
+    return [Finished(ref, place, SPLITS[place in tested]) for ref, place in good]
 
 
 def refused(about: Mapping[str, Any], settings: SetSettings) -> str | None:

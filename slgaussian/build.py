@@ -89,6 +89,7 @@ def build_field(
     """
     check_type(sample, Sample, "build_field: expected a Sample, as slg.photographs returns it")
     method = method or Method()
+    check_type(method, Method, "build_field: expected a Method, such as slg.Method(encoder='clip')")
     method.check()
     compiling.watch()
     sample, graph, left_out = usable(sample)

@@ -124,6 +124,7 @@ class FieldView:
 
         ``mask``, bool [H, W], says where the thing is in the picture: everywhere if left out.
         """
+        check_type(image, np.ndarray, "like: expected a picture, uint8 [H, W, 3]")
         return self._likest(*self.field.picture_words(image, mask), rules)
 
     def like_object(self, object_id: int, **rules: Any) -> QueryResult:

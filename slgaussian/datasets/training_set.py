@@ -6,8 +6,10 @@ names: tar files as WebDataset has them (:mod:`slgaussian.datasets.shards`).
 >>> from torch.utils.data import DataLoader
 >>> from slgaussian.datasets import TrainingSet
 >>> samples = TrainingSet("set/", split="train")
->>> loader = DataLoader(samples, batch_size=4, shuffle=True, num_workers=2,
-...                     collate_fn=TrainingSet.collate)
+>>> loader = DataLoader(samples, batch_size=4, shuffle=True, num_workers=2)
+
+Objects and Gaussians, of which samples have different numbers, are filled up with zeros at their
+end in a batch: an id 0 is no object, present nowhere, and an opacity 0 draws nothing.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import pyarrow.compute as pc
 import torch
 from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import Dataset
+from torch.utils.data._utils.collate import default_collate_fn_map
 
 from slgaussian.datasets.photographs import rgb
 from slgaussian.datasets.shards import unpack
@@ -43,8 +46,6 @@ SPECS = {
 """The spec of each ``.npz`` member of a sample."""
 
 ANEW = "make the set anew with `slgaussian dataset`"
-RAGGED = ("objects", "gaussians")
-"""Parts of items of which samples have different numbers."""
 
 
 class TrainingSet(Dataset[dict[str, Any]]):
@@ -139,15 +140,17 @@ class TrainingSet(Dataset[dict[str, Any]]):
             images = self._images(index, members, role)
             item[role] = {"image": images, **{name: of[part] for name, of in views.items()}}
         item["context"]["confirmed"] = torch.from_numpy(geometry["confirmed"])
-        item["objects"] = {
-            "ids": torch.from_numpy(bank["ids"].astype(np.int64)),
-            "codes": torch.from_numpy(bank["codes"]),
-            "features": torch.from_numpy(bank["features"].astype(np.float32)),
-            "present": torch.from_numpy(bank["present"]),
-        }
+        item["objects"] = _Ragged(
+            ids=torch.from_numpy(bank["ids"].astype(np.int64)),
+            codes=torch.from_numpy(bank["codes"]),
+            features=torch.from_numpy(bank["features"].astype(np.float32)),
+            present=torch.from_numpy(bank["present"]),
+        )
         item["quality"] = {k: v for k, v in info.items() if isinstance(v, int | float)}
         if "gaussians" in arrays:
-            item["gaussians"] = {k: torch.from_numpy(v) for k, v in arrays["gaussians"].items()}
+            item["gaussians"] = _Ragged(
+                {k: torch.from_numpy(v) for k, v in arrays["gaussians"].items()}
+            )
         return item
 
     def members(self, index: int) -> dict[str, bytes]:
@@ -176,15 +179,6 @@ class TrainingSet(Dataset[dict[str, Any]]):
         members = self.members(index) if members is None else members
         label, data = self._member(index, members, f"{name}.npz")
         return decode_arrays(data, load_spec(SPECS[name]), label, ANEW)
-
-    @staticmethod
-    def collate(items: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-        """Make one batch of items: tensors stacked, texts in lists.
-
-        Objects and Gaussians, of which samples have different numbers, are filled up with zeros at
-        their end: an id 0 is no object, present nowhere, and an opacity 0 draws nothing.
-        """
-        return {name: _batched([item[name] for item in items], name in RAGGED) for name in items[0]}
 
     def _images(self, index: int, members: Mapping[str, bytes], role: str) -> torch.Tensor:
         names = sorted(
@@ -236,15 +230,16 @@ def _readable(label: str) -> Iterator[None]:
         raise SpecError(f"{label}: is damaged ({error}); {ANEW}") from None
 
 
-def _batched(values: Sequence[Any], ragged: bool) -> Any:
-    """Stack values, or those of the same name; ``ragged`` ones are filled up with zeros."""
-    first = values[0]
-    if isinstance(first, Mapping):
-        return {name: _batched([value[name] for value in values], ragged) for name in first}
-    if isinstance(first, torch.Tensor):
-        return pad_sequence(list(values), batch_first=True) if ragged else torch.stack(list(values))
-    return (
-        torch.tensor(values, dtype=torch.float32)
-        if isinstance(first, int | float)
-        else list(values)
-    )
+class _Ragged(dict[str, torch.Tensor]):
+    """Tensors by name, of which samples have different numbers."""
+
+
+def _filled_up(values: Sequence[_Ragged], **_: Any) -> dict[str, torch.Tensor]:
+    """Stack tensors of the same name, filled up with zeros."""
+    return {
+        name: pad_sequence([value[name] for value in values], batch_first=True)
+        for name in values[0]
+    }
+
+
+default_collate_fn_map[_Ragged] = _filled_up

@@ -31,6 +31,9 @@ from slgaussian.scene import Camera, Sample, Scene, Size, View
 
 Place = str | Path
 
+SMALLEST = 32
+"""Pixels across of the smallest photograph whose camera is looked for."""
+
 
 def photographs(
     *images: Any, size: Size = "auto", near: float | None = None, far: float | None = None
@@ -201,12 +204,20 @@ def photograph(file: Path, name: str) -> Photograph:
             if image.format == "TIFF":
                 image.load()  # which Pillow turns as it loads them
             return _photograph(image, name)
+    except InputError:
+        raise
     except (OSError, ValueError) as bad:
         raise unreadable(file, bad) from None
 
 
 def _photograph(image: Image.Image, name: str) -> Photograph:
     full_size, (lens, focal) = image.size, read_lens(image)
+    if min(full_size) < SMALLEST:
+        found = " x ".join(map(str, full_size))
+        raise InputError(
+            f"{name}: is {found} pixels, expected {SMALLEST} x {SMALLEST} at least, "
+            "to find points that another photograph shows too; give the photograph at its own size"
+        )
     orientation = orientation_of(image)
     small_size = _shrunk(*full_size)
     # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.

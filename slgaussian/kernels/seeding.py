@@ -1,6 +1,7 @@
 """Random numbers that depend on what is computed, never on when, where or under which name."""
 
 import hashlib
+from collections.abc import Collection
 
 import numpy as np
 
@@ -52,3 +53,15 @@ def held_out(clip: str, fraction: float) -> bool:
         Of all clips, in [0, 1], about: of few clips by chance more or fewer.
     """
     return seed_for(0, clip, "held out") < fraction * 2**64
+
+
+def hold_out(clips: Collection[str], fraction: float) -> set[str]:
+    """Return those of several clips that are :func:`held_out`.
+
+    If chance holds out none and ``fraction`` is not 0, the one that a greater fraction would hold
+    out first, unless there is no other.
+    """
+    chosen = {clip for clip in clips if held_out(clip, fraction)}
+    if chosen or not fraction or len(clips) < 2:
+        return chosen
+    return {min(clips, key=lambda clip: seed_for(0, clip, "held out"))}

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 from PIL import Image
+from torch.utils.data import default_collate
 
 from flows import dataset, training
 from flows.cli.app import main
@@ -161,7 +162,7 @@ def digest(value):
 samples = TrainingSet(sys.argv[1])
 for workers, seed in ((0, 0), (2, 0), (0, 1), (0, 2), (0, 3), (0, 4), (0, 5)):
     loader = DataLoader(
-        samples, batch_size=2, shuffle=True, num_workers=workers, collate_fn=samples.collate,
+        samples, batch_size=2, shuffle=True, num_workers=workers,
         generator=torch.Generator().manual_seed(seed),
     )
     print(json.dumps([digest(batch) for batch in loader]))
@@ -184,7 +185,7 @@ def test_objects_of_a_batch_are_filled_up_with_nothing(made):
     folder, *_ = made
     samples = TrainingSet(folder / "set")
     items = [samples[i] for i in range(3)]
-    batch = TrainingSet.collate(items)
+    batch = default_collate(items)
     counts = [len(item["objects"]["ids"]) for item in items]
     assert batch["objects"]["ids"].shape == (3, max(counts)) and len(set(counts)) > 1
     for row, count, item in zip(range(3), counts, items, strict=True):
@@ -269,7 +270,7 @@ def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(made
     _, store, settings, _ = made
     made_set(settings_for(tmp_path, *settings.sources, gaussians=True, images="png"), store)
     samples = TrainingSet(tmp_path / "set")
-    batch = TrainingSet.collate([samples[i] for i in range(3)])
+    batch = default_collate([samples[i] for i in range(3)])
     rows = samples.rows.to_pylist()
     assert batch["gaussians"]["means"].shape[1] == max(row["gaussians"] for row in rows)
     for row, opacities in zip(rows, batch["gaussians"]["opacities"], strict=True):
