@@ -25,7 +25,7 @@ from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.masks.associate import associate
 from slgaussian.masks.levels import group_objects
 from slgaussian.predict import CountingPredictor, Depths
-from slgaussian.predict.view_graph import usable
+from slgaussian.predict.view_graph import select_usable
 from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Sample, View
 from slgaussian.storage.statistics import FieldStatistics
@@ -58,7 +58,7 @@ def build_field(
     """From the context views of a sample to a field that answers words (paper, figure 2).
 
     Views that show another place, or repeat one, are left out with a warning
-    (:func:`slgaussian.predict.view_graph.usable`).
+    (:func:`slgaussian.predict.view_graph.select_usable`).
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def build_field(
     check_type(method, Method, "build_field: expected a Method, such as slg.Method(encoder='clip')")
     method.check()
     compiling.watch()
-    sample, graph, left_out = usable(sample)
+    sample, graph, left_out = select_usable(sample)
     for name, why in left_out.items():
         warnings.warn(f"{name} is left out: {why}", stacklevel=2)
     with _timed("geometry", took):
@@ -149,7 +149,7 @@ def label_views(
     votes: str = VOTES[0],
 ) -> LabelMaps:
     """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
-    maps = associate(geometry.seen, proposer.load(), tracker.load(), replicas, votes)
+    maps = associate(geometry.frames, proposer.load(), tracker.load(), replicas, votes)
     opaque = _opaque(geometry.views)
     return maps if opaque is None else replace(maps, labels=np.where(opaque, maps.labels, 0))
 
@@ -170,7 +170,7 @@ def remember(
     """
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
     grouped = held == "groups" and len(label_maps.ids) > 0
-    groups = group_objects(geometry.seen, label_maps) if grouped else (None, None)
+    groups = group_objects(geometry.frames, label_maps) if grouped else (None, None)
     around = geometry.surroundings
     return build_bank(sample.context, label_maps, encoder.load(), drawn, around, *groups)
 

@@ -1,4 +1,4 @@
-"""The library's objects as stored arrays, and back."""
+"""Conversion of the library's objects to stored arrays and back."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from slgaussian.storage.provenance import current, making
 from slgaussian.storage.store import ArtifactRef, ArtifactStore, address
 
 TARGET = "target_"
-"""What the arrays of target views begin with."""
+"""Prefix of the names of arrays of target views."""
 
 
 def sample_to_arrays(sample: Sample) -> Arrays:
-    """A sample as spec ``sample``; InputError unless its targets have one size."""
+    """Convert a sample to spec ``sample``; InputError unless its targets have one size."""
     arrays = {
         "scene": np.array(sample.scene),
         "phrase_ids": np.array(sorted(sample.phrases), np.int32),
@@ -48,12 +48,12 @@ def sample_from_arrays(arrays: Arrays) -> Sample:
     """Inverse of :func:`sample_to_arrays`; a truth map without a known pixel becomes None."""
     ids, phrases = arrays["phrase_ids"].tolist(), arrays["phrases"].tolist()
     phrases_by_id = dict(zip(ids, phrases, strict=True))
-    found = json.loads(str(arrays["found"])) if "found" in arrays else {}
+    camera_search = json.loads(str(arrays["found"])) if "found" in arrays else {}
     cut = len(TARGET)
     of_targets = {name[cut:]: array for name, array in arrays.items() if name.startswith(TARGET)}
     context = _views_from_arrays(arrays)
     targets = _views_from_arrays(of_targets) if of_targets else ()
-    return Sample(str(arrays["scene"]), context, targets, phrases_by_id, found)
+    return Sample(str(arrays["scene"]), context, targets, phrases_by_id, camera_search)
 
 
 def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:
@@ -85,9 +85,9 @@ def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:
     if any(view.window is not None for view in views):
         arrays["window"] = np.array([astuple(view.shown) for view in views], np.float64)
     estimated = [view.camera.estimated for view in views]
-    if any(one is not None for one in estimated):
-        said = ["" if one is None else json.dumps(asdict(one)) for one in estimated]
-        arrays["estimated"] = np.array(said, np.str_)
+    if any(estimate is not None for estimate in estimated):
+        texts = ["" if estimate is None else json.dumps(asdict(estimate)) for estimate in estimated]
+        arrays["estimated"] = np.array(texts, np.str_)
     return arrays
 
 
@@ -95,12 +95,12 @@ def _views_from_arrays(arrays: Arrays) -> tuple[View, ...]:
     height, width = arrays["images"].shape[1:3]
 
     def truth(name: str, index: int) -> np.ndarray | None:
-        known = name in arrays and arrays[name][index].any()
-        return arrays[name][index] if known else None
+        available = name in arrays and arrays[name][index].any()
+        return arrays[name][index] if available else None
 
     def estimated(index: int) -> Estimated | None:
-        said = str(arrays["estimated"][index]) if "estimated" in arrays else ""
-        return Estimated.of(json.loads(said)) if said else None
+        text = str(arrays["estimated"][index]) if "estimated" in arrays else ""
+        return Estimated.of(json.loads(text)) if text else None
 
     def window(index: int) -> Window | None:
         if "window" not in arrays:
@@ -131,7 +131,7 @@ def _views_from_arrays(arrays: Arrays) -> tuple[View, ...]:
 
 
 def labels_to_arrays(label_maps: LabelMaps) -> Arrays:
-    """Label maps as spec ``labels``."""
+    """Convert label maps to spec ``labels``."""
     return {"labels": label_maps.labels, "margin": label_maps.margin}
 
 
@@ -141,7 +141,7 @@ def labels_from_arrays(arrays: Arrays) -> LabelMaps:
 
 
 def truth_to_arrays(truth: Truth, sample: Sample) -> Arrays:
-    """Truth as spec ``truth``."""
+    """Convert ground truth to spec ``truth``."""
     by_view, has_boxes = truth.masks, bool(truth.boxes)
     keys = [(view, query) for view, masks in by_view.items() for query in masks]
     boxes = [truth.boxes[view][query] if has_boxes else np.zeros((0, 4)) for view, query in keys]
@@ -164,46 +164,46 @@ def truth_from_arrays(arrays: Arrays) -> Truth:
     for i, (view, query) in enumerate(zip(arrays["views"], arrays["queries"], strict=True)):
         masks.setdefault(str(view), {})[str(query)] = arrays["masks"][i]
         if arrays["has_boxes"]:
-            mine = arrays["boxes"][arrays["box_masks"] == i]
-            boxes.setdefault(str(view), {})[str(query)] = mine
+            view_boxes = arrays["boxes"][arrays["box_masks"] == i]
+            boxes.setdefault(str(view), {})[str(query)] = view_boxes
     return Truth(masks, boxes)
 
 
 def put_field(store: ArtifactStore, field: SemanticField) -> ArtifactRef:
-    """Keep a field: spec ``field``, whose parts are the other files of its folder.
+    """Store a field: spec ``field``, whose parts are the other files of its folder.
 
-    ``meta`` says how many ``gaussians`` and ``objects`` it has, and its ``account``.
+    ``meta`` has the numbers of ``gaussians`` and ``objects``, and the ``account``.
     """
     counts = {"gaussians": len(field.gaussians), "objects": len(field.bank)}
     with making(current() or field.made()):
         refs = {spec: store.put(spec, content) for spec, content in field.contents().items()}
-        about = field.about({spec: ref.digest for spec, ref in refs.items()}).to_json()
+        description = field.about({spec: ref.digest for spec, ref in refs.items()}).to_json()
         parts = [ref.uri for ref in refs.values()]
-        said = {"account": field.settings.get("account"), "parts": parts}
-        return store.put("field", {"about": np.array(about)}, counts | said)
+        extra = {"account": field.settings.get("account"), "parts": parts}
+        return store.put("field", {"about": np.array(description)}, counts | extra)
 
 
 def about_field(store: ArtifactStore, ref: ArtifactRef) -> tuple[About, dict[str, ArtifactRef]]:
-    """What a stored field says of itself, and the artifacts that it consists of, by spec."""
-    about, _ = About.from_json(str(store.get(ref)["about"]), f"{store.root}/{ref.uri}")
+    """Read the description of a stored field and the refs of its parts by spec."""
+    description, _ = About.from_json(str(store.get(ref)["about"]), f"{store.root}/{ref.uri}")
     parts = {
         spec: ArtifactRef(spec, address(spec, digest), digest)
-        for spec, digest in about.digests.items()
+        for spec, digest in description.digests.items()
     }
-    return about, parts
+    return description, parts
 
 
 def get_field(
     store: ArtifactStore, ref: ArtifactRef, places: Mapping[str, str] | None = None
 ) -> SemanticField:
-    """Inverse of :func:`put_field`; ``places`` are those of the encoder's files."""
-    about, parts = about_field(store, ref)
+    """Inverse of :func:`put_field`; ``places`` are the locations of the encoder's files."""
+    description, parts = about_field(store, ref)
     arrays = {spec: store.get(parts[spec]) for spec in ("gaussians", "bank")}
-    return SemanticField.of(about, arrays, places)
+    return SemanticField.of(description, arrays, places)
 
 
 def result_to_arrays(result: SceneResult) -> Arrays:
-    """A scene's result as spec ``scene_result``; its times are volatile and left out."""
+    """Convert a scene's result to spec ``scene_result``, without its volatile timings."""
     prediction_ends, prediction_png = _pack(map(_png, result.predictions.values()))
     picture_ends, picture_png = _pack(map(_png, result.pictures.values()))
     return {
@@ -220,7 +220,7 @@ def result_to_arrays(result: SceneResult) -> Arrays:
 
 
 def result_from_arrays(arrays: Arrays, with_images: bool = True) -> SceneResult:
-    """Inverse of :func:`result_to_arrays`; pictures and masks, slow to decode, only if wanted."""
+    """Inverse of :func:`result_to_arrays`; decoding pictures and masks is slow and optional."""
     masks, pictures = {}, {}
     if with_images:
         masks, pictures = dict(Decoded(predictions_of(arrays))), dict(Decoded(pictures_of(arrays)))
@@ -236,20 +236,20 @@ def result_from_arrays(arrays: Arrays, with_images: bool = True) -> SceneResult:
 
 
 def predictions_of(arrays: Arrays) -> dict[tuple[str, str, str], bytes]:
-    """The predicted masks of spec ``scene_result`` as PNG files, by protocol, frame and query."""
+    """Return the predicted masks of spec ``scene_result`` as PNG by protocol, frame, query."""
     keys = [tuple(names) for names in arrays["prediction_names"].tolist()]
     blobs = _unpack(arrays["prediction_ends"], arrays["prediction_png"])
     return dict(zip(keys, blobs, strict=True))
 
 
 def pictures_of(arrays: Arrays) -> dict[str, bytes]:
-    """The pictures of spec ``scene_result`` as PNG files, by name."""
+    """Return the pictures of spec ``scene_result`` as PNG files by name."""
     blobs = _unpack(arrays["picture_ends"], arrays["picture_png"])
     return dict(zip(arrays["picture_names"].tolist(), blobs, strict=True))
 
 
 class Decoded(Mapping[Any, np.ndarray]):
-    """PNG files by any key, as pixels: each is decoded when it is looked up, and not kept."""
+    """A mapping of PNG files that decodes the pixels on every access."""
 
     def __init__(self, files: Mapping[Any, bytes]) -> None:
         self.files = files

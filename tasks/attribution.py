@@ -1,4 +1,4 @@
-"""Find out what lost each query that the field of one scene missed."""
+"""Attribution of the missed queries of one scene to the stages that caused them."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def attribution(
     method: Method,
     settings: EvaluationSettings,
 ) -> ArtifactRef:
-    """Name the stage that lost each miss: spec ``attribution``.
+    """Attribute each miss to a stage: spec ``attribution``.
 
-    ``gaussians`` are those that were predicted, and ``method`` is what made the field.
+    ``gaussians`` are the predicted ones, ``method`` is the method of the field.
     """
-    known = run.read(truth, truth_from_arrays)
+    scene_truth = run.read(truth, truth_from_arrays)
     rows = []
-    if any(mask.any() for masks in known.masks.values() for mask in masks.values()):
-        asked = get_field(run.store, field, method.encoder.places())
-        base, shown = (
+    if any(mask.any() for masks in scene_truth.masks.values() for mask in masks.values()):
+        built_field = get_field(run.store, field, method.encoder.places())
+        base, views = (
             run.read(gaussians, Gaussians.from_arrays),
             run.read(sample, sample_from_arrays),
         )
-        rows = attribute_errors(asked, base, shown, known, settings)
+        rows = attribute_errors(built_field, base, views, scene_truth, settings)
     table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
     misses = sum(row["lost"] is not None for row in rows)
     return run.store.put("attribution", table, {"misses": misses})

@@ -1,4 +1,4 @@
-"""Ask another method everything the truth of one scene knows, as the field of it is asked."""
+"""Evaluation of a baseline on one scene, with the queries of our method."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ def baselines(
     own: Mapping[str, Any],
     brought_by: str,
 ) -> ArtifactRef:
-    """What a baseline answers, with scores and without pictures: spec ``scene_result``.
+    """Answer the queries by a baseline and score them, without pictures: spec ``scene_result``.
 
-    ``gaussians`` are those that were predicted, and ``method`` is what made the field; ``of`` is
-    the baseline's name in the registry, and ``own`` are its settings. One that another package
-    brings is also known by that package's content, ``brought_by``.
+    ``gaussians`` are the predicted ones, ``method`` is the method of the field, ``of`` is the
+    baseline's name in the registry, and ``own`` are its settings. ``brought_by`` is the digest of
+    the package of an external baseline.
     """
-    shown = run.read(sample, sample_from_arrays)
-    found = run.read(labels, labels_from_arrays)
-    known = run.read(truth, truth_from_arrays)
-    asked = [text for masks in known.masks.values() for text in masks]
+    views = run.read(sample, sample_from_arrays)
+    label_maps = run.read(labels, labels_from_arrays)
+    scene_truth = run.read(truth, truth_from_arrays)
+    texts = [text for masks in scene_truth.masks.values() for text in masks]
     inputs = Inputs(
-        sample=shown,
+        sample=views,
         field=get_field(run.store, field, method.encoder.places()),
         gaussians=run.read(gaussians, Gaussians.from_arrays),
-        label_maps=found,
+        label_maps=label_maps,
         proposer=method.proposer.load(),
         seed=method.seed,
         settings={part.name: part.values() for part in (method.proposer, method.lifting)},
-        classes=tuple(dict.fromkeys([*asked, *settings.queries])),
+        classes=tuple(dict.fromkeys([*texts, *settings.queries])),
     )
     peak = Peak()
     begun = compiling.clock()
@@ -65,9 +65,9 @@ def baselines(
     prepared = compiling.clock() - begun
     result = evaluate(
         answering,
-        shown,
-        found,
-        known,
+        views,
+        label_maps,
+        scene_truth,
         settings,
         peak=peak,
     )

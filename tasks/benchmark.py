@@ -1,4 +1,4 @@
-"""Ask the field of one scene everything its truth knows."""
+"""Evaluation of the field of one scene on the queries of its ground truth."""
 
 from __future__ import annotations
 
@@ -33,49 +33,49 @@ def benchmark(
     encoder: Component,
     settings: EvaluationSettings,
 ) -> ArtifactRef:
-    """What the field of a scene answers, with scores: spec ``scene_result``.
+    """Answer the queries by the field of a scene and score them: spec ``scene_result``.
 
-    ``gaussians`` are those that were predicted, a depth for every pixel. ``encoder`` is that of the
-    field, and says where its files are.
+    ``gaussians`` are the predicted ones, with a depth for every pixel. ``encoder`` is the encoder
+    of the field, with the locations of its files.
     """
-    asked = get_field(run.store, field, encoder.places())
+    built_field = get_field(run.store, field, encoder.places())
     result = evaluate(
-        asked,
+        built_field,
         run.read(sample, sample_from_arrays),
         run.read(labels, labels_from_arrays),
         run.read(truth, truth_from_arrays),
         settings,
         gaussians=run.read(gaussians, Gaussians.from_arrays),
     )
-    meta = {"costs": result.costs, "example": example(result, asked)}
+    meta = {"costs": result.costs, "example": example(result, built_field)}
     return run.store.put("scene_result", result_to_arrays(result), meta)
 
 
 def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
-    """What to ask a field first: ``text``, and its mean ``iou``, None if there is no truth.
+    """Choose an example query: ``text``, and its mean ``iou``, None without ground truth.
 
-    Of the queries that the truth says are answered rightly in every frame, the best; or else the
-    one that scored highest without truth. Only those count that the field answers with "found" in
-    its first context view, where it is asked without further ado. None if there is no such query.
+    The best query among those with correct answers in every frame, else the highest score without
+    ground truth. The field must answer it with "found" in its first context view, the default view
+    of queries. None if there is no such query.
     """
-    asked: dict[str, list[dict[str, Any]]] = {}
+    rows_by_query: dict[str, list[dict[str, Any]]] = {}
     for row in result.rows:
         if row["protocol"] == result.rows[0]["protocol"] and not row["note"]:
-            asked.setdefault(row["query"], []).append(row)
-    if not asked:
+            rows_by_query.setdefault(row["query"], []).append(row)
+    if not rows_by_query:
         return None
     view = field.render(next(iter(field.cameras.values())))
-    found: list[tuple[bool, float, str, float | None]] = []
-    for hit in view.query_all(list(asked)):
-        text, rows = hit.text, asked[hit.text]
+    candidates: list[tuple[bool, float, str, float | None]] = []
+    for hit in view.query_all(list(rows_by_query)):
+        text, rows = hit.text, rows_by_query[hit.text]
         if not hit.found:
             continue
         ious = [row["iou"] for row in rows]
         if None in ious:
-            found.append((False, rows[0]["score"], text, None))
+            candidates.append((False, rows[0]["score"], text, None))
         elif min(ious) >= GOOD and all(row["hit_mask"] for row in rows):
-            found.append((True, fmean(ious), text, fmean(ious)))
-    if not found:
+            candidates.append((True, fmean(ious), text, fmean(ious)))
+    if not candidates:
         return None
-    *_, text, iou = max(found, key=lambda one: one[:2])
+    *_, text, iou = max(candidates, key=lambda candidate: candidate[:2])
     return {"text": text, "iou": iou}

@@ -1,4 +1,4 @@
-"""Which views of each clip of a chunk make a sample of a training set."""
+"""Selection of the views of each clip of a chunk that form samples of a training set."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from tasks.stage import stage
 
 @stage("choices", version=1)
 def choices(run: RunContext, views: ArtifactRef, bounds: Bounds, targets: int) -> ArtifactRef:
-    """Samples with so many targets of the clips of a chunk: spec ``choices``.
+    """Choose samples with ``targets`` target views from the clips of a chunk: spec ``choices``.
 
-    As :func:`tasks.chunks.pairs`, whose samples have three. A clip that has no sample is named in
-    ``meta["left_out"]``.
+    As :func:`tasks.chunks.pairs`, whose samples have three targets. ``meta["left_out"]`` lists
+    clips without a sample.
     """
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
     for clip, group in groupby(run.store.get(views).to_pylist(), key=lambda row: row["clip"]):
-        own = list(group)
+        clip_views = list(group)
         try:
-            chosen = choose(known_views(own), bounds, targets)
+            chosen = choose(known_views(clip_views), bounds, targets)
         except InputError as error:
             bad.append(left_out(clip, InputError(f"clip {clip!r}: {error}")))
             continue
         for pair in chosen:
-            taken = [own[i] for i in (*pair.context, *pair.targets)]
-            frames = [view["frame"] for view in taken]
+            selected = [clip_views[i] for i in (*pair.context, *pair.targets)]
+            frames = [view["frame"] for view in selected]
             rows.append(
                 {
                     "sample": f"{key_of(clip)}_{frames[0]:04d}_{frames[1]:04d}",
@@ -46,8 +46,8 @@ def choices(run: RunContext, views: ArtifactRef, bounds: Bounds, targets: int) -
                     "baseline": pair.baseline,
                     "depth": pair.depth,
                     "score": pair.score,
-                    "blur": max(view["blur"] for view in taken),
-                    "clipped": max(view["clipped"] for view in taken),
+                    "blur": max(view["blur"] for view in selected),
+                    "clipped": max(view["clipped"] for view in selected),
                 }
             )
     table = pa.Table.from_pylist(rows, schema=load_spec("choices").schema)

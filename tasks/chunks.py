@@ -1,4 +1,4 @@
-"""Chunks of clips: read and packed, what is known of their views, and which make samples."""
+"""Chunks of clips: reading, packing, properties of their views, and selection of samples."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ from tasks.scene import known_by, told_of
 from tasks.stage import stage
 
 STAMPS = ("mtime", "LastModified", "last_modified", "ETag", "etag", "created")
-"""Where file systems of fsspec say which version of a file it is."""
+"""Fields of fsspec's file info that identify the version of a file."""
 
 
 def digest_of(store: ArtifactStore, file: str) -> str:
-    """SHA-256 of a file's content, hexadecimal, read once for each path, size and time stamp.
+    """Compute the SHA-256 of a file, hexadecimal, once for each path, size and time stamp.
 
-    The store remembers it under ``digests/``; a file that was changed within the last
+    The store caches it under ``digests/``. A file that changed within the last
     :data:`slgaussian.io.SETTLED` seconds, or has no time stamp, is read every time.
 
     Parameters
@@ -57,22 +57,22 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     try:
         stamp = _stamp(fs, path)
         name = fs.unstrip_protocol(path)  # whole, so that no other folder has the same
-        known = {"path": name, "stamp": stamp}
+        identity = {"path": name, "stamp": stamp}
         uri = f"digests/{hashlib.sha256(name.encode()).hexdigest()}.json"
         remembered = _remembered(store, uri)
-        if stamp is not None and remembered.items() >= known.items():
+        if stamp is not None and remembered.items() >= identity.items():
             return remembered["sha256"]
         with fs.open(path, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except troubles() as error:
         raise InputError(f"{file}: cannot be read ({explained(error, path)})") from error
     if stamp is not None:
-        store.write(uri, json.dumps({**known, "sha256": digest}).encode())
+        store.write(uri, json.dumps({**identity, "sha256": digest}).encode())
     return digest
 
 
 def _stamp(fs: fsspec.AbstractFileSystem, path: str) -> list[Any] | None:
-    """Numbers and texts that change whenever a file does; None if nothing tells that it did."""
+    """Return the version of a file as numbers and texts; None if the file system has none."""
     if isinstance(fs, LocalFileSystem):
         local = file_stamp(path)
         return None if local is None else list(local)
@@ -83,26 +83,26 @@ def _stamp(fs: fsspec.AbstractFileSystem, path: str) -> list[Any] | None:
 
 def _remembered(store: ArtifactStore, uri: str) -> dict[str, Any]:
     try:
-        found = json.loads(store.read(uri))
+        document = json.loads(store.read(uri))
     except (SpecError, ValueError):
         return {}
-    return found if isinstance(found, dict) and "sha256" in found else {}
+    return document if isinstance(document, dict) and "sha256" in document else {}
 
 
 def known_chunk(store: ArtifactStore, file: str) -> KnownFile:
-    """A chunk, known by what is in it; InputError as :func:`digest_of`."""
+    """Return a chunk with the digest of its content; InputError as :func:`digest_of`."""
     return KnownFile(file, digest_of(store, file))
 
 
 def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re10k.Clip]:
-    """The clips of a chunk by key, read once however many stages ask for them.
+    """Read the clips of a chunk by key, once for all stages.
 
-    The chunk is a file from outside, or in the store (spec ``packed``).
+    The chunk is an external file, or an artifact of spec ``packed``.
 
     Raises
     ------
     InputError
-        If it cannot be read, two clips have one key, or it is no longer as it was known.
+        If it cannot be read, two clips have one key, or its content has changed.
     """
 
     if isinstance(chunk, ArtifactRef):
@@ -130,13 +130,13 @@ def _packed(store: ArtifactStore, chunk: ArtifactRef) -> dict[str, re10k.Clip]:
 
 @dataclass(frozen=True)
 class Framing:
-    """How the views of a chunk are brought to one size, and their range of depth.
+    """Common size and depth range of the views of a chunk.
 
     Attributes
     ----------
     size : (height, width)
     near, far : float, optional
-        Depth range along z in scene units; found from the views where it is None.
+        Depth range along z in scene units; estimated from the views if None.
     """
 
     size: tuple[int, int]
@@ -145,14 +145,14 @@ class Framing:
 
 
 def framed_views(clip: re10k.Clip, frames: Sequence[int], framing: Framing) -> tuple[View, ...]:
-    """Frames of a clip, decoded and framed; InputError if one cannot be decoded."""
+    """Decode and resize frames of a clip; InputError if one cannot be decoded."""
     height, width = framing.size
-    found = [clip.view(frame).resized(height, width) for frame in frames]
-    return tuple(replace(v, camera=v.camera.ranged(framing.near, framing.far)) for v in found)
+    resized = [clip.view(frame).resized(height, width) for frame in frames]
+    return tuple(replace(v, camera=v.camera.ranged(framing.near, framing.far)) for v in resized)
 
 
 def left_out(scene: str, error: InputError) -> dict[str, str]:
-    """What ``meta["left_out"]`` of a stage's ref says of an item that it could not do."""
+    """Return the entry of ``meta["left_out"]`` of a stage for an item that failed."""
     reason = " ".join(str(error).split())
     return {"scene": scene, "kind": type(error).__name__, "reason": reason}
 
@@ -164,7 +164,7 @@ class PosedFolder:
     Attributes
     ----------
     name : str
-        What its clip is called.
+        Name of its clip.
     path : Path
     """
 
@@ -172,9 +172,9 @@ class PosedFolder:
     path: Path
 
     def identity(self) -> dict[str, Any]:
-        """What it is known by: its name, and what is in its files."""
+        """Return the identity for cache keys: the name, and digests of the files."""
         format, place = recognise(self.path)
-        if format == "photographs":  # whose cameras take long to find
+        if format == "photographs":  # camera estimation is slow
             inputs = known_by(datasets.inputs(format, place, ())[0], {}, place)
         else:
             scene, _ = posed_scene(self.path)
@@ -183,45 +183,45 @@ class PosedFolder:
         return {"name": self.name, "format": format, **inputs}
 
     def scene(self) -> Scene:
-        """The scene; InputError if there is none."""
+        """Read the scene; InputError if there is none."""
         return replace(posed_scene(self.path)[0], name=self.name)
 
     def url(self) -> str:
-        """Address of the video that it is from, if it says so."""
+        """Return the URL of its video, empty if unknown."""
         format, place = recognise(self.path)
         return re10k_text.read_cameras(place)[0] if format == "re10k_text" else ""
 
     def origin(self) -> tuple[str, str]:
-        """Where it is from, and its licence, as far as they are known."""
+        """Return its source and licence, empty if unknown."""
         return self.url(), licences.stated(self.path)
 
 
 @dataclass(frozen=True)
 class Room:
-    """A made-up room by its seed, with options of the format ``procedural``."""
+    """A procedural room, by options of the format ``procedural``."""
 
     name: str
     options: Mapping[str, Any]
 
     def scene(self) -> Scene:
-        """The room."""
+        """Generate the room."""
         return replace(datasets.load("procedural", **self.options), name=self.name)
 
     def url(self) -> str:
-        """None: it is of no video."""
+        """Return an empty URL, as it is from no video."""
         return ""
 
     def origin(self) -> tuple[str, str]:
-        """Where it is from, and its licence."""
+        """Return its source and licence."""
         return datasets.SOURCES["procedural"]
 
 
 @stage("packed", version=2)  # to be raised too when other cameras are found in photographs
 def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
-    """The scene of a source as a chunk of one clip: spec ``packed``.
+    """Pack the scene of a source as a chunk of one clip: spec ``packed``.
 
-    ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
-    ``meta["left_out"]`` which photographs could not be read.
+    ``meta["cameras"]`` describes the origin of its cameras; ``meta["left_out"]`` lists photographs
+    that could not be read.
     """
     scene = source.scene()
     bad: list[dict[str, str]] = []
@@ -239,25 +239,25 @@ def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
 
 
 ROW = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for c in range(4)))
-"""Columns of the table that hold a camera, as a row of a chunk has it without its two zeros."""
+"""Columns of a camera in the table: a row of a chunk without its two zeros."""
 
 
 @stage("views", version=1)
 def views(run: RunContext, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
-    """What is known of all views of a chunk: spec ``views``.
+    """Compute the properties of all views of a chunk: spec ``views``.
 
-    A frame that cannot be decoded, or whose pose is none, is left out by itself and named in
-    ``meta["left_out"]``, as is a clip without any.
+    ``meta["left_out"]`` lists frames that cannot be decoded or have an invalid pose, and clips
+    without valid frames.
     """
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
     clips = read_chunk(run, chunk)
     for clip in clips.values():
-        found, failed = _views(clip)
-        if not found:
+        clip_rows, failed = _views(clip)
+        if not clip_rows:
             none = f"clip {clip.key!r}: none of its {len(clip.images)} frames can be used"
             failed.append(left_out(clip.key, InputError(none)))
-        rows += found
+        rows += clip_rows
         bad += failed
     table = pa.Table.from_pylist(rows, schema=load_spec("views").schema)
     return run.store.put("views", table, {"clips": len(clips), "views": len(rows), "left_out": bad})
@@ -297,16 +297,16 @@ def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[dict[str, str]]
 
 @stage("pairs", version=1)
 def pairs(run: RunContext, views: ArtifactRef, bounds: Bounds) -> ArtifactRef:
-    """Samples of the clips of a chunk: spec ``pairs``.
+    """Choose samples from the clips of a chunk: spec ``pairs``.
 
-    The photographs are not read again. A clip that has no sample is named in ``meta["left_out"]``.
+    Photographs are not read again. ``meta["left_out"]`` lists clips without a sample.
     """
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
-    known = run.store.get(views).to_pylist()
-    for clip, own in groupby(known, key=lambda row: row["clip"]):
+    all_views = run.store.get(views).to_pylist()
+    for clip, clip_views in groupby(all_views, key=lambda row: row["clip"]):
         try:
-            rows += _samples(clip, list(own), bounds)
+            rows += _samples(clip, list(clip_views), bounds)
         except InputError as error:
             bad.append(left_out(clip, InputError(f"clip {clip!r}: {error}")))
     table = pa.Table.from_pylist(rows, schema=load_spec("pairs").schema)
@@ -314,7 +314,7 @@ def pairs(run: RunContext, views: ArtifactRef, bounds: Bounds) -> ArtifactRef:
 
 
 def known_views(views: Sequence[Mapping[str, Any]]) -> Views:
-    """What is known of the views of a clip, of rows of spec ``views``."""
+    """Convert rows of spec ``views`` of one clip to :class:`Views`."""
 
     def column(name: str) -> np.ndarray:
         return np.array([view[name] for view in views], np.float64)

@@ -45,7 +45,7 @@ Notify = Callable[[StageEvent], None]
 
 @dataclass
 class RunContext:
-    """What the stages of one scene share.
+    """State that the stages of one scene share.
 
     Attributes
     ----------
@@ -53,17 +53,17 @@ class RunContext:
     scene : str
         Name of the scene in events and in Prefect's page.
     workers : int
-        Scenes that are worked on at the same time on this machine.
+        Number of concurrent scenes on this machine.
     notify : callable
         Receives every :class:`StageEvent`.
     refresh : frozenset of str
-        Names of stages to compute anew, with what follows from them.
+        Names of stages to recompute, with the stages that depend on them.
     refs : {stage: ArtifactRef}
         Results of the stages so far.
     stage, key : str
         The running stage and its cache key.
     results : {digest: StageResult}
-        The same as ``refs``, as Prefect knows them.
+        The same results as Prefect task results.
     """
 
     store: ArtifactStore

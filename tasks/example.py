@@ -1,4 +1,4 @@
-"""One sample of a training set as its shard holds it, with what there is to say of its quality."""
+"""One sample of a training set in the format of its shard, with measures of its quality."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SAVED: dict[str, dict[str, Any]] = {
     "jpg": {"format": "JPEG", "quality": 95, "subsampling": 0},
     "png": {"format": "PNG", "compress_level": 6},
 }
-"""How images are written, by what their names end in."""
+"""Pillow's save options of images by file extension."""
 
 
 @stage("example", version=1)
@@ -42,28 +42,31 @@ def example(
     images: str,
     with_gaussians: bool,
 ) -> ArtifactRef:
-    """A sample as a part of a tar file: spec ``example``.
+    """Encode a sample as a part of a tar file: spec ``example``.
 
     Parameters
     ----------
     sample, gaussians, labels, bank : ArtifactRef
-        Of the stages before; ``labels`` of :func:`tasks.samples.all_masks`.
+        Results of earlier stages; ``labels`` of :func:`tasks.samples.all_masks`.
     known : mapping
-        What is known of it already, which is kept with it. Its ``sample`` is what members are
-        called.
+        Properties that are stored with the sample. Its ``sample`` is the name of the members.
     images : str
         A key of :data:`SAVED`.
     with_gaussians : bool
 
-    ``meta["about"]`` is what is kept with it: ``known`` and measures of its quality.
+    ``meta["about"]`` has ``known`` and measures of quality.
     """
     store = run.store
-    shown = run.read(sample, sample_from_arrays)
+    views = run.read(sample, sample_from_arrays)
     context = run.read(labels, labels_from_arrays)
     targets = labels_from_arrays(store.get(ArtifactRef("labels", **labels.meta["targets"])))
     key = known["sample"]
-    about = {**known, "url": sample.meta["url"], **_measures(context, targets, gaussians.meta)}
-    members = _images(shown, images)
+    description = {
+        **known,
+        "url": sample.meta["url"],
+        **_measures(context, targets, gaussians.meta),
+    }
+    members = _images(views, images)
     arrays: dict[str, tuple[str, Arrays]] = {
         "geometry": ("example_geometry", _geometry(run, sample, gaussians)),
         "labels": ("labels", _stacked(context, targets)),
@@ -73,9 +76,9 @@ def example(
         arrays["gaussians"] = "gaussians", run.read(gaussians, Gaussians.from_arrays).to_arrays()
     for name, (spec, content) in arrays.items():
         members[f"{name}.npz"] = packed(spec, content, f"{key}.{name}.npz")[1]
-    members["about.json"] = json.dumps(about, sort_keys=True, allow_nan=False).encode()
+    members["about.json"] = json.dumps(description, sort_keys=True, allow_nan=False).encode()
     data = pack(key, members)
-    meta = {"about": about, "length": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    meta = {"about": description, "length": len(data), "sha256": hashlib.sha256(data).hexdigest()}
     return store.put("example", {"tar": np.frombuffer(data, np.uint8)}, meta)
 
 
@@ -107,13 +110,13 @@ def _images(sample: Sample, ending: str) -> dict[str, bytes]:
 
 
 def _geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> Arrays:
-    shown = run.read(sample, sample_from_arrays)
-    cameras = [view.camera for view in (*shown.context, *shown.targets)]
+    views = run.read(sample, sample_from_arrays)
+    cameras = [view.camera for view in (*views.context, *views.targets)]
     geometry = read_geometry(run, sample, gaussians)
     confirmed = np.zeros(geometry.depths.shape, bool)
-    for here, there in permutations(range(len(confirmed)), 2):
-        confirmed[here] |= geometry.seen_again(here, there)[1]
-    depths = [seen.require_depth() for seen in read_everywhere(run, sample, gaussians)]
+    for first, second in permutations(range(len(confirmed)), 2):
+        confirmed[first] |= geometry.seen_again(first, second)[1]
+    depths = [frame.require_depth() for frame in read_everywhere(run, sample, gaussians)]
     return {
         "K": np.stack([camera.K for camera in cameras]),
         "c2w": np.stack([camera.c2w for camera in cameras]),
@@ -125,4 +128,4 @@ def _geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> A
 
 def _stacked(context: LabelMaps, targets: LabelMaps) -> Arrays:
     both = (labels_to_arrays(context), labels_to_arrays(targets))
-    return {name: np.concatenate([own[name] for own in both]) for name in both[0]}
+    return {name: np.concatenate([arrays[name] for arrays in both]) for name in both[0]}

@@ -1,4 +1,4 @@
-"""Measure the hard cases on the machine that works, once for each kind of it and each version."""
+"""Numerical errors of hard cases on the worker's machine, once for each kind and version."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from tasks.stage import stage
 
 @stage("numerics", version=2)
 def numerics(run: RunContext, machine: Mapping[str, str]) -> ArtifactRef:
-    """What float32 makes of hard cases: spec ``hard_cases``.
+    """Measure the float32 errors of hard cases: spec ``hard_cases``.
 
-    ``machine`` says what decides the last digits: processor, libraries and kernels.
+    ``machine`` identifies processor, libraries and kernels, which determine the last digits.
     """
     rows = [asdict(case) for case in measured()]
     return run.store.put(

@@ -1,4 +1,4 @@
-"""Base Gaussians of all samples of a chunk: the slow part, kept apart from what masks change."""
+"""Predicted Gaussians of all samples of a chunk, the slow part, which masks do not change."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tasks.scene import geometry
 from tasks.stage import stage
 
 
-# Its version is raised with that of the stage that does the same for a single scene.
+# Its version depends on that of the stage for a single scene.
 @stage("predictions", version=1000 * geometry.version + 1)
 def predictions(
     run: RunContext,
@@ -30,9 +30,9 @@ def predictions(
     predictor: Component,
     seed: int,
 ) -> ArtifactRef:
-    """Gaussians of the samples of a chunk: spec ``predictions``.
+    """Predict the Gaussians of the samples of a chunk: spec ``predictions``.
 
-    A sample that cannot be done is named in ``meta["left_out"]``.
+    ``meta["left_out"]`` lists samples that failed.
     """
     store, clips, predict = run.store, read_chunk(run, chunk), predictor.load()
     rows, bad = [], []
@@ -45,8 +45,8 @@ def predictions(
             bad.append(left_out(row["sample"], error))
             continue
         ref = store.put("gaussians", gaussians.to_arrays())
-        made = {"sample": row["sample"], "uri": ref.uri, "digest": ref.digest}
-        rows.append({**made, "gaussians": len(gaussians)})
+        entry = {"sample": row["sample"], "uri": ref.uri, "digest": ref.digest}
+        rows.append({**entry, "gaussians": len(gaussians)})
     table = pa.Table.from_pylist(rows, schema=load_spec("predictions").schema)
     parts = [row["uri"] for row in rows]
     meta = {"samples": len(rows), "left_out": bad, "parts": parts}
@@ -54,9 +54,9 @@ def predictions(
 
 
 def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: bool) -> Sample:
-    """The sample that a row of spec ``pairs`` describes, framed.
+    """Read the sample of a row of spec ``pairs`` at the common size.
 
-    Its targets, which take as long to decode, only if wanted.
+    Decoding ``targets`` takes as long as the context and is optional.
 
     Raises
     ------

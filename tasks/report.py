@@ -24,8 +24,8 @@ from tasks.stage import stage
 
 @dataclass(frozen=True)
 class Scored:
-    """What was made of one scene: our answers, its truth, what lost our misses, and by method the
-    answers of baselines."""
+    """Results of one scene: our answers, ground truth, attribution of misses, and the answers of
+    baselines by method."""
 
     scene: str
     answer: ArtifactRef
@@ -41,28 +41,28 @@ def report(
     manifest: Mapping[str, Any],
     failures: Sequence[Mapping[str, str]],
 ) -> ArtifactRef:
-    """The page of a run: spec ``report``. Images are read a scene at a time.
+    """Write the report of a run: spec ``report``. Images are read one scene at a time.
 
-    It has no times in it: it is the same whenever and wherever it is made.
+    It contains no timings, so that it is reproducible.
     """
-    shown = [_scene(run.store, scored) for scored in scenes]
+    report_scenes = [_scene(run.store, scored) for scored in scenes]
     tables = [run.store.get(scored.attribution) for scored in scenes]
     lost = [row for table in tables for row in table.to_pylist()]
-    made = run_report(shown, manifest, failures, lost)
-    forms = {"html": made.as_html(), "markdown": made.as_markdown()}
+    page = run_report(report_scenes, manifest, failures, lost)
+    forms = {"html": page.as_html(), "markdown": page.as_markdown()}
     arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
     return run.store.put("report", arrays)
 
 
 def _scene(store: ArtifactStore, scored: Scored) -> Scene:
     refs = [scored.answer, *scored.others.values()]
-    own, *others = (result_from_arrays(store.get(ref), with_images=False) for ref in refs)
+    ours, *baselines = (result_from_arrays(store.get(ref), with_images=False) for ref in refs)
 
     return Scene(
         name=scored.scene,
-        dataset=own.dataset,
-        rows=[row for each in (own, *others) for row in each.rows],
-        metrics=own.scene_metrics,
+        dataset=ours.dataset,
+        rows=[row for each in (ours, *baselines) for row in each.rows],
+        metrics=ours.scene_metrics,
         pictures=lambda: Decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
         masks=lambda: Decoded(predictions_of(store.get(scored.answer))),

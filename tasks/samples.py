@@ -1,4 +1,4 @@
-"""Samples of clips: their views at one size, labels with one id for one object, and lessons."""
+"""Samples of clips: views at a common size, consistent labels, and lessons."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from tasks.stage import stage
 
 @dataclass(frozen=True)
 class Frames:
-    """A sample by the frames of its clip."""
+    """Frame numbers of a sample in its clip."""
 
     sample: str
     clip: str
@@ -47,7 +47,7 @@ class Frames:
 def framed(
     run: RunContext, chunk: KnownFile | ArtifactRef, frames: Frames, framing: Framing
 ) -> ArtifactRef:
-    """A sample of a chunk: spec ``sample``. ``meta["url"]`` is that of its video."""
+    """Read a sample of a chunk: spec ``sample``. ``meta["url"]`` is the URL of its video."""
     clip = read_chunk(run, chunk)[frames.clip]
     context = framed_views(clip, frames.context, framing)
     targets = framed_views(clip, frames.targets, framing)
@@ -68,56 +68,58 @@ def all_masks(
     replicas: int,
     votes: str,
 ) -> ArtifactRef:
-    """Labels of the context views: spec ``labels``; ``meta["targets"]`` is the place of the others.
+    """Label the context and target views: spec ``labels`` of the context.
 
-    The targets have the ids of the context views and no others.
+    ``meta["targets"]`` locates the labels of the targets, which have only ids of the context views.
     """
-    seen = read_everywhere(run, sample, gaussians)
-    found = associate(seen, proposer.load(), tracker.load(), replicas, votes)
+    frames = read_everywhere(run, sample, gaussians)
+    label_maps = associate(frames, proposer.load(), tracker.load(), replicas, votes)
     count = len(run.read(sample, sample_from_arrays).context)
-    context = LabelMaps(found.labels[:count], found.margin[:count])
-    targets = LabelMaps(known_alone(found.labels[count:], context.labels), found.margin[count:])
-    others = run.store.put("labels", labels_to_arrays(targets))
+    context = LabelMaps(label_maps.labels[:count], label_maps.margin[:count])
+    targets = LabelMaps(
+        known_alone(label_maps.labels[count:], context.labels), label_maps.margin[count:]
+    )
+    target_ref = run.store.put("labels", labels_to_arrays(targets))
     meta = {
         "objects": len(context.ids),
-        "computed": found.computed,
-        "targets": {"uri": others.uri, "digest": others.digest},
-        "parts": [others.uri],
+        "computed": label_maps.computed,
+        "targets": {"uri": target_ref.uri, "digest": target_ref.digest},
+        "parts": [target_ref.uri],
     }
     return run.store.put("labels", labels_to_arrays(context), meta)
 
 
 def read_everywhere(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> list[SeenView]:
-    """:func:`seen_everywhere` of stored ones; made once for all stages that ask for it."""
+    """Read the views of :func:`seen_everywhere` once for all stages."""
 
     def make() -> list[SeenView]:
-        found = run.read(gaussians, Gaussians.from_arrays)
-        return seen_everywhere(run.read(sample, sample_from_arrays), found)
+        predicted = run.read(gaussians, Gaussians.from_arrays)
+        return seen_everywhere(run.read(sample, sample_from_arrays), predicted)
 
     return run.once((SeenView, sample.digest, gaussians.digest), make)
 
 
 def seen_everywhere(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
-    """The contexts with the depth of their own Gaussians, the targets with rendered depth."""
+    """Return the context views with depth of their Gaussians, and targets with rendered depth."""
     nothing = torch.zeros(len(gaussians), 1)
     targets = []
     for view in sample.targets:
-        # The mean would put a surface between what is before and behind an edge.
+        # Mean depth would put a surface between foreground and background at edges.
         depth = rasterize(gaussians, nothing, view.camera, median=True).median
         targets.append(SeenView(view, None if depth is None else depth.numpy()))
-    return [*SceneGeometry.of(sample.context, gaussians).seen, *targets]
+    return [*SceneGeometry.of(sample.context, gaussians).frames, *targets]
 
 
 def known_alone(targets: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Labels of targets without objects that no context view shows: they have no code."""
+    """Remove objects from target labels that no context view shows, as they have no code."""
     return np.where(np.isin(targets, np.unique(labels)), targets, 0).astype(np.int32)
 
 
 SHEET_ROWS = 24
-"""Most samples on a contact sheet."""
+"""Largest number of samples on a contact sheet."""
 
 SHEET_SIDE = 144
-"""Pixels of a picture on it."""
+"""Side of a picture on a contact sheet, pixels."""
 
 
 # Its version is raised with that of the stage that labels the views of a single scene.
@@ -133,30 +135,29 @@ def lessons(
     replicas: int,
     votes: str,
 ) -> ArtifactRef:
-    """Lessons of the samples of a chunk: spec ``lessons``.
+    """Make the lessons of the samples of a chunk: spec ``lessons``.
 
-    ``meta`` has the contact sheet's place in the store (spec ``sheet``) and, under ``left_out``,
-    the samples that could not be done.
+    ``meta`` locates the contact sheet (spec ``sheet``) and lists failed samples in ``left_out``.
     """
     store, clips = run.store, read_chunk(run, chunk)
     samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
     propose = proposer.load()
     rows, bad, tiles = [], [], []
-    for made in store.get(predictions).to_pylist():
-        row = samples[made["sample"]]
-        ref = ArtifactRef("gaussians", made["uri"], made["digest"])
+    for prediction in store.get(predictions).to_pylist():
+        row = samples[prediction["sample"]]
+        ref = ArtifactRef("gaussians", prediction["uri"], prediction["digest"])
         gaussians = Gaussians.from_arrays(store.get(ref))
         try:
             sample = read_sample(clips[row["clip"]], row, framing, targets=True)
-            seen = seen_everywhere(sample, gaussians)
-            found = associate(seen, propose, tracker.load(), replicas, votes)
+            frames = seen_everywhere(sample, gaussians)
+            label_maps = associate(frames, propose, tracker.load(), replicas, votes)
         except InputError as error:
-            bad.append(left_out(made["sample"], error))
+            bad.append(left_out(prediction["sample"], error))
             continue
         count = len(sample.context)
-        labels, others = found.labels[:count], found.labels[count:]
+        labels, target_labels = label_maps.labels[:count], label_maps.labels[count:]
         cameras = tuple(view.camera for view in sample.targets)
-        targets = known_alone(others, labels)
+        targets = known_alone(target_labels, labels)
         lesson = Lesson(sample.scene, gaussians, labels, cameras, targets)
         ref = store.put("lesson", lesson.to_arrays())
         rows.append({**row_of(lesson, ref), "clip": row["clip"]})
@@ -176,27 +177,27 @@ def lessons(
 
 
 def row_of(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
-    """A stored lesson as a row of spec ``lessons``, without its clip and chunk."""
-    ids, seen = np.unique(lesson.labels), np.unique(lesson.targets)
+    """Return the row of spec ``lessons`` of a stored lesson, without its clip and chunk."""
+    context_ids, target_ids = np.unique(lesson.labels), np.unique(lesson.targets)
     return {
         "sample": lesson.sample,
         "uri": ref.uri,
         "digest": ref.digest,
         "gaussians": len(lesson.gaussians),
-        "objects": int((ids > 0).sum()),
-        "shared": int((seen > 0).sum()),
+        "objects": int((context_ids > 0).sum()),
+        "shared": int((target_ids > 0).sum()),
         "unlabelled_context": float((lesson.labels == 0).mean()),
         "unlabelled_target": float((lesson.targets == 0).mean()),
     }
 
 
 def _tiles(sample: Sample, lesson: Lesson) -> list[tuple[str, np.ndarray]]:
-    """A row of the contact sheet: each photograph, then its labels over it."""
+    """Return a row of the contact sheet: each photograph and its overlaid labels."""
     tiles = []
     views, labels = (*sample.context, *sample.targets), (*lesson.labels, *lesson.targets)
-    for number, (view, own) in enumerate(zip(views, labels, strict=True)):
+    for number, (view, label_map) in enumerate(zip(views, labels, strict=True)):
         role = "context" if number < len(sample.context) else "target"
         caption = sample.scene if not number else f"{role} {view.name}"
-        without = f"{(own == 0).mean():.0%} without an id"
-        tiles += [(caption, view.image), (without, paint_labels(own, view.image))]
+        without = f"{(label_map == 0).mean():.0%} without an id"
+        tiles += [(caption, view.image), (without, paint_labels(label_map, view.image))]
     return tiles

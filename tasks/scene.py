@@ -30,7 +30,7 @@ from slgaussian.geometry import SceneGeometry
 from slgaussian.io import CHANGED, file_digest
 from slgaussian.language.bank import MemoryBank
 from slgaussian.predict import Depths
-from slgaussian.predict.view_graph import usable
+from slgaussian.predict.view_graph import select_usable
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.provenance import saying
 from slgaussian.storage.store import ArtifactRef
@@ -46,27 +46,27 @@ from tasks.context import RunContext
 from tasks.stage import canonical, stage
 
 COPY = 1.0
-"""Grey levels between two copies of a photograph at different sizes, at most, in the mean."""
+"""Largest mean difference of two copies of a photograph at different sizes, grey levels."""
 
 
 @dataclass(frozen=True)
 class Photographs:
-    """Which views of a scene make a sample, and where its files are.
+    """Views of a scene that form a sample, and the location of their files.
 
     Attributes
     ----------
     scene : str
-        What the sample is called.
+        Name of the sample.
     format : str
-        As :func:`slgaussian.datasets.load` has it.
+        Format of :func:`slgaussian.datasets.load`.
     path : Path, optional
-        The data of a format that reads files; known by what is in them.
+        Data of a format that reads files; identified by content.
     options : mapping
-        Those of the format.
+        Options of the format.
     context, targets : tuple of str
         Names of views.
     size, near, far, judged
-        As :meth:`slgaussian.scene.Scene.sample` takes them.
+        Arguments of :meth:`slgaussian.scene.Scene.sample`.
     """
 
     scene: str
@@ -82,38 +82,38 @@ class Photographs:
 
     @cached_property
     def inputs(self) -> dict[str, Any]:
-        """What is known now of the data, as :func:`known_by` has it.
+        """Digests of the data by :func:`known_by`, computed once.
 
         Raises
         ------
         InputError
-            As :meth:`read`, if the scene cannot be read, or has no such view.
+            As :meth:`read`, if the scene cannot be read or lacks a view.
         """
         return self.look()
 
     def look(self) -> dict[str, Any]:
-        """Look at the data again; see :attr:`inputs`."""
+        """Compute :attr:`inputs` again."""
         if self.path is None:
             return known_by([], {}, Path())
         views = [*self.context, *self.targets]
         return known_by(*datasets.inputs(self.format, self.path, views, **self.options), self.path)
 
     def identity(self) -> dict[str, Any]:
-        """What the sample depends on: not where the files are, but what is in them."""
+        """Return the identity of the sample for cache keys: content, but no locations of files."""
         settings = {field.name: getattr(self, field.name) for field in fields(self)}
         del settings["path"]
         return settings | self.inputs
 
     def read(self) -> Sample:
-        """The sample; InputError if it cannot be read, or a target is not held out.
+        """Read the sample; InputError if it cannot be read, or a target is not held out.
 
-        Without those of the context that could not be placed when cameras were found.
+        Context views whose cameras could not be estimated are left out.
         """
         paths = [] if self.path is None else [self.path]
         scene = datasets.load(self.format, *paths, **self.options)
         context = scene.placed(self.context)
-        given = self.size, self.near, self.far, self.judged
-        sample = scene.sample(context, self.targets, *given)
+        arguments = self.size, self.near, self.far, self.judged
+        sample = scene.sample(context, self.targets, *arguments)
         sample = replace(sample, scene=self.scene)
         _check_held_out(sample)
         return sample
@@ -121,15 +121,14 @@ class Photographs:
 
 @stage("ingest", version=10)  # to be raised too when other cameras are found in photographs
 def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
-    """The sample of a scene: spec ``sample``.
+    """Read the sample of a scene: spec ``sample``.
 
-    ``meta["cameras"]`` says whether its cameras were given, or found and how surely;
-    ``meta["left_out"]`` which photographs could not be placed then, or show what no other shows,
-    and why; ``meta["targets"]`` the full names of the targets; ``meta["matches"]`` the place of the
-    graph of the context views (spec ``matches``). InputError if the data were changed
-    meanwhile.
+    ``meta["cameras"]`` describes the origin of the cameras, ``meta["left_out"]`` has the reasons
+    of photographs without a camera or without matches, ``meta["targets"]`` the full names of the
+    targets, and ``meta["matches"]`` locates the match graph of the context views (spec
+    ``matches``). InputError if the data changed meanwhile.
     """
-    sample, graph, useless = usable(photographs.read())
+    sample, graph, useless = select_usable(photographs.read())
     if photographs.look() != photographs.inputs:
         raise InputError(f"{photographs.path}: {CHANGED}")
     left_out = {**sample.found.get("left_out", {}), **useless}
@@ -151,12 +150,12 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
 
 
 def told_of(cameras: Iterable[Camera]) -> str:
-    """Whether cameras were given, or found and how surely, in words."""
-    found = [camera.estimated for camera in cameras if camera.estimated is not None]
-    if not found:
+    """Describe the origin of cameras: given, or estimated with their confidence."""
+    estimates = [camera.estimated for camera in cameras if camera.estimated is not None]
+    if not estimates:
         return "given"
-    sources = " and ".join(sorted({one.source for one in found}))
-    sure = min(one.confidence for one in found)
+    sources = " and ".join(sorted({estimate.source for estimate in estimates}))
+    sure = min(estimate.confidence for estimate in estimates)
     return f"estimated, focal length from {sources}, confidence {sure:.0%}"
 
 
@@ -173,29 +172,28 @@ def _check_held_out(sample: Sample) -> None:
 
 
 def _same_picture(target: View, view: View) -> bool:
-    """Whether two views are copies of one photograph, which may have been shrunk differently."""
+    """Return whether two views are copies of one photograph, possibly resized."""
     if target.image.shape == view.image.shape:
         return np.array_equal(target.image, view.image)
-    alike = target.resized(*view.image.shape[:2]).image.astype(float) - view.image
-    return float(np.abs(alike).mean()) < COPY
+    difference = target.resized(*view.image.shape[:2]).image.astype(float) - view.image
+    return float(np.abs(difference).mean()) < COPY
 
 
 def known_by(files: Iterable[Path], cameras: Mapping[str, Camera], path: Path) -> dict[str, Any]:
-    """Describe data of a scene by content, for a cache key.
+    """Return the identity of data by content, for a cache key.
 
     Parameters
     ----------
     files, cameras
-        As :func:`slgaussian.datasets.inputs` finds them.
+        Results of :func:`slgaussian.datasets.inputs`.
     path : Path
         Folder or file of the data.
 
     Returns
     -------
     dict
-        ``files``: their SHA-256 by path below the folder, as :func:`digests_of` gives it.
-        ``cameras``: one over the cameras, in order and with their names. ``licence``: as a file
-        beside the data says it.
+        ``files``: SHA-256 by path below the folder, from :func:`digests_of`. ``cameras``: SHA-256
+        of the ordered, named cameras. ``licence``: from a file beside the data.
     """
     folder = path if path.is_dir() else path.parent
     numbers = [
@@ -211,22 +209,22 @@ def known_by(files: Iterable[Path], cameras: Mapping[str, Camera], path: Path) -
 
 
 def digests_of(files: Iterable[Path], folder: Path) -> dict[str, str]:
-    """SHA-256 of every file by its path below a folder.
+    """Compute the SHA-256 of files by path below a folder.
 
-    Files that are missing or cannot be read are left out: reading them says so better.
+    Missing and unreadable files are skipped: their reader has a better message.
     """
     digests = {}
     for file in files:
-        with suppress(OSError, ValueError):  # which names from outside may raise
+        with suppress(OSError, ValueError):  # ValueError: invalid names
             digests[os.path.relpath(file, folder)] = file_digest(file)
     return digests
 
 
 @dataclass(frozen=True)
 class Labels:
-    """The label files of some targets, and which categories are read of them.
+    """Label files of targets, and the categories to read.
 
-    ``folder`` is None where truth comes from instance ids.
+    ``folder`` is None if ground truth comes from instance ids.
     """
 
     folder: Path | None
@@ -234,7 +232,7 @@ class Labels:
     categories: tuple[str, ...]
 
     def of_views(self, names: Sequence[str]) -> Labels:
-        """Take full names of targets, which decide in which folder their labels are looked for."""
+        """Replace the targets by their full names, which determine the folders of label files."""
         return replace(self, targets=tuple(names))
 
     @cached_property
@@ -246,12 +244,12 @@ class Labels:
         return digests_of(files, self.folder)
 
     def identity(self) -> dict[str, Any]:
-        """What truth depends on: not where the files are, but what is in them."""
+        """Return the identity of the truth for cache keys: content, but no locations of files."""
         drawn = self.folder is not None
         return {"categories": self.categories, "drawn": drawn, "files": self.files}
 
     def read(self, sample: Sample) -> Truth:
-        """What should be found in the targets of a sample; InputError if labels cannot be read."""
+        """Read the ground truth of the targets; InputError if labels cannot be read."""
         if self.folder is None:
             return truth_from_instances(sample)
         return read_truth(self.folder, self.categories, sample.targets)
@@ -259,10 +257,10 @@ class Labels:
 
 @stage("truth", version=3)
 def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
-    """What should be found in the targets: spec ``truth``."""
-    shown = run.read(sample, sample_from_arrays)
-    found = labels.read(shown)
-    return run.store.put("truth", truth_to_arrays(found, shown))
+    """Read the ground truth of the targets: spec ``truth``."""
+    views = run.read(sample, sample_from_arrays)
+    scene_truth = labels.read(views)
+    return run.store.put("truth", truth_to_arrays(scene_truth, views))
 
 
 @stage("geometry", version=11)
@@ -273,32 +271,32 @@ def geometry(
     seed: int,
     trust_cameras: bool = False,
 ) -> ArtifactRef:
-    """What the predictor makes of the context views: spec ``gaussians``.
+    """Predict Gaussians from the context views: spec ``gaussians``.
 
-    ``meta["quality"]`` says how good the views were, ``meta["depths"]`` how many were compared of
-    how many, or None.
+    ``meta["quality"]`` has the quality of the views, ``meta["depths"]`` the numbers of compared and
+    possible depths, or None.
     """
-    shown = run.read(sample, sample_from_arrays)
+    views = run.read(sample, sample_from_arrays)
     if "matches" in sample.meta:
         stored = ArtifactRef("matches", **sample.meta["matches"])
         graph = MatchGraph.from_arrays(run.store.get(stored))
     else:  # of a clip
-        graph = MatchGraph.of(shown.context)
-    gaussians, quality, depths = predict(shown, graph, predictor, seed, trust_cameras)
+        graph = MatchGraph.of(views.context)
+    gaussians, quality, depths = predict(views, graph, predictor, seed, trust_cameras)
     gaussians.check()
     meta = {"gaussians": len(gaussians), "quality": quality.as_json(), "depths": depths}
     return run.store.put("gaussians", gaussians.to_arrays(), meta)
 
 
 def read_geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> SceneGeometry:
-    """The context views and their surfaces; made once for all stages that ask for it.
+    """Compute the geometry of the context views once for all stages.
 
-    Scattering Gaussians into depth takes less time than inflating a stored copy.
+    Scattering Gaussians into depth is faster than decompressing a stored copy.
     """
 
     def make() -> SceneGeometry:
-        shown = run.read(sample, sample_from_arrays)
-        return SceneGeometry.of(shown.context, run.read(gaussians, Gaussians.from_arrays))
+        views = run.read(sample, sample_from_arrays)
+        return SceneGeometry.of(views.context, run.read(gaussians, Gaussians.from_arrays))
 
     return run.once((SceneGeometry, sample.digest, gaussians.digest), make)
 
@@ -313,9 +311,9 @@ def masks(
     replicas: int,
     votes: str,
 ) -> ArtifactRef:
-    """Object ids that agree across the context views: spec ``labels``.
+    """Label the context views with consistent object ids: spec ``labels``.
 
-    ``meta["computed"]`` says how many copies of a view were segmented.
+    ``meta["computed"]`` is the number of segmented copies of a view.
     """
     seen = read_geometry(run, sample, gaussians)
     label_maps = label_views(seen, proposer, tracker, replicas, votes)
@@ -334,10 +332,9 @@ def supervision(
     seed: int,
     held: str,
 ) -> ArtifactRef:
-    """A code and vectors of every object: spec ``bank``.
+    """Compute the code and feature vectors of every object: spec ``bank``.
 
-    The code images of the paper are ``bank.codes`` looked up by the label maps, so they are not
-    stored again.
+    The paper's code images are ``bank.codes`` indexed by the label maps, so they are not stored.
     """
     bank = remember(
         run.read(sample, sample_from_arrays),
@@ -360,7 +357,7 @@ def field(
     bank: ArtifactRef,
     method: Method,
 ) -> ArtifactRef:
-    """Gaussians, label maps and bank joined: spec ``field``."""
+    """Combine Gaussians, label maps and bank: spec ``field``."""
     depths = gaussians.meta["depths"]
     joined = lift_field(
         run.read(sample, sample_from_arrays),

@@ -1,10 +1,9 @@
-"""A stage: a Prefect task around a function from refs and settings to one artifact, and its cache.
+"""Stages: cached Prefect tasks from refs and settings to one artifact.
 
-A result is known by a key: what it depends on, in one canonical form, or an error. Results are not
-left to Prefect. A record of Prefect's names the code that reads it back, pickle among it, whatever
-serializer the task has: who may write to the store could have any code run. So records are ours
-(:mod:`slgaussian.storage.records`), and a stage whose result is found ends in a state that
-Prefect's page shows as ``Cached``.
+The cache key is a canonical form of all inputs. Results are not persisted by Prefect: its records
+name the code that deserialises them, including pickle, whatever serializer a task has, so that
+write access to the store would allow code execution. Records are in
+:mod:`slgaussian.storage.records` instead, and a cached stage ends in the Prefect state ``Cached``.
 """
 
 from __future__ import annotations
@@ -36,10 +35,10 @@ from tasks.context import RunContext, StageEvent, current_run
 
 
 def cache_key(stage: str, version: int, arguments: Mapping[str, Any]) -> str:
-    """The key ``<stage>/v<version>/<sha256>`` of one piece of work.
+    """Return the cache key ``<stage>/v<version>/<sha256>``.
 
-    Two keys are equal if and only if stage, version and the content of the arguments are: the order
-    of keys, the process and the places of files and of the store play no part.
+    Two keys are equal if and only if stage, version and the content of the arguments are. The order
+    of keys, the process, and the locations of files and store have no effect.
 
     Raises
     ------
@@ -52,17 +51,16 @@ def cache_key(stage: str, version: int, arguments: Mapping[str, Any]) -> str:
 
 
 def canonical(value: Any, name: str = "value") -> Any:
-    """``value`` as plain JSON data; refs become their spec and digest, tuples become lists.
+    """Convert ``value`` to plain JSON data; refs become spec and digest, tuples become lists.
 
-    A dataclass is its fields. What comes from outside, as files and the parts of the method, says
-    itself what it is known by: it has a method ``identity`` that returns such data.
+    A dataclass becomes its fields. External data and components of the method have a method
+    ``identity`` that returns such data.
 
     Raises
     ------
     InputError
-        For anything whose identity is not its plain content: arrays (pass a ref), paths (the file
-        may change; hash it when it is ingested), sets, generators, NaN and objects. A guess here
-        would be a stale result later.
+        For values without a canonical form: arrays (pass a ref), paths (the file may change; use
+        its digest), sets, generators, NaN and objects.
     """
     if value is None or isinstance(value, (bool, str)) or type(value) is int:
         return value
@@ -77,12 +75,12 @@ def canonical(value: Any, name: str = "value") -> Any:
     if hasattr(value, "identity"):
         return canonical(value.identity(), name)
     if is_dataclass(value) and not isinstance(value, type):
-        own = {field.name: getattr(value, field.name) for field in fields(value)}
-        return canonical(own, name)
+        values = {field.name: getattr(value, field.name) for field in fields(value)}
+        return canonical(values, name)
     if isinstance(value, (list, tuple)):
         return [canonical(item, f"{name}[{i}]") for i, item in enumerate(value)]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        # In one order, whether it was just made or read from a record: files say it as it stands.
+        # Sorted, because files contain the settings in this order.
         return {key: canonical(value[key], f"{name}.{key}") for key in sorted(value)}
     raise InputError(
         f"{name}: {type(value).__name__} {value!r:.60} cannot be part of a cache key; expected "
@@ -91,10 +89,10 @@ def canonical(value: Any, name: str = "value") -> Any:
 
 
 class StageResult:
-    """What a stage gives to Prefect, which knows it again among the inputs of another stage.
+    """Result of a stage as a Prefect task result.
 
-    It does so by identity, of what it finds within dataclasses too; this is none, so that it looks
-    no further.
+    Prefect recognises it among the inputs of another stage by object identity. It traverses
+    dataclasses; this is none, so that the object itself is recognised.
     """
 
     def __init__(self, ref: ArtifactRef) -> None:
@@ -102,18 +100,18 @@ class StageResult:
 
 
 class Stage:
-    """A function from small arguments to one artifact, as a Prefect task; made by :func:`stage`.
+    """A cached function from small arguments to one artifact, made by :func:`stage`.
 
-    It is called with all parameters of the function but the first, the :class:`RunContext`.
-    Artifacts go in as :class:`ArtifactRef`, so that Prefect's page has an edge from the stage that
-    made each; files from outside and components of the method as what knows its content
+    It is called with all parameters of the function except the first, the :class:`RunContext`.
+    Artifacts are passed as :class:`ArtifactRef`, so that Prefect's graph has edges between stages.
+    External files and components are passed as objects with an identity
     (:func:`tasks.stage.canonical`).
 
-    Returns the ref of the result. Its ``meta`` has ``settings`` and the digests of its ``inputs``,
-    the ``seconds`` of wall time and ``processor_seconds`` that the function took without those of
-    ``compiling`` kernels, on which ``processor``, with how many ``workers`` beside it, by how many
-    bytes memory had ``grown`` (None where unknown), the ``stage_version``, and ``cached`` if the
-    result was found. The files that a stage writes name the stage, its version and the settings.
+    Returns the ref of the result. Its ``meta`` has the ``settings``, the digests of ``inputs``, the
+    ``seconds`` of wall time and ``processor_seconds`` without those of ``compiling`` kernels, the
+    ``processor``, the number of ``workers``, the bytes by which memory has ``grown`` (None if
+    unknown), the ``stage_version``, and ``cached`` for a cached result. Files that a stage writes
+    name the stage, its version and the settings.
     """
 
     __qualname__: str
@@ -137,17 +135,17 @@ class Stage:
         )
 
     def __reduce__(self) -> str:
-        return self.compute.__qualname__  # sent to workers by name, as a function is
+        return self.compute.__qualname__  # pickled by name, like a function
 
     def __call__(self, *args: Any, **kwargs: Any) -> ArtifactRef:
-        """Return what the function makes of these arguments, now or in an earlier run.
+        """Return the result for these arguments, from the cache or computed.
 
         Raises
         ------
         InputError
             If an argument has no canonical form, and as the function.
         DamagedError
-            If a stored artifact that it reads is damaged or gone; what is left of it is removed.
+            If a stored artifact that it reads is damaged or missing; the artifact is removed.
         """
         run = current_run()
         run.stage = self.name
@@ -158,14 +156,14 @@ class Stage:
         bound.apply_defaults()
         _, *arguments = bound.arguments.items()
         start = time.perf_counter()
-        given = dict(arguments)
-        refs = list(refs_in(given))
+        keyword_arguments = dict(arguments)
+        refs = list(refs_in(keyword_arguments))
         edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]
-        result = self.task(edges, quote(refs), quote(given))  # type: ignore[call-overload]
+        result = self.task(edges, quote(refs), quote(keyword_arguments))  # type: ignore[call-overload]
         cached = isinstance(result, State)
-        made = result.result() if cached else result
-        run.refs[self.name] = ref = made.ref
-        run.results[ref.digest] = made
+        stage_result = result.result() if cached else result
+        run.refs[self.name] = ref = stage_result.ref
+        run.results[ref.digest] = stage_result
         if before is not None and not cached:
             run.notify(StageEvent(run.scene, self.name, "repeated"))
         if before is None or not cached:
@@ -189,10 +187,10 @@ class Stage:
         run.key = self.key(arguments)
         records = Records(run.store)
         refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in refs)
-        if not refresh and (known := records.find(run.key)) is not None:
-            meta = {**known.meta, "stage_version": self.version, "cached": True}
+        if not refresh and (stored := records.find(run.key)) is not None:
+            meta = {**stored.meta, "stage_version": self.version, "cached": True}
             message = "found in the store"
-            result = StageResult(replace(known, meta=meta))
+            result = StageResult(replace(stored, meta=meta))
             return Completed(name="Cached", message=message, data=result)
         ref = self._computed(run, self._keyed(arguments), arguments)
         records.keep(run.key, ref)
@@ -206,16 +204,16 @@ class Stage:
         settings = {n: canonical(value, n) for n, value in keyed.items() if n not in inputs}
         specs = {name: ref.spec for name, ref in inputs.items()}
         digests = {name: ref.digest for name, ref in inputs.items()}
-        made = Made(self.name, self.version, settings, specs, frozenset(digests.values()))
+        provenance = Made(self.name, self.version, settings, specs, frozenset(digests.values()))
         threads.limit(run.workers)
         compiling.watch()
         peak, compiled = Peak(), compiling.spent()
         start, worked = compiling.clock(), time.process_time()
         try:
-            with compiling.told_to(run.report), making(made), peak.watched():
+            with compiling.told_to(run.report), making(provenance), peak.watched():
                 ref = self.compute(run, **arguments)
         except DamagedError as error:
-            run.store.remove([error.uri])  # then the stage that made it makes it again
+            run.store.remove([error.uri])  # so that its stage computes it again
             raise
         cost = {
             "seconds": compiling.clock() - start,
@@ -237,9 +235,9 @@ def stage(
     ----------
     name : str
     version : int
-        Raised by hand whenever the same arguments would give another result.
+        To be increased when the same arguments give another result.
     unkeyed : collection of str
-        The parameters that name places or numbers of workers, on which no result depends.
+        Parameters on which no result depends, such as locations or numbers of workers.
     """
     return lambda compute: Stage(compute, name, version, unkeyed)
 

@@ -108,7 +108,7 @@ def association(
     context: Sequence[View], gaussians: Gaussians, targets: Sequence[View] = ()
 ) -> np.ndarray:
     """Label maps int32 of all views; targets get the depth that the Gaussians show there."""
-    seen = list(SceneGeometry.of(context, gaussians).seen)
+    seen = list(SceneGeometry.of(context, gaussians).frames)
     nothing = torch.zeros(len(gaussians), 1)
     for view in targets:
         # The mean would put a surface between what is before and behind an edge.

@@ -228,13 +228,13 @@ def masks(
     from slgaussian.io import atomic_folder
     from slgaussian.masks.associate import associate
     from slgaussian.masks.precomputed import encode_ids, map_names
-    from slgaussian.predict.view_graph import usable
+    from slgaussian.predict.view_graph import select_usable
     from slgaussian.storage.field_folder import check_target
 
     method = make_settings(options.settings_from(ctx), "masks")
     check_target(out, MASKS, "a folder of masks")  # before the work
     sample, _ = load_photographs(photos, cameras, refine, method)
-    sample, graph, left_out = usable(sample)
+    sample, graph, left_out = select_usable(sample)
     for name, reason in left_out.items():
         typer.echo(f"warning: {name} is left out: {reason}", err=True)
     names = map_names([view.name for view in sample.context])
@@ -246,7 +246,7 @@ def masks(
     start = time.perf_counter()
     predicted = predict(sample, graph, components[0], method.seed, method.trust_cameras)
     geometry = SceneGeometry.of(sample.context, predicted.gaussians)
-    maps = associate(geometry.seen, proposing, tracking, method.replicas, method.votes)
+    maps = associate(geometry.frames, proposing, tracking, method.replicas, method.votes)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 
     files, panels = {}, []

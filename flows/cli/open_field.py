@@ -154,7 +154,7 @@ def render_view(folder: Path, field: SemanticField, camera: Camera) -> FieldView
         "settings": dict(about.settings),
         "removed": sorted(field.removed),
         "camera": [camera.K.tolist(), camera.c2w.tolist(), camera.width, camera.height],
-        "code": threads.sources().whole,
+        "code": threads.sources().package,
         "processor": threads.processor(),
     }
     key = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()

@@ -1,1 +1,1 @@
-"""Who does the work of a flow and what is told of it: workers, server, progress, schedule."""
+"""Execution of flows: workers, server, progress and log."""

@@ -1,9 +1,9 @@
-"""Scenes in batches: the Prefect task that a worker runs, and the loop of a flow that submits it.
+"""Batches of scenes: the Prefect task of a worker, and the loop that submits batches.
 
-A worker may be a thread, a process or another machine, so what goes to it and comes back is small,
-plain and picklable; what is large goes through the store. A scene, or a chunk of a corpus, is the
-unit of failure: an error takes only its own scene out. A worker that dies costs its batch a retry,
-a scene at a time, and a scene whose worker then dies again is left out.
+A worker is a thread, a process or another machine, so arguments and results are small and
+picklable; large data go through the store. A scene, or a chunk of a corpus, is the unit of failure:
+an error excludes only its own scene. After the death of a worker the scenes of its batch are
+retried one at a time, and a scene whose worker dies again is left out.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from slgaussian.storage.store import ArtifactRef, ArtifactStore, DamagedError
 from tasks.context import Notify, RunContext, StageEvent, enclosing_run, run_context
 
 MAX_BATCH = 16
-"""Scenes of a batch at most: where all are cached a batch is a second of work."""
+"""Largest number of scenes of a batch: with all stages cached a batch takes a second."""
 
 DEAD = {
     "BrokenProcessPool",
@@ -43,21 +43,21 @@ DEAD = {
     "OutOfMemoryError",
     "WorkerCrashedError",
 }
-"""Errors by which task runners report a dead worker; any other was raised by it."""
+"""Names of the errors by which task runners report a dead worker; a worker raised any other."""
 
 
 @dataclass(frozen=True)
 class SceneTask:
-    """A scene, or a chunk, to be taken through a pipeline.
+    """A scene, or a chunk, with its pipeline.
 
     Attributes
     ----------
     scene : str
     pipeline : callable
-        A function of a module that calls stages one after the other, with ``arguments``.
+        A module-level function that calls the stages, with ``arguments``.
     arguments : tuple
     first : str
-        The stage that an error before the first stage belongs to.
+        The stage to which an error before the first stage is attributed.
     """
 
     scene: str
@@ -68,7 +68,7 @@ class SceneTask:
 
 @dataclass(frozen=True)
 class Failure:
-    """A scene that was left out: at which stage, what kind of error, and one sentence why."""
+    """A scene that was left out: the stage, the kind of error, and its message."""
 
     scene: str
     stage: str
@@ -78,9 +78,9 @@ class Failure:
 
 @dataclass
 class SceneResult:
-    """What a worker made of a scene: refs by stage, and the failure that stopped it.
+    """Result of a scene from a worker: refs by stage, and the failure, if any.
 
-    ``events`` are those of a worker in another process, which nobody heard.
+    ``events`` are the events of a worker in another process.
     """
 
     scene: str
@@ -91,9 +91,9 @@ class SceneResult:
 
 @dataclass
 class Outcome:
-    """Refs by scene and stage of the scenes that went through, and failures of the others.
+    """Refs by scene and stage of the completed scenes, and failures of the others.
 
-    ``partial`` has the refs of the others, of the stages before the one that failed.
+    ``partial`` has the refs of failed scenes, of the stages before the failure.
     """
 
     refs: dict[str, dict[str, ArtifactRef]] = field(default_factory=dict)
@@ -102,16 +102,16 @@ class Outcome:
 
 
 class StoppedError(SLGaussianError):
-    """The run ends: raised in a thread that still works on a scene."""
+    """Raised in a thread that still computes a scene when the run ends."""
 
 
 @task(name="scenes", task_run_name="{label}", cache_policy=NO_CACHE, persist_result=False)
 def run_batch(label: str, pickled: bytes) -> list[SceneResult]:
-    """Take a batch of scenes through their pipelines, one after the other.
+    """Run the pipelines of a batch of scenes sequentially.
 
     ``pickled`` are the store's root, the scene tasks, the number of workers and the stages to
-    compute anew: for threads too, so that what one task runner can send, all can. Events go to the
-    flow if it is in this process.
+    recompute. Arguments are pickled for threads too, so that all task runners behave alike. Events
+    are sent to the flow if it is in this process.
     """
     root, scene_tasks, workers, refresh = pickle.loads(pickled)
     store, enclosing = ArtifactStore(root), enclosing_run()
@@ -133,8 +133,8 @@ def compute_scene(
 ) -> tuple[dict[str, ArtifactRef], Failure | None]:
     """Return the refs of all stages, or of those before the one that failed, and its failure.
 
-    A damaged artifact that a stage reads is computed again, once: the pipeline is called anew, and
-    what is not damaged comes from the store. DamagedError if another scene made it.
+    A damaged artifact of this scene is recomputed once, by another call of the pipeline, which
+    takes other results from the store. DamagedError if it is of another scene.
     """
     run = RunContext(store, scene_task.scene, workers, notify, refresh, stage=scene_task.first)
     repaired: set[str] = set()
@@ -155,7 +155,7 @@ def compute_scene(
                 repaired.add(error.uri)
                 continue
             problem: Exception | SystemExit = error
-        except (Exception, SystemExit) as error:  # whatever it is, the other scenes go on
+        except (Exception, SystemExit) as error:  # other scenes continue after any error
             problem = error
         expected = isinstance(problem, SLGaussianError)
         reason = " ".join(str(problem).split()) or type(problem).__name__
@@ -167,16 +167,16 @@ def compute_scene(
 
 
 def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Progress) -> Outcome:
-    """Have the workers of a flow compute all scene tasks; called within a Prefect flow.
+    """Compute all scene tasks on the workers of a flow; called within a Prefect flow.
 
-    As many batches as there are workers are under way at a time, each with one scene in memory.
+    At most one batch per worker is submitted at a time, each with one scene in memory.
 
     Raises
     ------
     DamagedError
-        In the end, if a scene needs an artifact of another one that is damaged, and is removed.
+        At the end, if a scene needs a damaged artifact of another one, which is removed.
     SLGaussianError
-        If the task runner takes on no more work.
+        If the task runner accepts no more work.
     """
     outcome = Outcome()
     damaged: DamagedError | None = None
@@ -201,11 +201,11 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
 
     def lose(scenes: list[SceneTask], runner: TaskRunner[Any], error: BaseException) -> None:
         died, reason = type(error).__name__ in DEAD, last_line(str(error)) or type(error).__name__
-        what = f"died ({reason})" if died else f"raised {type(error).__name__}: {reason}"
-        progress.lost(died, what, [scene_task.scene for scene_task in scenes])
+        event_text = f"died ({reason})" if died else f"raised {type(error).__name__}: {reason}"
+        progress.lost(died, event_text, [scene_task.scene for scene_task in scenes])
         for scene_task in scenes:
             if scene_task.scene in lost_before:
-                _leave_out(scene_task, died, what, outcome, progress)
+                _leave_out(scene_task, died, event_text, outcome, progress)
             else:
                 alone.append(scene_task)
         lost_before.update(scene_task.scene for scene_task in scenes)
@@ -244,7 +244,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
 def map_shown(
     scene_tasks: Sequence[SceneTask], workers: Workers, stages: int, unit: str, verbose: bool
 ) -> Outcome:
-    """Do :func:`map_scenes` with a progress of its own; nothing if there are no tasks."""
+    """Run :func:`map_scenes` with a progress display; do nothing without tasks."""
     if not scene_tasks:
         return Outcome()
     with Progress(len(scene_tasks), stages, verbose, unit=unit) as progress:
@@ -256,12 +256,12 @@ def map_shown(
 def _sendable(
     scene_tasks: Iterable[SceneTask], outcome: Outcome, progress: Progress
 ) -> list[SceneTask]:
-    """Return the scene tasks that can be pickled; the others are left out."""
+    """Return the scene tasks that can be pickled; report the others as failures."""
     sendable = []
     for scene_task in scene_tasks:
         try:
             pickle.dumps(scene_task)
-        except Exception as error:  # whatever it holds has its own
+        except Exception as error:  # pickling may raise any error
             kind = type(error).__name__
             reason = one_line(f"cannot be sent to a worker: unexpected {kind}: {error}")
             failure = Failure(scene_task.scene, scene_task.first, kind, reason)
@@ -273,9 +273,9 @@ def _sendable(
 
 
 def _leave_out(
-    scene_task: SceneTask, died: bool, what: str, outcome: Outcome, progress: Progress
+    scene_task: SceneTask, died: bool, event_text: str, outcome: Outcome, progress: Progress
 ) -> None:
-    reason = f"its worker {what} twice, the second time with no other scene beside it"
+    reason = f"its worker {event_text} twice, the second time with no other scene beside it"
     if died:
         reason += "; it may need more memory than there is: try it with --workers 1"
     kind = "WorkerDied" if died else "WorkerRaised"
@@ -301,6 +301,6 @@ def failures_table(failures: Sequence[Failure]) -> pa.Table:
 
 
 def write_failures(out: Path, failures: Sequence[Failure]) -> None:
-    """Write them to ``failures.parquet`` in a folder; OSError if that fails."""
+    """Write failures to ``failures.parquet`` in a folder; OSError if that fails."""
     data = encode_table(failures_table(failures), load_spec("failures"))
     write_atomic(out / "failures.parquet", data)

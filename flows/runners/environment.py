@@ -1,7 +1,7 @@
-"""Flows as commands start them, in Prefect's environment: offline, quiet, inside the store.
+"""Prefect's environment of commands: offline, quiet, with its home in the store.
 
-It is set before Prefect is imported. Each variable can be overridden from outside;
-``PREFECT_API_URL`` set from outside means that a server runs already; then none is started.
+Variables are set before Prefect is imported, unless they are set already. If ``PREFECT_API_URL`` is
+set, its server is used and none is started.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from slgaussian.storage.local_copies import user_cache
 from slgaussian.storage.remote import redacted
 from slgaussian.storage.store import ArtifactStore
 
-if TYPE_CHECKING:  # Prefect is imported once its environment is set
+if TYPE_CHECKING:  # Prefect must be imported after its environment is set
     from prefect import Flow
 
 FLOWS = {
@@ -40,7 +40,7 @@ FLOWS = {
     "train": "flows.training:train_branch",
     "retrain": "flows.retraining:retrain",
 }
-"""The Prefect flow of each command, called with its configuration and whether to be verbose."""
+"""Prefect flow of each command, called with its configuration and ``verbose``."""
 
 
 def prepare(home: Path) -> None:
@@ -49,15 +49,15 @@ def prepare(home: Path) -> None:
         "PREFECT_HOME": str(home),
         "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
         "DO_NOT_TRACK": "1",
-        # Without this, a server that stops prints pages of cancelled database calls.
+        # Suppresses pages of cancelled database calls when the server stops.
         "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
-        # Progress and failures are told by flows.runners.progress.
+        # flows.runners.progress reports progress and failures.
         "PREFECT_LOGGING_LEVEL": "CRITICAL",
-        # A server of ours ends with the run: nobody reads there what is logged.
+        # Our own server ends with the run, so its logs cannot be read.
         "PREFECT_LOGGING_TO_API_ENABLED": str(bool(os.environ.get("PREFECT_API_URL"))),
         "PREFECT_LOGGING_EXTRA_LOGGERS": "slgaussian",
         "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
-        # Never Prefect's own embedded server: it stays behind when this process is killed.
+        # Prefect's embedded server would survive when this process is killed.
         "PREFECT_SERVER_EPHEMERAL_ENABLED": "false",
     }
     for name, value in (variables | ray_variables()).items():
@@ -65,14 +65,14 @@ def prepare(home: Path) -> None:
 
 
 def ray_variables() -> dict[str, str]:
-    """Return what Ray must know before it is imported, if it is the runner."""
+    """Return the environment variables that Ray reads on import."""
     variables = {
         "RAY_USAGE_STATS_ENABLED": "0",
-        # It would say so whenever a process begins another.
+        # Suppresses a warning at every fork.
         "GRPC_VERBOSITY": "ERROR",
-        # It hides all GPUs from tasks that do not book one.
+        # Ray hides all GPUs from tasks that do not request one.
         "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
-        # Who reaches it can have it run code. Left alone, it keeps a token for all to read.
+        # Access to Ray allows code execution. By default its token is readable by all users.
         "RAY_AUTH_MODE": "token",
     }
     if "RAY_AUTH_TOKEN_PATH" in os.environ or Path("~/.ray/auth_token").expanduser().exists():
@@ -81,7 +81,7 @@ def ray_variables() -> dict[str, str]:
 
 
 def home_of(store: ArtifactStore) -> Path:
-    """Where Prefect keeps its database: in a local store, else in the user's cache folder."""
+    """Return the folder of Prefect's database: in a local store, else in the user's cache."""
     if store.local:
         return Path(store.path) / ".prefect"
     return user_cache() / "prefect"
@@ -89,10 +89,10 @@ def home_of(store: ArtifactStore) -> Path:
 
 @contextmanager
 def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
-    """Prefect ready to run flows: a server of ours for the time of the block, or one from outside.
+    """Provide a Prefect server within the block, an external one or our own.
 
-    The server comes up while the block goes on to import what it needs; the function that the
-    block is given returns once the server answers and raises SLGaussianError if it never does.
+    Our server starts while the block imports its modules. The yielded function waits until the
+    server answers, and raises SLGaussianError if it does not.
     """
     prepare(home_of(store))
     if os.environ.get("PREFECT_API_URL"):
@@ -106,10 +106,10 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
 
         from flows.runners.task_runners import NO_EVENTS, send_events
 
-        # Nobody watches this server.
+        # Our own server has no viewers.
         send_events(False)
         outside = os.environ.setdefault(NO_EVENTS, "here")
-        # Heartbeats, which nobody would hear either, delay the end by up to a second.
+        # Heartbeats would delay the end by up to a second.
         with temporary_settings({PREFECT_FLOWS_HEARTBEAT_FREQUENCY: None}):
             yield server.wait
         if outside == "here":
@@ -121,10 +121,10 @@ def orchestration(store: ArtifactStore) -> Iterator[Callable[[], None]]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """End this program in good order on Ctrl-C or SIGTERM within the block, and at once.
+    """Clean up and end the program immediately on Ctrl-C or SIGTERM within the block.
 
-    What was begun in the block is left as after any error; then the program ends as the signal
-    itself ends one, without waiting for threads that are at a stage still.
+    Context managers of the block exit as after any error. Then the program ends by the signal
+    itself, without waiting for threads that still compute a stage.
     """
 
     def terminate(number: int, frame: object) -> NoReturn:
@@ -138,14 +138,14 @@ def interruptible() -> Iterator[None]:
         sys.stderr.flush()
         number = signal.SIGTERM if isinstance(reason, _Terminated) else signal.SIGINT
         signal.signal(number, signal.SIG_DFL)
-        atexit._run_exitfuncs()  # pools of processes would otherwise be said to leak
+        atexit._run_exitfuncs()  # avoids warnings of leaked process pools
         os.kill(os.getpid(), number)
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
 class _Terminated(BaseException):
-    """SIGTERM came."""
+    """Raised on SIGTERM."""
 
 
 def perform(command: str, config: Any, verbose: bool = False) -> Any:
@@ -158,7 +158,7 @@ def perform(command: str, config: Any, verbose: bool = False) -> Any:
     """
     store = ArtifactStore(config.store)
     with orchestration(store) as wait_for_server:
-        # Its imports take as long as the server needs to come up.
+        # The imports take as long as the start of the server.
         place, name = FLOWS[command].split(":")
         module = import_module(place)
         if hasattr(module, "check"):
@@ -170,8 +170,8 @@ def perform(command: str, config: Any, verbose: bool = False) -> Any:
 def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
     """Call a flow that ends in :func:`flows.runners.session.completed`; return its result.
 
-    A server that fails during the work, as when it is killed or its disk is full, costs no more
-    than that it does not learn the end.
+    If the server fails after the work is done, e.g. because its disk is full, only the final state
+    is lost.
 
     Raises
     ------

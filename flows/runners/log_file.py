@@ -1,8 +1,7 @@
-"""The log of a run in its output folder: an event a line, as JSON.
+"""Log of a run in its output folder, one JSON event on each line.
 
-It is for operators and their collectors, and volatile: nothing reads it back. What is logged under
-``slgaussian`` goes there, and to Prefect where its setting ``PREFECT_LOGGING_EXTRA_LOGGERS`` names
-that logger.
+It is for operators and log collectors; the program does not read it. It contains records of the
+logger ``slgaussian``, which Prefect receives too if ``PREFECT_LOGGING_EXTRA_LOGGERS`` names it.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ FILE = "log.jsonl"
 
 _all = logging.getLogger("slgaussian")
 _all.addHandler(logging.NullHandler())
-# Prefect has a handler at the root that prints whatever reaches it.
+# Prefect's handler of the root logger would print the records.
 _all.propagate = False
 _log = logging.getLogger("slgaussian.run")
 
@@ -37,27 +36,26 @@ def log(
     Parameters
     ----------
     level : int
-        As :mod:`logging` has them.
+        A level of :mod:`logging`.
     event : str
-        One word for what happened.
+        Name of the event, one word.
     message : str
-        The same as a sentence, with scene and stage, for those who see nothing else.
+        Complete sentence with scene and stage.
     error : exception, optional
-        One that is a defect, whose traceback is kept.
+        An unexpected error, whose traceback is logged.
     **facts
-        What else is known, as plain values: scene, stage, seconds ...
+        Further plain values: scene, stage, seconds ...
     """
     _log.log(level, message, exc_info=error, extra={"facts": {"event": event, **facts}})
 
 
 @contextmanager
 def log_to_file(out: Path, verbose: bool = False, **facts: Any) -> Iterator[None]:
-    """Keep what is logged within the block in ``out/log.jsonl``, in place of an earlier log.
+    """Log to ``out/log.jsonl`` within the block, replacing an earlier log.
 
-    Its first line has the ``facts`` of the run, as plain values and never credentials, its last how
-    the run ended; a log that ends otherwise is of a run that was killed, or is still on. If it
-    cannot be written, that is said once, and the run goes on. Finished stages that were cached are
-    logged if ``verbose``.
+    The first line has the ``facts`` of the run, plain values without credentials; the last line has
+    how the run ended, unless it was killed or is still running. If the file cannot be written, a
+    message is printed once, and the run continues. Cached stages are logged if ``verbose``.
     """
     with suppress(OSError):
         (out / FILE).unlink(missing_ok=True)
@@ -91,7 +89,7 @@ class _File(logging.FileHandler):
     def emit(self, record: logging.LogRecord) -> None:
         try:
             super().emit(record)
-        except OSError:  # it is opened with the first record
+        except OSError:  # the file is opened with the first record
             self.handleError(record)
 
     def handleError(self, record: logging.LogRecord) -> None:

@@ -1,4 +1,4 @@
-"""Progress of a run: a line a scene, and below them a bar with counts, rate and the time left."""
+"""Progress of a run: one line for each scene, and a bar with counts, rate and remaining time."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from slgaussian.errors import one_line
 from tasks.context import StageEvent
 
 REMIND = 30.0
-"""Seconds between lines with counts: in the log, and where there is no terminal for a bar."""
+"""Seconds between lines with counts, in the log and without a terminal."""
 
 PATIENCE = 15.0
-"""Seconds between lines that say what is waited for, where there is no terminal."""
+"""Seconds between messages of :class:`Waiting` without a terminal."""
 
 
 class Progress:
-    """Counts of a run's scenes and stages, shown on a stream and logged.
+    """Counter of a run's scenes and stages, displayed on a stream and logged.
 
-    Within ``with`` a bar is kept up to date on a terminal; elsewhere a line comes every
+    A context manager that updates a bar on a terminal, and elsewhere prints a line every
     :data:`REMIND` seconds.
 
     Parameters
     ----------
     scenes, stages : int
-        How many scenes there are, and how many stages each has.
+        Number of scenes, and of stages of each scene.
     verbose : bool
-        Print a line for every stage, and tracebacks of defects.
+        Print a line for every stage, and tracebacks of unexpected errors.
     stream : text stream, optional
-        Standard error if left out.
+        Standard error by default.
     unit : str
-        What a scene is called.
+        Plural noun for scenes.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class Progress:
         self._log_counts()
 
     def update(self, event: StageEvent) -> None:
-        """Count and show a change of state of a stage."""
+        """Count and display a change of state of a stage."""
         scene, stage = event.scene, event.stage
         match event.state:
             case "running":
@@ -102,23 +102,23 @@ class Progress:
                 self.line(text)
                 self.steps -= 1
                 done = self.of_scene[scene]
-                done.remove(next(one for one in done if one.stage == stage))
+                done.remove(next(earlier for earlier in done if earlier.stage == stage))
             case "failed":
                 self._failed(event)
         self._show()
 
-    def lost(self, died: bool, what: str, scenes: Sequence[str]) -> None:
-        """Report a worker that ``died`` or raised an error, with all that it did of its scenes."""
-        text = f"a worker {what}; its scenes are tried again, one at a time"
+    def lost(self, died: bool, event_text: str, scenes: Sequence[str]) -> None:
+        """Report a worker that ``died`` or raised an error, and uncount its scenes."""
+        text = f"a worker {event_text}; its scenes are tried again, one at a time"
         event = "worker_died" if died else "worker_raised"
-        log(logging.WARNING, event, text, reason=what, scenes=list(scenes))
+        log(logging.WARNING, event, text, reason=event_text, scenes=list(scenes))
         for scene in scenes:
             self.active.pop(scene, None)
             self.steps -= len(self.of_scene.pop(scene, ()))
         self.line(text)
 
     def line(self, text: str) -> None:
-        """Print a line that stays; what a terminal would obey is shown, not done."""
+        """Print a permanent line; control characters are escaped."""
         for part in text.split("\n"):
             self.console.print(one_line(part))
 
@@ -128,7 +128,7 @@ class Progress:
         self.line(text)
 
     def summary(self) -> None:
-        """Print a line a stage with its time, then that of the whole."""
+        """Print the time of each stage, and the total."""
         if self.scenes > 1:
             for stage in self.seconds:
                 computed, cached = self.computed[stage], self.cached[stage]
@@ -164,12 +164,12 @@ class Progress:
 
     def _went_through(self, scene: str) -> None:
         events = self.of_scene[scene]
-        computed = [one for one in events if one.state != "cached"]
+        computed = [event for event in events if event.state != "cached"]
         rest = len(events) - len(computed)
-        texts = [" · ".join(f"{one.stage} {one.seconds:.1f} s" for one in computed)]
+        texts = [" · ".join(f"{event.stage} {event.seconds:.1f} s" for event in computed)]
         texts += [f"{rest} stages cached"] if rest else []
         text = f"{scene}  {' · '.join(filter(None, texts))}"
-        seconds = round(sum(one.seconds for one in events), 3)
+        seconds = round(sum(event.seconds for event in events), 3)
         facts: dict[str, Any] = {"scene": scene, "seconds": seconds, "cached": rest}
         facts["computed"] = len(computed)
         log(logging.INFO, "done", text, **facts)
@@ -180,8 +180,8 @@ class Progress:
     def _failed(self, event: StageEvent) -> None:
         scene, stage = event.scene, event.stage
         text = f"{scene}  left out at {stage}: {event.message}"
-        more = {"traceback": event.traceback} if event.traceback else {}
-        facts: dict[str, Any] = {"scene": scene, "stage": stage, "reason": event.message, **more}
+        extra = {"traceback": event.traceback} if event.traceback else {}
+        facts: dict[str, Any] = {"scene": scene, "stage": stage, "reason": event.message, **extra}
         log(logging.ERROR, "failed", text, **facts)
         self.active.pop(scene, None)
         self.failed += 1
@@ -215,14 +215,14 @@ class Progress:
 
 
 class Waiting:
-    """What a command waits for: a line that goes away on a terminal, elsewhere one now and then."""
+    """Display of a waiting command: a transient line on a terminal, elsewhere occasional lines."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self.console, self.last = console(stream), -PATIENCE
         self.status = self.console.status("")
 
     def __call__(self, text: str) -> None:
-        """Show what is waited for now; an empty text when that is over."""
+        """Display a message; an empty text ends it."""
         if self.console.is_terminal:
             self.status.update(one_line(text))
             self.status.start() if text else self.status.stop()
@@ -232,7 +232,7 @@ class Waiting:
 
 
 def console(stream: TextIO | None = None) -> Console:
-    """Return a console that prints text as it is on a stream, standard error if left out."""
+    """Return a console without markup on a stream, standard error by default."""
     return Console(
         file=stream or sys.stderr, markup=False, highlight=False, emoji=False, soft_wrap=True
     )

@@ -1,8 +1,8 @@
-"""A Prefect API server of our own that cannot outlive the program that started it.
+"""A local Prefect API server that cannot outlive the program that started it.
 
-Prefect's embedded server is a child process that stays behind when its parent is killed. This one
-holds the reading end of a pipe whose writing end only the parent has: however the parent dies,
-``kill -9`` included, the kernel closes the pipe and the server leaves.
+Prefect's embedded server is a child process that survives when its parent is killed. This one holds
+the reading end of a pipe whose writing end only the parent has: when the parent dies, even by
+``kill -9``, the kernel closes the pipe and the server exits.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from slgaussian.storage.local_copies import LocalCache
 LOOPBACK = "127.0.0.1"
 
 START_TIMEOUT = 120.0
-"""Seconds to wait for the server; its first start on a machine also makes a database."""
+"""Seconds to wait for the server; its first start on a machine also creates a database."""
 
 DATABASE = "prefect.db"
 
@@ -35,8 +35,8 @@ DATABASE = "prefect.db"
 class LocalServer:
     """A server on a free port of this machine, its database in folder ``home``.
 
-    The port is bound at once, so that :attr:`url` can be put into the environment before Prefect
-    is imported; :meth:`start` returns while the server is still coming up, and :meth:`wait` waits.
+    The port is bound on construction, so that :attr:`url` can be set in the environment before
+    Prefect is imported. :meth:`start` returns before the server is ready; :meth:`wait` waits.
     """
 
     def __init__(self, home: Path) -> None:
@@ -53,7 +53,7 @@ class LocalServer:
         try:
             self.home.mkdir(parents=True, exist_ok=True)
             self.makes_database = not _lay_database(self.home)
-            # Its own output file: a pipe of ours that it inherited would keep our readers waiting.
+            # A file of its own: an inherited pipe would keep readers of our output waiting.
             log = self.log.open("wb")
         except OSError as error:
             raise InputError(
@@ -67,7 +67,7 @@ class LocalServer:
                 stdout=log,
                 stderr=log,
                 pass_fds=[inherited],
-                start_new_session=True,  # Ctrl-C is for the run, which then stops the server
+                start_new_session=True,  # on Ctrl-C the run stops the server itself
                 env={
                     **os.environ,
                     **import_path(),
@@ -80,9 +80,9 @@ class LocalServer:
         self.socket.close()
 
     def wait(self) -> None:
-        """Return when the server answers; SLGaussianError with its log's place if it does not."""
+        """Wait until the server answers; SLGaussianError naming its log if it does not."""
         try:
-            # The socket listens already, so this request simply waits for the application.
+            # The socket listens already, so this request waits for the application.
             urllib.request.urlopen(f"{self.url}/health", timeout=START_TIMEOUT).close()
         except (OSError, urllib.error.URLError) as error:
             self.stop()
@@ -95,7 +95,7 @@ class LocalServer:
             _keep_database(self.home)
 
     def stop(self) -> None:
-        """Close the pipe and wait for the server to leave."""
+        """Close the pipe and wait until the server exits."""
         if self.process is not None:
             if self.process.stdin is not None:
                 self.process.stdin.close()
@@ -104,40 +104,40 @@ class LocalServer:
 
 
 def import_path() -> dict[str, str]:
-    """The variables that have a Python find what this one finds, and look nowhere else."""
-    own = str(Path(__file__).resolve().parents[2])
+    """Return variables that give another Python the import path of this one."""
+    root = str(Path(__file__).resolve().parents[2])
     places = [place for place in sys.path if place]
-    if own not in places:  # where '' meant it
-        places.insert(0, own)
+    if root not in places:  # '' may stand for it
+        places.insert(0, root)
     return {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1"}
 
 
 def _lay_database(home: Path) -> bool:
-    """Whether a database is in ``home`` or, new and empty, was laid there from the user's cache.
+    """Copy an empty database from the user's cache unless ``home`` has one; return if it has one.
 
-    Prefect makes one in hundreds of steps, which take longer than its server does to come up.
+    Prefect creates a database by hundreds of migrations, which take longer than the server's start.
     """
     place = home / DATABASE
     if place.exists():
         return True
     cache = LocalCache.from_environment()
-    kept = cache and cache.get(_kept_at())
-    if not kept or hashlib.sha256(kept[32:]).digest() != kept[:32]:
+    cached = cache and cache.get(_kept_at())
+    if not cached or hashlib.sha256(cached[32:]).digest() != cached[:32]:
         return False
     with (
         suppress(OSError),
         tempfile.NamedTemporaryFile(dir=home, prefix=".database-") as unfinished,
     ):
-        unfinished.write(kept[32:])
+        unfinished.write(cached[32:])
         unfinished.flush()
-        os.link(unfinished.name, place)  # never over that of a server which began meanwhile
+        os.link(unfinished.name, place)  # does not replace that of a server started meanwhile
     return place.exists()
 
 
 def _keep_database(home: Path) -> None:
-    """Keep the new database in ``home`` in the user's cache, for others to begin with."""
+    """Copy the new database in ``home`` to the user's cache, for later servers."""
     cache, place = LocalCache.from_environment(), home / DATABASE
-    if cache is None or not place.exists():  # the user has Prefect keep its records elsewhere
+    if cache is None or not place.exists():  # Prefect's database is configured elsewhere
         return
     with suppress(OSError, sqlite3.Error), tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / DATABASE
@@ -152,7 +152,7 @@ def _kept_at() -> str:
 
 
 def serve(inherited: int) -> None:
-    """The server process: serve on the inherited socket until standard input ends."""
+    """Serve on the inherited socket until standard input ends, as the server process."""
     threading.Thread(target=_leave_with_parent, daemon=True).start()
     import uvicorn
     from prefect.server.api.server import create_app
@@ -163,7 +163,7 @@ def serve(inherited: int) -> None:
 
 def _leave_with_parent() -> None:
     sys.stdin.buffer.read()
-    # At once: what the database holds is history only, and SQLite's log survives this.
+    # Immediately: the database holds only history, and SQLite's log survives this.
     os._exit(0)
 
 

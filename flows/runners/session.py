@@ -1,4 +1,4 @@
-"""What every flow does around its work: log, provenance, damaged artifacts, Prefect artifacts."""
+"""Common frame of flows: log, provenance, damaged artifacts, final state, Prefect artifacts."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ from slgaussian.storage.store import ArtifactStore, DamagedError
 Result = TypeVar("Result")
 
 RESULTS: list[Any] = []
-"""The result of the last flow of this process, whether its server learnt of it or not."""
+"""Result of the last flow of this process, even if the server has not received it."""
 
 NAMED = 50
-"""Scenes that the message of a state names at most."""
+"""Largest number of scenes in the message of a state."""
 
 MOST_ROWS = 500
-"""Rows of a table artifact at most: Prefect keeps it in a database and shows it on one page."""
+"""Largest number of rows of a table artifact, which Prefect shows on one page."""
 
 
 def run_session(
     command: str, config: Any, verbose: bool, work: Callable[[ArtifactStore], Result]
 ) -> Result:
-    """Do the work of a flow with its store, a log in its output folder, and whole artifacts.
+    """Do the work of a flow with its store and a log, and repair damaged artifacts.
 
-    Where an artifact turns out to be damaged when it is handed out or read by another scene, it is
-    removed and the work is done again, which computes it anew and finds the rest in the store.
+    An artifact that is found damaged during export or by another scene is removed, and the work is
+    repeated: that recomputes the artifact and finds the others in the store.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def run_session(
     Raises
     ------
     SLGaussianError
-        As ``work``, and if a damaged artifact is none that it makes.
+        As ``work``, and if a damaged artifact is not recomputed by it.
     """
     store = ArtifactStore(config.store)
     facts = config.model_dump(include={"runner", "workers"})
@@ -86,7 +86,7 @@ def run_session(
 
 
 def _leave_with_parent(parent: int) -> None:
-    """End this process, whose work goes on next time, once the one that serves it is gone."""
+    """End this process when the process that serves its deployment is gone."""
     while os.getppid() == parent:
         time.sleep(1)
     os._exit(1)
@@ -95,17 +95,17 @@ def _leave_with_parent(parent: int) -> None:
 def completed(
     message: str, result: Result, failures: Sequence[Failure] = (), name: str = "Completed"
 ) -> State[Result]:
-    """Return the final state of a flow, whose message names the scenes that were left out."""
+    """Return the final state of a flow, whose message names scenes that were left out."""
     names = list(dict.fromkeys(failure.scene for failure in failures))
     if names:
-        more = f" and {len(names) - NAMED} more" if names[NAMED:] else ""
-        message += f"; left out: {', '.join(names[:NAMED])}{more}"
+        rest = f" and {len(names) - NAMED} more" if names[NAMED:] else ""
+        message += f"; left out: {', '.join(names[:NAMED])}{rest}"
     RESULTS[:] = [result]
     return Completed(name=name, message=message, data=result)
 
 
 def stages_to_refresh(config: Any, stages: Sequence[str]) -> frozenset[str]:
-    """Return ``config.refresh``; InputError if one is none of a flow's stages."""
+    """Return ``config.refresh``; InputError if an element is no stage of the flow."""
     for name in config.refresh:
         if name not in stages:
             raise InputError(
@@ -117,7 +117,7 @@ def stages_to_refresh(config: Any, stages: Sequence[str]) -> frozenset[str]:
 
 @contextmanager
 def writing(out: Path) -> Iterator[None]:
-    """Raise InputError where results cannot be written to the output folder within the block."""
+    """Convert OSError within the block, which writes results, to InputError."""
     try:
         yield
     except OSError as error:
@@ -128,7 +128,7 @@ def writing(out: Path) -> Iterator[None]:
 
 
 def check_folder(out: Path) -> None:
-    """Make the output folder; InputError now, not after the work, if it cannot be written."""
+    """Make the output folder and test that it is writable; InputError if not."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         write_atomic(out / ".probe", b"")
@@ -150,10 +150,10 @@ def publish_table(key: str, rows: Sequence[dict[str, Any]]) -> None:
 
 
 def _publish(create: Callable[[], Any]) -> None:
-    """Create an artifact where the server is the user's: ours ends with the command."""
+    """Create an artifact on an external server; our own ends with the command."""
     if NO_EVENTS in os.environ:
         return
     try:
         create()
-    except Exception as error:  # a server that is gone costs the artifact, not the run
+    except Exception as error:  # the run continues without its artifact
         log(logging.WARNING, "artifact_failed", f"an artifact was not created: {error}")

@@ -38,26 +38,26 @@ from slgaussian.storage.remote import redacted
 from slgaussian.storage.store import ArtifactStore, DamagedError
 
 CONNECT = 5.0
-"""Seconds to wait for a cluster that is said to run."""
+"""Timeout of the connection to a cluster, seconds."""
 
 PATIENCE = 120.0
-"""Seconds that the workers of a cluster may take to begin."""
+"""Timeout of the first task on a cluster, seconds."""
 
 ANSWER = 10.0
-"""Seconds that the Prefect server may take to answer a worker."""
+"""Timeout of the Prefect server's answer to a worker, seconds."""
 
 NO_EVENTS = "SLGAUSSIAN_NO_EVENTS"
-"""Environment variable that is set if nobody reads the events that Prefect has of every task: they
-cost a worker and the server some 25 ms a task, and the database 25 kB."""
+"""Environment variable that disables Prefect's task events, which cost worker and server some 25 ms
+for each task, and the database 25 kB."""
 
 
 def send_events(wanted: bool) -> None:
-    """Have this process send Prefect's events to the server itself, or nowhere."""
+    """Enable or disable Prefect's events of this process."""
     EventsWorker.set_client_override(None if wanted else NullEventsClient)
 
 
 if NO_EVENTS in os.environ:
-    send_events(False)  # a worker loads this module with its first task, before any event of it
+    send_events(False)  # workers import this module before the first event
 
 
 @dataclass
@@ -67,11 +67,11 @@ class Workers:
     Attributes
     ----------
     store : ArtifactStore
-        The one that they use.
+        Store of the results.
     count : int
-        How many tasks run at the same time.
+        Number of concurrent tasks.
     refresh : frozenset of str
-        Stages to compute anew.
+        Stages to recompute.
     runner : TaskRunner
     """
 
@@ -82,7 +82,7 @@ class Workers:
     stack: ExitStack
 
     def submit(self, prefect_task: Task[..., Any], parameters: dict[str, Any]) -> PrefectFuture:
-        """Have a worker run a task; SLGaussianError if the task runner takes on no more."""
+        """Submit a task to a worker; SLGaussianError if the task runner accepts no more."""
         try:
             with without_interrupts():
                 return self.runner.submit(prefect_task, parameters)
@@ -94,7 +94,7 @@ class Workers:
             ) from error
 
     def restart(self, broken: TaskRunner[Any]) -> None:
-        """Replace a pool of processes, which is of no use once one of them has died."""
+        """Replace a process pool, which is broken after the death of one process."""
         if broken is self.runner and isinstance(broken, ProcessPoolTaskRunner):
             self.runner = self.stack.enter_context(broken.duplicate())
 
@@ -105,12 +105,13 @@ def open_workers(
 ) -> Iterator[Workers]:
     """Open the task runner of a name, within a Prefect flow.
 
-    When the block is left by a signal nobody waits for the workers: the program is to end now.
+    When a signal ends the block, workers are killed, so that the program ends immediately.
 
     Raises
     ------
     InputError
-        As :func:`check_runner`, if the cluster refuses us, or no worker of it can do the work.
+        As :func:`check_runner`, if the cluster refuses the connection, or no worker can do the
+        work.
     """
     check_runner(name, store)
     stack = ExitStack()
@@ -144,14 +145,14 @@ def _task_runner(name: str, count: int) -> Any:
 
 @task(name="roll-call", cache_policy=NO_CACHE, persist_result=False)
 def roll_call(root: str, probe: str, server: str) -> None:
-    """Raise InputError where a worker is that cannot do its work.
+    """Test store and server from a worker; InputError if it cannot do its work.
 
     Parameters
     ----------
     root : str
         The store.
     probe : str
-        A file that is in it.
+        An existing file in the store.
     server : str
         URL of the Prefect server's API.
     """
@@ -168,7 +169,7 @@ def roll_call(root: str, probe: str, server: str) -> None:
 
 
 def _check_workers(name: str, workers: Workers) -> None:
-    """Wait for a worker that can do the work; InputError if one cannot, or there is none."""
+    """Run :func:`roll_call` on a worker; InputError if it fails, or there is no worker."""
     store, probe = workers.store, f".probe-{uuid.uuid4().hex}"
     store.write(probe, b"")
     parameters = {"root": store.root, "probe": probe, "server": os.environ["PREFECT_API_URL"]}
@@ -189,14 +190,14 @@ def _check_workers(name: str, workers: Workers) -> None:
 
 
 def check_runner(runner: str, store: ArtifactStore) -> None:
-    """Raise :class:`InputError` if a runner cannot work, as far as that can be told at once.
+    """Check a runner as far as possible before its start.
 
     Parameters
     ----------
     runner : str
-        As :data:`flows.config.Runner` has it.
+        See :data:`flows.config.Runner`.
     store : ArtifactStore
-        The one that its workers are to use.
+        Store of its workers.
 
     Raises
     ------
@@ -234,9 +235,9 @@ def check_runner(runner: str, store: ArtifactStore) -> None:
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Have threads and processes that begin within the block not hear Ctrl-C.
+    """Block SIGINT in threads and processes that start within the block.
 
-    A terminal sends it to all processes of a program; it is for this one, which ends the others.
+    A terminal sends it to all processes of a program; only the main process should handle it.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -246,10 +247,10 @@ def without_interrupts() -> Iterator[None]:
 
 
 def become_worker() -> None:
-    """Have this process of a pool end once its parent is gone, however that died.
+    """Initialise a process of a pool, which ends when its parent dies.
 
-    And tell Prefect's server itself what it has to tell. Prefect has it told to the parent by a
-    queue: a worker that is killed may hold its lock, and then the parent never ends.
+    It sends logs and events to Prefect's server directly. By default Prefect sends them to the
+    parent through a queue; a killed worker may hold the queue's lock, and the parent would hang.
     """
     send_events(NO_EVENTS not in os.environ)
     set_api_log_sink(None)
@@ -276,7 +277,7 @@ def _dask(address: str) -> Iterator[TaskRunner[Any]]:
         await comm.close()
 
     try:
-        # Dask's clients wait for ever for the first words of what is no scheduler.
+        # Dask's clients wait indefinitely for a greeting from a server that is no scheduler.
         asyncio.run(asyncio.wait_for(greet(), 2 * CONNECT))
     except (OSError, ValueError) as error:
         raise InputError(_nobody(f"dask://{address}", error)) from error
@@ -303,9 +304,9 @@ def _ray(address: str) -> Iterator[TaskRunner[Any]]:
             log_to_driver=False,
             logging_level=logging.CRITICAL,
         )
-        before = signal.getsignal(signal.SIGTERM)  # which Ray takes for itself
+        before = signal.getsignal(signal.SIGTERM)  # Ray replaces the handler
         try:
-            # Ray has its workers look for modules where its client is, first: an empty folder.
+            # Ray's workers import from the client's working directory first: use an empty one.
             with (
                 tempfile.TemporaryDirectory() as empty,
                 chdir(empty),
@@ -314,7 +315,7 @@ def _ray(address: str) -> Iterator[TaskRunner[Any]]:
                 try:
                     connect()
                 except ConnectionAbortedError:
-                    # A process that its head forks for a client may die at once, of gRPC's threads.
+                    # The server process that Ray forks for a client may crash in gRPC's threads.
                     connect()
         except Exception as error:  # Ray's own, and any
             raise InputError(
@@ -324,17 +325,17 @@ def _ray(address: str) -> Iterator[TaskRunner[Any]]:
         finally:
             signal.signal(signal.SIGTERM, before)
         stack.callback(ray.shutdown)
-        # Whose worker died is tried again by us, chain by chain.
+        # flows.runners.batches retries scenes whose worker died.
         stack.enter_context(remote_options(max_retries=0))
         yield stack.enter_context(RayTaskRunner())
 
 
 def last_line(text: str) -> str:
-    """Return the last line of an error, which may bring another process's traceback along."""
+    """Return the last line of an error, which may contain another process's traceback."""
     return (text.strip().splitlines() or ["unknown"])[-1].strip()
 
 
 def _nobody(runner: str, error: Exception) -> str:
-    what = "Dask scheduler" if runner.startswith("dask") else "Ray head"
-    said = str(error) or type(error).__name__
-    return f"runner: no {what} answers at {runner} ({said}); start it, or correct the address"
+    service = "Dask scheduler" if runner.startswith("dask") else "Ray head"
+    reason = str(error) or type(error).__name__
+    return f"runner: no {service} answers at {runner} ({reason}); start it, or correct the address"

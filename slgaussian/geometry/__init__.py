@@ -1,9 +1,9 @@
-"""What is seen of a scene: depth, borders and the room, each derived once and read by many."""
+"""Geometry of a scene from its Gaussians: depth, boundaries and the room, each computed once."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # loaded on first use: a field's bank needs the room alone, and no kernels
+if TYPE_CHECKING:  # loaded on first use: a field's bank needs only the room, and no kernels
     from slgaussian.geometry.seen import SceneGeometry, SeenView
 
 __all__ = ["SceneGeometry", "SeenView"]

@@ -1,9 +1,9 @@
-"""How strongly every pixel looks like the border between two things.
+"""Boundary strength between objects at every pixel.
 
 The cue is the half-disc contrast of Martin, Fowlkes and Malik (PAMI 2004): a disc at the pixel is
-cut in two along eight directions and the histograms of the halves are compared by chi-squared, on
-lightness, colour and texture codes. Where a depth map is at hand, jumps and creases of inverse
-depth are added; inverse depth is affine over any plane, so slanted floors and walls stay silent.
+divided along eight directions and the histograms of the halves are compared by chi-squared, on
+lightness, colour and texture codes. With a depth map, jumps and creases of inverse depth are added;
+inverse depth is affine over any plane, so slanted floors and walls have no response.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ TONE_BINS = 20
 
 
 def tone_codes(lab: np.ndarray) -> np.ndarray:
-    """Bins of L, a and b, uint8 [H, W, 3] in 0 .. 19.
+    """Quantise L, a and b, uint8 [H, W, 3] in 0 .. 19.
 
-    L has bins of 5; a and b pass a signed square root, which spends the bins near grey, where
-    indoor photographs have their colours.
+    L has bins of 5; a and b are compressed by a signed square root, for finer bins near grey, where
+    most colours of indoor photographs are.
     """
     chroma = np.sign(lab[..., 1:]) * np.sqrt(np.abs(lab[..., 1:]))
     steps = np.concatenate([lab[..., :1] / 5, chroma + TONE_BINS / 2], -1)
@@ -30,10 +30,10 @@ def tone_codes(lab: np.ndarray) -> np.ndarray:
 
 
 def texture_codes(light: np.ndarray) -> np.ndarray:
-    """Texture code of every pixel of a lightness map [H, W], uint8 in 0 .. 26.
+    """Compute the texture code of every pixel of a lightness map [H, W], uint8 in 0 .. 26.
 
-    Edge (none, or weak or strong in one of four directions) x the sign of the blob response:
-    fixed bins in place of learned textons, so that equal pixels get equal codes in every image.
+    Edge (none, or weak or strong in one of four directions) x sign of the blob response: fixed
+    bins instead of learned textons, so that codes are comparable between images.
     """
     fine = cv2.GaussianBlur(light, (0, 0), 1.0)
     coarse = cv2.GaussianBlur(light, (0, 0), 2.5)
@@ -49,7 +49,7 @@ def texture_codes(light: np.ndarray) -> np.ndarray:
 
 
 def boundary_map(lab: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray:
-    """Border strength, float32 [H, W], about 0 to 1.
+    """Compute boundary strength, float32 [H, W], about 0 to 1.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def boundary_map(lab: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray
 
 
 def _outlines(lab: np.ndarray) -> np.ndarray:
-    """Border strength of a photograph without its depth."""
+    """Compute the boundary strength of a photograph without depth."""
     height, width = lab.shape[:2]
     half_size = (max(width // 2, 1), max(height // 2, 1))
     small = cv2.resize(lab, half_size, interpolation=cv2.INTER_AREA)
@@ -82,7 +82,7 @@ def _outlines(lab: np.ndarray) -> np.ndarray:
 
 
 def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.ndarray:
-    """Contrast of the two halves of a disc at every pixel, float32 [8, H, W] in 0 to 1.
+    """Compute the contrast of the two halves of a disc at every pixel, float32 [8, H, W], 0 to 1.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.nd
     bins, radius : int
         Number of bins; disc radius in pixels.
     ordered : bool
-        Whether neighbouring bins are alike, so that histograms are blurred before comparison.
+        Whether neighbouring bins are similar, so that histograms are blurred before comparison.
     """
     padded = codes[_mirrored(codes.shape[0], radius)[:, None], _mirrored(codes.shape[1], radius)]
     offsets, starts = _disc(radius, padded.shape[1])
@@ -106,16 +106,16 @@ def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.nd
 
 
 def _mirrored(size: int, reach: int) -> np.ndarray:
-    """Indices -reach .. size + reach - 1 reflected at the frame, so that it is no border itself."""
+    """Return indices -reach .. size + reach - 1 reflected at the image frame."""
     index = np.abs(np.arange(-reach, size + reach))
     return np.where(index < size, index, 2 * size - 2 - index).clip(0, size - 1)
 
 
 def _disc(radius: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of a disc without its middle, as offsets in a flat image of that width, by sector.
+    """Return the pixels of a disc without its centre, as offsets in a flat image, by sector.
 
-    The 16 sectors are equal turns; sector s has ``offsets[starts[s] : starts[s + 1]]``, and as many
-    pixels as the one across.
+    The 16 sectors have equal angles; sector s is ``offsets[starts[s] : starts[s + 1]]`` and has as
+    many pixels as the opposite one.
     """
     dy, dx = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     inside = (dx * dx + dy * dy <= radius * radius + 1) & ((dx != 0) | (dy != 0))
@@ -128,14 +128,14 @@ def _disc(radius: int, width: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def depth_boundary(depth: np.ndarray) -> np.ndarray:
-    """Strength of depth jumps and creases, float32 [H, W] in 0 to 0.5; 0 where depth is unknown.
+    """Compute the strength of depth jumps and creases, float32 [H, W] in 0 to 0.5; 0 if unknown.
 
     The second difference of inverse depth over 3 pixels to each side, relative to inverse depth:
-    zero on planes, about 0.5 at a jump where depth doubles. It stops at half the strength of a full
-    image border because predicted depth has false jumps where the image is blank.
+    zero on planes, about 0.5 at a jump where depth doubles. It is limited to half the strength of a
+    full image boundary because predicted depth has false jumps in uniform areas.
     """
-    known = depth > 0
-    inverse = np.where(known, 1 / np.where(known, depth, 1), 0).astype(np.float32)
+    positive = depth > 0
+    inverse = np.where(positive, 1 / np.where(positive, depth, 1), 0).astype(np.float32)
     strength = np.zeros_like(inverse)
     reach = 3
     for axis in (0, 1):
@@ -154,11 +154,11 @@ def depth_boundary(depth: np.ndarray) -> np.ndarray:
 
 @kernel
 def _half_disc(codes, bins, radius, ordered, offsets, starts, terms, side):
-    """The contrast from ``codes`` with ``radius`` pixels more on each side.
+    """Compute the contrast from ``codes`` padded by ``radius`` pixels.
 
-    A place of ``counts`` is ``side`` times the number of pixels in a bin in the first half, plus
-    that in the second: the row of ``terms``, a flat table of what a bin adds to chi-squared. Only
-    bins that the disc has are looked at, and nothing where it has one.
+    An element of ``counts`` is ``side`` times the number of pixels of a bin in the first half plus
+    the number in the second, an index into ``terms``, the table of contributions to chi-squared.
+    Only bins between the lowest and highest of the disc are visited; a disc of one bin is skipped.
     """
     flat, width = codes.ravel(), codes.shape[1]
     H, W = codes.shape[0] - 2 * radius, width - 2 * radius
@@ -166,13 +166,13 @@ def _half_disc(codes, bins, radius, ordered, offsets, starts, terms, side):
     size = len(offsets)
     counts = np.zeros(bins + 3, np.int32)  # of bin b at b + 1
     disc = np.empty(size, np.uintp)  # unsigned: no index is taken for one from the end
-    one, side = np.uintp(1), np.int32(side)
+    unit, side = np.uintp(1), np.int32(side)
     for y in range(H):
         for x in range(W):
             low, high = np.uintp(bins), np.uintp(0)
             middle = (y + radius) * width + x + radius
             for k in range(size):
-                place = np.uintp(flat[np.uintp(middle + offsets[k])]) + one
+                place = np.uintp(flat[np.uintp(middle + offsets[k])]) + unit
                 low, high, disc[k] = min(low, place), max(high, place), place
             if low == high:
                 continue
@@ -185,11 +185,11 @@ def _half_disc(codes, bins, radius, ordered, offsets, starts, terms, side):
                 chi = np.float32(0)
                 if ordered:
                     counts[0], counts[bins + 1] = counts[1], counts[bins]
-                    for b in range(max(low - one, one), min(high + one, np.uintp(bins)) + one):
-                        blurred = counts[b - one] + 2 * counts[b] + counts[b + one]
+                    for b in range(max(low - unit, unit), min(high + unit, np.uintp(bins)) + unit):
+                        blurred = counts[b - unit] + 2 * counts[b] + counts[b + unit]
                         chi += terms[np.uintp(blurred)]
                 else:
-                    for b in range(low, high + one):
+                    for b in range(low, high + unit):
                         chi += terms[np.uintp(counts[b])]
                 out[o, y, x] = np.float32(0.5) * chi
                 # Turn the diameter by one sector: one sector changes sides, its opposite returns.

@@ -1,12 +1,11 @@
-"""Where things are in a room: which way is up, where the floor is, how high and how large that is.
+"""Estimation of a room: the up direction, the floor, and a unit of length.
 
-Photographs come in any unit and any world axes. Up is the direction that most surfaces agree with:
-floors, tables and ceilings face it, walls stand along it. The floor is the lowest large surface
-that faces up, and the unit of length is the height of the cameras above it: about 1.5 m where
-people take photographs, less on most robots.
+World axes and units are arbitrary. Up is the direction that most surfaces support: normals of
+floors, tables and ceilings are parallel to it, normals of walls perpendicular. The floor is the
+lowest large surface that faces up, and the unit of length is the height of the cameras above it:
+about 1.5 m for photographs by people, less for most robots.
 
-Cameras that were found from photographs alone have the axes of the first one, however it was held,
-which say nothing.
+Estimated cameras have the axes of the first camera, which carry no information about up.
 """
 
 from __future__ import annotations
@@ -20,34 +19,36 @@ import numpy as np
 from slgaussian.scene import Camera
 
 REACH = 1 / 45
-"""A normal is that of the plane through pixels so far to the left, right, top and bottom, a share
-of the image's height."""
+"""Distance of the left, right, upper and lower pixels that define the plane of a normal, as a share
+of the image height."""
 STEP = 8
-"""One normal is taken in so many rows and columns."""
+"""Stride in rows and columns between normals."""
 BEND = 0.02
-"""Relative depth by which these pixels may lie off the plane through them."""
+"""Largest relative deviation of these pixels from their plane."""
 STEEP = 0.3
-"""Relative difference of depth between opposite ones beyond which they are two surfaces."""
+"""Relative depth difference of opposite pixels above which they lie on two surfaces."""
 TILT = 50.0
-"""Degrees that the cameras may be pitched and rolled on average: up is searched within them."""
+"""Search radius for up around the cameras' mean up vector, degrees."""
 NEAR_AXIS = 40.0
-"""Degrees from the cameras' upright within which a world axis is tried for up."""
+"""Largest angle between the cameras' mean up vector and a world axis that is tested as up, degrees.
+"""
 LEVEL = 8.0
-"""Degrees by which a surface may be off level or upright and still be evidence for up."""
+"""Largest deviation of a surface from horizontal or vertical to count as evidence for up, degrees.
+"""
 WALLS = 0.15
-"""An upright surface is so much of the evidence that a level one is."""
+"""Weight of a vertical surface relative to a horizontal one."""
 TWICE = 2.0
-"""A world axis is up unless another direction has so many times its evidence, looked at sharply:
-most programs that write poses know which way is down."""
+"""Ratio of evidence by which another direction must exceed a world axis to be up: most programs
+that write poses know the direction of gravity."""
 FLOOR = 0.03
-"""Least share of all surface that a floor has, or what is level."""
+"""Smallest share of a floor, and of horizontal surfaces, in the total surface."""
 THICK = 0.04
-"""Floors are found in slices of so many times the median depth."""
+"""Thickness of the slices in which floors are detected, in units of the median depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """What is known of the place that some views show.
+    """Up direction, floor and unit of length of a scene.
 
     Attributes
     ----------
@@ -64,21 +65,21 @@ class Room:
     unit: float
 
     def place(self, camera: Camera, depth: np.ndarray) -> Surroundings:
-        """Where the pixels of a view lie, from its predicted depth float32 [H, W], 0 unknown."""
-        known = depth > 0
+        """Locate the pixels of a view from its predicted depth float32 [H, W], 0 unknown."""
+        valid = depth > 0
         points = camera.unproject(depth)
         height = (points @ self.up - self.floor) / self.unit
         normals = _normals(camera, depth)
         return Surroundings(
-            np.where(known[..., None], points / self.unit, np.nan).astype(np.float32),
-            np.where(known, height, np.nan).astype(np.float32),
+            np.where(valid[..., None], points / self.unit, np.nan).astype(np.float32),
+            np.where(valid, height, np.nan).astype(np.float32),
             (normals @ self.up).astype(np.float32),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Where the pixels of one view lie in a room; NaN where that is not known.
+    """Positions of the pixels of a view in a room; NaN where unknown.
 
     Attributes
     ----------
@@ -96,16 +97,16 @@ class Surroundings:
 
 
 def find_room(cameras: Sequence[Camera], depths: Iterable[np.ndarray]) -> Room:
-    """The room that V cameras see, from their predicted depths, float32 [H, W], 0 unknown."""
+    """Estimate the room of V cameras from their predicted depths, float32 [H, W], 0 unknown."""
     points, normals = [], []
     for camera, depth in zip(cameras, depths, strict=True):
         normal = _normals(camera, depth, STEP)
-        known = np.isfinite(normal[..., 0])
-        points.append(camera.unproject(depth)[::STEP, ::STEP][known])
-        normals.append(normal[known])
+        valid = np.isfinite(normal[..., 0])
+        points.append(camera.unproject(depth)[::STEP, ::STEP][valid])
+        normals.append(normal[valid])
     eyes = np.array([camera.c2w[:3, 3] for camera in cameras])
-    known = np.concatenate([depth[depth > 0] for depth in depths])
-    median = float(np.median(known)) if len(known) else 1.0
+    valid = np.concatenate([depth[depth > 0] for depth in depths])
+    median = float(np.median(valid)) if len(valid) else 1.0
     up = _up(cameras, np.concatenate(normals))
     facing = np.concatenate(normals) @ up > np.cos(np.radians(1.5 * LEVEL))
     heights = np.concatenate(points) @ up
@@ -117,9 +118,9 @@ def find_room(cameras: Sequence[Camera], depths: Iterable[np.ndarray]) -> Room:
 
 
 def _normals(camera: Camera, depth: np.ndarray, step: int = 1) -> np.ndarray:
-    """Unit normals towards the camera in world coordinates, float64 [H, W, 3]; NaN if unknown.
+    """Compute unit normals towards the camera in world coordinates, float64 [H, W, 3].
 
-    With ``step``, of so many rows and columns one: what ``[::step, ::step]`` takes of all.
+    NaN where unknown. ``step`` subsamples rows and columns as ``[::step, ::step]`` does.
     """
     height, width = depth.shape
     out = np.full((-(-height // step), -(-width // step), 3), np.nan)
@@ -142,7 +143,7 @@ def _normals(camera: Camera, depth: np.ndarray, step: int = 1) -> np.ndarray:
     flat = (middle > 0) & (np.minimum.reduce([right, left, low, high]) > 0)
     for a, b in ((right, left), (low, high)):
         flat &= (abs(a + b - 2 * middle) < 2 * BEND * middle) & (abs(a - b) < STEEP * middle)
-    # A plane for each coordinate: they are several times as fast as triples.
+    # A separate array for each coordinate is several times as fast as triples.
     rays = np.ascontiguousarray(np.moveaxis(camera.rays(), -1, 0))
     points = camera.center[:, None, None] + rays * smooth.astype(np.float64)
     right, left, low, high = (points[:, side[0], side[1]] for side in sides)
@@ -160,13 +161,13 @@ def _normals(camera: Camera, depth: np.ndarray, step: int = 1) -> np.ndarray:
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of vectors along the first axis, [3, ...]."""
+    """Return dot products of vectors along the first axis, [3, ...]."""
     product: np.ndarray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
 
 
 def _up(cameras: Sequence[Camera], normals: np.ndarray) -> np.ndarray:
-    """Up, from what is known of the cameras and from the normals [N, 3] of surfaces."""
+    """Estimate up from the cameras and the normals [N, 3] of surfaces."""
     upright = -np.mean([camera.c2w[:3, 1] for camera in cameras], 0)
     upright /= np.linalg.norm(upright)
     if any(camera.estimated is not None for camera in cameras):
@@ -177,13 +178,13 @@ def _up(cameras: Sequence[Camera], normals: np.ndarray) -> np.ndarray:
     return _find_up(normals, upright, axis if near else upright)
 
 
-def _find_up(normals: np.ndarray, upright: np.ndarray, told: np.ndarray | None) -> np.ndarray:
-    """The direction near ``upright`` that the normals [N, 3] speak for most.
+def _find_up(normals: np.ndarray, upright: np.ndarray, prior: np.ndarray | None) -> np.ndarray:
+    """Find the direction near ``upright`` with most evidence in the normals [N, 3].
 
-    ``told`` is preferred, as :data:`TWICE` has it; without it the normals decide alone, and
-    ``upright`` where they say too little.
+    ``prior`` is preferred unless another direction has :data:`TWICE` times its evidence. Without
+    a prior the normals decide, or ``upright`` if there are too few horizontal surfaces.
     """
-    near = upright if told is None else told
+    near = upright if prior is None else prior
     if len(normals) == 0:
         return near
     best = upright
@@ -196,30 +197,30 @@ def _find_up(normals: np.ndarray, upright: np.ndarray, told: np.ndarray | None) 
         return near
     best = (np.sign(cosine[level])[:, None] * normals[level]).sum(0)
     best /= np.linalg.norm(best)
-    if told is None:
+    if prior is None:
         return best
-    supported = _evidence(normals, np.stack([best, told]), LEVEL / 2)
-    return told if supported[0] <= TWICE * supported[1] else best
+    supported = _evidence(normals, np.stack([best, prior]), LEVEL / 2)
+    return prior if supported[0] <= TWICE * supported[1] else best
 
 
 def _evidence(normals: np.ndarray, ups: np.ndarray, within: float) -> np.ndarray:
-    """How much surface is level or upright, ``within`` so many degrees, by ``ups`` [K, 3]."""
-    found, most = np.empty(len(ups)), np.cos(np.radians(within))
+    """Return the evidence for each direction of ``ups`` [K, 3], with tolerance in degrees."""
+    evidence, threshold = np.empty(len(ups)), np.cos(np.radians(within))
     steep = np.sin(np.radians(within))
     # One direction after the other, so that all its numbers stay in the cache.
     normals = np.ascontiguousarray(normals.T)
     cosine, part = np.empty((2, normals.shape[1]))
     for k, up in enumerate(ups):
         np.abs(np.dot(up, normals, out=cosine), out=cosine)
-        level = (np.maximum(cosine, most, out=part).mean() - most) / (1 - most)
+        level = (np.maximum(cosine, threshold, out=part).mean() - threshold) / (1 - threshold)
         np.minimum(cosine, steep, out=part)
         wall = 1 - part @ part / (len(part) * steep**2)
-        found[k] = level + WALLS * wall
-    return found
+        evidence[k] = level + WALLS * wall
+    return evidence
 
 
 def _cap(centre: np.ndarray, radius: float, step: float) -> np.ndarray:
-    """Directions [K, 3] every ``step`` degrees within ``radius`` of ``centre``."""
+    """Return directions [K, 3] every ``step`` degrees within ``radius`` of ``centre``."""
     side = np.cross(centre, np.eye(3)[np.abs(centre).argmin()])
     side /= np.linalg.norm(side)
     grid = np.radians(np.arange(-radius, radius + step / 2, step))
@@ -231,11 +232,11 @@ def _cap(centre: np.ndarray, radius: float, step: float) -> np.ndarray:
     return np.cos(angle) * centre + np.sinc(angle / np.pi) * along
 
 
-def _lowest(heights: np.ndarray, least: float, thick: float) -> float:
-    """The lowest height at which a slice holds at least ``least`` of ``heights``, or NaN."""
+def _lowest(heights: np.ndarray, min_count: float, thick: float) -> float:
+    """Return the lowest height at which a slice has at least ``min_count`` heights, or NaN."""
     heights = np.sort(heights)
     reach = np.searchsorted(heights, heights + thick) - np.arange(len(heights))
-    full = np.flatnonzero(reach >= max(least, 1))
+    full = np.flatnonzero(reach >= max(min_count, 1))
     if len(full) == 0:
         return np.nan
     first = full[0]

@@ -1,4 +1,4 @@
-"""What is seen in photographs once their depth is predicted, each thing derived once."""
+"""Photographs with predicted depth, and quantities derived from them, each computed once."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from slgaussian.io import short_repr
 from slgaussian.scene import Camera, View
 
 CONFIRMS = 0.02
-"""Two views show one surface where their depths differ by at most this fraction."""
+"""Largest relative depth difference at which two views show one surface."""
 
 CLASHES = 15.0
 SMOOTH = 2.0
-"""Distance in CIELAB from which colours of one surface in two views contradict each other, and the
-deviation of the Gaussian that they are smoothed by, pixels."""
+"""CIELAB distance above which colours of one surface in two views contradict each other, and the
+standard deviation of the Gaussian smoothing before comparison, pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenView:
-    """A photograph with its predicted depth, as proposers and trackers look at it.
+    """A photograph with predicted depth, the input of mask proposers and trackers.
 
-    What several of them need, of the photograph (:attr:`slgaussian.scene.View.lab` and ``grey``)
-    and of both, is computed when it is first asked for, and kept.
+    Quantities derived from the photograph (:attr:`slgaussian.scene.View.lab` and ``grey``) and the
+    depth are computed on first access and cached.
 
     Attributes
     ----------
     view : View
-        Its truths must not be read.
+        Its ground truth must not be read.
     depth : float32 [H, W] or None
-        Predicted z-depth in scene units, 0 where unknown. None if there is none at all.
+        Predicted z-depth in scene units, 0 where unknown.
     """
 
     view: View
@@ -46,14 +46,14 @@ class SeenView:
     __repr__ = short_repr
 
     def require_depth(self) -> np.ndarray:
-        """The depth; InputError if there is none."""
+        """Return the depth; InputError if there is none."""
         if self.depth is None:
             raise InputError(f"view {self.view.name!r}: found no predicted depth, expected one")
         return self.depth
 
     @staticmethod
     def alone(image: np.ndarray, depth: np.ndarray | None = None) -> SeenView:
-        """A photograph by itself, for what needs no camera.
+        """Wrap a photograph without a camera.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class SeenView:
 
     @property
     def image(self) -> np.ndarray:
-        """The photograph, uint8 [H, W, 3]."""
+        """Photograph, uint8 [H, W, 3]."""
         return self.view.image
 
     @cached_property
@@ -80,30 +80,30 @@ class SeenView:
 
     @cached_property
     def boundary(self) -> np.ndarray:
-        """Strength of borders between things; see :func:`boundary_map`."""
+        """Boundary strength; see :func:`boundary_map`."""
         return boundary_map(self.view.lab, self.depth)
 
 
 @dataclass(frozen=True, eq=False)
 class SceneGeometry:
-    """The context views of a sample and the surfaces that a predictor found in them.
+    """Context views of a sample with the depth of predicted Gaussians.
 
     Attributes
     ----------
-    seen : tuple of V SeenView
-        The context views, each with its depth.
+    frames : tuple of V SeenView
+        The context views, each with depth.
     """
 
-    seen: tuple[SeenView, ...]
+    frames: tuple[SeenView, ...]
 
     __repr__ = short_repr
 
     @staticmethod
     def of(views: Sequence[View], gaussians: Gaussians) -> SceneGeometry:
-        """The geometry of the views that Gaussians were predicted from.
+        """Compute the geometry of the views from which Gaussians were predicted.
 
-        Depth is that of the Gaussians in the given cameras: a predictor may have moved surfaces and
-        cameras after it matched them.
+        Depth is that of the Gaussians in the given cameras, because a predictor may have refined
+        surfaces and cameras after matching.
         """
         depths = source_depths(gaussians, [view.camera for view in views])
         return SceneGeometry(
@@ -112,57 +112,61 @@ class SceneGeometry:
 
     @cached_property
     def views(self) -> tuple[View, ...]:
-        """The photographs."""
-        return tuple(seen.view for seen in self.seen)
+        """Context views."""
+        return tuple(frame.view for frame in self.frames)
 
     @cached_property
     def depths(self) -> np.ndarray:
         """Predicted z-depth of every view, float32 [V, H, W] in scene units, 0 where unknown."""
-        return np.stack([seen.require_depth() for seen in self.seen])
+        return np.stack([frame.require_depth() for frame in self.frames])
 
-    def seen_again(self, here: int, there: int) -> tuple[np.ndarray, np.ndarray]:
-        """Which surfaces of one view fall inside another, and which that one shows.
+    def seen_again(self, first: int, second: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return masks of the pixels of view ``first`` inside view ``second``, and visible there.
 
-        Two bool [H, W] over the pixels of view ``here``.
+        Two bool [H, W].
         """
-        camera, depth = self.views[here].camera, self.depths[here]
-        other, shown = self.views[there].camera, self.depths[there]
-        pixels, z = other.project(camera.unproject(depth))
+        camera, depth = self.views[first].camera, self.depths[first]
+        target, target_depth = self.views[second].camera, self.depths[second]
+        pixels, z = target.project(camera.unproject(depth))
         inside = (depth > 0) & (z > 0) & (pixels >= 0).all(-1)
-        inside &= (pixels < (other.width, other.height)).all(-1)
+        inside &= (pixels < (target.width, target.height)).all(-1)
         u, v = np.where(inside[..., None], pixels, 0).astype(np.int64).transpose(2, 0, 1)
-        met = shown[v, u]
-        return inside, inside & (met > 0) & (np.abs(z - met) <= CONFIRMS * met)
+        observed = target_depth[v, u]
+        return inside, inside & (observed > 0) & (np.abs(z - observed) <= CONFIRMS * observed)
 
-    def clash(self, here: int, there: int) -> float:
-        """Return which share of what one view shows looks different in another that should show it.
+    def clash(self, first: int, second: int) -> float:
+        """Return the share of visible pixels of view ``first`` with another colour in ``second``.
 
-        Colours of pixels that fall inside the other view and are not hidden there are compared,
-        smoothed and brought to one exposure: where they differ by more than :data:`CLASHES`,
-        something moved, or the depth is wrong. 0 if there are no such pixels.
+        Smoothed colours of pixels that are inside the second view and not occluded there are
+        compared after compensation of exposure. Where they differ by more than :data:`CLASHES`, an
+        object moved or the depth is wrong. 0 if there are no such pixels.
         """
-        camera, depth = self.views[here].camera, self.depths[here]
-        other, shown = self.views[there].camera, self.depths[there]
-        pixels, z = other.project(camera.unproject(depth))
-        inside, _ = self.seen_again(here, there)
+        camera, depth = self.views[first].camera, self.depths[first]
+        target, target_depth = self.views[second].camera, self.depths[second]
+        pixels, z = target.project(camera.unproject(depth))
+        inside, _ = self.seen_again(first, second)
         at = np.where(inside[..., None], pixels, 0)
         u, v = at.astype(np.float32).transpose(2, 0, 1)
         column, row = at.astype(np.int64).transpose(2, 0, 1)  # float32 may round up to the width
-        visible = inside & (z <= (1 + CONFIRMS) * shown[row, column])
+        visible = inside & (z <= (1 + CONFIRMS) * target_depth[row, column])
         if not visible.any():
             return 0.0
-        mine, others = (cv2.GaussianBlur(self.views[i].lab, (0, 0), SMOOTH) for i in (here, there))
-        off = (mine - cv2.remap(others, u - 0.5, v - 0.5, cv2.INTER_LINEAR))[visible]
-        return float((np.linalg.norm(off - np.median(off, 0), axis=-1) > CLASHES).mean())
+        lab, target_lab = (
+            cv2.GaussianBlur(self.views[i].lab, (0, 0), SMOOTH) for i in (first, second)
+        )
+        difference = (lab - cv2.remap(target_lab, u - 0.5, v - 0.5, cv2.INTER_LINEAR))[visible]
+        return float(
+            (np.linalg.norm(difference - np.median(difference, 0), axis=-1) > CLASHES).mean()
+        )
 
     @cached_property
     def room(self) -> Room:
-        """Which way is up, and where the floor is."""
+        """Up direction and floor of the scene."""
         return find_room([view.camera for view in self.views], self.depths)
 
     @cached_property
     def surroundings(self) -> tuple[Surroundings, ...]:
-        """Where the pixels of every view lie in the room."""
+        """Positions of the pixels of every view in the room."""
         return tuple(
             self.room.place(view.camera, depth)
             for view, depth in zip(self.views, self.depths, strict=True)

@@ -1,1 +1,1 @@
-"""What kernels share: vector code, thread pools, seeds, and the message while they compile."""
+"""Support for compiled kernels: compilation, SIMD, thread pools and seeds."""

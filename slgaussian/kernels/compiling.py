@@ -1,6 +1,6 @@
-"""Kernels that are being compiled: the first use of one takes seconds, once a machine.
+"""Progress messages and time accounting of kernel compilation.
 
-People are told so, and clocks can leave it out.
+The first use of a kernel on a machine takes seconds.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 SILENT = 1.0
-"""Seconds of compiling before a word is said: a single small kernel is not worth one."""
+"""Seconds of compilation before the first message: a single small kernel needs none."""
 
 AGAIN = 1.0
-"""Seconds at least between two words."""
+"""Smallest interval between two messages, seconds."""
 
 _log = logging.getLogger(__name__)
 _tell: ContextVar[Callable[[str], None] | None] = ContextVar("tell", default=None)
@@ -27,10 +27,10 @@ _own = threading.local()
 
 @contextmanager
 def told_to(tell: Callable[[str], None]) -> Iterator[None]:
-    """Have ``tell`` told what this thread compiles within the block.
+    """Report the compilation of this thread within the block to ``tell``.
 
-    It is given a sentence at most once a second, and an empty text once the work goes on. Without
-    it a program is told once, by a warning of the logger ``slgaussian.kernels.compiling``.
+    ``tell`` receives a sentence at most once a second, and an empty text when the compilation ends.
+    Outside such a block the logger ``slgaussian.kernels.compiling`` warns once.
     """
     token = _tell.set(tell)
     try:
@@ -40,9 +40,9 @@ def told_to(tell: Callable[[str], None]) -> Iterator[None]:
 
 
 def watch() -> None:
-    """Tell from now on, in all threads, when Numba compiles what it does not have in its cache.
+    """Start to observe compilation by Numba in all threads.
 
-    Called where the work begins that may need kernels; it imports Numba.
+    Entry points that may need kernels call it; it imports Numba.
     """
     global _watch
     from numba.core import event
@@ -65,23 +65,23 @@ def watch() -> None:
 
 
 def spent() -> float:
-    """Seconds that this thread has compiled kernels or waited for others that did.
+    """Return the seconds that this thread has compiled kernels or waited for compilation.
 
-    Since :func:`watch` was called.
+    Counted since :func:`watch`.
     """
     return getattr(_own, "seconds", 0.0)
 
 
 def clock() -> float:
-    """Seconds of a clock that stands still during :func:`spent`.
+    """Return the seconds of a clock that excludes :func:`spent`.
 
-    What takes time once an installation is no part of what work takes.
+    Measured durations then do not include the one-time cost of compilation.
     """
     return time.perf_counter() - spent()
 
 
 class _Stopped:
-    """The time in which a thread has, or waits for, the lock under which Numba compiles."""
+    """Timer of the intervals in which a thread holds or awaits Numba's compiler lock."""
 
     def begun(self) -> None:
         _own.depth = getattr(_own, "depth", 0) + 1
@@ -95,7 +95,7 @@ class _Stopped:
 
 
 class _Watch:
-    """What was compiled so far. Numba lets one thread compile at a time, and so speak to this.
+    """Counter of compiled kernels. Numba's compiler lock serialises all calls.
 
     Kernels that a kernel calls are compiled within it.
     """

@@ -1,4 +1,4 @@
-"""How functions become machine code here: once a machine, and without the lock of Python."""
+"""Just-in-time compilation of kernels by Numba, cached on disk and without the GIL."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ import numba
 
 
 def kernel(function: Callable[..., Any] | None = None, /, **options: Any) -> Any:
-    """Have Numba compile ``function`` when it is first called with arguments of such types.
+    """Compile ``function`` with Numba on its first call with arguments of new types.
 
-    A decorator, with or without options of :func:`numba.njit`. What is compiled is kept on disk,
-    and lets go of Python's lock while it runs, so that scenes side by side do not wait for each
-    other. Division is NumPy's, by zero too: no check keeps a loop scalar. There is no way into it
-    from C, which nobody uses and everybody would wait for.
+    A decorator, with or without options of :func:`numba.njit`. Compiled code is cached on disk and
+    releases the GIL while it runs, so that concurrent scenes do not wait for each other. Division
+    follows NumPy, also by zero, because checks would keep loops scalar. The C wrapper is left out,
+    as it is unused and takes time to compile.
 
-    Kernels run on the thread that calls them; :func:`slgaussian.kernels.work_sharing.share` has
-    several threads call one.
+    Kernels run on the calling thread; :func:`slgaussian.kernels.work_sharing.share` runs one on
+    several threads.
     """
-    made = numba.njit(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)
-    return made if function is None else made(function)
+    decorator = numba.njit(
+        cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options
+    )
+    return decorator if function is None else decorator(function)

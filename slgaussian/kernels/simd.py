@@ -189,10 +189,10 @@ def prefetch(typing, array, index):
     def lower(context, builder, signature, args):
         data = context.make_array(array)(context, builder, args[0]).data
         place = builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer())
-        whole = ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [place.type, whole, whole, whole])
+        int32 = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [place.type, int32, int32, int32])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
-        builder.call(function, [place, whole(0), whole(3), whole(1)])
+        builder.call(function, [place, int32(0), int32(3), int32(1)])
         return context.get_dummy_value()
 
     return types.none(array, types.intp), lower

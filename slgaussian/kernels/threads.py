@@ -1,14 +1,14 @@
-"""The sizes of all thread pools, and what libraries must know before they start, in one place.
+"""Sizes of all thread pools, and environment variables of numerical libraries, in one place.
 
-PyTorch and OpenCV each bring a pool as large as the machine, and kernels of our own are run by
-several threads (:mod:`slgaussian.kernels.work_sharing`). Each worker of a program that runs several
-calls :func:`limit`. Importing this module, which the package does first of all, also chooses where
-compiled kernels are kept.
+PyTorch and OpenCV each have a pool as large as the machine, and the package's kernels run on
+several threads (:mod:`slgaussian.kernels.work_sharing`). Each of several concurrent workers calls
+:func:`limit`. The package imports this module first; that also sets the cache folder of compiled
+kernels.
 
-Sums of floats depend on their order, and libraries choose it by two things that have nothing to do
-with the numbers. How many threads share the work: inside a network it is a fixed number
-(:func:`inside`, :func:`fixed`). And where in memory an array begins, which for weights is wherever
-their file has them: ``MKL_CBWR=AUTO`` makes MKL, PyTorch's linear algebra, indifferent to that.
+Floating-point sums depend on their order, which libraries choose by two properties unrelated to the
+data. The first is the number of threads: inside a network it is fixed (:func:`inside`,
+:func:`fixed`). The second is the memory alignment of arrays, which for weights depends on their
+file: ``MKL_CBWR=AUTO`` makes MKL, PyTorch's linear algebra, independent of it.
 """
 
 from __future__ import annotations
@@ -31,55 +31,56 @@ if TYPE_CHECKING:
     from torch import nn
 
 LARGE = 20_000_000
-"""Weights from which on a network gains by several threads: a layer of a smaller one takes less
-time than threads take to meet."""
+"""Number of weights from which a network gains by several threads: a layer of a smaller one takes
+less time than thread synchronisation."""
 
 LARGE_THREADS = 4
-"""Threads inside a large network, whatever the cores. Where they are fewer it costs nothing: CLIP
-ViT-B/16 took 2.1 s of CPU for four pictures on two busy cores with one thread and with four."""
+"""Number of threads inside a large network, whatever the number of cores. With fewer cores it costs
+nothing: CLIP ViT-B/16 took 2.1 s of CPU for four pictures on two busy cores with one thread and
+with four."""
 
 
 _own = threading.local()
 
 
 class Sources(NamedTuple):
-    """Digests of the package's sources: of those that hold kernels, and of all."""
+    """SHA-256 of the package's sources: of files with kernels, and of all files."""
 
     kernels: str
-    whole: str
+    package: str
 
 
 @cache
 def sources() -> Sources:
-    """What this code is, by content."""
+    """Return the digests of the sources, computed once."""
     package = Path(__file__).parents[1]
-    kernels, whole = hashlib.sha256(), hashlib.sha256()
+    kernels, package_digest = hashlib.sha256(), hashlib.sha256()
     for file in sorted(package.rglob("*.py")):
         source = file.read_bytes()
         named = str(file.relative_to(package)).encode() + b"\0" + source
-        whole.update(named)
+        package_digest.update(named)
         if re.search(rb"^(import|from) (numba|slgaussian\.kernels\.jit)\b", source, re.MULTILINE):
             kernels.update(named)
-    return Sources(kernels.hexdigest(), whole.hexdigest())
+    return Sources(kernels.hexdigest(), package_digest.hexdigest())
 
 
 def kernel_folder() -> Path:
-    """Folder in the user's cache for the compiled kernels of exactly this source code.
+    """Return the folder in the user's cache for the compiled kernels of exactly this source code.
 
-    Numba recompiles a function when its own file changes, and not when a function that it calls
-    from another file does: after an update it would go on with old code. So the folder's name is a
-    digest of all the package's sources that have kernels.
+    Numba recompiles a function when its own file changes, but not when a function that it calls
+    from another file does, so an update could run stale code. Therefore the folder's name is a
+    digest of all sources with kernels.
     """
     caches = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(caches).expanduser() / "slgaussian" / "kernels" / sources().kernels[:16]
 
 
-# NumPy's linear algebra has a pool of its own, whose threads spin while they wait: two workers side
-# by side lost a fifth of their time to it, and nothing here is large enough to gain by it.
+# NumPy's linear algebra has a pool whose threads spin while they wait: two concurrent workers lost
+# a fifth of their time to it, and no operation here is large enough to gain by it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# MKL reads it when it first computes. Any mode but none is indifferent to where an array begins.
-# AUTO is as fast as none (82 against 80 GFLOP/s, matrices of 200 to 4096, AMD EPYC); COMPATIBLE,
-# which is also the same on all kinds of processors, has 35.
+# MKL reads it at its first computation. Any mode is independent of alignment. AUTO is as fast as
+# none (82 against 80 GFLOP/s, matrices of 200 to 4096, AMD EPYC); COMPATIBLE, which is also the
+# same on all kinds of processors, has 35.
 os.environ.setdefault("MKL_CBWR", "AUTO")
 # Virtual machines may report AMX and not run it: then bfloat16 ends with an illegal instruction.
 os.environ.setdefault("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_FP16")
@@ -92,7 +93,7 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 
 @cache
 def processor() -> str:
-    """What the processor calls itself, and how many of its cores can be used."""
+    """Return the name of the processor and the number of usable cores."""
     name = platform.processor() or platform.machine()
     with contextlib.suppress(OSError):  # not Linux
         for line in Path("/proc/cpuinfo").read_text().splitlines():
@@ -103,10 +104,10 @@ def processor() -> str:
 
 
 def limit(workers: int = 1) -> int:
-    """Size the pools that the calling thread uses for ``workers`` threads computing side by side.
+    """Set the pool sizes of the calling thread for ``workers`` concurrent threads.
 
-    Each worker gets an equal part of the cores, at least one; that size is returned. It is kept
-    for each thread, so every worker calls this itself.
+    Each worker has an equal part of the cores, at least one; that size is returned. The setting is
+    per thread, so every worker calls this itself.
     """
     import cv2
     import torch
@@ -118,16 +119,16 @@ def limit(workers: int = 1) -> int:
 
 
 def allotted() -> int:
-    """Threads that may share a kernel which the calling thread runs: all cores, or :func:`limit`.
+    """Return the number of threads for kernels of the calling thread: all cores, or :func:`limit`.
 
-    :func:`kernels_on` sets it for a while.
+    :func:`kernels_on` overrides it temporarily.
     """
     return getattr(_own, "size", 0) or cores()
 
 
 @contextlib.contextmanager
 def kernels_on(count: int) -> Iterator[None]:
-    """Let ``count`` threads share the kernels that the calling thread runs, whatever the cores."""
+    """Run kernels of the calling thread on ``count`` threads within the block."""
     before = getattr(_own, "size", 0)
     _own.size = count
     try:
@@ -138,9 +139,9 @@ def kernels_on(count: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def fixed(count: int = 1) -> Iterator[None]:
-    """Let PyTorch compute on ``count`` threads, whatever cores there are: on it depend last bits.
+    """Run PyTorch on ``count`` threads within the block, as the last bits depend on the number.
 
-    For the calling thread alone.
+    For the calling thread only.
     """
     import torch
 
@@ -153,19 +154,19 @@ def fixed(count: int = 1) -> Iterator[None]:
 
 
 def inside(network: nn.Module) -> contextlib.AbstractContextManager[None]:
-    """The context in which ``network`` is asked: what it says depends on no number of cores.
+    """Return the context for inference of ``network``, whose result does not depend on the cores.
 
-    One thread in a small network, :data:`LARGE_THREADS` in one of :data:`LARGE` weights or more.
+    One thread for a small network, :data:`LARGE_THREADS` for one of :data:`LARGE` weights or more.
     """
     weights = sum(parameter.numel() for parameter in network.parameters())
     return fixed(LARGE_THREADS if weights >= LARGE else 1)
 
 
 def indifferent_to_alignment() -> bool:
-    """Whether the results of PyTorch's linear algebra depend on numbers alone.
+    """Return whether PyTorch's linear algebra is independent of memory alignment.
 
-    Not so where MKL computed before :mod:`slgaussian` was imported, as it asks for its mode once.
-    True where PyTorch is built on another library, of which nothing else is known.
+    False if MKL computed before :mod:`slgaussian` was imported, as it reads its mode once. True if
+    PyTorch is built on another library.
     """
     import torch
 
@@ -178,18 +179,18 @@ def indifferent_to_alignment() -> bool:
 
 
 def cores() -> int:
-    """Cores that this process may use, which in a container or a batch job are not all."""
+    """Return the number of cores that this process may use, e.g. in a container or batch job."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def kernels() -> dict[str, str]:
-    """What decides the last bits of results on this machine: its processor and libraries' code.
+    """Return the properties of this machine that determine the last bits of results.
 
-    ``processor`` is the kind that LLVM compiles for, ``torch`` the instructions of PyTorch's own
-    kernels, ``mkl`` the mode of its linear algebra, ``openblas`` the kind of processor that NumPy's
-    linear algebra takes this one for.
+    ``processor`` is the target of LLVM, ``torch`` the instruction set of PyTorch's kernels, ``mkl``
+    the mode of its linear algebra, and ``openblas`` the processor that NumPy's linear algebra
+    detects.
     """
     import llvmlite.binding
     import torch
@@ -215,7 +216,7 @@ def _openblas() -> str:
     return "unknown"
 
 
-# A user's program may have imported PyTorch, which does no harm, and computed with it, which does.
+# It is harmless to have imported PyTorch before, but not to have computed with it.
 if "torch" in sys.modules and not indifferent_to_alignment():
     warnings.warn(
         "PyTorch has computed before slgaussian was imported, so the last bits of networks may "

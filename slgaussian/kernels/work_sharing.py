@@ -1,12 +1,12 @@
-"""Several threads that run one kernel, and take its work from it portion by portion.
+"""Dynamic scheduling of the work items of a kernel over several threads.
 
-A kernel that can be shared begins with a ``counter`` and goes on to :func:`take` the next portion
-until there is none. Handed out beforehand, all would wait for the slowest: on a machine that does
-other work as well, for a thread that is not even running. What a portion computes must not depend
-on who takes it; then nor do the results.
+The first argument of a shared kernel is a ``counter``, from which each thread calls :func:`take`
+for its next work item until none is left. With a static partition all threads would wait for the
+slowest, which on a busy machine may not even run. The result of an item must not depend on the
+thread that computes it; then the results do not depend on the number of threads.
 
-The threads are Python's own, as kernels let go of its lock. They wait asleep, whoever calls may
-share, also side by side, and a kernel for one thread compiles faster than a ``parallel`` one.
+The threads are Python threads, as kernels release the GIL. They sleep while idle, several callers
+can share at the same time, and a single-threaded kernel compiles faster than a ``parallel`` one.
 """
 
 from __future__ import annotations
@@ -28,24 +28,23 @@ from slgaussian.kernels import threads
 
 @intrinsic
 def take(typing, counter):
-    """The number in ``counter``, int64 [1], which goes up by one: each number is taken once.
+    """Return the number in ``counter``, int64 [1], and increment it atomically.
 
-    Numba does not see that it changes; do not read it after the loop.
+    Numba is not aware of the change; do not read the counter after the loop.
     """
 
     def lower(context, builder, signature, args):
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        one = ir.Constant(ir.IntType(64), 1)
-        return builder.atomic_rmw("add", data, one, "monotonic")
+        increment = ir.Constant(ir.IntType(64), 1)
+        return builder.atomic_rmw("add", data, increment, "monotonic")
 
     return types.int64(counter), lower
 
 
 def share(kernel: Callable[..., Any], portions: int, *args: Any) -> None:
-    """Have threads call ``kernel(counter, *args)`` until its ``portions`` are done.
+    """Run ``kernel(counter, *args)`` on several threads until its ``portions`` are done.
 
-    This thread is one of them; :func:`slgaussian.kernels.threads.allotted` says how many it may
-    use.
+    The calling thread is one of :func:`slgaussian.kernels.threads.allotted` threads.
     """
     counter = np.zeros(1, np.int64)
     count = min(threads.allotted(), portions) - 1
@@ -53,7 +52,7 @@ def share(kernel: Callable[..., Any], portions: int, *args: Any) -> None:
     try:
         kernel(counter, *args)
     finally:
-        # One that has not even begun is not waited for: nothing is left to do.
+        # A helper that has not begun is cancelled: no work is left.
         for helper in helpers:
             if not helper.cancel():
                 helper.result()

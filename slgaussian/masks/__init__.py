@@ -1,4 +1,4 @@
-"""From photographs to label maps: proposers, trackers, association and the replication vote."""
+"""Label maps from photographs: mask proposers, trackers, association and the replication vote."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from slgaussian.components.registry import load_component
 from slgaussian.io import short_repr
 
-if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
+if TYPE_CHECKING:  # names of components are read where torch is not imported
     import numpy as np
 
     from slgaussian.geometry import SeenView
@@ -35,7 +35,7 @@ class Proposals:
     scores : float32 [M]
         Higher is better; comparable within one image only.
     levels : uint8 [M], optional
-        0, 1 or 2 for a part, an object or a group of them (s, m, l), from proposers that know.
+        0, 1 or 2 for a part, an object or a group of objects (s, m, l), if the proposer has levels.
     """
 
     masks: np.ndarray
@@ -46,46 +46,51 @@ class Proposals:
 
 
 class MaskProposer(Protocol):
-    """Finds objects in one image."""
+    """Proposes object masks of one image."""
 
-    def propose(self, seen: SeenView, where: np.ndarray | None = None) -> Proposals:
-        """Propose masks for a photograph, ``seen.image`` uint8 [H, W, 3].
+    def propose(self, frame: SeenView, region: np.ndarray | None = None) -> Proposals:
+        """Propose masks for a photograph.
 
-        ``seen.depth`` (float32 [H, W], scene units, 0 unknown) is its *predicted* depth, used where
-        it helps. ``where`` (bool [H, W]) limits the search to pixels that no object covers yet.
+        Parameters
+        ----------
+        frame : SeenView
+            ``image`` uint8 [H, W, 3], and ``depth`` float32 [H, W], the *predicted* depth in scene
+            units, 0 where unknown, or None.
+        region : bool [H, W], optional
+            Pixels that no object covers yet, to which the search is limited.
         """
 
 
 class MaskTracker(Protocol):
-    """Carries labels from remembered frames to a new one.
+    """Propagates labels from remembered frames to a new one.
 
-    The predicted depth of a view is in the frame of its camera; a tracker may need it.
+    A tracker may require predicted depth.
 
     Attributes
     ----------
     final : bool
-        Whether it brings the labels of whole views by itself: nothing is proposed, merged or voted
-        on then, and its ids stay as they are.
+        If true, the tracker provides complete label maps: proposals, merging and voting are
+        skipped, and its ids do not change.
     repeatable : bool
-        Whether it answers a view again as before while nothing more is remembered; not, if it does
-        not say.
+        If true, the tracker answers a view as before until another frame is remembered; false by
+        default.
     """
 
     final: bool
     repeatable: bool
 
-    def add(self, seen: SeenView, labels: np.ndarray) -> None:
+    def add(self, frame: SeenView, labels: np.ndarray) -> None:
         """Remember a frame and its labels, int32 [H, W], 0 = unassigned."""
 
-    def propagate(self, seen: SeenView) -> np.ndarray:
-        """Labels int32 [H, W] for a view from what is remembered; 0 where nothing matches."""
+    def propagate(self, frame: SeenView) -> np.ndarray:
+        """Return the propagated labels of a view, int32 [H, W]; 0 where nothing matches."""
 
 
 def load_proposer(name: str = "regions", **settings: Any) -> MaskProposer:
-    """Make the mask proposer called ``name``; raises InputError if there is none."""
+    """Load the mask proposer ``name``; raises InputError if there is none."""
     return load_component("proposer", name, settings)
 
 
 def load_tracker(name: str = "geometric", **settings: Any) -> MaskTracker:
-    """Make a fresh, empty tracker called ``name``; raises InputError if there is none."""
+    """Load a fresh, empty tracker ``name``; raises InputError if there is none."""
     return load_component("tracker", name, settings)

@@ -1,4 +1,4 @@
-"""Object ids that agree across views: propose, propagate, merge, replicate, vote (section 3.2)."""
+"""Consistent object ids across views: propose, propagate, merge, replicate, vote (section 3.2)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskProposer, MaskTracker
-from slgaussian.masks.consensus import settle
+from slgaussian.masks.consensus import vote_on_objects
 from slgaussian.masks.flatten import (
     CRUMB_SHARE,
     flatten,
@@ -23,24 +23,23 @@ from slgaussian.masks.flatten import (
 from slgaussian.masks.vote import vote
 
 SAME_IOU = 0.5
-"""A detection that overlaps a propagated object by more than this IoU is that object."""
+"""IoU with a propagated object above which a detection is that object."""
 DOMINANT = 0.75
-"""A detection of whose known pixels one object holds at least this share is (part of) it."""
+"""Share of the known pixels of a detection in one object from which it is a part of that object."""
 KNOWN = 0.4
-"""With less of it known, a detection that IoU does not match is a new object."""
+"""Share of known pixels below which a detection without a match by IoU is a new object."""
 
 
 def associate(
-    seen: Sequence[SeenView],
+    frames: Sequence[SeenView],
     proposer: MaskProposer,
     tracker: MaskTracker,
     replicas: int = 5,
     votes: str = VOTES[0],
 ) -> LabelMaps:
-    """Label maps of a sequence of views with ids that mean the same object in every view.
+    """Compute label maps of a sequence of views with consistent object ids.
 
-    Views of which the tracker says that they show one thing need not follow each other: it
-    remembers them all.
+    Views of one object need not be consecutive: the tracker remembers all views.
 
     The paper repeats every view five times, in block order (view 1 x 5, then view 2 x 5), tracks
     the sequence and votes per pixel. Here, as there, the first copy of a view is its detection: the
@@ -58,7 +57,7 @@ def associate(
 
     Parameters
     ----------
-    seen : sequence of V SeenView
+    frames : sequence of V SeenView
         In the order in which they are tracked; all of one size.
     proposer : MaskProposer
     tracker : MaskTracker
@@ -66,7 +65,7 @@ def associate(
     replicas : int
         Copies of every view, at least 1; 1 is the detection alone.
     votes : "views" or "copies"
-        As above, or as the paper prints it: all copies are made, and their vote is the last word.
+        Described above, or as printed in the paper: all copies are made, and their vote is final.
 
     Returns
     -------
@@ -83,49 +82,49 @@ def associate(
     InputError
         If there is no view, views differ in size, or ``replicas`` is below 1.
     """
-    if not seen:
+    if not frames:
         raise InputError("associate: found no views, expected at least one")
     if replicas < 1:
         raise InputError(f"replicas: found {replicas}, expected at least 1")
-    for here in seen:
-        if here.image.shape != seen[0].image.shape:
+    for frame in frames:
+        if frame.image.shape != frames[0].image.shape:
             raise InputError(
-                f"view {here.view.name!r}: image is {here.image.shape}, the first view's is "
-                f"{seen[0].image.shape}; label maps have one size, so bring all views to it"
+                f"view {frame.view.name!r}: image is {frame.image.shape}, the first view's is "
+                f"{frames[0].image.shape}; label maps have one size, so bring all views to it"
             )
     if tracker.final:
-        given = [tracker.propagate(here) for here in seen]
-        return LabelMaps(np.stack(given), np.ones((len(given), *given[0].shape), np.float32), 1)
-    winners, margins, cuts = [], [], []
-    known, computed, all_made = 0, 1, votes == "copies"
-    for index, here in enumerate(seen):
-        carried = tracker.propagate(here) if index else np.zeros(here.image.shape[:2], np.int32)
-        detected = _detect(here, proposer, carried)
-        cuts.append(detected)
-        first = without_crumbs(match_detections(carried, detected, known + 1))
-        first = _without_gaps(first, known)
-        known = max(known, int(first.max()))
-        tracker.add(here, first)
-        copies, times = _copies(here, tracker, first, replicas, all_made)
+        tracked = np.stack([tracker.propagate(frame) for frame in frames])
+        return LabelMaps(tracked, np.ones(tracked.shape, np.float32), 1)
+    winners, margins, detections = [], [], []
+    last_id, computed, all_copies = 0, 1, votes == "copies"
+    for index, frame in enumerate(frames):
+        carried = tracker.propagate(frame) if index else np.zeros(frame.image.shape[:2], np.int32)
+        detected = _detect(frame, proposer, carried)
+        detections.append(detected)
+        first = without_crumbs(match_detections(carried, detected, last_id + 1))
+        first = _without_gaps(first, last_id)
+        last_id = max(last_id, int(first.max()))
+        tracker.add(frame, first)
+        copies, times = _copies(frame, tracker, first, replicas, all_copies)
         computed = len(copies)
         labels, margin = vote(copies, times)
         winners.append(labels)
         margins.append(margin)
     labels = renumbered(np.stack(winners))
-    if not all_made and all(here.depth is not None for here in seen):
-        labels = settle(seen, labels, np.stack(cuts))
+    if not all_copies and all(frame.depth is not None for frame in frames):
+        labels = vote_on_objects(frames, labels, np.stack(detections))
     return LabelMaps(labels, np.stack(margins), computed)
 
 
 def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
-    """Give every detected region the id of the propagated object it is, or a new one.
+    """Assign every detected region the id of a propagated object, or a new one.
 
-    A region takes an old id whole if their IoU is above 0.5, or if most of the region is known and
-    nearly all of that is one object: views are cut up differently, and a piece of an object is
-    still that object. A region that is mostly unknown is a new object. A region that is
-    known as several objects is an under-segmentation of this view: each known pixel keeps its
-    object and the others take the nearest one in the region. Pixels without a detection keep what
-    was propagated. New ids count up from ``next_id`` in the order of the detected labels.
+    A region takes the id of an object if their IoU is above 0.5, or if most of the region is known
+    and most known pixels are of that object: views are segmented differently, and a part of an
+    object has its id. A region with few known pixels is a new object. A region of several objects
+    is an under-segmentation: known pixels keep their object, and other pixels take the nearest
+    one in the region. Pixels without detection keep their propagated label. New ids count up from
+    ``next_id`` in the order of the detected labels.
 
     Parameters
     ----------
@@ -164,29 +163,29 @@ def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) ->
     return out
 
 
-def _detect(seen: SeenView, proposer: MaskProposer, carried: np.ndarray) -> np.ndarray:
-    """Proposals of a view as labels, asked for again where neither they nor the past reach."""
-    detected = flatten(proposer.propose(seen))
+def _detect(frame: SeenView, proposer: MaskProposer, carried: np.ndarray) -> np.ndarray:
+    """Return the proposals of a view as labels, with a second pass for uncovered pixels."""
+    detected = flatten(proposer.propose(frame))
     missed = (detected == 0) & (carried == 0)
     if missed.sum() >= CRUMB_SHARE * missed.size and detected.any():
-        more = flatten(proposer.propose(seen, missed))
-        detected = np.where(missed & (more > 0), more + detected.max(), detected)
+        extra = flatten(proposer.propose(frame, missed))
+        detected = np.where(missed & (extra > 0), extra + detected.max(), detected)
     return detected
 
 
-def _without_gaps(labels: np.ndarray, known: int) -> np.ndarray:
-    """Number labels above ``known`` from there on without gaps, in their order."""
-    new = np.unique(labels[labels > known])
+def _without_gaps(labels: np.ndarray, last_id: int) -> np.ndarray:
+    """Renumber labels above ``last_id`` without gaps, in their order."""
+    new = np.unique(labels[labels > last_id])
     table = np.arange(int(labels.max(initial=0)) + 1, dtype=np.int32)
-    table[new] = known + 1 + np.arange(len(new))
+    table[new] = last_id + 1 + np.arange(len(new))
     return table[labels]
 
 
 def _copies(
-    seen: SeenView, tracker: MaskTracker, first: np.ndarray, replicas: int, all_made: bool
+    frame: SeenView, tracker: MaskTracker, first: np.ndarray, replicas: int, all_copies: bool
 ) -> tuple[np.ndarray, list[int]]:
-    """The copies of a view that are made, int32 [R, H, W], and how often each counts."""
-    same = getattr(tracker, "repeatable", False) and not all_made
-    made = min(1, replicas - 1) if same else replicas - 1
-    copies = [first, *(tracker.propagate(seen) for _ in range(made))]
-    return np.stack(copies), [1] * made + [replicas - made]
+    """Return the computed copies of a view, int32 [R, H, W], and the weight of each in the vote."""
+    shortcut = getattr(tracker, "repeatable", False) and not all_copies
+    count = min(1, replicas - 1) if shortcut else replicas - 1
+    copies = [first, *(tracker.propagate(frame) for _ in range(count))]
+    return np.stack(copies), [1] * count + [replicas - count]

@@ -1,7 +1,7 @@
-"""All masks of an image from a model that answers prompts: a grid of points, then a sieve.
+"""Automatic mask generation with a promptable model: a grid of points, then filters.
 
-The steps are those of Kirillov et al., "Segment Anything", ICCV 2023, section 5 and appendix B, and
-the numbers of :data:`slgaussian.masks.configs.PRESETS` those of four programs that use them.
+The steps are those of Kirillov et al., "Segment Anything", ICCV 2023, section 5 and appendix B;
+:data:`slgaussian.masks.configs.PRESETS` has the settings of four programs that use them.
 """
 
 from __future__ import annotations
@@ -23,54 +23,54 @@ OVERLAP = 512 / 1500
 """Overlap of neighbouring crops of the first layer, as a fraction of the image's short side."""
 
 EDGE = 20
-"""Pixels from the edge of a crop within which a mask is taken for cut off by it."""
+"""Distance from the edge of a crop, pixels, within which a mask counts as truncated."""
 
 OFFSET = 1.0
-"""A stable mask hardly changes when its logits are cut that much above and below 0."""
+"""Offset of the logit thresholds above and below 0 that define the stability of a mask."""
 
 BLOCK = 1 << 27
-"""Bytes of logits at the image's size that are looked at together, or at least one mask."""
+"""Bytes of full-size logits that are processed at a time; at least one mask."""
 
 MOST = 32
-"""Masks that are looked at together at most, since on the way they may be larger."""
+"""Largest number of masks that are processed at a time, as intermediate results may be larger."""
 
 
 class PromptedImage(Protocol):
-    """An image that a model has encoded and can be asked about, as often as wanted."""
+    """An encoded image that can be prompted repeatedly."""
 
     def segment(self, points: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logits float32 [P, L, h, w] of the masks at each point, and their predicted IoU [P, L].
+        """Return mask logits float32 [P, L, h, w] at each point and their predicted IoU [P, L].
 
         ``points`` float64 [P, 2] are x and y in pixels of the image.
         """
 
     def enlarge(self, logits: torch.Tensor) -> torch.Tensor:
-        """Logits [M, h, w] at the size of the image, float32 [M, H, W]."""
+        """Resize logits [M, h, w] to the size of the image, float32 [M, H, W]."""
 
 
 def all_masks(
     encode: Callable[[np.ndarray], PromptedImage],
     image: np.ndarray,
     settings: Automatic,
-    where: np.ndarray | None = None,
+    region: np.ndarray | None = None,
     levels: Sequence[str] = LEVELS,
     batch: int = 16,
 ) -> Proposals:
-    """Masks of an image uint8 [H, W, 3] and their scores, predicted IoU times stability.
+    """Generate the masks of an image uint8 [H, W, 3], by falling score.
 
-    ``encode`` makes ready an image or a crop of one; for the rest see
-    :class:`slgaussian.masks.prompted.AutomaticProposer`. The best score comes first.
+    A score is predicted IoU times stability. ``encode`` encodes an image or a crop; for the other
+    arguments see :class:`slgaussian.masks.prompted.AutomaticProposer`.
     """
     height, width = size = image.shape[:2]
-    if where is None:
-        where = np.ones(size, bool)
+    if region is None:
+        region = np.ones(size, bool)
     wanted = [LEVELS.index(level) for level in levels]
-    found = []
+    per_crop = []
     for crop in crop_boxes(height, width, settings.crops):
         left, top, right, bottom = crop
         points = point_grid(bottom - top, right - left, settings.points)
         column, row = points.astype(int).T
-        points = points[where[top + row, left + column]]
+        points = points[region[top + row, left + column]]
         if len(points) == 0:
             continue
         prompted = encode(np.ascontiguousarray(image[top:bottom, left:right]))
@@ -83,13 +83,13 @@ def all_masks(
         ]
         if good:
             joined = _Candidates.join(good)
-            found.append(joined[_thin(joined, settings, joined.predicted_iou)])
-    return _sieve(found, settings, size)
+            per_crop.append(joined[_thin(joined, settings, joined.predicted_iou)])
+    return _sieve(per_crop, settings, size)
 
 
 @dataclass(frozen=True)
 class _Candidates:
-    """Masks on their way: M of them, each a row; packed, since there may be thousands."""
+    """M candidate masks, one in each row; bit-packed, since there may be thousands."""
 
     packed: np.ndarray
     boxes: np.ndarray
@@ -108,7 +108,7 @@ class _Candidates:
 
 
 def crop_boxes(height: int, width: int, layers: int) -> Iterator[tuple[int, int, int, int]]:
-    """Left, top, right and bottom of the image itself and of the crops of each layer.
+    """Yield left, top, right and bottom of the full image and of the crops of each layer.
 
     Layer k has 2^k crops along each side, which overlap by ``OVERLAP`` / 2^(k-1) of the short side.
     """
@@ -124,7 +124,8 @@ def crop_boxes(height: int, width: int, layers: int) -> Iterator[tuple[int, int,
 
 
 def point_grid(height: int, width: int, count: int) -> np.ndarray:
-    """Centres of ``count`` x ``count`` cells of an image, x and y in pixels, float64 [N, 2]."""
+    """Return the centres of a grid of ``count`` x ``count`` cells, x and y in pixels, float64
+    [N, 2]."""
     at = (np.arange(count) + 0.5) / count
     y, x = np.meshgrid(at * height, at * width, indexing="ij")
     return np.stack([x.ravel(), y.ravel()], 1)
@@ -138,7 +139,7 @@ def _answers(
     settings: Automatic,
     wanted: Sequence[int],
 ) -> Iterator[_Candidates]:
-    """The good masks of a batch of points, placed in the image."""
+    """Yield the masks of a batch of points that pass the thresholds, in image coordinates."""
     left, top, right, bottom = crop
     logits, predicted = prompted.segment(points)
     allowed = torch.zeros_like(predicted, dtype=torch.bool)
@@ -169,7 +170,7 @@ def _answers(
 def _cut_off(
     boxes: np.ndarray, crop: tuple[int, int, int, int], size: tuple[int, int]
 ) -> np.ndarray:
-    """Bool [M]: does a box end at an edge of its crop that is not one of the image?"""
+    """Return whether each box ends at an edge of its crop that is no image edge, bool [M]."""
     left, top, right, bottom = crop
     far = np.array([right - left, bottom - top])
     to_crop = np.concatenate([boxes[:, :2], far - boxes[:, 2:]], 1)
@@ -178,7 +179,7 @@ def _cut_off(
 
 
 def _thin(candidates: _Candidates, settings: Automatic, order: np.ndarray) -> np.ndarray:
-    """Rows that box NMS keeps, the best by ``order`` first, level by level where ``apart``."""
+    """Return the rows that box NMS keeps, best first, within each level if ``settings.apart``."""
     return _by_level(
         candidates.level,
         settings.apart,
@@ -187,52 +188,51 @@ def _thin(candidates: _Candidates, settings: Automatic, order: np.ndarray) -> np
 
 
 def _by_level(
-    level: np.ndarray, apart: bool, kept_of: Callable[[np.ndarray], np.ndarray]
+    level: np.ndarray, per_level: bool, select: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """``kept_of`` of the rows of each level, or of all rows, as rows of the whole."""
-    groups = [level == number for number in range(len(LEVELS))] if apart else [level >= 0]
+    """Apply ``select`` to the rows of each level, or to all rows, and return the selected rows."""
+    groups = [level == number for number in range(len(LEVELS))] if per_level else [level >= 0]
     rows = [np.flatnonzero(group) for group in groups]
-    return np.concatenate([group[kept_of(group)] for group in rows])
+    return np.concatenate([group[select(group)] for group in rows])
 
 
-def _sieve(found: list[_Candidates], settings: Automatic, size: tuple[int, int]) -> Proposals:
-    """What is left of the masks of all crops when they are compared with each other."""
-    if not found:
+def _sieve(per_crop: list[_Candidates], settings: Automatic, size: tuple[int, int]) -> Proposals:
+    """Filter the masks of all crops against each other."""
+    if not per_crop:
         return Proposals(np.zeros((0, *size), bool), np.zeros(0, np.float32), np.zeros(0, np.uint8))
-    candidates = _Candidates.join(found)
+    candidates = _Candidates.join(per_crop)
     if settings.crops:
-        # What a smaller crop shows, it shows in more detail.
+        # Prefer smaller crops, which have more detail.
         candidates = candidates[_thin(candidates, settings, -candidates.crop_area.astype(float))]
     masks = _unpacked(candidates.packed, size)
     if settings.smallest:
         changed = np.array([tidy(mask, settings.smallest) for mask in masks], bool)
         candidates = replace(candidates, boxes=mask_boxes(masks))
-        kept = _thin(candidates, settings, (~changed).astype(float))
-        candidates, masks = candidates[kept], masks[kept]
+        selected = _thin(candidates, settings, (~changed).astype(float))
+        candidates, masks = candidates[selected], masks[selected]
     scores = candidates.predicted_iou * candidates.stability
-    kept = np.flatnonzero(scores >= settings.score)
-    candidates, masks, scores = candidates[kept], masks[kept], scores[kept]
+    selected = np.flatnonzero(scores >= settings.score)
+    candidates, masks, scores = candidates[selected], masks[selected], scores[selected]
     mask_iou = settings.mask_iou
     if mask_iou is not None:
-        kept = _by_level(
+        selected = _by_level(
             candidates.level,
             settings.apart,
             lambda rows: mask_nms(masks[rows], scores[rows], mask_iou, settings.nested),
         )
-        candidates, masks, scores = candidates[kept], masks[kept], scores[kept]
+        candidates, masks, scores = candidates[selected], masks[selected], scores[selected]
     if settings.visible is not None:
-        kept = mostly_visible(masks, settings.visible)
-        candidates, masks, scores = candidates[kept], masks[kept], scores[kept]
+        selected = mostly_visible(masks, settings.visible)
+        candidates, masks, scores = candidates[selected], masks[selected], scores[selected]
     best = np.argsort(-scores, kind="stable")
     levels = candidates.level[best].astype(np.uint8)
     return Proposals(masks[best], scores[best].astype(np.float32), levels)
 
 
 def tidy(mask: np.ndarray, smallest: int) -> bool:
-    """Fill holes and remove islands of fewer than ``smallest`` pixels, in place; was there any?
+    """Fill holes and remove islands of fewer than ``smallest`` pixels in place; return if any.
 
-    Pixels that touch at a corner belong together. Of a mask of small islands only, the largest
-    stays.
+    Connectivity is 8. The largest island stays if all are small.
     """
     before = mask.copy()
     for value in (False, True):

@@ -1,4 +1,4 @@
-"""Configs of the mask proposers and trackers, and the programs of those that are prompted."""
+"""Configs of the mask proposers and trackers, and presets of automatic mask generation."""
 
 from __future__ import annotations
 
@@ -35,30 +35,30 @@ Program = Literal["sam", "sam2", "langsplat", "grouping"]
 
 @dataclass(frozen=True)
 class Automatic:
-    """What is asked and what is kept. The defaults are those of the SAM authors' program.
+    """Settings of automatic mask generation. The defaults are those of the SAM authors' program.
 
     Attributes
     ----------
     points : int
         Prompted points along each side of the image.
     crops : int
-        Layers of crops that are prompted as images of their own: the first has 2 x 2 crops, the
+        Layers of crops that are prompted as separate images: the first has 2 x 2 crops, the
         next 4 x 4, with as many points each.
     predicted_iou, stability : float
-        A mask needs more than the first, by the model's own word, and at least the second: the IoU
-        of its logits cut at +1 and -1.
+        Thresholds of a mask: of the IoU that the model predicts (exclusive), and of the stability,
+        the IoU of its logits cut at +1 and -1.
     box_iou : float
-        Of two masks whose boxes overlap more, that of the lower predicted IoU goes.
+        IoU threshold of non-maximum suppression of boxes, by predicted IoU.
     smallest : int
-        Holes and islands of fewer pixels are filled and removed.
+        Size of holes and islands in pixels below which they are filled and removed.
     apart : bool
-        Masks of one level are only compared with each other.
+        Compare masks only with masks of the same level.
     score : float
-        A mask needs at least this predicted IoU times stability.
+        Threshold of predicted IoU times stability.
     mask_iou, nested : float or None
-        Bounds of :func:`slgaussian.masks.nms.mask_nms`; without the first, it is left out.
+        Thresholds of :func:`slgaussian.masks.nms.mask_nms`, which None disables.
     visible : float or None
-        Bound of :func:`slgaussian.masks.nms.mostly_visible`.
+        Threshold of :func:`slgaussian.masks.nms.mostly_visible`.
     """
 
     points: int = 32
@@ -89,12 +89,12 @@ PRESETS: dict[Program, Automatic] = {
     ),
     "grouping": Automatic(points=64, predicted_iou=0.7, visible=0.8),
 }
-"""By name: the programs of SAM and SAM 2; LangSplat; Gaussian Grouping, and so the paper. What a
-program is not known to change is SAM's."""
+"""Settings by name: of SAM and SAM 2; of LangSplat; of Gaussian Grouping, which the paper follows.
+Settings that a program is not known to change are those of SAM."""
 
 
 class AutomaticConfig(ComponentConfig):
-    """What is prompted of a pretrained model that answers points, and which masks are kept."""
+    """Config of a proposer that prompts a pretrained model with a grid of points."""
 
     model: Annotated[str | Path | None, File(model_digest)] = Field(None, description=MODEL)
     preset: Program | SkipJsonSchema[InstanceOf[Automatic]] = Field(
@@ -137,7 +137,7 @@ def folder_digest(folder: Path | str, suffixes: tuple[str, ...] = MAPS) -> str:
     """Compute the SHA-256, hexadecimal, of names and contents of a folder of id maps."""
     folder = Path(folder)
     digest = hashlib.sha256()
-    # Folders that are links are gone into, as views may be named through them.
+    # Symbolic links to folders are followed, as views may be named through them.
     names = glob("**/*", root_dir=folder, recursive=True, include_hidden=True)
     for name in sorted(name for name in names if name.endswith(suffixes)):
         digest.update(f"{Path(name).as_posix()} {file_digest(folder / name)}\n".encode())
@@ -150,9 +150,9 @@ def geometry_digest(place: Path | str) -> str:
 
 
 class PrecomputedConfig(ComponentConfig, title="precomputed"):
-    """Labels out of a folder that holds one id map a view, with ids that agree across views.
+    """Labels from a folder with one id map for each view and consistent ids across views.
 
-    The predictor of this name has the same table, of which each reads its own files.
+    The predictor of this name has the same table; each reads its own field.
     """
 
     target = "slgaussian.masks.precomputed:Precomputed"

@@ -1,4 +1,4 @@
-"""From overlapping proposals to one label map, and the removal of crumbs from it."""
+"""Conversion of overlapping proposals to one label map, and removal of small pieces."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from skimage.measure import label as connected_components
 from slgaussian.masks import Proposals
 
 CRUMB_SHARE = 1 / 8000
-"""Pieces smaller than this share of the image (30 pixels at 416 x 576) are crumbs."""
+"""Share of the image (30 pixels at 416 x 576) below which a connected piece is a crumb."""
 
 
 def flatten(proposals: Proposals) -> np.ndarray:
-    """One label map int32 [H, W] from masks that may overlap; 0 where there is no mask.
+    """Convert masks that may overlap to a label map int32 [H, W]; 0 where there is no mask.
 
-    Masks are painted from large to small, so that a small object stays visible on the large one
-    that holds it (the area order of SAM pipelines). Of equally large masks the better scored one is
-    on top, then the earlier one. Labels are 1, 2, ... in order of painting, without gaps: a mask
-    that is covered wholly gets none.
+    Masks are painted from large to small, so that a small object stays visible on a large one
+    (the area order of SAM pipelines). Of equally large masks the one with the higher score is on
+    top, then the earlier one. Labels are 1, 2, ... in order of painting; completely covered masks
+    have none.
     """
     areas = proposals.masks.sum((1, 2))
     index = np.arange(len(areas))
@@ -29,7 +29,7 @@ def flatten(proposals: Proposals) -> np.ndarray:
 
 
 def renumbered(labels: np.ndarray) -> np.ndarray:
-    """The same labels, of any shape, numbered from 1 without gaps in ascending order; 0 stays."""
+    """Renumber labels of any shape from 1 without gaps in ascending order; 0 does not change."""
     table = np.zeros(int(labels.max(initial=0)) + 1, np.int32)
     used = np.unique(labels)
     used = used[used > 0]
@@ -38,10 +38,10 @@ def renumbered(labels: np.ndarray) -> np.ndarray:
 
 
 def without_crumbs(labels: np.ndarray) -> np.ndarray:
-    """Give every connected piece smaller than a crumb to the nearest larger piece.
+    """Assign the pixels of every crumb the label of the nearest larger piece.
 
-    Unassigned pixels count as a piece too: small holes are filled, and a speck in a wide unassigned
-    area becomes unassigned. Where all is crumbs nothing changes.
+    Unassigned pixels form pieces too: small holes are filled, and a speck in a large unassigned
+    area becomes unassigned. A map of crumbs alone does not change.
     """
     pieces = connected_components(labels + 1, connectivity=1, background=0)
     sizes = np.bincount(pieces.ravel())
@@ -51,7 +51,7 @@ def without_crumbs(labels: np.ndarray) -> np.ndarray:
     return labels[nearest_pixel(~crumb)]
 
 
-def nearest_pixel(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column, int32 [H, W] each, of the nearest pixel that is ``known`` bool [H, W]."""
-    found = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    return tuple(found)
+def nearest_pixel(valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return row and column of the nearest ``valid`` pixel, int32 [H, W] each."""
+    indices = ndimage.distance_transform_edt(~valid, return_distances=False, return_indices=True)
+    return tuple(indices)

@@ -1,55 +1,238 @@
-"""The tracker that knows where things are: labels reprojected through the predicted depth."""
+"""The tracker ``geometric``: labels reprojected through predicted depth and snapped to segments."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.masks.memory import Frame, MemoryTracker, both_ways
 from slgaussian.masks.shared import SurfacePoints, overlap
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
+    from slgaussian.scene import View
 
 AGREE_PIXELS = 4.0
-"""How far there and back, through the two depth maps, may miss: what is hidden misses by far, what
-is a little off in one of them by little, and by less where depth moves a pixel less. With 2 and
-with 8, fewer objects or pixels are matched."""
+"""Largest forward-backward reprojection error of a match, pixels. Occluded pixels have much larger
+errors, errors of depth smaller ones, the more so where the parallax is small. With 2 and with 8,
+fewer objects or pixels are matched."""
+LOOK = 25.0
+"""Largest CIELAB distance of matched pixels, after compensation of exposure."""
+SEEN = 0.3
+"""Smallest share of matched pixels at which matches determine the label of a leaf."""
+LIKE = 0.6
+"""Smallest share of a leaf in the colours of an object at which the object grows over it."""
+COMMON = 0.01
+"""Smallest share of an object's pixels in a colour bin at which the bin belongs to the object."""
+COLOR_BINS = (10, 10, 10)
+MOST_FRAMES = 6
+"""Largest number of remembered frames, those with the greatest overlap, that a view is matched
+with."""
 
 
-class GeometricTracker(MemoryTracker):
-    """Matches a remembered frame with a new one by their cameras and predicted depths.
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """A view with its labels.
 
-    A pixel of the new view is lifted by its own depth and projected into the old one. The pixel it
-    meets there must lead back, by that view's depth: surfaces that hide each other do not. Given
-    poses will do where a predictor used better ones: its depths then land a little off, which
-    tolerance and leaves forgive. The rest is :class:`slgaussian.masks.memory.MemoryTracker`.
+    Attributes
+    ----------
+    frame : SeenView
+    labels : int32 [H, W]
+        0 = unassigned.
+    lab : float32 [H, W, 3]
+        CIELAB of the slightly blurred image.
     """
 
-    def describe(self, seen: SeenView, labels: np.ndarray) -> Frame:
-        """Refuse a view without depth; see :class:`slgaussian.masks.memory.MemoryTracker`."""
-        if seen.depth is None:
-            raise InputError(
-                f"tracker 'geometric': view {seen.view.name!r} comes without predicted depth; give "
-                "depths"
-            )
-        return super().describe(seen, labels)
-
-    def match(self, new: Frame, old: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """See :meth:`slgaussian.masks.memory.MemoryTracker.match`."""
-        return both_ways(_seen_from(new, old), _seen_from(old, new), AGREE_PIXELS, 0)
-
-    def shows(self, new: Frame, old: Frame) -> float:
-        """The share of a few points; see :meth:`slgaussian.masks.memory.MemoryTracker.shows`."""
-        return overlap(SurfacePoints(new.seen), SurfacePoints(old.seen))
+    frame: SeenView
+    labels: np.ndarray
+    lab: np.ndarray
 
 
-def _seen_from(frame: Frame, other: Frame) -> np.ndarray:
-    """Where each pixel of ``frame`` lies in ``other``, float64 [H, W, 2]; NaN where unknown."""
-    depth = frame.seen.require_depth()
-    points = frame.seen.view.camera.unproject(depth)
-    pixels, z = other.seen.view.camera.project(points)
+class GeometricTracker:
+    """Propagates labels from remembered frames to a view by cameras and predicted depth.
+
+    A pixel of the view is unprojected by its depth and projected into a remembered frame. It is
+    matched if the pixel there projects back to it by that frame's depth, which fails for occluded
+    surfaces. Given poses are accurate enough, even if the predictor refined them.
+
+    Labels are assigned to the watershed leaves of the view, not to pixels, by majority of their
+    matched pixels, so that label borders lie on image edges. A leaf without matches, occluded or
+    outside the frames, takes the label of a neighbour if it has that object's colours in all
+    remembered frames; other leaves stay 0.
+
+    The same memory and view give the same labels, whatever the number of threads. A view whose
+    image equals a remembered one gets the labels of the latest such frame exactly.
+    """
+
+    final: ClassVar[bool] = False
+    repeatable: ClassVar[bool] = True
+
+    def __init__(self) -> None:
+        self._frames: list[LabelledFrame] = []
+        self._color_counts = np.zeros((1, int(np.prod(COLOR_BINS))))
+
+    def add(self, frame: SeenView, labels: np.ndarray) -> None:
+        """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
+
+        Raises
+        ------
+        InputError
+            If labels or depth are missing, have the wrong type or size, or a label is negative.
+        """
+        check_labels(frame.view, labels)
+        labelled = _make_frame(frame, labels.copy())
+        self._frames.append(labelled)
+        new_ids = int(labels.max()) + 1 - len(self._color_counts)
+        self._color_counts = np.pad(self._color_counts, ((0, max(new_ids, 0)), (0, 0)))
+        bins = self._color_counts.shape[1]
+        keys = labels.astype(np.int64) * bins + _color_bins(labelled.lab)
+        counts = np.bincount(keys.ravel(), minlength=self._color_counts.size)
+        self._color_counts += counts.reshape(-1, bins)
+
+    def propagate(self, frame: SeenView) -> np.ndarray:
+        """Return labels int32 [H, W] of a view; see :class:`slgaussian.masks.MaskTracker`."""
+        from slgaussian.masks.segmentation import watershed_leaves
+
+        for past in reversed(self._frames):
+            if np.array_equal(past.frame.image, frame.image):
+                return past.labels.copy()
+        labels = np.zeros(frame.image.shape[:2], np.int32)
+        new = _make_frame(frame, labels)
+        if not any(past.labels.any() for past in self._frames):
+            return labels
+        leaves = watershed_leaves(_gradient(new.lab))
+        size = np.bincount(leaves.ravel())
+        id_count = max(int(past.labels.max()) for past in self._frames) + 1
+        votes = np.zeros((len(size), id_count))
+        matched_once = np.zeros(labels.shape, bool)
+        for past in self._nearest(new):
+            place, matched = _match(new, past)
+            if matched.any():
+                gap = new.lab - past.lab.reshape(-1, 3)[place]
+                # A change of exposure or white balance is no change of object.
+                gap -= np.median(gap[matched], 0)
+                light, red, yellow = (gap[..., k] ** 2 for k in range(3))
+                matched = matched & (np.sqrt(light + red + yellow) < LOOK)
+            carried = past.labels.ravel()[place[matched]]
+            keys = leaves[matched].astype(np.int64) * id_count + carried
+            votes += np.bincount(keys, minlength=votes.size).reshape(votes.shape)
+            matched_once |= matched
+        matched_share = np.bincount(leaves.ravel(), matched_once.ravel(), len(size)) / size
+        of_leaf = np.where(matched_share >= SEEN, votes.argmax(1), 0).astype(np.int32)
+        self._grow(of_leaf, leaves, new.lab, id_count)
+        return of_leaf[leaves]
+
+    def _nearest(self, new: LabelledFrame) -> list[LabelledFrame]:
+        """Return the remembered frames with the greatest overlap, in order of their addition."""
+        if len(self._frames) <= MOST_FRAMES:
+            return self._frames
+        points = SurfacePoints(new.frame)
+        overlaps = [overlap(points, SurfacePoints(past.frame)) for past in self._frames]
+        best = np.argsort(-np.array(overlaps), kind="stable")[:MOST_FRAMES]
+        return [self._frames[k] for k in np.sort(best)]
+
+    def _grow(
+        self, of_leaf: np.ndarray, leaves: np.ndarray, lab: np.ndarray, id_count: int
+    ) -> None:
+        """Grow objects, in place, over unlabelled neighbouring leaves with their colours."""
+        from slgaussian.masks.merge import adjacency
+
+        counts, bins = self._color_counts, self._color_counts.shape[1]
+        object_bins = counts >= COMMON * counts.sum(1, keepdims=True).clip(1)
+        keys = leaves.astype(np.int64) * bins + _color_bins(lab)
+        leaf_colors = np.bincount(keys.ravel(), minlength=len(of_leaf) * bins)
+        leaf_colors = leaf_colors.reshape(len(of_leaf), bins)
+        edges, length, _ = adjacency(leaves, np.zeros(leaves.shape, np.float32))
+        edges = np.concatenate([edges, edges[:, ::-1]])
+        length = np.concatenate([length, length])
+        while True:
+            front = (of_leaf[edges[:, 0]] == 0) & (of_leaf[edges[:, 1]] > 0)
+            leaf, label = edges[front, 0], of_leaf[edges[front, 1]]
+            similarity = (leaf_colors[leaf] * object_bins[label]).sum(1) / leaf_colors[leaf].sum(1)
+            wins = similarity >= LIKE
+            if not wins.any():
+                return
+            border = np.zeros((len(of_leaf), id_count))
+            weights = similarity[wins] * length[front][wins]
+            np.add.at(border, (leaf[wins], label[wins]), weights)
+            grown = np.unique(leaf[wins])
+            of_leaf[grown] = border[grown].argmax(1)
+
+
+def check_labels(view: View, labels: np.ndarray) -> None:
+    """Raise InputError unless ``labels`` are int32 of the size of ``view``, none negative."""
+    if labels.dtype != np.int32 or labels.shape != view.image.shape[:2]:
+        raise InputError(
+            f"view {view.name!r}: labels are {labels.dtype} {labels.shape}, expected int32 "
+            f"{view.image.shape[:2]}"
+        )
+    if labels.min() < 0:
+        raise InputError(f"view {view.name!r}: negative label {labels.min()}; ids start at 1")
+
+
+def _make_frame(frame: SeenView, labels: np.ndarray) -> LabelledFrame:
+    """Make a frame; InputError if its depth is missing or has the wrong size."""
+    import cv2
+
+    view, depth = frame.view, frame.depth
+    if depth is None:
+        raise InputError(
+            f"tracker 'geometric': view {view.name!r} comes without predicted depth; give depths"
+        )
+    if depth.shape != view.image.shape[:2]:
+        raise InputError(
+            f"view {view.name!r}: depth is {depth.shape}, expected {view.image.shape[:2]}"
+        )
+    return LabelledFrame(frame, labels, cv2.GaussianBlur(view.lab, (0, 0), 1.0))
+
+
+def _match(new: LabelledFrame, old: LabelledFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Match the pixels of ``new`` with those of ``old`` by forward-backward reprojection.
+
+    Returns
+    -------
+    place : int64 [H, W]
+        Index of the pixel in the flat old image; arbitrary where there is no match.
+    matched : bool [H, W]
+    """
+    forward, backward = _project(new, old), _project(old, new)
+    rows, columns = backward.shape[:2]
+    x, y = forward[..., 0], forward[..., 1]
+    inside = (x > -0.5) & (y > -0.5) & (x < columns - 0.5) & (y < rows - 0.5)
+    column, row = (np.rint(np.where(inside, axis, 0)).astype(np.int64) for axis in (x, y))
+    place = row * columns + column
+    y0, x0 = (axis.astype(np.float32) for axis in np.ogrid[: x.shape[0], : x.shape[1]])
+    x1, y1 = (axis[place] for axis in backward.reshape(-1, 2).T)
+    error = np.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
+    return place, inside & (error <= AGREE_PIXELS)
+
+
+def _project(source: LabelledFrame, target: LabelledFrame) -> np.ndarray:
+    """Project the pixels of a frame into another one, float64 [H, W, 2]; NaN where unknown.
+
+    Columns and rows are integers at pixel centres.
+    """
+    depth = source.frame.require_depth()
+    points = source.frame.view.camera.unproject(depth)
+    pixels, z = target.frame.view.camera.project(points)
     pixels[(depth <= 0) | (z <= 0)] = np.nan
     return pixels - 0.5
+
+
+def _gradient(lab: np.ndarray) -> np.ndarray:
+    """Compute the magnitude of the CIELAB gradient, float32 [H, W]."""
+    import cv2
+
+    dx, dy = cv2.Sobel(lab, cv2.CV_32F, 1, 0), cv2.Sobel(lab, cv2.CV_32F, 0, 1)
+    squares = dx**2 + dy**2
+    return np.sqrt(squares[..., 0] + squares[..., 1] + squares[..., 2])
+
+
+def _color_bins(lab: np.ndarray) -> np.ndarray:
+    """Return the joint CIELAB bin of every pixel, int64 [H, W], below ``prod(COLOR_BINS)``."""
+    chroma = np.sign(lab[..., 1:]) * np.sqrt(np.abs(lab[..., 1:])) + COLOR_BINS[1] / 2
+    steps = (lab[..., 0] / 10, chroma[..., 0], chroma[..., 1])
+    bins = [np.clip(s, 0, n - 1).astype(np.int64) for s, n in zip(steps, COLOR_BINS, strict=True)]
+    return np.ravel_multi_index(bins, COLOR_BINS)

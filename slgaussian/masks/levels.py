@@ -1,10 +1,10 @@
-"""Groups of the objects of label maps: what a word may mean as one.
+"""Groups of the objects of label maps, as further candidates for the answer to a text.
 
-A label map is one partition, and no partition fits every word: of a sofa, cushions may be objects
-of their own. The objects of all views grow together in merge trees as the leaves of one view do
-(:mod:`slgaussian.masks.merge`). Cuts of these trees are levels, much as SAM's three granularities
-are, at which groups are looked at too; every node is a whole that may be an answer. An object
-keeps its id; a level only says what it is part of.
+A label map is one partition, and no partition fits every text: the cushions of a sofa may be
+separate objects. The objects of all views are merged into trees like the leaves of one view
+(:mod:`slgaussian.masks.merge`). Cuts of these trees are levels, comparable to the three
+granularities of SAM, and every node is a candidate. Object ids do not change; a level only assigns
+each object to a group.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from slgaussian.masks.merge import (
 from slgaussian.masks.segmentation import CUES
 
 CUTS = ((Cues(), 0.4), (Cues(plane=0.25, fill=0.5, size_power=0.1), 0.8))
-"""A tree and the height at which it is cut, for each level: things that look and lie alike, and
-compact ones. Of about 90 objects in two photographs of an office, 25 and 45 groups are left."""
+"""Tree and height of the cut of each level: regions of similar appearance and position, and compact
+ones. About 90 objects in two photographs of an office make 25 and 45 groups."""
 
 
 MOST_OBJECTS = 1000
-"""Objects that wholes are known of: their nodes are tables of objects by objects."""
+"""Largest number of objects for which wholes are computed, as their table is quadratic in it."""
 
 
 class ObjectGroups(NamedTuple):
@@ -42,32 +42,31 @@ class ObjectGroups(NamedTuple):
     Attributes
     ----------
     levels : int32 [L, N]
-        Group of each object at each level of :data:`CUTS`: numbers 0, 1, ... in each, in the order
-        of the ids; objects of one number are one group. A group is connected, through one view or
-        another.
+        Group of each object at each level of :data:`CUTS`, numbered 0, 1, ... in each level, in
+        the order of the ids. A group is connected in some view.
     wholes : Wholes or None
-        Nodes of several trees, without crumbs; None of more than :data:`MOST_OBJECTS`.
+        Nodes of several trees, without crumbs; None with more than :data:`MOST_OBJECTS` objects.
     """
 
     levels: np.ndarray
     wholes: Wholes | None
 
 
-def group_objects(seen: Sequence[SeenView], label_maps: LabelMaps) -> ObjectGroups:
-    """Find the groups that the objects of label maps may belong to.
+def group_objects(frames: Sequence[SeenView], label_maps: LabelMaps) -> ObjectGroups:
+    """Find the groups of the objects of label maps.
 
     Parameters
     ----------
-    seen : sequence of V SeenView
-        The photographs that the label maps belong to, in the same order.
+    frames : sequence of V SeenView
+        The photographs of the label maps, in the same order.
     label_maps : LabelMaps
         labels [V, H, W] of N objects, N at least 1.
     """
     ids, sums, at_edge = label_maps.ids, [], np.zeros(len(label_maps.ids), np.float32)
-    for here, labels in zip(seen, label_maps.labels, strict=True):
+    for frame, labels in zip(frames, label_maps.labels, strict=True):
         leaves = np.where(labels > 0, np.searchsorted(ids, labels), -1).astype(np.int32)
-        seen_as = here.view.lab, leaves, here.boundary, here.depth
-        sums.append(leaf_sums(*seen_as, count=len(ids), texture=here.texture))
+        pixels = frame.view.lab, leaves, frame.boundary, frame.depth
+        sums.append(leaf_sums(*pixels, count=len(ids), texture=frame.texture))
         for side in (leaves[0], leaves[-1], leaves[:, 0], leaves[:, -1]):
             at_edge += np.bincount(side[side >= 0], minlength=len(ids)).astype(np.float32)
     joint = joint_sums(sums)
@@ -79,7 +78,7 @@ def group_objects(seen: Sequence[SeenView], label_maps: LabelMaps) -> ObjectGrou
 
 
 def _wholes(joint: LeafSums, trees: Sequence[MergeTree], at_edge: np.ndarray) -> Wholes:
-    """Return the nodes of all trees that are no crumbs, each set of objects once."""
+    """Return the distinct sets of objects of all trees that are larger than crumbs."""
     count = len(at_edge)
     nodes = np.concatenate([tree.members(np.arange(len(tree.parent))) for tree in trees])
     ends = [np.append(tree.height, tree.height.max())[tree.parent] for tree in trees]

@@ -1,9 +1,9 @@
-"""A binary merge tree over the leaves of an over-segmentation.
+"""Binary merge tree over the leaves of an over-segmentation.
 
-Neighbouring regions are united cheapest first. The cost weighs the boundary between them, how
-differently they are coloured and textured, how badly the two fill a box and, where depth is known,
-how badly one plane explains both; it grows with the size of the smaller region, so that crumbs go
-early and things stay apart. How much each counts is a :class:`Cues`.
+Adjacent regions are merged in order of cost. The cost combines the strength of their border, the
+differences of colour and texture, the empty share of their joint bounding box and, where depth is
+known, the misfit of a joint plane. It grows with the size of the smaller region, so that small
+pieces merge early and objects late. :class:`Cues` has the weights.
 """
 
 from __future__ import annotations
@@ -18,24 +18,25 @@ from slgaussian.geometry.boundaries import TEXTURE_CODES, texture_codes
 from slgaussian.kernels.jit import kernel
 
 COLOR_STEP = 30.0
-"""Distance of mean CIELAB colours that counts as one full unit of difference."""
+"""Distance of mean CIELAB colours at which the colour term saturates."""
 PLANE_STEP = 0.05
-"""Relative error of inverse depth, under one joint plane, that counts as one full unit."""
+"""Relative error of inverse depth under a joint plane at which the plane term saturates."""
 
 
 @dataclass(frozen=True)
 class Cues:
-    """What counts in a merge, and how much; the mean strength of the border between counts 1.
+    """Weights of the merging cost; the mean strength of the border has weight 1.
 
     Attributes
     ----------
     color, texture, plane, fill : float
-        Weights of the distance of mean colours, the chi-squared distance of texture histograms, the
-        misfit of one joint plane (nothing where no depth is known), and the share of their joint
-        box that the two regions leave empty, which favours compact ones.
+        Weights of the distance of mean colours, of the chi-squared distance of texture histograms,
+        of the misfit of a joint plane (0 where depth is unknown), and of the empty share of the
+        joint bounding box, which favours compact regions.
     size_power : float
-        The cost is multiplied by this power of the harmonic size of the two regions, a share of the
-        image. High, regions grow evenly; low, small things with a strong border stay to the end.
+        Power of the harmonic size of the two regions, a share of the image, that multiplies the
+        cost. A high power grows regions evenly; with a low one, small objects with strong borders
+        survive longest.
     """
 
     color: float = 0.3
@@ -47,7 +48,7 @@ class Cues:
 
 @dataclass(frozen=True, eq=False)
 class MergeTree:
-    """The order in which N leaves grow together.
+    """Merge order of N leaves.
 
     Attributes
     ----------
@@ -56,7 +57,7 @@ class MergeTree:
     parent : int32 [M]
         Parent of every node, -1 for a root. Nodes 0 .. N-1 are leaves; parents follow children.
     height : float64 [M]
-        Cost at which a node was made, 0 for leaves; never below that of its children. It is the
+        Cost of the merge that created a node, 0 for leaves, at least that of its children: the
         weighted sum of the cues, each 0 to about 1, times the size term of :class:`Cues`.
     """
 
@@ -64,25 +65,25 @@ class MergeTree:
     parent: np.ndarray
     height: np.ndarray
 
-    def cut(self, height: float, most: int) -> np.ndarray:
-        """The largest nodes not above ``height``; the cut rises until they are at most ``most``.
+    def cut(self, height: float, max_count: int) -> np.ndarray:
+        """Return the nodes of a cut at ``height``, raised until there are at most ``max_count``.
 
-        Returns int64 [K] node indices, ascending; together they cover every leaf once. K exceeds
-        ``most`` only where more roots than that exist.
+        Returns ascending node indices int64 [K] that together cover every leaf once. K exceeds
+        ``max_count`` only if there are more roots.
         """
         merges = np.sort(self.height)[::-1]
-        spare = max(most - int((self.parent < 0).sum()), 0)
+        spare = max(max_count - int((self.parent < 0).sum()), 0)
         if spare < len(merges):
             height = max(height, float(merges[spare]))
         above = np.where(self.parent >= 0, self.height[self.parent], np.inf)
         return np.flatnonzero((self.height <= height) & (above > height))
 
     def labels(self, nodes: np.ndarray) -> np.ndarray:
-        """Paint nodes of a cut: int32 as ``leaves``, k + 1 in ``nodes[k]``, 0 where no leaf is."""
+        """Return the label map of a cut: k + 1 in ``nodes[k]``, 0 without leaf; int32."""
         return np.append(self.places(nodes) + 1, np.int32(0))[self.leaves]
 
     def places(self, nodes: np.ndarray) -> np.ndarray:
-        """For every leaf, k of the ``nodes[k]`` of a cut that holds it: int32 [N]."""
+        """Return for every leaf the k of the ``nodes[k]`` that contains it, int32 [N]."""
         place = np.full(len(self.parent) + 1, -1, np.int32)
         place[nodes] = np.arange(len(nodes))
         for node in range(len(self.parent) - 1, -1, -1):
@@ -91,14 +92,14 @@ class MergeTree:
         return place[: int(self.leaves.max(initial=-1)) + 1]
 
     def members(self, nodes: np.ndarray) -> np.ndarray:
-        """Which leaves make up each of the ``nodes`` [K]: bool [K, N]."""
+        """Return the leaves of each of the ``nodes`` [K], bool [K, N]."""
         spans = np.zeros((len(self.parent) + 1, 3), np.int64)  # leaves below, first, next free
         below, first, free = spans.T
         count = int(self.leaves.max(initial=-1)) + 1
         below[:count] = 1
         for node, parent in enumerate(self.parent):
             below[parent] += below[node]
-        # Leaves in an order in which every node holds a run of them; the last row is above roots.
+        # Order leaves so that every node has a contiguous run; the last row is above the roots.
         for node in range(len(self.parent) - 1, -1, -1):
             parent = self.parent[node]
             first[node] = free[node] = free[parent]
@@ -109,7 +110,7 @@ class MergeTree:
 
 @dataclass(frozen=True, eq=False)
 class LeafSums:
-    """All that merging knows about N leaves in V views: sums, so that a union is an addition.
+    """Sufficient statistics of N leaves in V views: sums, so that a union is an addition.
 
     Attributes
     ----------
@@ -152,7 +153,7 @@ def leaf_sums(
     count: int | None = None,
     texture: np.ndarray | None = None,
 ) -> LeafSums:
-    """Sum up the pixels of every leaf.
+    """Compute the statistics of every leaf.
 
     Parameters
     ----------
@@ -165,9 +166,9 @@ def leaf_sums(
     depth : float32 [H, W] or None
         Predicted depth, 0 where unknown.
     count : int, optional
-        The number N of leaves, if some of them are shown in other views only.
+        Number N of leaves, if some are visible in other views only.
     texture : uint8 [H, W], optional
-        The texture codes of ``lab``, where they are known.
+        Texture codes of ``lab``, computed by default.
     """
     n = int(leaves.max(initial=-1)) + 1 if count is None else count
     inside = leaves >= 0
@@ -192,7 +193,7 @@ def leaf_sums(
 
 
 def joint_sums(views: Sequence[LeafSums]) -> LeafSums:
-    """The same N leaves in several views of one size, seen as one: each shown in any of them."""
+    """Combine the statistics of the same N leaves in several views of one size."""
     leaves = np.stack([view.leaves for view in views])
     count = len(views[0].size)
     edges = np.concatenate([view.edges for view in views])
@@ -214,7 +215,7 @@ def joint_sums(views: Sequence[LeafSums]) -> LeafSums:
 
 
 def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
-    """Merge greedily until no two regions touch; without ``cues`` by the default ones."""
+    """Merge greedily until no two regions touch, by the default ``cues`` if left out."""
     cues = cues or Cues()
     n = len(sums.size)
     parent, height = np.full(2 * n, -1, np.int32), np.zeros(2 * n)
@@ -240,7 +241,7 @@ def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
 
 
 def adjacency(leaves, boundary):
-    """Edges int64 [E, 2] (u < v, sorted), the length of each border and its summed strength."""
+    """Return edges int64 [E, 2] (u < v, sorted), and length and summed strength of each border."""
     n = int(leaves.max(initial=-1)) + 1
     keys, strengths = [], []
     for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
@@ -255,9 +256,9 @@ def adjacency(leaves, boundary):
 
 
 def plane_sums(leaves, depth, n):
-    """Sums of 1, u, v, uu, uv, vv, d, du, dv, dd per leaf: all that a plane fit d(u, v) needs.
+    """Sum 1, u, v, uu, uv, vv, d, du, dv, dd over each leaf, for fits of planes d(u, v).
 
-    ``d`` is inverse depth relative to its median, ``u`` and ``v`` are in units of the width.
+    ``d`` is inverse depth relative to its median; ``u`` and ``v`` are in units of the width.
     """
     sums = np.zeros((n, 10))
     if depth is None or not (depth > 0).any():
@@ -273,19 +274,19 @@ def plane_sums(leaves, depth, n):
 
 
 def _boxes(leaves, n):
-    """Left, top, right, bottom of every leaf, float64 [n, 4], in units in which the area is 1."""
+    """Return left, top, right, bottom of every leaf, float64 [n, 4], for an image area of 1."""
     unit = np.sqrt(leaves.size)
     corners = np.tile([np.inf, np.inf, -np.inf, -np.inf], (n, 1))
-    for leaf, found in enumerate(find_objects(leaves + 1, n)):
-        if found is not None:
-            y, x = found
+    for leaf, window in enumerate(find_objects(leaves + 1, n)):
+        if window is not None:
+            y, x = window
             corners[leaf] = x.start, y.start, x.stop, y.stop
     return corners / unit
 
 
 @kernel
 def _plane_error(a, b, share):
-    """Sum of squared residuals of the best plane, from sums of :func:`plane_sums`: a + share b."""
+    """Return the squared residuals of the best plane for :func:`plane_sums` ``a + share * b``."""
     count = a[0] + share * b[0]
     if count < 3:
         return 0.0
@@ -304,9 +305,9 @@ def _plane_error(a, b, share):
 
 @kernel
 def plane_gap(a, b):
-    """By how much, relative to inverse depth, one plane explains two regions worse than two do.
+    """Return the misfit of one plane for two regions over two planes, relative to inverse depth.
 
-    ``a`` and ``b`` are rows of :func:`plane_sums`; 0 where the depth of either is unknown.
+    ``a`` and ``b`` are rows of :func:`plane_sums`; 0 if the depth of either is unknown.
     """
     if a[0] == 0 or b[0] == 0:
         return 0.0
@@ -316,7 +317,8 @@ def plane_gap(a, b):
 
 @kernel
 def _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, power):
-    """Cost of uniting regions a and b; weights are those of border, color, texture, plane, fill."""
+    """Return the cost of merging regions a and b; ``weights`` are border, color, texture, plane
+    and fill."""
     cost = weights[0] * border
     color_gap = 0.0
     for c in range(3):
@@ -349,9 +351,9 @@ def _merge(
     parent, height, node, edge_to, cost, edges, length, strength, size, color, histogram, sizes,
     planes, boxes, weights, power,
 ):  # fmt: skip
-    """Fill ``parent`` and ``height``, and say how many nodes there are; all else is used up.
+    """Fill ``parent`` and ``height`` and return the number of nodes; modifies all other arrays.
 
-    ``node`` [N] is the node that a region has become, ``edge_to`` [N] is -1, and ``cost`` [E] room.
+    ``node`` [N] is the node of each region, ``edge_to`` [N] is -1, and ``cost`` [E] is scratch.
     """
     live, count = edges.shape[0], size.shape[0]
     for e in range(live):
@@ -364,7 +366,7 @@ def _merge(
             if cost[e] < cost[best]:
                 best = e
         keep, gone = edges[best, 0], edges[best, 1]
-        # Loops over numbers: those over rows would take Numba seconds to compile.
+        # Scalar loops: row operations take Numba seconds to compile.
         size[keep] += size[gone]
         for c in range(color.shape[1]):
             color[keep, c] += color[gone, c]
@@ -382,26 +384,26 @@ def _merge(
         parent[node[gone]] = count
         node[keep] = count
         count += 1
-        # Rewrite the edges in place: those of `gone` go to `keep`, and doubled ones are joined.
-        kept = 0
+        # Rewrite the edges in place: edges of `gone` move to `keep`, and parallel edges merge.
+        write = 0
         for e in range(live):
             a, b = edges[e, 0], edges[e, 1]
             if e == best:
                 continue
             starts, ends = a in (keep, gone), b in (keep, gone)
             if starts or ends:
-                other = b if starts else a
-                if edge_to[other] >= 0:
-                    twin = edge_to[other]
+                neighbour = b if starts else a
+                if edge_to[neighbour] >= 0:
+                    twin = edge_to[neighbour]
                     length[twin] += length[e]
                     strength[twin] += strength[e]
                     continue
-                edge_to[other] = kept
-                a, b = min(keep, other), max(keep, other)
-            edges[kept, 0], edges[kept, 1] = a, b
-            length[kept], strength[kept], cost[kept] = length[e], strength[e], cost[e]
-            kept += 1
-        live = kept
+                edge_to[neighbour] = write
+                a, b = min(keep, neighbour), max(keep, neighbour)
+            edges[write, 0], edges[write, 1] = a, b
+            length[write], strength[write], cost[write] = length[e], strength[e], cost[e]
+            write += 1
+        live = write
         for e in range(live):
             a, b = edges[e, 0], edges[e, 1]
             if a == keep or b == keep:

@@ -1,4 +1,4 @@
-"""Which of many overlapping masks to keep: by boxes, by masks, by what hides or holds them."""
+"""Non-maximum suppression of boxes and masks, by overlap, nesting and visibility."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ import numpy as np
 import torch
 
 INSIDE = 0.85
-"""A mask of which at least this share lies in another one is inside it."""
+"""Share of a mask inside another one from which it counts as nested."""
 
 BLOCK = 1 << 26
-"""Bytes that a step of a long computation may take beside its input and output."""
+"""Scratch bytes of one step of a blocked computation."""
 
 
 def mask_boxes(masks: np.ndarray) -> np.ndarray:
-    """Bounding boxes int32 [M, 4] of masks bool [M, H, W]: left, top, right, bottom.
+    """Compute bounding boxes int32 [M, 4] of masks bool [M, H, W]: left, top, right, bottom.
 
-    They are in pixels; right and bottom are the first column and row outside, so that areas are
-    products of sides. The box of an empty mask is four zeros.
+    In pixels, with exclusive right and bottom. The box of an empty mask is four zeros.
     """
     sides = []
     for axis in (1, 2):
@@ -28,42 +27,41 @@ def mask_boxes(masks: np.ndarray) -> np.ndarray:
 
 
 def box_nms(boxes: np.ndarray, scores: np.ndarray, iou: float) -> np.ndarray:
-    """Greedy non-maximum suppression: indices int64 [K] of the boxes to keep, best first.
+    """Greedy non-maximum suppression: return indices int64 [K] of the selected boxes, best first.
 
-    From the best score to the worst, a box is kept unless its IoU with a box already kept is above
-    ``iou``; of equal scores the earlier box is better. Boxes [M, 4] are as of :func:`mask_boxes`;
-    the IoU of two boxes without area is 0.
+    A box is suppressed if its IoU with a better selected box is above ``iou``; of equal scores the
+    earlier box is better. Boxes [M, 4] are those of :func:`mask_boxes`; the IoU of two boxes
+    without area is 0.
     """
     order = np.argsort(-scores, kind="stable")
     left, top, right, bottom = boxes[order].astype(np.float64).T
     area = (right - left) * (bottom - top)
     alive = np.ones(len(order), bool)
-    kept = []
+    kept_ranks = []
     for rank in range(len(order)):
         if not alive[rank]:
             continue
-        kept.append(rank)
+        kept_ranks.append(rank)
         rest = rank + 1 + np.flatnonzero(alive[rank + 1 :])
         width = np.minimum(right[rank], right[rest]) - np.maximum(left[rank], left[rest])
         height = np.minimum(bottom[rank], bottom[rest]) - np.maximum(top[rank], top[rest])
         shared = np.maximum(width, 0) * np.maximum(height, 0)
         alive[rest[shared > iou * (area[rank] + area[rest] - shared)]] = False
-    return order[kept]
+    return order[kept_ranks]
 
 
 def mask_nms(
     masks: np.ndarray, scores: np.ndarray, iou: float, nested: float | None = None
 ) -> np.ndarray:
-    """Indices int64 [K] of the masks to keep, best first, without a loop over pairs.
+    """Matrix non-maximum suppression: return indices int64 [K] of the selected masks, best first.
 
-    A mask goes if its IoU with a better one is above ``iou``. With ``nested``, it also goes if it
-    lies inside another one, better or not, with at least 85 % of itself, and is less than the share
-    ``nested`` of that other one. Empty masks go. A mask has its effect whether it stays itself or
-    not: so each pair is judged on its own, and all of them at once. Of equal scores the earlier
-    mask is better.
+    A mask is suppressed if its IoU with a better one is above ``iou``. With ``nested``, it is also
+    suppressed if at least 85 % of it lies inside any other mask of which it covers less than the
+    share ``nested``. Empty masks are suppressed. Suppressed masks suppress others as well, so that
+    all pairs are independent. Of equal scores the earlier mask is better.
 
-    With an IoU of 0.8 and ``nested`` of 0.5 these are the rules by which LangSplat thins SAM's
-    masks (Qin et al., CVPR 2024, in its preprocessing), apart from what it does if none is left.
+    With an IoU of 0.8 and ``nested`` of 0.5 these are the rules of LangSplat's preprocessing (Qin
+    et al., CVPR 2024), except for its behaviour when no mask is left.
 
     Parameters
     ----------
@@ -78,7 +76,7 @@ def mask_nms(
     shared = mask_intersections(masks)[order[:, None], order]
     area = shared.diagonal().copy()
     gone = area == 0
-    # In row i and column j, does mask i rule out mask j?
+    # Row i, column j: mask i suppresses mask j.
     better = np.triu(np.ones(shared.shape, bool), 1)
     gone |= (better & (shared > iou * (area[:, None] + area - shared))).any(0)
     if nested is not None:
@@ -88,12 +86,11 @@ def mask_nms(
 
 
 def mask_intersections(masks: np.ndarray) -> np.ndarray:
-    """Pixels that every two masks share, float64 [M, M] of whole numbers, from bool [M, H, W].
+    """Count the shared pixels of all pairs of masks bool [M, H, W], integers as float64 [M, M].
 
-    It is a matrix product of the flattened masks, exact and the same for any number of threads.
-    Pixels in which all masks are alike are multiplied once and weighed by their count: of
-    photographs, where masks have smooth borders, there are some 10,000 kinds, of noise as many as
-    pixels.
+    A matrix product of the flattened masks, exact for any number of threads. Pixels that all masks
+    treat alike are multiplied once and weighted by their count: masks of photographs have some
+    10,000 kinds of pixels, noise as many as there are pixels.
     """
     count = len(masks)
     pixels = int(np.prod(masks.shape[1:]))
@@ -101,7 +98,7 @@ def mask_intersections(masks: np.ndarray) -> np.ndarray:
     if count == 0 or pixels == 0:
         return out.numpy()
     kinds, weights = _kinds(masks.reshape(count, pixels))
-    # Sums of whole numbers, exact in float32 up to here.
+    # Sums of integers are exact in float32 up to 2^24.
     number = torch.float32 if pixels < 1 << 24 else torch.float64
     step = max(1, BLOCK // (8 * count))
     for start in range(0, len(kinds), step):
@@ -113,9 +110,9 @@ def mask_intersections(masks: np.ndarray) -> np.ndarray:
 
 
 def _kinds(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Different columns of bool [M, P], as packed rows uint8 [K, M / 8], and how often they occur.
+    """Return the distinct columns of bool [M, P] as packed rows uint8 [K, M / 8], and their counts.
 
-    Neighbours are compared first, since that leaves little to sort.
+    Neighbours are compared first, which leaves few columns to sort.
     """
     count, pixels = flat.shape
     starts = np.zeros(pixels, bool)
@@ -134,12 +131,12 @@ def _kinds(flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mostly_visible(masks: np.ndarray, share: float) -> np.ndarray:
-    """Indices int64 [K], ascending, of masks of which larger ones leave at least ``share`` visible.
+    """Select masks of which larger ones leave at least ``share`` visible; ascending int64 [K].
 
-    Every pixel goes to the largest mask that holds it (the earlier one of equally large ones); a
-    mask stays if it won at least that share, 0 to 1, of its pixels. Empty masks go. So whole
-    objects win over their parts: DEVA's suppression of small objects, which Gaussian Grouping uses
-    (Ye et al., ECCV 2024).
+    Every pixel belongs to the largest mask that contains it (of equals, the earlier); a mask is
+    selected if it owns at least that share, 0 to 1, of its pixels. Empty masks are dropped. So
+    objects win over their parts: the suppression of small objects of DEVA, used by Gaussian
+    Grouping (Ye et al., ECCV 2024).
     """
     areas = masks.sum((1, 2))
     winner = np.full(masks.shape[1:], -1)

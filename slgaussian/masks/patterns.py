@@ -1,9 +1,9 @@
-"""Checks, stripes and tiles: the elements of one repeated pattern become one region.
+"""Merging of the elements of repeated patterns, such as checks, stripes and tiles, into a region.
 
-A local border says nothing about patterns: that between two checks is as strong as that between
-two objects. What tells them apart is repetition: beyond a purple check and a white one comes a
-purple one again. Two borders of a region continue each other if what lies beyond them looks the
-same; a chain of such borders, in which both colours return, is a pattern.
+The border between two checks is as strong as that between two objects. What distinguishes a
+pattern is repetition: beyond a purple check and a white one lies another purple one. Two borders of
+a region are linked if the regions beyond them look the same; a chain of linked borders in which
+both colours recur is a pattern.
 """
 
 from __future__ import annotations
@@ -15,22 +15,23 @@ from scipy.sparse.csgraph import connected_components
 from slgaussian.masks.merge import adjacency, plane_gap, plane_sums
 
 ALIKE = 12.0
-"""CIELAB distance of median colours under which two elements look the same."""
+"""CIELAB distance of median colours below which two elements look the same."""
 SIZE_RATIO = 2.5
-"""Elements that touch differ in area by less than this factor, save where an outline cuts one."""
+"""Largest ratio of the areas of adjacent elements, except where an outline cuts one."""
 LARGEST = 0.03
-"""Share of the image that an element can have."""
+"""Largest share of the image of an element."""
 FEWEST = 6
-"""Elements of a pattern. Both colours return from four on, but clutter does that by accident."""
+"""Smallest number of elements of a pattern. Four elements suffice for both colours to recur, but
+that happens by accident in clutter."""
 FLAT = 0.02
-"""Elements that touch are parts of one surface: one plane explains the inverse depth of both, up to
-this share of it. It is loose enough for balls and pillars."""
+"""Largest relative error of inverse depth under one plane for adjacent elements, which must lie on
+one surface. It allows the curvature of balls and pillars."""
 
 
 def join_patterns(
     lab: np.ndarray, regions: np.ndarray, depth: np.ndarray | None = None
 ) -> np.ndarray:
-    """Unite the regions that are elements of one pattern.
+    """Merge the regions that are elements of one pattern.
 
     Parameters
     ----------
@@ -52,31 +53,31 @@ def join_patterns(
     inside = regions >= 0
     index = regions[inside]
     size = np.bincount(index, minlength=count)
-    # Medians: half of a small element's pixels can be blurred with what surrounds it.
-    shown = lab[inside]
-    color = np.stack([_medians(channel, index, size) for channel in shown.T], 1)
+    # Medians: up to half of a small element's pixels can be blurred with its surroundings.
+    pixels = lab[inside]
+    color = np.stack([_medians(channel, index, size) for channel in pixels.T], 1)
     contrast = np.linalg.norm(color[:, None] - color[None], axis=-1)
-    alike = contrast < ALIKE
+    similar = contrast < ALIKE
 
     edges, length, _ = adjacency(regions, np.zeros(regions.shape, np.float32))
     planes = plane_sums(regions, depth, count)
     a, b = edges.T
-    usable = (np.maximum(size[a], size[b]) < LARGEST * regions.size) & ~alike[a, b]
+    usable = (np.maximum(size[a], size[b]) < LARGEST * regions.size) & ~similar[a, b]
     usable[usable] = [plane_gap(planes[u], planes[v]) < FLAT for u, v in edges[usable]]
     even = np.maximum(size[a], size[b]) < SIZE_RATIO * np.minimum(size[a], size[b])
 
     core = usable & even
-    group = _chains(edges[core], (length * contrast[a, b])[core], alike)
-    _take_ends(group, edges[usable], alike, size)
+    group = _chains(edges[core], (length * contrast[a, b])[core], similar)
+    _take_ends(group, edges[usable], similar, size)
     joined = np.unique(group, return_inverse=True)[1].astype(np.int32)
     return np.where(inside, joined[regions], -1)
 
 
 def _medians(values: np.ndarray, index: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Median of float32 ``values`` [P] in each region ``index`` [P]; there are ``size`` [N] of it.
+    """Compute the median of float32 ``values`` [P] in each region ``index`` [P] of ``size`` [N].
 
-    Region and value are one whole number, because those are sorted fast: read as one, a float grows
-    with its value, and falls where it is negative unless its other bits are turned over.
+    Region and value are packed into one integer, because integers sort fast. The bits of a float,
+    read as an integer, are in the order of the values once the bits of negative ones are flipped.
     """
     bits = values.view(np.int32)
     keys = (index.astype(np.int64) << 32) + (bits ^ ((bits >> 31) & 0x7FFFFFFF))
@@ -87,14 +88,14 @@ def _medians(values: np.ndarray, index: np.ndarray, size: np.ndarray) -> np.ndar
     return (values[first + (size - 1) // 2] + values[first + size // 2]) / 2
 
 
-def _chains(edges: np.ndarray, weight: np.ndarray, alike: np.ndarray) -> np.ndarray:
-    """Group of every region, int64 [N]: its own number, or N + k in the pattern k.
+def _chains(edges: np.ndarray, weight: np.ndarray, similar: np.ndarray) -> np.ndarray:
+    """Return the group of every region, int64 [N]: its own number, or N + k in the pattern k.
 
-    Every region goes to the chain with which it shares most border, weighed by contrast: the white
-    checks of two patterns that touch stay with their own, and the blurs of both colours where four
-    checks meet draw none away.
+    Every region joins the chain with which it shares most border, weighted by contrast. So white
+    checks of two adjacent patterns stay with their own pattern, and blurred regions at the corners
+    of checks attract none.
     """
-    count = len(alike)
+    count = len(similar)
     group = np.arange(count)
     if not len(edges):
         return group
@@ -103,44 +104,44 @@ def _chains(edges: np.ndarray, weight: np.ndarray, alike: np.ndarray) -> np.ndar
     number = np.tile(np.arange(len(edges)), 2)
     for region in range(count):
         here = np.flatnonzero(ends[:, 0] == region)
-        first, second = np.nonzero(alike[np.ix_(ends[here, 1], ends[here, 1])])
+        first, second = np.nonzero(similar[np.ix_(ends[here, 1], ends[here, 1])])
         links.append(np.stack([number[here[first]], number[here[second]]]))
     chain = _components(np.concatenate(links, 1), len(edges))
     border = np.zeros((count, chain.max() + 1))
     for side in (0, 1):
         np.add.at(border, (edges[:, side], chain), weight)
-    own = np.where(border.any(1), border.argmax(1), -1)
-    kept = (own[edges] == chain[:, None]).all(1)
-    pattern = _components(edges[kept].T, count)
+    best_chain = np.where(border.any(1), border.argmax(1), -1)
+    supported = (best_chain[edges] == chain[:, None]).all(1)
+    pattern = _components(edges[supported].T, count)
     for members in np.split(np.argsort(pattern), np.cumsum(np.bincount(pattern))[:-1]):
-        # Both colours return: in "red, white, red" the white does not.
-        members = members[alike[np.ix_(members, members)].sum(1) >= 2]
-        if len(members) >= FEWEST and not alike[np.ix_(members, members)].all():
+        # Both colours must recur: in "red, white, red" white does not.
+        members = members[similar[np.ix_(members, members)].sum(1) >= 2]
+        if len(members) >= FEWEST and not similar[np.ix_(members, members)].all():
             group[members] = count + pattern[members[0]]
     return group
 
 
-def _take_ends(group: np.ndarray, edges: np.ndarray, alike: np.ndarray, size: np.ndarray) -> None:
-    """Add to patterns, in place, the elements that an outline cut small.
+def _take_ends(group: np.ndarray, edges: np.ndarray, similar: np.ndarray, size: np.ndarray) -> None:
+    """Add to patterns, in place, the elements that the outline truncates.
 
-    Such an element touches a member and looks like another one beyond it.
+    Such an element touches a member and looks like a member beyond it.
     """
     count = len(group)
     ends = np.concatenate([edges, edges[:, ::-1]])
     neighbours = coo_matrix((np.ones(len(ends), bool), tuple(ends.T)), (count, count)).tocsr()
     while True:
-        taken = {}
+        joined = {}
         for new, member in ends[(group[ends[:, 0]] < count) & (group[ends[:, 1]] >= count)]:
             beyond = neighbours[member].indices
-            twin = alike[new, beyond] & (group[beyond] == group[member])
+            twin = similar[new, beyond] & (group[beyond] == group[member])
             if (twin & (size[new] < SIZE_RATIO * size[beyond])).any():
-                taken[new] = group[member]
-        if not taken:
+                joined[new] = group[member]
+        if not joined:
             return
-        group[list(taken)] = list(taken.values())
+        group[list(joined)] = list(joined.values())
 
 
 def _components(pairs: np.ndarray, count: int) -> np.ndarray:
-    """Connected component of each of ``count`` nodes, from pairs [2, P] of linked ones."""
+    """Return the connected component of each of ``count`` nodes, from pairs [2, P] of links."""
     graph = coo_matrix((np.ones(pairs.shape[1], bool), tuple(pairs)), (count, count))
     return connected_components(graph, directed=False)[1]

@@ -1,4 +1,4 @@
-"""The tracker ``precomputed``: id maps made elsewhere, as by DEVA, Cutie or SAM 3, from files."""
+"""The tracker ``precomputed``: reads id maps of other programs, such as DEVA, Cutie or SAM 3."""
 
 from __future__ import annotations
 
@@ -22,20 +22,19 @@ TOP_PNG = 2**16 - 1
 
 
 class Precomputed(PrecomputedConfig):
-    """Labels out of a folder that holds one id map a view, with ids that agree across views.
+    """Labels from a folder with one id map for each view and consistent ids across views.
 
-    A map is called like its view: for ``images/0013.jpg`` it is ``images/0013.png``, or else
-    ``0013.png``, in the folder; or ``.npy``. Its pixels are ids above 0 of objects, and 0 where
-    there is none:
+    A map has the name of its view: for ``images/0013.jpg`` it is ``images/0013.png``, or else
+    ``0013.png``, in the folder; or ``.npy``. Its pixels are object ids above 0, and 0 elsewhere:
 
     - PNG, grey with up to 16 bits, or a palette: the value is the id;
     - PNG, colours with 8 bits: the id is red + 256 green + 65536 blue, as in COCO's panoptic
       format (https://github.com/cocodataset/panopticapi), so black is 0;
-    - NPY, whole numbers [H, W]: the value is the id.
+    - NPY, integers [H, W]: the value is the id.
 
-    The map may have any size, in the shape of its photograph, and is scaled and cropped as that
-    was; or in the shape of the view. Each pixel takes the id at its centre. Ids are kept as they
-    are, whatever their gaps and holes, and nothing is proposed, merged or voted on.
+    The map may have any size with the aspect ratio of its photograph, and is then scaled and
+    cropped like the photograph; or the aspect ratio of the view. Each pixel takes the id at its
+    centre. Ids do not change, and proposals, merging and voting are skipped.
 
     Attributes
     ----------
@@ -45,8 +44,8 @@ class Precomputed(PrecomputedConfig):
     Raises
     ------
     InputError
-        If there is no such folder. When a map is read: if it is missing, cannot be read, has
-        another type or shape, or is another view's too.
+        If there is no such folder. When a map is read: if it is missing or unreadable, has another
+        type or shape, or also belongs to another view.
     """
 
     final: ClassVar[bool] = True
@@ -63,18 +62,18 @@ class Precomputed(PrecomputedConfig):
         if not self.folder.is_dir():
             raise InputError(f"precomputed folder: there is no folder {str(self.folder)!r}")
 
-    def add(self, seen: SeenView, labels: np.ndarray) -> None:
-        """Remember nothing: the files know better."""
+    def add(self, frame: SeenView, labels: np.ndarray) -> None:
+        """Do nothing: all labels are in the files."""
 
-    def propagate(self, seen: SeenView) -> np.ndarray:
-        """Ids int32 [H, W] of a view, from its file."""
-        view = seen.view
+    def propagate(self, frame: SeenView) -> np.ndarray:
+        """Read the ids int32 [H, W] of a view from its file."""
+        view = frame.view
         file = self._find(view.name)
-        other = self._views.setdefault(file, view.name)
-        if other != view.name:
+        first_view = self._views.setdefault(file, view.name)
+        if first_view != view.name:
             raise InputError(
-                f"{file}: is the id map of both {other!r} and {view.name!r}; put the maps into "
-                f"folders like those of the views, as in {Path(view.name).with_suffix('.png')}"
+                f"{file}: is the id map of both {first_view!r} and {view.name!r}; put the maps "
+                f"into folders like those of the views, as in {Path(view.name).with_suffix('.png')}"
             )
         ids = read_ids(file)
         height, width = view.image.shape[:2]
@@ -89,16 +88,16 @@ class Precomputed(PrecomputedConfig):
         return drawn_on.ids(ids, height, width)
 
     def _find(self, name: str) -> Path:
-        assert self.folder is not None  # looked at when this was made
+        assert self.folder is not None  # checked at construction
         folder, view = self.folder, Path(name)
         nested = folder / view.with_suffix("")
         for base in dict.fromkeys((nested, folder / view.stem)):
-            found = [base.with_name(base.name + s) for s in MAPS]
-            found = [file for file in found if file.is_file()]
-            if len(found) > 1:
-                raise InputError(f"{found[0]}: {found[1].name} is there too; remove one of them")
-            if found:
-                return found[0]
+            files = [base.with_name(base.name + s) for s in MAPS]
+            files = [file for file in files if file.is_file()]
+            if len(files) > 1:
+                raise InputError(f"{files[0]}: {files[1].name} is there too; remove one of them")
+            if files:
+                return files[0]
         raise InputError(
             f"{folder}: has no id map of view {str(view)!r}; expected {view.stem}.png or "
             f"{view.stem}.npy"
@@ -106,9 +105,9 @@ class Precomputed(PrecomputedConfig):
 
 
 def map_names(views: Sequence[str]) -> dict[str, str]:
-    """What the maps of views are called, by view and without suffix, so that they are found.
+    """Return the names of the id maps by view, without suffix.
 
-    The plain names of the views if they are unique, or else with their folders.
+    They are the file names of the views if these are unique, or else include their folders.
 
     Raises
     ------
@@ -133,7 +132,7 @@ def map_names(views: Sequence[str]) -> dict[str, str]:
 
 
 def encode_ids(ids: np.ndarray) -> tuple[str, bytes]:
-    """Suffix and content of the map int32 [H, W]: a grey PNG of 16 bits, or NPY for large ids."""
+    """Encode a map int32 [H, W] as 16-bit grey PNG, or NPY for large ids; return suffix, bytes."""
     from PIL import Image
 
     out = io.BytesIO()
@@ -145,12 +144,12 @@ def encode_ids(ids: np.ndarray) -> tuple[str, bytes]:
 
 
 def read_ids(file: Path) -> np.ndarray:
-    """The ids int32 [H, W] of one map; see :class:`Precomputed`.
+    """Read the ids int32 [H, W] of one map; see :class:`Precomputed`.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or holds anything but ids.
+        If the file cannot be read, or has invalid ids.
     """
     ids = _read_npy(file) if file.suffix == ".npy" else _read_png(file)
     if ids.ndim != 2 or ids.size == 0:
@@ -188,7 +187,7 @@ def _read_png(file: Path) -> np.ndarray:
     if mode == "1":
         return pixels.astype(np.uint8)
     if mode == "L":
-        # Pillow spreads values of 2 and 4 bits over 0 to 255.
+        # Pillow scales values of 2 and 4 bits to 0 to 255.
         return pixels // (255 // (2**bits - 1))
     if mode == "RGB" and bits == 8:
         return pixels @ np.array([1, 256, 65536], np.int32)

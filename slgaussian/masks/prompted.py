@@ -1,6 +1,6 @@
-"""Proposers out of a pretrained model that answers prompts: what is asked of it, and what is kept.
+"""Base class of proposers that prompt a pretrained model.
 
-How it is asked is in :mod:`slgaussian.masks.automatic`.
+The algorithm is in :mod:`slgaussian.masks.automatic`.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ if TYPE_CHECKING:
 
 
 class AutomaticProposer(AutomaticConfig, ABC):
-    """A mask proposer out of a pretrained model that answers points.
+    """A mask proposer that prompts a pretrained model with points.
 
-    An image is encoded once (with crops, each crop too), also if it is proposed for again next with
-    another ``where``; points are asked in batches. The same input gives the same bytes on the same
-    machine.
+    An image is encoded once (with crops, each crop too), even if the next call has the same image
+    with another ``region``. Points are prompted in batches. The same input gives the same bytes on
+    the same machine.
 
     Attributes
     ----------
     model : path or str
         Folder, or name on the Hugging Face hub. Has no default.
     preset : str or Automatic
-        One of :data:`PRESETS` by its name, or settings of your own.
+        A name of :data:`PRESETS`, or custom settings.
     points : int or None
-        Points along each side in place of the preset's: time goes with their square.
+        Points along each side instead of the preset's; time grows with their square.
     level : "s", "m", "l" or "all"
-        Which of the three masks of a point are looked at: part, object, group.
+        Masks of a point that are considered: part, object, group.
     batch : int
-        Points asked together: 30 to 40 MiB each. Fewer are slower, by half if it is 4.
+        Points prompted at a time: 30 to 40 MiB each. A batch of 4 takes half as long again.
     device : str
-        "auto" is "cuda" where there is one, else "cpu". On a CPU all is float32; elsewhere the
-        image encoder runs in bfloat16, while prompts and masks stay float32.
+        "auto" is "cuda" if available, else "cpu". On a CPU all is float32; elsewhere the image
+        encoder runs in bfloat16, while prompts and masks stay float32.
 
     Raises
     ------
@@ -66,40 +66,41 @@ class AutomaticProposer(AutomaticConfig, ABC):
 
     @property
     def network(self) -> Any:
-        """The model of ``transformers``, on its device."""
+        """Model of ``transformers``, on its device."""
         return self._network
 
     @abstractmethod
     def encode(self, image: np.ndarray) -> PromptedImage:
-        """Encode an image uint8 [H, W, 3], so that points in it can be asked for."""
+        """Encode an image uint8 [H, W, 3] for prompts."""
 
-    def propose(self, seen: SeenView, where: np.ndarray | None = None) -> Proposals:
+    def propose(self, frame: SeenView, region: np.ndarray | None = None) -> Proposals:
         """Propose masks for a view; see :class:`slgaussian.masks.MaskProposer`.
 
-        Only grid points in ``where`` are asked; their masks may reach beyond it. Depth is not
-        looked at. Scores are predicted IoU times stability.
+        Only grid points in ``region`` are prompted; their masks may extend beyond it. Depth is not
+        used. Scores are predicted IoU times stability.
 
         Raises
         ------
         InputError
-            If ``where`` has the wrong type or size.
+            If ``region`` has the wrong type or size.
         """
-        image = seen.image
-        if where is not None and (where.dtype != bool or where.shape != image.shape[:2]):
+        image = frame.image
+        if region is not None and (region.dtype != bool or region.shape != image.shape[:2]):
             raise InputError(
-                f"propose where: found {where.dtype} {where.shape}, expected bool {image.shape[:2]}"
+                f"propose region: found {region.dtype} {region.shape}, expected bool "
+                f"{image.shape[:2]}"
             )
         settings = self.preset if isinstance(self.preset, Automatic) else PRESETS[self.preset]
         if self.points is not None:
             settings = replace(settings, points=self.points)
         levels = LEVELS if self.level == "all" else (self.level,)
 
-        # Left to itself, cuDNN chooses algorithms by a race, so results may differ in the last bit.
+        # By default cuDNN benchmarks its algorithms, so results may differ in the last bit.
         quiet = torch.backends.cudnn.flags(benchmark=False)
         with torch.inference_mode(), quiet, inside(self.network):
             if _content(image) not in self._encoded:
                 self._encoded.clear()
-            return all_masks(self._encode_once, image, settings, where, levels, self.batch)
+            return all_masks(self._encode_once, image, settings, region, levels, self.batch)
 
     def _encode_once(self, image: np.ndarray) -> PromptedImage:
         content = _content(image)

@@ -2,39 +2,51 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import torch
 from pydantic import PrivateAttr
+from torch.nn import functional as F
 
 from slgaussian.components.pretrained import Family, load_pretrained
+from slgaussian.kernels.threads import inside
 from slgaussian.masks.configs import Sam2VideoConfig
-from slgaussian.masks.video_memory import VideoMemory
+from slgaussian.masks.geometric import check_labels
+from slgaussian.masks.sam_image import normalised
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
 
 
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    labels: np.ndarray
+    features: dict[str, Any]
+
+
 class Sam2Video(Sam2VideoConfig):
-    """Carries labels from view to view as SAM 2 carries objects through a video.
+    """Tracks objects from view to view as SAM 2 tracks objects through a video.
 
-    Remembered frames are its conditioning frames: the mask of every object there is its prompt.
-    A new view is the frame after them. Objects do not know of each other, so each pixel goes to the
-    object with the largest logit, and to none where no logit is positive; of equal ones the lowest
-    id has it. Neither camera nor depth is read. Views may differ in size.
+    Remembered frames are its conditioning frames; the mask of each object there is a prompt. A new
+    view is the frame after them. Objects are tracked independently, so each pixel takes the object
+    with the largest logit, and none where no logit is positive; ties go to the lowest id. Neither
+    camera nor depth is used. Views may differ in size.
 
-    Each image is encoded once. Objects are asked about in batches, so memory does not grow with
-    their number: 100 MiB a remembered view, and 60 MiB for each object of a batch. A view asked for
-    again gives the same answer until another frame is remembered.
+    Each image is encoded once. Objects are tracked in batches, so memory does not grow with their
+    number: 100 MiB for each remembered view and 60 MiB for each object of a batch. The same view
+    gives the same labels until another frame is remembered.
 
     Attributes
     ----------
     model : path or str
         Folder, or name on the Hugging Face hub. Has no default.
     batch : int
-        Objects that are tracked at a time.
+        Number of objects that are tracked at a time.
     device : str
-        As PyTorch names it; "auto" is "cuda" where there is one, else "cpu".
+        As PyTorch names it; "auto" is "cuda" if available, else "cpu".
 
     Raises
     ------
@@ -49,14 +61,15 @@ class Sam2Video(Sam2VideoConfig):
     device: str = "auto"
     final: ClassVar[bool] = False
     repeatable: ClassVar[bool] = True
-    _memory: VideoMemory = PrivateAttr()
+    _network: Any = PrivateAttr()
+    _frames: list[_Frame] = PrivateAttr(default_factory=list)
+    _encoded: list[tuple[np.ndarray, dict[str, Any]]] = PrivateAttr(default_factory=list)
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
-        network = load_pretrained(self.model, self.FAMILY, self.device)
-        self._memory = VideoMemory(network, self.batch)
+        self._network = load_pretrained(self.model, self.FAMILY, self.device)
 
-    def add(self, seen: SeenView, labels: np.ndarray) -> None:
+    def add(self, frame: SeenView, labels: np.ndarray) -> None:
         """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
 
         Raises
@@ -64,8 +77,95 @@ class Sam2Video(Sam2VideoConfig):
         InputError
             If the labels are not int32 of the view's size, or negative.
         """
-        self._memory.add(seen.view, labels)
+        check_labels(frame.view, labels)
+        self._frames.append(_Frame(labels.copy(), self._features(frame.image)))
 
-    def propagate(self, seen: SeenView) -> np.ndarray:
-        """Labels int32 [H, W] for a view; see :class:`slgaussian.masks.MaskTracker`."""
-        return self._memory.propagate(seen.view)
+    @torch.inference_mode()
+    def propagate(self, frame: SeenView) -> np.ndarray:
+        """Return labels int32 [H, W] of a view; see :class:`slgaussian.masks.MaskTracker`."""
+        features = self._features(frame.image)
+        size = frame.image.shape[:2]
+        best = torch.zeros(size, device=self._network.device)
+        labels = torch.zeros(size, dtype=torch.int32, device=self._network.device)
+        with inside(self._network):
+            for number, logit in sorted(self._track(features).items()):
+                enlarged = F.interpolate(logit[None, None], size, mode="bilinear")[0, 0]
+                wins = enlarged > best
+                best = torch.where(wins, enlarged, best)
+                labels[wins] = number
+        return labels.cpu().numpy()
+
+    def _features(self, image: np.ndarray) -> dict[str, Any]:
+        """Encode an image uint8 [H, W, 3], resized to the network's square input.
+
+        Features of frames and of the latest other image are cached: the labels of that image are
+        usually remembered next.
+        """
+        for cached_image, features in self._encoded:
+            if np.array_equal(cached_image, image):
+                return features
+        side = self._network.image_size
+        pixels = normalised(image, (side, side)).to(self._network.device)
+        with torch.inference_mode(), inside(self._network):
+            out = self._network.get_image_features(pixels, return_dict=True)
+        features = {
+            "vision_feats": out.fpn_hidden_states,
+            "vision_pos_embeds": out.fpn_position_encoding,
+        }
+        used = [frame.features for frame in self._frames]
+        self._encoded = [entry for entry in self._encoded if any(entry[1] is u for u in used)]
+        self._encoded.append((image.copy(), features))
+        return features
+
+    def _track(self, features: dict[str, Any]) -> dict[int, torch.Tensor]:
+        """Compute logits float32 [h, w] of every remembered object in a new frame."""
+        logits: dict[int, torch.Tensor] = {}
+        for frames, numbers in self._groups().items():
+            for start in range(0, len(numbers), self.batch):
+                batch = numbers[start : start + self.batch]
+                logits.update(zip(batch, self._infer(frames, batch, features), strict=True))
+        return logits
+
+    def _groups(self) -> dict[tuple[int, ...], list[int]]:
+        """Group objects by the set of frames that show them: frames -> ascending ids.
+
+        The network runs each frame for all objects of a session. The objects of a group are
+        prompted in all of its frames, so none is tracked into an earlier frame.
+        """
+        frames_of: dict[int, list[int]] = {}
+        for index, frame in enumerate(self._frames):
+            for number in np.unique(frame.labels[frame.labels > 0]).tolist():
+                frames_of.setdefault(number, []).append(index)
+        groups: dict[tuple[int, ...], list[int]] = {}
+        for number in sorted(frames_of):
+            groups.setdefault(tuple(frames_of[number]), []).append(number)
+        return groups
+
+    def _infer(
+        self, frames: Sequence[int], numbers: Sequence[int], features: dict[str, Any]
+    ) -> torch.Tensor:
+        """Compute logits float32 [N, h, w] of N objects in the frame of ``features``."""
+        from transformers.models.sam2_video.modeling_sam2_video import Sam2VideoInferenceSession
+
+        device, side = self._network.device, self._network.image_size
+        encoded = [self._frames[index].features for index in frames] + [features]
+        session = Sam2VideoInferenceSession(
+            inference_device=device,
+            inference_state_device=device,
+            dtype=torch.float32,  # its default, a string, is refused by its own calls
+            max_vision_features_cache_size=len(encoded),
+        )
+        for position, frame_features in enumerate(encoded):
+            # The session counts frames and does not read those with cached features.
+            session.add_new_frame(torch.empty(0), position)
+            session.cache.cache_vision_features(position, frame_features)
+        for position, index in enumerate(frames):
+            labels = torch.from_numpy(self._frames[index].labels)
+            for number in numbers:
+                mask = (labels == number)[None, None].float()
+                mask = F.interpolate(mask, (side, side), mode="bilinear", antialias=True) >= 0.5
+                session.add_mask_inputs(session.obj_id_to_idx(number), position, mask)
+            session.obj_with_new_inputs = list(numbers)
+            self._network(session, frame_idx=position)
+        logits = self._network(session, frame_idx=len(frames)).pred_masks
+        return logits.reshape(len(numbers), *logits.shape[-2:]).float()

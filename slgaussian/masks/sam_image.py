@@ -1,4 +1,4 @@
-"""Images as SAM and SAM 2 out of ``transformers`` encode them, and what they answer to points."""
+"""Image encoding and point prompts of SAM and SAM 2 from ``transformers``."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from PIL import Image
 from torch.nn import functional as F
 
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Mean and deviation of the colours of ImageNet, in [0, 1]: all SAM models normalise by them."""
+"""Mean and standard deviation of ImageNet colours in [0, 1], by which SAM models normalise."""
 
 
 def pixel_values(image: np.ndarray, side: int) -> tuple[torch.Tensor, tuple[int, int]]:
-    """Network input float32 [1, 3, side, side] of an image, and the height and width used of it.
+    """Return the network input float32 [1, 3, side, side] of an image, and its used height, width.
 
-    The longest side becomes ``side`` and the rest below or on the right is 0, the mean colour.
+    The longest side is resized to ``side``; the bottom or right is padded with 0, the mean colour.
     """
     height, width = image.shape[:2]
     scale = side / max(height, width)
@@ -27,14 +27,14 @@ def pixel_values(image: np.ndarray, side: int) -> tuple[torch.Tensor, tuple[int,
 
 
 def normalised(image: np.ndarray, size: tuple[int, int]) -> torch.Tensor:
-    """Float32 [1, 3, *size] of an image uint8 [H, W, 3]: resized bilinearly, mean 0, variance 1."""
+    """Resize an image uint8 [H, W, 3] bilinearly and normalise it, float32 [1, 3, *size]."""
     resized = Image.fromarray(image).resize(size[::-1], Image.Resampling.BILINEAR)
     pixels = torch.from_numpy(np.array(resized, np.float32)).permute(2, 0, 1)[None] / 255
     return (pixels - torch.tensor(MEAN).view(3, 1, 1)) / torch.tensor(STD).view(3, 1, 1)
 
 
 def encoder_precision(device: torch.device) -> torch.autocast:
-    """The context in which images are encoded: bfloat16 on accelerators, else float32."""
+    """Return the autocast context of the image encoder: bfloat16 on accelerators, else float32."""
     return torch.autocast(device.type, torch.bfloat16, enabled=device.type != "cpu")
 
 
@@ -49,7 +49,7 @@ class SamImage:
     size : (int, int)
         Height and width of the image.
     used : (int, int)
-        Height and width that it has in the network's input.
+        Height and width of the image in the network's input.
     """
 
     network: Any
@@ -58,19 +58,19 @@ class SamImage:
     used: tuple[int, int]
 
     def segment(self, points: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
-        """Each point is a prompt of its own, in the foreground, and gives three masks."""
+        """Prompt with each point separately, as foreground, for three masks each."""
         scaled = points * (self.used[1] / self.size[1], self.used[0] / self.size[0])
         prompts = torch.from_numpy(scaled.astype(np.float32)).to(self.network.device)
-        found = self.network(
+        output = self.network(
             image_embeddings=self.embedding,
             input_points=prompts[None, :, None],
             input_labels=torch.ones(1, len(points), 1, dtype=torch.int64, device=prompts.device),
             multimask_output=True,
         )
-        return found.pred_masks[0].float(), found.iou_scores[0].float()
+        return output.pred_masks[0].float(), output.iou_scores[0].float()
 
     def enlarge(self, logits: torch.Tensor) -> torch.Tensor:
-        """First to the size of the network's input, whose padding is then cut off."""
+        """Resize to the network's input, crop its padding, and resize to the image."""
         side = self.network.config.prompt_encoder_config.image_size
         large = F.interpolate(logits[:, None], (side, side), mode="bilinear")
         large = large[:, :, : self.used[0], : self.used[1]]
@@ -81,5 +81,5 @@ class Sam2Image(SamImage):
     """An encoded image; ``embedding`` is a list of three, from fine to coarse."""
 
     def enlarge(self, logits: torch.Tensor) -> torch.Tensor:
-        """At once to the size of the image."""
+        """Resize directly to the image."""
         return F.interpolate(logits[:, None], self.size, mode="bilinear")[:, 0]

@@ -1,4 +1,4 @@
-"""Which pixels of several photographs show the same points, by cameras and predicted depth."""
+"""Correspondences between pixels of several photographs by cameras and predicted depth."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
 
 STRIDE = 3
-"""Every third pixel of every third row speaks for its neighbours: a crumb still has three."""
+"""Spacing of the lattice of pixels: a crumb still contains three."""
 COARSE = 4
-"""Of these again every fourth in both directions are enough to tell how far two views overlap."""
+"""Spacing of the coarser lattice, in points of the finer one, that measures overlap."""
 AGREE_PIXELS = 4.0
-"""How far there and back, through the two depth maps, may miss; as in the geometric tracker."""
+"""Largest forward-backward reprojection error, pixels; as in the geometric tracker."""
 LOOK = 25.0
-"""CIELAB distance at which pixels do not show the same thing, exposure aside."""
+"""Largest CIELAB distance of corresponding pixels, after compensation of exposure."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """The points of the surfaces that a photograph shows, on a lattice of its pixels.
+    """Surface points of a photograph on a lattice of its pixels.
 
     Attributes
     ----------
-    seen : SeenView
+    frame : SeenView
         With depth.
     """
 
-    seen: SeenView
+    frame: SeenView
 
     @cached_property
     def pixels(self) -> np.ndarray:
-        """Index in the flat image of the L pixels of the lattice that have a depth, int64 [L]."""
-        return _lattice(self.seen.require_depth(), STRIDE)
+        """Indices in the flat image of the L lattice pixels with depth, int64 [L]."""
+        return _lattice(self.frame.require_depth(), STRIDE)
 
     @cached_property
-    def few(self) -> np.ndarray:
-        """Index in the flat image of those of a coarser lattice, int64."""
-        return _lattice(self.seen.require_depth(), STRIDE * COARSE)
+    def coarse_pixels(self) -> np.ndarray:
+        """Indices in the flat image of the pixels of a coarser lattice, int64."""
+        return _lattice(self.frame.require_depth(), STRIDE * COARSE)
 
     def lifted(self, pixels: np.ndarray) -> np.ndarray:
-        """The points float64 [L, 3] in the world at ``pixels`` int64 [L] of the flat image."""
-        camera, depth = self.seen.view.camera, self.seen.require_depth()
+        """Unproject ``pixels`` int64 [L] of the flat image to world points, float64 [L, 3]."""
+        camera, depth = self.frame.view.camera, self.frame.require_depth()
         row, column = np.divmod(pixels, depth.shape[1])
         rays = np.stack([column + 0.5, row + 0.5, np.ones(len(pixels))], 1)
         rays = rays @ np.linalg.inv(camera.K).T @ camera.c2w[:3, :3].T
@@ -58,40 +58,40 @@ def _lattice(depth: np.ndarray, stride: int) -> np.ndarray:
 
 
 def met(a: SurfacePoints, b: SurfacePoints, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where view ``b`` shows what ``a`` shows at ``pixels`` int64 [L] of its flat image.
+    """Find the pixels of view ``b`` that correspond to ``pixels`` int64 [L] of view ``a``.
 
-    The pixel that a point falls on must lead back, by the depth of ``b``, and look alike: surfaces
-    that hide each other do not, nor do those of another place.
+    The pixel that a point projects to must project back by the depth of ``b`` and have a similar
+    colour. Occluded surfaces fail the first test, surfaces of another place the second.
 
     Returns
     -------
     which : int64 [M]
-        The pixels that ``b`` shows too, as rows of ``pixels``.
+        Indices of the matched elements of ``pixels``.
     place : int64 [M]
-        Where, as an index in the flat image of ``b``.
+        Their pixels as indices in the flat image of ``b``.
     """
-    height, width = b.seen.image.shape[:2]
-    landed, z = b.seen.view.camera.project(a.lifted(pixels))
+    height, width = b.frame.image.shape[:2]
+    landed, z = b.frame.view.camera.project(a.lifted(pixels))
     inside = (z > 0) & (landed >= 0).all(1) & (landed < (width, height)).all(1)
     which = np.flatnonzero(inside)
     column, row = landed[which].astype(np.int64).T
     place = row * width + column
-    back, z = a.seen.view.camera.project(b.lifted(place))
-    row, column = np.divmod(pixels[which], a.seen.image.shape[1])
+    back, z = a.frame.view.camera.project(b.lifted(place))
+    row, column = np.divmod(pixels[which], a.frame.image.shape[1])
     error = np.hypot(back[:, 0] - column - 0.5, back[:, 1] - row - 0.5)
-    same = (b.seen.require_depth().ravel()[place] > 0) & (z > 0) & (error <= AGREE_PIXELS)
+    same = (b.frame.require_depth().ravel()[place] > 0) & (z > 0) & (error <= AGREE_PIXELS)
     which, place = which[same], place[same]
     gap = _lab(a, pixels[which]) - _lab(b, place)
     if len(which):
-        gap -= np.median(gap, 0)  # another exposure or white balance is no other thing
-    alike = np.linalg.norm(gap, axis=1) < LOOK
-    return which[alike], place[alike]
+        gap -= np.median(gap, 0)  # compensates exposure and white balance
+    similar = np.linalg.norm(gap, axis=1) < LOOK
+    return which[similar], place[similar]
 
 
 def overlap(a: SurfacePoints, b: SurfacePoints) -> float:
-    """Share of what view ``a`` shows that ``b`` shows too, of a few points."""
-    return len(met(a, b, a.few)[0]) / max(len(a.few), 1)
+    """Estimate the share of the surface in view ``a`` that is visible in ``b``."""
+    return len(met(a, b, a.coarse_pixels)[0]) / max(len(a.coarse_pixels), 1)
 
 
 def _lab(points: SurfacePoints, pixels: np.ndarray) -> np.ndarray:
-    return points.seen.view.lab.reshape(-1, 3)[pixels]
+    return points.frame.view.lab.reshape(-1, 3)[pixels]

@@ -1,4 +1,4 @@
-"""From context photographs to Gaussians: the predictors and how to get one by name."""
+"""Predictors of Gaussians from context photographs, and their loader by name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from slgaussian.components.registry import load_component
 
-if TYPE_CHECKING:  # the names of predictors are asked for where nobody waits for torch
+if TYPE_CHECKING:  # names of predictors are read where torch is not imported
     from slgaussian.cameras.match_graph import MatchGraph
     from slgaussian.gaussians import Gaussians
     from slgaussian.scene import Sample
@@ -19,18 +19,18 @@ PREDICTORS = {
 
 
 class GaussianPredictor(Protocol):
-    """Anything that turns the context views of a sample into Gaussians."""
+    """A callable from the context views of a sample to Gaussians."""
 
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
         """Predict Gaussians in the world frame of the sample; targets must not be read.
 
-        Whatever is drawn at random depends on ``seed`` and on what the context views show.
-        ``graph`` holds their matches; whoever needs them finds them if it is left out.
+        Random numbers depend on ``seed`` and the content of the context views. ``graph`` holds
+        their matches; without it, a predictor that needs matches computes them.
         """
 
 
 class Depths(NamedTuple):
-    """How many depth candidates were compared in all views, and how many the settings allow."""
+    """Number of depth candidates that were compared in all views, and the number allowed."""
 
     tried: int
     possible: int
@@ -38,16 +38,16 @@ class Depths(NamedTuple):
 
 @runtime_checkable
 class CountingPredictor(GaussianPredictor, Protocol):
-    """One that compares depths and counts them; no predictor has to."""
+    """A predictor that counts the depth candidates that it compares."""
 
     def counted(
         self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None
     ) -> tuple[Gaussians, Depths]:
-        """What a call gives, and the depths that it took."""
+        """Predict as by a call, and count the depth candidates."""
 
 
 def load_predictor(name: str = "planesweep", **settings: Any) -> GaussianPredictor:
-    """Make the predictor called ``name``; ``settings`` are its own (see its class).
+    """Load the predictor ``name``; ``settings`` are the fields of its class.
 
     Raises
     ------

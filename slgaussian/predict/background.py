@@ -1,7 +1,7 @@
-"""Gaussians for what no view sees: beyond the images' borders, and behind what is in front.
+"""Gaussians for unseen regions: beyond the image borders, and behind foreground surfaces.
 
-The scene goes on there, and a view from between the photographs shows some of it. It is a guess:
-the nearest surface, continued at its depth in its colour.
+Novel views between the photographs show parts of these regions. The nearest surface is extrapolated
+at its depth in its colour.
 """
 
 from __future__ import annotations
@@ -16,34 +16,34 @@ from slgaussian.predict.unproject import THICKNESS
 from slgaussian.scene import Camera
 
 BLOCK = 4
-"""Pixels along a side of the block that each of these Gaussians stands for."""
+"""Side of the block of pixels that each of these Gaussians covers."""
 
 SPREAD = 0.5
-"""Standard deviation of one, in blocks."""
+"""Standard deviation of such a Gaussian, in blocks."""
 
 MARGIN = 0.07
-"""How far beyond the border a view is continued, as a share of its longer side."""
+"""Width of the extrapolated margin, as a share of the longer side of the image."""
 
 EDGE = 6.0
-"""Candidates between the nearest and the farthest surface in a neighbourhood of blocks from which
-the far one is continued behind the near one."""
+"""Depth step within a neighbourhood of blocks, in candidate steps, from which the far surface is
+extrapolated behind the near one."""
 
 BEHIND = 0.03
-"""Share of its depth by which a point must lie behind what a view shows, to be hidden there."""
+"""Relative depth by which a point must lie behind the surface of a view to count as occluded."""
 
 OPACITY_BEYOND = 0.6
 OPACITY_BEHIND = 0.3
-"""The first closes a surface by itself. The second is faint, for it shines through what is in front
-of it; it colours what would be black."""
+"""Opacities of the two kinds. The first closes a surface by itself. The second is faint because it
+shines through the foreground; it fills regions that would be black."""
 
 
-def hidden(
+def continue_surfaces(
     cameras: Sequence[Camera],
     colors: Sequence[np.ndarray],
     inverse_depths: Sequence[np.ndarray],
     steps: Sequence[float],
 ) -> Gaussians:
-    """Continue the surfaces of every view to where no other view says what is there.
+    """Extrapolate the surfaces of every view into regions that no other view shows.
 
     Parameters
     ----------
@@ -57,13 +57,13 @@ def hidden(
     Returns
     -------
     Gaussians
-        Some per cent of V * H * W. ``source`` is the pixel that each continues: it has the depth
-        of that pixel, its colour or that of its block, and should have its label.
+        Some per cent of V * H * W. ``source`` is the pixel that each extrapolates: the Gaussian has
+        the depth of that pixel, its colour or that of its block, and should have its label.
     """
     parts = []
     for i, camera in enumerate(cameras):
-        beyond = _beyond(colors[i], inverse_depths[i])
-        behind = _behind(colors[i], inverse_depths[i], EDGE * steps[i])
+        beyond = _blocks_beyond_borders(colors[i], inverse_depths[i])
+        behind = _blocks_behind_edges(colors[i], inverse_depths[i], EDGE * steps[i])
         opacity = np.repeat([OPACITY_BEYOND, OPACITY_BEHIND], [len(beyond[0]), len(behind[0])])
         centre, pixel, rgb = (np.concatenate(p) for p in zip(beyond, behind, strict=True))
         column, row = pixel.T
@@ -71,9 +71,9 @@ def hidden(
         rays = np.concatenate([centre, np.ones((len(centre), 1))], 1) @ np.linalg.inv(camera.K).T
         means = camera.center + (rays * depth[:, None]) @ camera.c2w[:3, :3].T
         unseen = np.ones(len(means), bool)
-        for j, other in enumerate(cameras):
+        for j, camera_j in enumerate(cameras):
             if j != i:
-                unseen &= _unseen(means, other, inverse_depths[j])
+                unseen &= _is_unseen(means, camera_j, inverse_depths[j])
         width = SPREAD * BLOCK * depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
         turn = Rotation.from_matrix(camera.c2w[:3, :3]).as_quat()[[3, 0, 1, 2]]
         scales = width[:, None] * (1, 1, THICKNESS)
@@ -85,15 +85,15 @@ def hidden(
             "opacities": opacity,
             "sh": rgb,
         }
-        made = {name: values[unseen].astype(np.float32) for name, values in fields.items()}
-        made["sh"] = rgb_to_sh(made["sh"])
-        made["source"] = source[unseen].astype(np.int32)
-        parts.append(Gaussians.from_arrays(made))
+        arrays = {name: values[unseen].astype(np.float32) for name, values in fields.items()}
+        arrays["sh"] = rgb_to_sh(arrays["sh"])
+        arrays["source"] = source[unseen].astype(np.int32)
+        parts.append(Gaussians.from_arrays(arrays))
     return Gaussians.concatenated(parts)
 
 
-def _beyond(color: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Blocks around the image: their centres (x, y), the pixels nearest to them, and colours."""
+def _blocks_beyond_borders(color: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return blocks around the image: their centres (x, y), nearest pixels, and colours."""
     H, W = inverse_depth.shape
     blocks = int(np.ceil(MARGIN * max(H, W) / BLOCK))
     x, y = ((np.arange(-blocks, size // BLOCK + 1 + blocks) + 0.5) * BLOCK for size in (W, H))
@@ -104,18 +104,20 @@ def _beyond(color: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, .
     return centre, pixel, color[pixel[:, 1], pixel[:, 0]]
 
 
-def _behind(color: np.ndarray, inverse_depth: np.ndarray, edge: float) -> tuple[np.ndarray, ...]:
-    """Blocks at depth edges, likewise; their pixels are the farthest of the nine blocks around."""
+def _blocks_behind_edges(
+    color: np.ndarray, inverse_depth: np.ndarray, edge: float
+) -> tuple[np.ndarray, ...]:
+    """Return blocks at depth edges likewise, with the farthest pixel of the 3x3 blocks around."""
     H, W = (-(-size // BLOCK) for size in inverse_depth.shape)
     ragged = [(0, -size % BLOCK) for size in inverse_depth.shape]
     padded = np.pad(inverse_depth, ragged, "edge").reshape(H, BLOCK, W, BLOCK)
     tiles = padded.transpose(0, 2, 1, 3).reshape(H, W, BLOCK * BLOCK)
     farthest = tiles.argmin(-1)
     rows, columns = np.arange(H)[:, None], np.arange(W)
-    least = tiles.min(-1)
-    best, best_row = least.copy(), rows * BLOCK + farthest // BLOCK
+    minimum = tiles.min(-1)
+    best, best_row = minimum.copy(), rows * BLOCK + farthest // BLOCK
     best_column = columns * BLOCK + farthest % BLOCK
-    around = np.pad(np.stack([least, best_row, best_column]), ((0, 0), (1, 1), (1, 1)), "edge")
+    around = np.pad(np.stack([minimum, best_row, best_column]), ((0, 0), (1, 1), (1, 1)), "edge")
     for dy in range(3):
         for dx in range(3):
             w, row, column = around[:, dy : dy + H, dx : dx + W]
@@ -130,8 +132,8 @@ def _behind(color: np.ndarray, inverse_depth: np.ndarray, edge: float) -> tuple[
     return centre, pixel, color[pixel[:, 1], pixel[:, 0]]
 
 
-def _unseen(points: np.ndarray, camera: Camera, inverse_depth: np.ndarray) -> np.ndarray:
-    """Which points [M, 3] lie outside a view or behind what it shows, bool [M]."""
+def _is_unseen(points: np.ndarray, camera: Camera, inverse_depth: np.ndarray) -> np.ndarray:
+    """Return the mask of points [M, 3] outside a view or behind its surface, bool [M]."""
     pixels, z = camera.project(points)
     size = camera.width, camera.height
     inside = (z > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)

@@ -1,11 +1,11 @@
 """Matching cost of every pixel at every inverse depth: zero-mean NCC and census, in Numba.
 
 A candidate warps the source view into the reference by its plane-sweep homography (Collins 1996),
-so nothing has to be rectified. Windows reach past the border by repeating the border pixel.
+without rectification. Windows are padded at the border by replication.
 
-The loops over x are written so that the compiler vectorises them: one gather a warped pixel, window
-sizes known to it, and costs of one candidate side by side until the end of a block. No
-``fastmath``: with it two compilations of this source were seen to give different bytes.
+The loops over x vectorise: one gather for each warped pixel, constant window sizes, and contiguous
+costs of one candidate within a block. No ``fastmath``: with it two compilations of this source gave
+different bytes.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
 
 OUTSIDE = 60
-"""Cost of a candidate that lands outside the source: better than a bad match, worse than a good."""
+"""Cost of a candidate outside the source image: between a bad match and a good one."""
 
 RADIUS = 2
-"""Half the size of the square window of both terms."""
+"""Half the side of the square window of both terms."""
 
 CENSUS_WEIGHT = 0.4
 
 BLOCK = 16
-"""Image rows a thread works on at once, so that its slice of the volume stays in cache."""
+"""Image rows of a work item, so that its slice of the volume stays in cache."""
 
 _SIDE = 2 * RADIUS + 1
 _AREA = np.float32(_SIDE**2)
-# A grey level of sensor noise: keeps the correlation of a blank window near 0.
+# Variance of one grey level of sensor noise: keeps the correlation of a blank window near 0.
 _FLOOR = np.float32(_SIDE**2)
 
 
@@ -43,7 +43,7 @@ def matching_cost(
     inverse_depths: np.ndarray,
     census_weight: float = CENSUS_WEIGHT,
 ) -> np.ndarray:
-    """Cost volume of a reference view against one source view.
+    """Compute the cost volume of a reference view against one source view.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def matching_cost(
     inverse_depths : float64 [D]
         Candidates.
     census_weight : float
-        Share of the census term, 0 to 1; ZNCC gets the rest.
+        Weight of the census term, 0 to 1; ZNCC has the rest.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def matching_cost(
         share of differing census bits times 200. :data:`OUTSIDE` where a candidate lands outside
         the source or behind it.
     """
-    # Kernels count pixel centres at 0: shift once here instead of for every pixel.
+    # Kernels have pixel centres at integers: shift once here instead of for every pixel.
     centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
     away = np.linalg.inv(centre)
     volume = np.empty((*src.shape, len(inverse_depths)), np.uint8)
@@ -82,11 +82,11 @@ def matching_cost(
     return volume
 
 
-def combine(costs: Sequence[np.ndarray]) -> np.ndarray:
-    """One cost volume of those of several sources: the mean of the better half, uint8 [H, W, D].
+def combine_costs(costs: Sequence[np.ndarray]) -> np.ndarray:
+    """Combine the cost volumes of several sources: the mean of the better half, uint8 [H, W, D].
 
-    What is hidden or outside in one source may be seen in another; the least alone would reward
-    accidents. Sources that a candidate lands outside of have no say, unless all are such.
+    The better half is robust to occlusion in some sources; the minimum alone would reward
+    accidental matches. Sources with the candidate outside the image are ignored, unless all are.
     """
     if len(costs) == 1:
         return costs[0]
@@ -103,21 +103,21 @@ def _combine(counter, costs, out):
     while y < H:
         for x in range(W):
             for d in range(D):
-                seen = 0
+                count = 0
                 for s in range(S):
                     cost = np.int32(costs[s, y, x, d])
                     if cost == OUTSIDE:
                         continue
-                    k = seen
+                    k = count
                     while k > 0 and sorted_costs[k - 1] > cost:
                         sorted_costs[k] = sorted_costs[k - 1]
                         k -= 1
                     sorted_costs[k] = cost
-                    seen += 1
-                if seen == 0:
+                    count += 1
+                if count == 0:
                     out[y, x, d] = OUTSIDE
                     continue
-                half = min(seen, (S + 1) // 2)
+                half = min(count, (S + 1) // 2)
                 total = half // 2
                 for k in range(half):
                     total += sorted_costs[k]
@@ -126,39 +126,40 @@ def _combine(counter, costs, out):
 
 
 def _squares(image: np.ndarray) -> np.ndarray:
-    """Each pixel with its right, lower and lower right neighbours, a byte each: uint32 [H, W]."""
+    """Pack each pixel with its right, lower and lower right neighbours into uint32 [H, W]."""
     wide = np.pad(image, ((0, 1), (0, 1)), mode="edge").astype(np.uint32)
     return wide[:-1, :-1] | wide[:-1, 1:] << 8 | wide[1:, :-1] << 16 | wide[1:, 1:] << 24
 
 
 @intrinsic
 def _count_ones(typing, bits):
-    """Number of bits set in an integer."""
+    """Count the bits set in an integer."""
     return bits(bits), lambda context, builder, signature, args: builder.ctpop(args[0])
 
 
 @kernel
 def _warp_row(squares, A, e, w, y, at, du, dv, out, inside):
-    """Row ``y`` of the reference as the source shows it at inverse depth ``w``.
+    """Warp the source into row ``y`` of the reference at inverse depth ``w``.
 
-    ``inside`` [W] says where it is inside the source and in front of it; the rest are scratch.
+    Writes the samples to ``out`` [W] and to ``inside`` [W] whether they lie inside the source and
+    in front of it; ``at``, ``du`` and ``dv`` are scratch.
     """
     H, W = squares.shape
     flat = squares.ravel()
     right, bottom = np.float32(W - 1), np.float32(H - 1)
     half = np.float32(0.5)
-    zero, one = np.float32(0), np.float32(1)
+    zero, unity = np.float32(0), np.float32(1)
     ax, ay, az = A[0, 0], A[1, 0], A[2, 0]
-    bx = A[0, 1] * np.float32(y) + A[0, 2] + w * e[0]
-    by = A[1, 1] * np.float32(y) + A[1, 2] + w * e[1]
-    bz = A[2, 1] * np.float32(y) + A[2, 2] + w * e[2]
+    base_x = A[0, 1] * np.float32(y) + A[0, 2] + w * e[0]
+    base_y = A[1, 1] * np.float32(y) + A[1, 2] + w * e[1]
+    base_z = A[2, 1] * np.float32(y) + A[2, 2] + w * e[2]
     for x in range(W):
         fx = np.float32(np.int32(x))
-        z = bz + az * fx
+        z = base_z + az * fx
         front = z > np.float32(1e-6)
-        scale = one / (z if front else one)
-        u = (bx + ax * fx) * scale
-        v = (by + ay * fx) * scale
+        scale = unity / (z if front else unity)
+        u = (base_x + ax * fx) * scale
+        v = (base_y + ay * fx) * scale
         inside[x] = front & (u >= -half) & (u <= right + half) & (v >= -half) & (v <= bottom + half)
         u = min(max(u, zero), right)
         v = min(max(v, zero), bottom)
@@ -180,9 +181,9 @@ def _warp_row(squares, A, e, w, y, at, du, dv, out, inside):
 
 @kernel(inline="always")
 def _census(rows, x):
-    """Which pixels of the window are darker than its centre, a bit each.
+    """Census transform of a window: a bit for each pixel darker than the centre.
 
-    Inlined by hand: left to the compiler, it is a call that keeps the loop around it scalar.
+    Explicitly inlined: as a call it would keep the enclosing loop from being vectorised.
     """
     bits = np.uint32(0)
     centre = rows[RADIUS, x + RADIUS]
@@ -195,9 +196,10 @@ def _census(rows, x):
 
 @kernel
 def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, columns, cost):
-    """Costs of one row and candidate; ``near`` and ``here`` are the rows of its windows.
+    """Compute the costs of one row and candidate from the windows ``near`` and ``here``.
 
-    ``total``, ``deviation`` and ``bits`` belong to the reference; ``columns`` is scratch.
+    ``near`` are rows of the warped source, ``here`` of the reference; ``total``, ``deviation`` and
+    ``bits`` are window sums, variances and census bits of the reference; ``columns`` is scratch.
     """
     W = cost.shape[0]
     sums, squares, products = columns[0], columns[1], columns[2]
@@ -217,9 +219,9 @@ def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, colu
         covariance = p - s * total[x] / _AREA
         spread = max(q + _FLOOR - s * s / _AREA, _FLOOR) * deviation[x]
         differ = np.float32(np.int32(_count_ones(_census(near, x) ^ bits[x])))
-        found = zncc_share * (np.float32(1) - covariance / np.sqrt(spread)) + census_share * differ
-        found = min(max(found, np.float32(0)), np.float32(200))
-        cost[x] = np.uint8(np.int32(found + np.float32(0.5)))
+        value = zncc_share * (np.float32(1) - covariance / np.sqrt(spread)) + census_share * differ
+        value = min(max(value, np.float32(0)), np.float32(200))
+        cost[x] = np.uint8(np.int32(value + np.float32(0.5)))
 
 
 @kernel
@@ -233,7 +235,7 @@ def _matching_cost(counter, wide, squares, A, e, inverse_depths, zncc_share, cen
 
 @kernel
 def _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y0, volume):
-    """Costs of the rows from ``y0`` on, as many as ``volume`` has."""
+    """Compute the costs of the rows of ``volume``, the first of which is row ``y0``."""
     H, W = squares.shape
     rows, _, D = volume.shape
     here = wide[y0 : y0 + rows + 2 * RADIUS]
@@ -272,9 +274,9 @@ def _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y
                 near[window], here[window], total[y], deviation[y], bits[y],
                 zncc_share, census_share, columns, cost,
             )  # fmt: skip
-            seen = inside[y + RADIUS]
+            visible = inside[y + RADIUS]
             for x in range(W):
-                cost[x] = cost[x] if seen[x] else np.uint8(OUTSIDE)
+                cost[x] = cost[x] if visible[x] else np.uint8(OUTSIDE)
     for y in range(rows):
         for x in range(W):
             for d in range(D):

@@ -1,4 +1,4 @@
-"""From raw winners to a whole depth map: cross-view check, speckles, planes, weighted median."""
+"""Completion of a raw depth map: cross-view check, speckle removal, planes, weighted median."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import numpy as np
 from slgaussian.cameras.relative import Relative
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
-from slgaussian.predict.sgm import aggregate, winners
+from slgaussian.predict.sgm import aggregate, select_winners
 
 UNSEEN, AGREES, IN_FRONT, BEHIND = range(4)
-"""What the other view says about a pixel's depth: outside its image; the same surface; a point
-that the other view sees through; a point hidden behind what the other view sees."""
+"""Results of a cross-view check: outside the source image; the same surface; in front of the
+source's surface, in its free space; behind the source's surface, occluded."""
 
 RELATIVE_TOLERANCE = 0.04
 STEP_TOLERANCE = 1.5
-"""How far inverse depths of two views may differ and still agree: a share of the depth, or this
-many candidates, whichever is more."""
+"""Tolerance between inverse depths of two views: the larger of a share of the depth and this many
+candidate steps."""
 
 MAX_PLANES = 8
 MIN_SUPPORT = 0.01
@@ -28,25 +28,26 @@ SQUARES = (8, 16, 32)
 JUDGES = 4000
 REFITTED = 10
 REFITS = 15
-"""Planes to look for; the least share of answered pixels on one; sides in pixels of the squares
-whose planes are tried; about how many pixels judge them; how many of the best are refitted, and how
-often. Sides of 12 and 32 or of 16 alone serve as well."""
+"""Largest number of planes; smallest share of answered pixels on one; sides in pixels of the
+squares that provide hypotheses; approximate number of pixels that score them; number of best
+hypotheses that are refitted, and number of refits. Sides of 12 and 32 or of 16 alone serve as
+well."""
 
 MEDIAN_RADIUS = 7
 MEDIAN_COLOR = 40.0
-"""Window of the weighted median, and the colour difference (sum over RGB, 0 to 765) that counts as
-one standard deviation."""
+"""Half the window of the weighted median, pixels, and the standard deviation of its colour weight
+(sum of absolute differences over RGB, 0 to 765)."""
 
 POTTS = 200
 VOTE_STEPS = 3
 FREE_SPACE = 30
-"""Cost of a change of plane label in a flat part of the image; distance from a plane, in
-candidates, where an answered pixel's vote against it is full (100); vote of an unanswered pixel
-against a plane that another view sees through."""
+"""Cost of a change of plane label in a uniform part of the image; distance from a plane, in
+candidate steps, at which the cost of an answered pixel saturates (100); cost of an unanswered pixel
+on a plane that lies in the free space of another view."""
 
 
 def cross_check(
-    inverse_depth: np.ndarray, other: np.ndarray, relative: Relative, step: float
+    inverse_depth: np.ndarray, source_depth: np.ndarray, relative: Relative, step: float
 ) -> np.ndarray:
     """Compare a depth map with that of another view.
 
@@ -54,13 +55,13 @@ def cross_check(
 
     Parameters
     ----------
-    inverse_depth, other : float32 [H, W]
-        Of the reference and of the source; ``other`` may be infinite where nothing is known, which
-        reads as :data:`BEHIND`.
+    inverse_depth, source_depth : float32 [H, W]
+        Inverse depth of the reference and of the source. Infinity marks unknown depth of the
+        source and results in :data:`BEHIND`.
     relative : Relative
         From the reference to the source.
     step : float
-        Distance between candidates.
+        Distance between depth candidates.
 
     Returns
     -------
@@ -68,24 +69,26 @@ def cross_check(
         One of :data:`UNSEEN`, :data:`AGREES`, :data:`IN_FRONT`, :data:`BEHIND`.
     """
     return _cross_check(
-        inverse_depth, other, relative.infinity, relative.epipole, STEP_TOLERANCE * step
+        inverse_depth, source_depth, relative.infinity, relative.epipole, STEP_TOLERANCE * step
     )
 
 
 @kernel
-def _cross_check(inverse_depth, other, A, e, least_tolerance):
+def _cross_check(inverse_depth, source_depth, A, e, least_tolerance):
     H, W = inverse_depth.shape
     out = np.empty((H, W), np.uint8)
     for y in range(H):
         for x in range(W):
-            out[y, x] = _verdict(x, y, float(inverse_depth[y, x]), other, A, e, least_tolerance)
+            out[y, x] = _compare_depth(
+                x, y, float(inverse_depth[y, x]), source_depth, A, e, least_tolerance
+            )
     return out
 
 
 @kernel
-def _verdict(x, y, w, other, A, e, least_tolerance):
-    """What the other view says about inverse depth ``w`` at column ``x`` and row ``y``."""
-    H, W = other.shape
+def _compare_depth(x, y, w, source_depth, A, e, least_tolerance):
+    """Compare inverse depth ``w`` at column ``x`` and row ``y`` with the source's depth map."""
+    H, W = source_depth.shape
     u, v = x + 0.5, y + 0.5
     z = A[2, 0] * u + A[2, 1] * v + A[2, 2] + w * e[2]
     if z <= 1e-9:
@@ -94,13 +97,13 @@ def _verdict(x, y, w, other, A, e, least_tolerance):
     j = math.floor((A[0, 0] * u + A[0, 1] * v + A[0, 2] + w * e[0]) / z)
     if not (0 <= i < H and 0 <= j < W):
         return UNSEEN
-    here, seen = w / z, float(other[i, j])
-    if abs(here - seen) <= max(RELATIVE_TOLERANCE * here, least_tolerance):
+    here, observed = w / z, float(source_depth[i, j])
+    if abs(here - observed) <= max(RELATIVE_TOLERANCE * here, least_tolerance):
         return AGREES
-    return IN_FRONT if here > seen else BEHIND
+    return IN_FRONT if here > observed else BEHIND
 
 
-def without_speckles(index: np.ndarray, keep: np.ndarray, size: int) -> np.ndarray:
+def remove_speckles(index: np.ndarray, keep: np.ndarray, size: int) -> np.ndarray:
     """Drop from ``keep`` the connected patches of up to ``size`` pixels, bool [H, W].
 
     ``index`` float32 [H, W] counts candidates; neighbours within one belong together.
@@ -112,13 +115,13 @@ def without_speckles(index: np.ndarray, keep: np.ndarray, size: int) -> np.ndarr
 
 
 def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) -> np.ndarray:
-    """Planes of the scene, the one that most answered pixels lie on first, float64 [P, 3].
+    """Fit planes to the answered pixels one after the other, float64 [P, 3].
 
-    At most :data:`MAX_PLANES`. A plane in space is linear in inverse depth: ``w = p @ (x, y, 1)``
-    with x the column and y the row. Hypotheses are the least-squares planes of small squares of the
-    image, at every place, so that nothing is drawn at random. The best few are refitted to what
-    agrees with them, and the one that then explains most is taken; what it explains counts no
-    more. Fewer than :data:`MIN_SUPPORT` of the answered pixels do not make a plane.
+    A plane in space is linear in inverse depth: ``w = p @ (x, y, 1)`` with x the column and y the
+    row. Hypotheses are the least-squares planes of all squares of a grid, so nothing is random.
+    The best are refitted to their inliers, and the one with most inliers is accepted; its inliers
+    are removed before the next is sought. The search ends at :data:`MAX_PLANES` planes, or when a
+    plane has less than :data:`MIN_SUPPORT` of the answered pixels.
 
     Parameters
     ----------
@@ -143,7 +146,7 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
         y, x = rows[judges], columns[judges]
         points, w = np.stack([x, y, np.ones(len(x))], 1), inverse_depth[y, x].astype(np.float64)
         first = np.argsort(-_support(guesses, points, w, tolerance), kind="stable")[:REFITTED]
-        refitted = np.stack([_refitted(plane, points, w, tolerance) for plane in guesses[first]])
+        refitted = np.stack([_refit(plane, points, w, tolerance) for plane in guesses[first]])
         plane = refitted[_support(refitted, points, w, tolerance).argmax()]
         explained = left & (np.abs(_plane_depths(plane, *left.shape) - inverse_depth) < tolerance)
         if explained.sum() < fewest:
@@ -154,8 +157,8 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
 
 
 def _square_planes(keep: np.ndarray, inverse_depth: np.ndarray, size: int) -> np.ndarray:
-    """Least-squares planes float64 [K, 3] of squares of ``size`` pixels, of those that are filled
-    well enough to have one."""
+    """Fit least-squares planes to the squares of ``size`` pixels that have enough answered pixels,
+    float64 [K, 3]."""
     across = -(-keep.shape[1] // size)
     y, x = np.nonzero(keep)
     square = y // size * across + x // size
@@ -181,20 +184,20 @@ def _square_planes(keep: np.ndarray, inverse_depth: np.ndarray, size: int) -> np
     return np.stack([a, b, mean_w - a * (mean_u + column) - b * (mean_v + row)], 1)[good]
 
 
-def _refitted(plane: np.ndarray, points: np.ndarray, w: np.ndarray, tolerance: float) -> np.ndarray:
-    """``plane`` fitted again and again to those of the points [M, 3] that agree with it."""
+def _refit(plane: np.ndarray, points: np.ndarray, w: np.ndarray, tolerance: float) -> np.ndarray:
+    """Refit a plane to its inliers among the points [M, 3] up to :data:`REFITS` times."""
     for _ in range(REFITS):
         agrees = np.abs(points @ plane - w) < tolerance
         if agrees.sum() < 3:
             break
-        plane = _through(points[agrees], w[agrees], plane)
+        plane = _least_squares_plane(points[agrees], w[agrees], plane)
     return plane
 
 
-def _through(points: np.ndarray, w: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """The least-squares plane of points [M, 3] with inverse depths ``w``.
+def _least_squares_plane(points: np.ndarray, w: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """Fit a plane to points [M, 3] with inverse depths ``w``; ``plane`` if they are collinear.
 
-    By normal equations about their middle: three unknowns are not worth waking BLAS threads for.
+    Solves centred normal equations by hand: three unknowns are not worth waking BLAS threads for.
     """
     middle, level = points.mean(0), w.mean()
     x, y, _ = (points - middle).T
@@ -210,7 +213,7 @@ def _through(points: np.ndarray, w: np.ndarray, plane: np.ndarray) -> np.ndarray
 
 @kernel
 def _support(planes, points, w, tolerance):
-    """Number of points near each plane, int64 [P]."""
+    """Count the inliers of each plane, int64 [P]."""
     out = np.zeros(len(planes), np.int64)
     for k in range(len(planes)):
         a, b, c = planes[k]
@@ -221,12 +224,12 @@ def _support(planes, points, w, tolerance):
 
 
 def _plane_depths(plane: np.ndarray, H: int, W: int) -> np.ndarray:
-    """Inverse depth float32 [H, W] of a plane at every pixel."""
+    """Return the inverse depth of a plane at every pixel, float32 [H, W]."""
     column = np.arange(H)[:, None] * plane[1] + plane[2]
     return (column + np.arange(W) * plane[0]).astype(np.float32)
 
 
-def fill(
+def fill_depth(
     inverse_depth: np.ndarray,
     keep: np.ndarray,
     guide: np.ndarray,
@@ -234,12 +237,13 @@ def fill(
     steps: np.ndarray,
     witnesses: Sequence[tuple[Relative, np.ndarray]],
 ) -> np.ndarray:
-    """Give every unanswered pixel the inverse depth of one plane, float32 [H, W].
+    """Assign the inverse depth of one plane to every unanswered pixel, float32 [H, W].
 
-    A Potts model over plane labels decides which. Answered pixels vote for the planes near them.
-    Unanswered ones have no photometric opinion (it is what failed there) but vote against planes
-    that lie where another view sees through. Labels change where the guide image does. Without any
-    plane the median of the answered pixels is taken, or the middle of the candidates.
+    A Potts model over plane labels, minimised by semi-global matching, selects the plane. The data
+    term of an answered pixel is its distance from the plane. Unanswered pixels have no photometric
+    evidence; their data term penalises planes in the free space of another view. A label change is
+    cheap at edges of the guide image. Without any plane the median of the answered pixels is
+    assigned, or the middle of the candidates.
 
     Parameters
     ----------
@@ -253,7 +257,7 @@ def fill(
     steps : float64 [D]
         Candidates; planes are clipped to their range.
     witnesses : sequence of (Relative, float32 [H, W])
-        Other views: their geometry and inverse depth, infinite where unknown.
+        Relative pose and inverse depth of other views, infinite where unknown.
     """
     if not len(planes):
         level = np.median(inverse_depth[keep]) if keep.any() else steps[[0, -1]].mean()
@@ -262,17 +266,17 @@ def fill(
     votes = np.zeros((*keep.shape, len(planes)), np.uint8)
     levels = np.empty(votes.shape, np.float32)
     _vote(planes, inverse_depth, keep, steps[0], steps[-1], VOTE_STEPS * step, votes, levels)
-    for relative, known in witnesses:
+    for relative, source_depth in witnesses:
         A, e = relative.infinity, relative.epipole
-        _vote_unseen(levels, keep, known, A, e, STEP_TOLERANCE * step, votes)
-    label, _, _ = winners(aggregate(votes, guide, p1=POTTS, p2=POTTS))
+        _vote_unseen(levels, keep, source_depth, A, e, STEP_TOLERANCE * step, votes)
+    label, _, _ = select_winners(aggregate(votes, guide, p1=POTTS, p2=POTTS))
     chosen = np.take_along_axis(levels, label[..., None].astype(np.int64), -1)[..., 0]
     return np.where(keep, inverse_depth, chosen)
 
 
 @kernel
 def _vote(planes, inverse_depth, keep, low, high, far, votes, levels):
-    """Inverse depth of each plane at each pixel, and votes of answered pixels against planes."""
+    """Compute the inverse depth of each plane at each pixel and the costs of answered pixels."""
     H, W, P = votes.shape
     for y in range(H):
         for x in range(W):
@@ -286,34 +290,34 @@ def _vote(planes, inverse_depth, keep, low, high, far, votes, levels):
 
 
 @kernel
-def _vote_unseen(levels, keep, other, A, e, least_tolerance, votes):
-    """Votes of unanswered pixels against planes that the other view sees through."""
+def _vote_unseen(levels, keep, source_depth, A, e, least_tolerance, votes):
+    """Set the costs of unanswered pixels on planes in the free space of the source view."""
     H, W, P = votes.shape
     for y in range(H):
         for x in range(W):
             if not keep[y, x]:
                 for k in range(P):
                     w = float(levels[y, x, k])
-                    if _verdict(x, y, w, other, A, e, least_tolerance) == IN_FRONT:
+                    if _compare_depth(x, y, w, source_depth, A, e, least_tolerance) == IN_FRONT:
                         votes[y, x, k] = FREE_SPACE
 
 
 def weighted_median(
     inverse_depth: np.ndarray, image: np.ndarray, low: float, step: float
 ) -> np.ndarray:
-    """Median of each window, weighted by likeness of colour to the centre, float32 [H, W].
+    """Filter with a median weighted by colour similarity to the window's centre, float32 [H, W].
 
-    Moves depth edges onto colour edges and removes outliers (Ma et al., ICCV 2013). Every other
-    pixel of the window counts, as the fields of one colour on a chessboard. The median is found in
-    bins of half a candidate, then replaced by the weighted mean of the values within a candidate
-    and a half of it: on a slope these lie evenly on both sides, so it stays one.
+    Moves depth edges onto colour edges and removes outliers (Ma et al., ICCV 2013). The window is
+    sampled in a checkerboard pattern. The median of a histogram with bins of half a candidate is
+    replaced by the weighted mean of the values within one and a half candidates of it: on a slope
+    these lie symmetrically, so the slope is preserved.
 
     Parameters
     ----------
     inverse_depth : float32 [H, W]
     image : uint8 [H, W, 3]
     low, step : float
-        Least candidate and distance between candidates.
+        Smallest candidate and distance between candidates.
     """
     distance = np.arange(3 * 255 + 1) / MEDIAN_COLOR
     weights = np.exp(-0.5 * distance**2).astype(np.float32)
@@ -341,7 +345,7 @@ def _median_row(values, bins, image, weights, radius, y, count, out):
         r, g, b = np.int32(image[y, x, 0]), np.int32(image[y, x, 1]), np.int32(image[y, x, 2])
         centre = values[y, x]
         total = np.float32(0)
-        least, most = count, 0
+        first_bin, last_bin = count, 0
         # Every other pixel: half the time, and the same errors on real scenes.
         for j in range(max(y - radius, 0), min(y + radius + 1, H)):
             left = max(x - radius, 0)
@@ -355,18 +359,18 @@ def _median_row(values, bins, image, weights, radius, y, count, out):
                 # Relative to the centre: keeps float32 exact enough.
                 moment[k] += weight * (values[j, i] - centre)
                 total += weight
-                least, most = min(least, k), max(most, k)
+                first_bin, last_bin = min(first_bin, k), max(last_bin, k)
         below = np.float32(0)
-        median = least
-        for k in range(least, most + 1):
+        median = first_bin
+        for k in range(first_bin, last_bin + 1):
             below += mass[k]
             if 2 * below >= total:
                 median = k
                 break
         near, lever = np.float32(0), np.float32(0)
-        for k in range(max(median - 3, least), min(median + 3, most) + 1):
+        for k in range(max(median - 3, first_bin), min(median + 3, last_bin) + 1):
             near += mass[k]
             lever += moment[k]
         out[x] = centre + lever / near
-        mass[least : most + 1] = 0
-        moment[least : most + 1] = 0
+        mass[first_bin : last_bin + 1] = 0
+        moment[first_bin : last_bin + 1] = 0

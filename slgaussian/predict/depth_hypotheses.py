@@ -1,4 +1,4 @@
-"""Which inverse depths to try: range from sparse matches, number from the motion in pixels."""
+"""Depth hypotheses: their range from sparse matches, their number from the motion in pixels."""
 
 from __future__ import annotations
 
@@ -7,26 +7,27 @@ import numpy as np
 from slgaussian.cameras.relative import Relative
 
 MIN_MATCHES = 12
-"""Fewest triangulated matches that a depth range is estimated from."""
+"""Smallest number of triangulated matches from which a depth range is estimated."""
 
 MIN_CANDIDATES = 32
-"""Fewest that a sub-pixel fit is asked to interpolate."""
+"""Smallest number of candidates between which the sub-pixel fit interpolates."""
 
 MAX_DEPTH = 1e4
-"""Farthest estimated depth in baselines, where even a long lens sees no parallax."""
+"""Farthest estimated depth in baselines, where even a long lens shows no parallax."""
 
 AGREEING = 3
 SPREAD = 0.9
-"""So many matches whose inverse depths are within this factor show a surface; fewer may be false
-matches."""
+"""Number of matches with inverse depths within this factor that establish a surface; fewer may be
+false matches."""
 
 
 def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[float, float]:
-    """Least and greatest inverse depth to try, from those of sparse matches.
+    """Estimate the smallest and greatest inverse depth of a scene from sparse matches.
 
-    Matches sit on texture, not on the nearest or farthest surface, so the range is wider than they
-    are: half of the 2nd and 1.25 times the 98th percentile, or 1.25 times the nearest depth that
-    :data:`AGREEING` matches share, if that is more: what is near is often small.
+    Matches lie on texture and not on the nearest or farthest surface, so the range is wider than
+    theirs: from half of the 2nd percentile to 1.25 times the 98th, or to 1.25 times the nearest
+    depth that :data:`AGREEING` matches share if that is greater, because near objects are often
+    small.
 
     Parameters
     ----------
@@ -43,18 +44,18 @@ def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[fl
     return float(low), float(max(1.25 * nearest, 2 * low))
 
 
-def candidates(
+def inverse_depth_candidates(
     relative: Relative,
     size: tuple[int, int],
     low: float,
     high: float,
-    most: int,
+    maximum: int,
 ) -> np.ndarray:
-    """Inverse depths float64 [D], ascending and evenly spaced from ``low`` to ``high``.
+    """Return ascending, evenly spaced inverse depths from ``low`` to ``high``, float64 [D].
 
-    The 90th percentile of the motion over the image between two neighbours is one pixel, as far
-    as :data:`MIN_CANDIDATES` and ``most``, the stronger of the two, allow. ``size`` is (height,
-    width).
+    D is chosen so that the 90th percentile over the image of the motion between two neighbours is
+    one pixel, with at least :data:`MIN_CANDIDATES` and at most ``maximum`` candidates; the latter
+    takes precedence. ``size`` is (height, width).
     """
     grid = pixel_grid(size, 16)
     count = 512
@@ -62,21 +63,24 @@ def candidates(
     tracks, ratio = relative.project(grid[:, None], path)
     inside = (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= size[::-1]).all(-1)
     steps = np.linalg.norm(np.diff(tracks, axis=1), axis=-1)
-    seen = inside[:, 1:] & inside[:, :-1]
-    longest = np.percentile(steps[seen], 90) * (count - 1) if seen.any() else 0
-    number = int(np.clip(np.ceil(longest) + 1, min(MIN_CANDIDATES, most), most))
+    visible = inside[:, 1:] & inside[:, :-1]
+    longest = np.percentile(steps[visible], 90) * (count - 1) if visible.any() else 0
+    number = int(np.clip(np.ceil(longest) + 1, min(MIN_CANDIDATES, maximum), maximum))
     return np.linspace(low, high, number)
 
 
 def visible_share(relative: Relative, size: tuple[int, int], inverse_depths: np.ndarray) -> float:
-    """Share of a coarse grid of pixels that some candidate sees in the source view, 0 to 1."""
+    """Return the share of pixels that lie inside the source view at some candidate, 0 to 1.
+
+    Evaluated on a coarse grid.
+    """
     tracks, ratio = relative.project(pixel_grid(size, 16)[:, None], inverse_depths)
     inside = (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= size[::-1]).all(-1)
     return float(inside.any(1).mean())
 
 
 def pixel_grid(size: tuple[int, int], cells: int) -> np.ndarray:
-    """Pixels [cells * cells, 2] evenly spread over an image of ``size`` (height, width)."""
+    """Return pixels [cells * cells, 2] evenly spread over an image of ``size`` (height, width)."""
     height, width = size
     fractions = (np.arange(cells) + 0.5) / cells
     u, v = np.meshgrid(fractions * width, fractions * height)

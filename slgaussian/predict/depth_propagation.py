@@ -1,7 +1,7 @@
-"""Depth that a view could not find, lent by others that look at the same surface.
+"""Propagation of matched depth from source views into pixels that a view could not match.
 
 A blank wall in one photograph may lie beside an edge in another, or another pair may see it from a
-better angle: what its neighbours answered is believed before planes are guessed.
+better angle. So the depth of neighbouring views is used before planes are fitted.
 """
 
 from __future__ import annotations
@@ -14,28 +14,27 @@ import cv2
 import numpy as np
 
 from slgaussian.kernels.jit import kernel
-from slgaussian.predict.depth_completion import without_speckles
+from slgaussian.predict.depth_completion import remove_speckles
 from slgaussian.predict.view_graph import Link
 
 SPECKLE = 1 / 1200
-"""Answered patches of at most this share of the image are taken for accidents and filled instead.
-"""
+"""Connected answered patches of at most this share of the image are removed as false matches."""
 
 ALIKE = 0.12
-"""Difference of smoothed colours, the greatest of RGB in [0, 1], up to which a point that another
-view answered is taken for what this view shows there, and not for something hidden behind it."""
+"""Largest difference of smoothed colours, over RGB in [0, 1], at which a point of another view is
+accepted as the surface that this view shows, and not as a surface occluded by it."""
 
 SMOOTH = 5
-"""Side of the box that colours are smoothed over, pixels."""
+"""Side of the box filter of colours, pixels."""
 
 AROUND = 5
-"""Lent neighbours, of eight, from which on a pixel between them is lent too: points do not land on
-every pixel."""
+"""Number of propagated neighbours, of eight, from which a pixel between them is filled as well:
+points do not land on every pixel."""
 
 
 @dataclass(frozen=True, eq=False)
-class Swept:
-    """One view after the sweep: candidates, raw depth, and where another view confirms it.
+class SweptView:
+    """A view after the plane sweep: candidates, raw depth, and a mask of confirmed pixels.
 
     Attributes
     ----------
@@ -44,15 +43,15 @@ class Swept:
     inverse_depth : float32 [H, W]
         1 / z in scene units, between the first and last candidate.
     answered : bool [H, W]
-        Where matching gave the depth and another view agrees.
-    given : bool [H, W] or None
-        Where depth of other origin stays as it is, whether another view agrees or not.
+        Pixels with matched depth that another view confirms.
+    fixed : bool [H, W] or None
+        Pixels with depth from files, which is not changed even if no view confirms it.
     """
 
     steps: np.ndarray
     inverse_depth: np.ndarray
     answered: np.ndarray
-    given: np.ndarray | None = None
+    fixed: np.ndarray | None = None
 
     @property
     def step(self) -> float:
@@ -60,51 +59,51 @@ class Swept:
         return float(self.steps[1] - self.steps[0])
 
     @property
-    def known(self) -> np.ndarray:
-        """Inverse depth where it is answered, infinite elsewhere."""
+    def confirmed(self) -> np.ndarray:
+        """Inverse depth of answered pixels, infinite elsewhere; float32 [H, W]."""
         return np.where(self.answered, self.inverse_depth, np.float32(np.inf))
 
 
-def lend(
-    swept: Sequence[Swept], images: Sequence[np.ndarray], links: Sequence[Sequence[Link]]
-) -> list[Swept]:
-    """The views with depths that their sources answered where they have none.
+def propagate_depth(
+    swept: Sequence[SweptView], images: Sequence[np.ndarray], links: Sequence[Sequence[Link]]
+) -> list[SweptView]:
+    """Fill unanswered pixels of every view with depth that its source views answered.
 
     Parameters
     ----------
     swept : V Swept
     images : V of float32 [H, W, 3]
-        RGB in [0, 1], brought to one exposure.
+        RGB in [0, 1], with compensated exposure.
     links : V sequences of Link
     """
     smooth = [cv2.blur(image, (SMOOTH, SMOOTH)) for image in images]
     result = []
-    for i, mine in enumerate(swept):
-        landed = np.zeros(mine.answered.shape, np.float32)
+    for i, view in enumerate(swept):
+        landed = np.zeros(view.answered.shape, np.float32)
         for link in links[i]:
             back = link.relative.reversed()
-            other = swept[link.source]
-            _land(
-                other.inverse_depth, other.answered, smooth[link.source], smooth[i],
+            source = swept[link.source]
+            _splat_depth(
+                source.inverse_depth, source.answered, smooth[link.source], smooth[i],
                 back.infinity, back.epipole, ALIKE, landed,
             )  # fmt: skip
-        landed = np.where(landed >= mine.steps[0], landed, 0)
+        landed = np.where(landed >= view.steps[0], landed, 0)
         around = cv2.boxFilter((landed > 0).astype(np.float32), -1, (3, 3), normalize=False)
         between = (landed == 0) & (around >= AROUND - 0.5)
         landed = np.where(between, cv2.dilate(landed, np.ones((3, 3))), landed)
-        if mine.given is not None:
-            landed[mine.given] = 0
-        inverse_depth = np.where(mine.answered | (landed == 0), mine.inverse_depth, landed)
-        index = ((inverse_depth - mine.steps[0]) / mine.step).astype(np.float32)
-        known = mine.answered | (landed > 0)
-        answered = without_speckles(index, known, int(SPECKLE * known.size))
-        result.append(replace(mine, inverse_depth=inverse_depth, answered=answered))
+        if view.fixed is not None:
+            landed[view.fixed] = 0
+        inverse_depth = np.where(view.answered | (landed == 0), view.inverse_depth, landed)
+        index = ((inverse_depth - view.steps[0]) / view.step).astype(np.float32)
+        answered_or_lent = view.answered | (landed > 0)
+        answered = remove_speckles(index, answered_or_lent, int(SPECKLE * answered_or_lent.size))
+        result.append(replace(view, inverse_depth=inverse_depth, answered=answered))
     return result
 
 
 @kernel
-def _land(inverse_depth, answered, image, target, A, e, alike, landed):
-    """Write the greatest inverse depth of the answered pixels that land in each of the target."""
+def _splat_depth(inverse_depth, answered, image, target, A, e, max_difference, landed):
+    """Forward-warp answered pixels into the target; the greatest inverse depth wins."""
     H, W = inverse_depth.shape
     for y in range(H):
         for x in range(W):
@@ -121,5 +120,5 @@ def _land(inverse_depth, answered, image, target, A, e, alike, landed):
             off = 0.0
             for c in range(3):
                 off = max(off, abs(image[y, x, c] - target[i, j, c]))
-            if off < alike:
+            if off < max_difference:
                 landed[i, j] = max(landed[i, j], np.float32(w / z))

@@ -1,4 +1,4 @@
-"""One exposure for all context views, so that their Gaussians do not make patches on a surface."""
+"""Exposure compensation, so that Gaussians of several views have one colour on a surface."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import numpy as np
 from slgaussian.predict.view_graph import ViewGraph
 
 MIN_SAMPLES = 200
-"""Fewest shared pixels that two exposures are compared on."""
+"""Smallest number of shared pixels on which two exposures are compared."""
 
 MAX_SAMPLES = 20_000
-"""If more pixels than this are answered, evenly spread ones are taken."""
+"""Largest number of pixels per view that are compared, evenly spread."""
 
 DARK, BRIGHT = 8, 245
-"""Values outside are noise or clipped and say nothing about exposure."""
+"""Range of pixel values that are compared: darker ones are noise, brighter ones clipped."""
 
 MAX_GAIN = 2.0
-"""Larger gains are taken for a mistake and cut."""
+"""Limit of the gain; larger estimates are errors."""
 
 USUAL = 0.03
-"""Difference of two logarithms of exposure up to which it is the camera's usual wavering. A view
-farther off its neighbourhood has no more say in it than one at this distance: one photograph of
-five with 0.7 times the light costs 0.2 dB in novel views then, and 1.3 dB if it counts in full."""
+"""Huber threshold on log exposure: the usual variation of a camera. The influence of a view farther
+from its neighbourhood stays constant. One photograph of five with 0.7 times the light then costs
+0.2 dB in novel views, and 1.3 dB with a plain mean."""
 
 ROUNDS = 20
-"""Of reweighting; the last moves exposures by less than a thousandth."""
+"""Iterations of reweighting; the last changes exposures by less than a thousandth."""
 
 
 def color_gains(
@@ -35,15 +35,14 @@ def color_gains(
     answered: Sequence[np.ndarray],
     graph: ViewGraph,
 ) -> np.ndarray:
-    """Factors float64 [V, 3] on the RGB values of each view that make neighbours agree.
+    """Estimate gains of the RGB values of each view that equalise exposure, float64 [V, 3].
 
-    For every linked pair the median ratio of values is taken over the answered pixels of the first
-    view and the pixels they land on in the second; exposures meet these ratios in least squares of
-    their logarithms. Each view is brought to the mean exposure of its neighbourhood
-    (:meth:`slgaussian.predict.view_graph.ViewGraph.closeness`), two views to the mean of both:
-    along a walk from the dark into the light, views asked for look as the photographs there do. One
-    among several that is far off the others has little say (:data:`USUAL`), so it comes to look as
-    they.
+    For every linked pair the median ratio is taken over the answered pixels of the first view and
+    their projections in the second. Log exposures are fitted to the log ratios by least squares.
+    Each view is brought to the mean exposure of its neighbourhood
+    (:meth:`slgaussian.predict.view_graph.ViewGraph.closeness`), so that novel views along a walk
+    from the dark into the light look like the photographs near them. The mean is robust
+    (:data:`USUAL`): an outlier adapts to the others.
 
     Parameters
     ----------
@@ -59,10 +58,10 @@ def color_gains(
         spacing = max(1, len(y) // MAX_SAMPLES)
         y, x = y[::spacing], x[::spacing]
         here = images[i][y, x]
-        where, ratio = link.relative.project(np.stack([x, y], 1) + 0.5, inverse_depths[i][y, x])
+        positions, ratio = link.relative.project(np.stack([x, y], 1) + 0.5, inverse_depths[i][y, x])
         H, W = answered[j].shape
-        inside = (ratio > 0) & (where >= 0).all(1) & (where < (W, H)).all(1)
-        column, row = where[inside].astype(np.int64).T
+        inside = (ratio > 0) & (positions >= 0).all(1) & (positions < (W, H)).all(1)
+        column, row = positions[inside].astype(np.int64).T
         pair = np.stack([here[inside], images[j][row, column]], 1)
         fair = (pair.min((1, 2)) >= DARK) & (pair.max((1, 2)) <= BRIGHT)
         if fair.sum() >= MIN_SAMPLES:
@@ -73,14 +72,14 @@ def color_gains(
             ratios.append(np.median(logs[:, 1] - logs[:, 0], 0))
     if not rows:
         return np.ones((len(images), 3))
-    # The least-norm solution: views that nothing is known about keep gain 1.
+    # The minimum-norm solution: views without ratios keep gain 1.
     darker = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
-    around = _usual(darker, graph.closeness())
+    around = _robust_mean(darker, graph.closeness())
     return np.exp(darker - around).clip(1 / MAX_GAIN, MAX_GAIN)
 
 
-def _usual(darker: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Around each view the weighted mean [V, 3] of what is not far off it (Huber 1964)."""
+def _robust_mean(darker: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the Huber-weighted mean [V, 3] around each view (Huber 1964)."""
     mean = weights @ darker
     for _ in range(ROUNDS):
         off = np.abs(darker - mean[:, None])

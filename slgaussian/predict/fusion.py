@@ -1,4 +1,4 @@
-"""What the views agree on: the colours of what several show, and who of them draws it."""
+"""Fusion of the views: common colours of shared surfaces, and a choice of views that draw them."""
 
 from __future__ import annotations
 
@@ -13,57 +13,58 @@ from slgaussian.predict.depth_completion import AGREES, IN_FRONT, cross_check
 from slgaussian.predict.view_graph import Link, ViewGraph
 
 COPIES = 2
-"""Views that draw one surface, at most. On a forward-facing capture of eight views one is 0.3 dB
-worse, and all eight are 1 dB worse."""
+"""Largest number of views that draw one surface. On a forward-facing capture of eight views one is
+0.3 dB worse, and all eight are 1 dB worse."""
 
 FEATHER = 16.0
-"""Distance from the image border, pixels, over which a view gains its full say in a blend: where
-its image ends there is no seam then."""
+"""Distance from the image border, pixels, over which the blending weight of a view rises to 1, so
+that no seam appears where its image ends."""
 
 
-def needed(
+def select_drawn(
     graph: ViewGraph,
     inverse_depths: Sequence[np.ndarray],
-    known: Sequence[np.ndarray],
+    confirmed: Sequence[np.ndarray],
     steps: Sequence[float],
 ) -> list[np.ndarray]:
-    """Which pixels of each view bring a surface that is not there yet: V of bool [H, W].
+    """Select the pixels of each view that add a surface, V of bool [H, W].
 
-    Two views draw all they show. Of more, one of which nothing is known draws nothing, and no guess
-    is drawn that lies where any view has matched something behind it. The first two draw the rest;
-    then the views come one after the other, in the order given, and draw what is drawn less than
-    :data:`COPIES` times and does not stand in front of what those before have matched (of a guess:
-    of what they have drawn). So what is drawn mostly stays when a photograph is added.
+    With two views all pixels are selected. With more, a view without confirmed depth is skipped,
+    and a guessed pixel is dropped where any view has confirmed a surface behind it. The first two
+    views keep the rest. Every later view, in the given order, keeps the pixels of surfaces that
+    earlier views draw less than :data:`COPIES` times, unless they lie in front of confirmed depth
+    of an earlier view (guessed pixels: of drawn depth). So adding a photograph changes little of
+    what is drawn already.
 
     Parameters
     ----------
     graph : ViewGraph
     inverse_depths : V of float32 [H, W]
-    known : V of float32 [H, W]
-        The same where it was matched or lent, infinite elsewhere.
+    confirmed : V of float32 [H, W]
+        The same where depth was matched or propagated, infinite elsewhere.
     steps : V of float
-        Distance between candidates, which agreement is measured by.
+        Distance between depth candidates, the unit of the agreement tolerance.
     """
     keep = [np.ones(values.shape, bool) for values in inverse_depths]
     if len(keep) == 2:
         return keep
-    for i, mine in enumerate(inverse_depths):
-        guessed = ~np.isfinite(known[i])
+    for i, depth in enumerate(inverse_depths):
+        guessed = ~np.isfinite(confirmed[i])
         keep[i] &= not guessed.all()
         relatives = [Relative.between(graph.cameras[i], camera) for camera in graph.cameras]
         for j in range(len(keep)):
             if j != i:
-                refuted = cross_check(mine, known[j], relatives[j], steps[i]) == IN_FRONT
+                refuted = cross_check(depth, confirmed[j], relatives[j], steps[i]) == IN_FRONT
                 keep[i] &= ~(refuted & (guessed | (1 < i > j)))
         if i < 2:
             continue
-        shown = np.zeros(mine.shape, np.uint8)
+        copies = np.zeros(depth.shape, np.uint8)
         for j in range(i):
             drawn = np.where(keep[j], inverse_depths[j], np.float32(np.inf))
-            verdict = cross_check(mine, drawn, relatives[j], steps[i])
+            verdict = cross_check(depth, drawn, relatives[j], steps[i])
             keep[i] &= ~(guessed & (verdict == IN_FRONT))
-            shown += verdict == AGREES
-        keep[i] &= shown < COPIES
+            copies += verdict == AGREES
+        keep[i] &= copies < COPIES
     return keep
 
 
@@ -73,19 +74,19 @@ def blend(
     steps: Sequence[float],
     links: Sequence[Sequence[Link]],
 ) -> list[np.ndarray]:
-    """Colours of every view, mixed with those of the linked views that show the same surface.
+    """Blend the colours of every view with those of linked views that show the same surface.
 
-    So a surface has one colour, whichever view's copy of it is in front. A view counts fully, less
-    within :data:`FEATHER` of its border, and not at all where its depth does not agree. Of the
-    others the nearest counts like the view itself, the rest by the square of their distance: a
-    shining floor looks different from elsewhere.
+    A surface then has one colour, whichever view's copy is in front. The weight of a view falls
+    off within :data:`FEATHER` of its border and is zero where its depth disagrees. The nearest
+    source has the same weight as the view itself; the weight of further sources falls with the
+    square of their distance, because specular surfaces look different from elsewhere.
 
     Parameters
     ----------
     images : V of float32 [H, W, 3]
     inverse_depths : V of float32 [H, W]
     steps : V of float
-        Distance between candidates, which agreement is measured by.
+        Distance between depth candidates, the unit of the agreement tolerance.
     links : V sequences of Link
 
     Returns
@@ -96,31 +97,31 @@ def blend(
     for i, sources in enumerate(links):
         H, W = inverse_depths[i].shape
         u, v = np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5)
-        weight = _say(u, v, W, H)
+        weight = _border_weight(u, v, W, H)
         total = images[i] * weight[..., None]
-        apart = np.array([np.linalg.norm(link.relative.t) for link in sources]).clip(1e-12)
-        nearness = ((apart.min() / apart) ** 2).astype(np.float32)
-        for link, near in zip(sources, nearness, strict=True):
-            other = inverse_depths[link.source]
-            agrees = cross_check(inverse_depths[i], other, link.relative, steps[i]) == AGREES
+        baselines = np.array([np.linalg.norm(link.relative.t) for link in sources]).clip(1e-12)
+        nearness = ((baselines.min() / baselines) ** 2).astype(np.float32)
+        for link, share in zip(sources, nearness, strict=True):
+            source_depth = inverse_depths[link.source]
+            agrees = cross_check(inverse_depths[i], source_depth, link.relative, steps[i]) == AGREES
             relative = link.relative
-            _add(
+            _add_source(
                 total, weight, agrees, inverse_depths[i], images[link.source],
-                relative.infinity, relative.epipole, FEATHER, near,
+                relative.infinity, relative.epipole, FEATHER, share,
             )  # fmt: skip
         mixed.append(total / weight[..., None])
     return mixed
 
 
-def _say(u: np.ndarray, v: np.ndarray, width: int, height: int) -> np.ndarray:
-    """Weight float32 of a view at its pixels (u, v)."""
+def _border_weight(u: np.ndarray, v: np.ndarray, width: int, height: int) -> np.ndarray:
+    """Return the blending weight of a view at its pixels (u, v), float32."""
     inwards = np.minimum(np.minimum(u, width - u), np.minimum(v, height - v))
     return np.minimum(inwards / FEATHER, 1).astype(np.float32)
 
 
 @kernel
-def _add(total, weight, agrees, inverse_depth, image, A, e, feather, near):
-    """Add what the other view shows, bilinear and by its weight, where it agrees."""
+def _add_source(total, weight, agrees, inverse_depth, image, A, e, feather, share):
+    """Add the weighted bilinear samples of a source view where its depth agrees."""
     H, W = inverse_depth.shape
     rows, columns, _ = image.shape
     for y in range(H):
@@ -131,14 +132,14 @@ def _add(total, weight, agrees, inverse_depth, image, A, e, feather, near):
             z = A[2, 0] * a + A[2, 1] * b + A[2, 2] + w * e[2]
             u = (A[0, 0] * a + A[0, 1] * b + A[0, 2] + w * e[0]) / z
             v = (A[1, 0] * a + A[1, 1] * b + A[1, 2] + w * e[1]) / z
-            say = min(min(u, columns - u), min(v, rows - v)) / feather
-            say = near * np.float32(min(say, 1.0))
+            gain = min(min(u, columns - u), min(v, rows - v)) / feather
+            gain = share * np.float32(min(gain, 1.0))
             left, top = math.floor(u - 0.5), math.floor(v - 0.5)
             p, q = np.float32(u - 0.5 - left), np.float32(v - 0.5 - top)
             i0, i1 = max(left, 0), min(left + 1, columns - 1)
             j0, j1 = max(top, 0), min(top + 1, rows - 1)
-            weight[y, x] += say
+            weight[y, x] += gain
             for c in range(3):
                 upper = (1 - p) * image[j0, i0, c] + p * image[j0, i1, c]
                 lower = (1 - p) * image[j1, i0, c] + p * image[j1, i1, c]
-                total[y, x, c] += say * ((1 - q) * upper + q * lower)
+                total[y, x, c] += gain * ((1 - q) * upper + q * lower)

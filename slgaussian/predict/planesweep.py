@@ -1,6 +1,6 @@
-"""The predictor ``planesweep``: Gaussians from posed photographs, without any learned weights.
+"""The predictor ``planesweep``: Gaussians from posed photographs, without learned weights.
 
-A plane sweep (Collins 1996) of every view; what is left is filled, and all is lifted.
+A plane sweep (Collins 1996) of every view, depth completion, fusion of the views and unprojection.
 """
 
 from __future__ import annotations
@@ -16,66 +16,64 @@ from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict import Depths
-from slgaussian.predict.background import hidden
+from slgaussian.predict.background import continue_surfaces
 from slgaussian.predict.configs import PlaneSweepConfig
-from slgaussian.predict.cost import combine, matching_cost
+from slgaussian.predict.cost import combine_costs, matching_cost
 from slgaussian.predict.depth_completion import (
     AGREES,
     IN_FRONT,
     cross_check,
-    fill,
+    fill_depth,
     fit_planes,
+    remove_speckles,
     weighted_median,
-    without_speckles,
 )
 from slgaussian.predict.depth_hypotheses import (
     MIN_MATCHES,
-    candidates,
+    inverse_depth_candidates,
     inverse_depth_range,
     visible_share,
 )
-from slgaussian.predict.depth_propagation import SPECKLE, Swept, lend
+from slgaussian.predict.depth_propagation import SPECKLE, SweptView, propagate_depth
 from slgaussian.predict.exposure import color_gains
-from slgaussian.predict.fusion import blend, needed
-from slgaussian.predict.pose_refinement import kept_near
-from slgaussian.predict.sgm import aggregate, winners
+from slgaussian.predict.fusion import blend, select_drawn
+from slgaussian.predict.pose_refinement import anchor_cameras
+from slgaussian.predict.sgm import aggregate, select_winners
 from slgaussian.predict.unproject import unproject
 from slgaussian.predict.view_graph import Link, ViewGraph, link_views
 from slgaussian.scene import Sample, View
 
 MIN_MARGIN = 0.02
-"""A pixel whose best cost is not this much below all others is not answered: on a blank wall the
-smoothness alone decides, and both views may agree on what it says."""
+"""Smallest relative margin of the best cost at which a pixel counts as answered: on a blank wall
+smoothness alone decides, and both views may agree on a wrong depth."""
 
 MIN_VISIBLE = 0.05
-"""Least share of the image that the sweep must see in a source view."""
+"""Smallest share of the image that must be visible in a source view."""
 
 OPACITY_SHARED = 0.5
 OPACITY_ALONE = 0.9
 OPACITY_REFUTED = 0.02
-"""Opacity by what is known. A surface that another view shows too is drawn once a view: no copy is
-opaque, so that they blend. 0.6 costs 0.2 dB in novel views; at 0.4 more of what is behind shines
-through, and 1.2 instead of 1.0 % of the pixels read a wrong object's code. What one view alone
-shows must close the surface by itself. What lies in another view's free space is all but invisible.
-"""
+"""Opacities of three kinds of pixels. A surface that another view shows as well is drawn by both,
+so no copy is opaque: 0.6 costs 0.2 dB in novel views; at 0.4 more of the background shines through,
+and 1.2 instead of 1.0 % of the pixels decode to a wrong object. A surface of one view must be
+closed by that view. A pixel in the free space of another view is almost invisible."""
 
 
 class PlaneSweep(PlaneSweepConfig):
-    """Depth by plane sweep and semi-global matching, one Gaussian a context pixel and some more.
+    """Depth by plane sweep and semi-global matching, one Gaussian for each context pixel and more.
 
-    Each view is matched against the few that tell most of its depth; what they confirm is kept, the
-    rest is lent by them or filled with planes of the scene. What others draw twice already is not
-    drawn again.
+    Each view is matched against its best source views. Depth that a source confirms is kept;
+    other pixels take propagated depth of their sources or the depth of fitted planes. A surface
+    that enough earlier views draw is not drawn again.
 
     Attributes
     ----------
     near, far : float or None
-        Depth range along z in scene units. None takes the context camera's own, and where that
-        has none either, estimates it from sparse matches between the views.
+        Depth range along z in scene units. None takes the range of the context camera, or
+        estimates it from sparse matches if the camera has none.
     depth_candidates : int
-        Most depths that are compared, 8 to 512. A pair gets one for each pixel of motion over the
-        image, and no more than that; time and memory go with their number. More than the default
-        gain nothing that these are worth.
+        Largest number of depth candidates, 8 to 512. A pair of views has at most one candidate for
+        each pixel of motion. Time and memory are proportional to the number.
     """
 
     near: float | None = Field(None, gt=0)
@@ -89,91 +87,96 @@ class PlaneSweep(PlaneSweepConfig):
             )
 
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
-        """Gaussians in the world frame of ``sample``.
+        """Predict Gaussians in the world frame of ``sample``.
 
-        First one a context pixel, in the order of ``source``, but for those that show what two
-        views before show already; then a few for what no view sees.
-        Nothing of it is random, so ``seed`` changes nothing.
+        The first are those of context pixels, in the order of ``source``, without surfaces that
+        two earlier views draw; then follow those of unseen regions. The result does not depend on
+        ``seed``.
 
         Raises
         ------
         InputError
-            If no depth range is given and too few matches are found to estimate it, if near is not
-            below far, if two views see nothing in common within the range, or if matches say that
-            they were taken from one place or that their poses are exchanged.
+            If no depth range is given and there are too few matches to estimate one, if near is
+            not below far, if two views have no overlap within the range, or if matches show that
+            two views have no baseline or that their poses are exchanged.
         """
         return self.counted(sample, seed, graph)[0]
 
     def counted(
         self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None
     ) -> tuple[Gaussians, Depths]:
-        """What a call gives, and how many depths were compared; raises as a call."""
+        """Predict as by a call, and count the depth candidates; raises as a call."""
         views = sample.context
         matches = graph or MatchGraph.of(views)
-        linked = link_views(views, matches, all(None not in _given(self, v) for v in views))
+        linked = link_views(views, matches, all(None not in _depth_limits(self, v) for v in views))
         swept = sweep(self, sample, linked.links)
         depths = Depths(sum(len(s.steps) for s in swept), len(swept) * self.depth_candidates)
         return assemble(sample, linked, swept), depths
 
 
-def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[Swept]) -> Gaussians:
-    """Complete the depth of all views, and draw what it shows: see :meth:`PlaneSweep.__call__`."""
+def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> Gaussians:
+    """Complete the depth of all views and convert it to Gaussians.
+
+    See :meth:`PlaneSweep.__call__` for their order.
+    """
     views = sample.context
-    found, answered = [s.inverse_depth for s in swept], [s.answered for s in swept]
-    gains = color_gains([view.image for view in views], found, answered, linked)
+    raw_depths, answered = [s.inverse_depth for s in swept], [s.answered for s in swept]
+    gains = color_gains([view.image for view in views], raw_depths, answered, linked)
     exposed = [
         (view.image * np.float32(gain / 255)).clip(0, 1)
         for view, gain in zip(views, gains, strict=True)
     ]
-    swept = lend(swept, exposed, linked.links)
-    whole = _complete(sample, linked.links, swept)
-    opacities = [_opacity(i, links, swept, whole) for i, links in enumerate(linked.links)]
+    swept = propagate_depth(swept, exposed, linked.links)
+    depths = _complete_depths(sample, linked.links, swept)
+    opacities = [_opacity(i, links, swept, depths) for i, links in enumerate(linked.links)]
     steps = [s.step for s in swept]
-    colors = blend(exposed, whole, steps, linked.links)
-    given = [view.camera for view in views]
-    cameras = kept_near(given, linked.cameras, linked.closeness())
-    shown = unproject(cameras, colors, whole, opacities)
-    known = [s.known for s in swept]
-    kept = np.concatenate([keep.ravel() for keep in needed(linked, whole, known, steps)])
-    beyond = hidden(cameras, colors, whole, steps)
-    shown, beyond = (
-        part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (shown, beyond)
+    colors = blend(exposed, depths, steps, linked.links)
+    given_cameras = [view.camera for view in views]
+    cameras = anchor_cameras(given_cameras, linked.cameras, linked.closeness())
+    visible = unproject(cameras, colors, depths, opacities)
+    confirmed = [s.confirmed for s in swept]
+    drawn = np.concatenate(
+        [keep.ravel() for keep in select_drawn(linked, depths, confirmed, steps)]
     )
-    return Gaussians.concatenated([shown[kept], beyond])
+    beyond = continue_surfaces(cameras, colors, depths, steps)
+    visible, beyond = (
+        part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (visible, beyond)
+    )
+    return Gaussians.concatenated([visible[drawn], beyond])
 
 
-def sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[Swept]:
-    """Match every view against its sources and check the answers against each other."""
+def sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]]) -> list[SweptView]:
+    """Match every view against its sources and cross-check the depths."""
     views = sample.context
     guides = [view.grey for view in views]
-    everywhere = np.concatenate([link.sparse for own in links for link in own])
-    found = []
+    all_sparse = np.concatenate([link.sparse for view_links in links for link in view_links])
+    results = []
     for i, view in enumerate(views):
-        low, high = depth_range(settings, sample.scene, view, links[i], everywhere)
+        low, high = depth_range(settings, sample.scene, view, links[i], all_sparse)
         size = guides[i].shape
-        shown, steps = choose_steps(settings, links[i], size, low, high)
-        if not shown and len(views) == 2:
+        visible, steps = choose_steps(settings, links[i], size, low, high)
+        if not visible and len(views) == 2:
             raise InputError(
                 f"scene {sample.scene!r}: {view.name!r} and {views[links[i][0].source].name!r} "
                 f"see nothing in common between depths {1 / high:.3g} and {1 / low:.3g}; "
                 "choose views that overlap, or correct near and far"
             )
-        if not shown:
+        if not visible:
             middle = np.full(size, steps.mean(), np.float32)
-            found.append((Swept(steps, middle, np.zeros(size, bool)), np.zeros(size)))
+            results.append((SweptView(steps, middle, np.zeros(size, bool)), np.zeros(size)))
             continue
-        index, clear = _searched(guides[i], [(guides[k.source], k.relative) for k in shown], steps)
+        index, clear = _search(guides[i], [(guides[k.source], k.relative) for k in visible], steps)
         inverse_depth = (steps[0] + index * (steps[1] - steps[0])).astype(np.float32)
-        found.append((Swept(steps, inverse_depth, clear), index))
+        results.append((SweptView(steps, inverse_depth, clear), index))
     result = []
-    for (mine, index), sources in zip(found, links, strict=True):
+    for (mine, index), sources in zip(results, links, strict=True):
         agrees = np.zeros(index.shape, bool)
         for link in sources:
-            other = found[link.source][0].inverse_depth
-            verdict = cross_check(mine.inverse_depth, other, link.relative, mine.step)
+            source_depth = results[link.source][0].inverse_depth
+            verdict = cross_check(mine.inverse_depth, source_depth, link.relative, mine.step)
             agrees |= verdict == AGREES
-        answered = without_speckles(index, agrees & mine.answered, int(SPECKLE * index.size))
-        result.append(Swept(mine.steps, mine.inverse_depth, answered))
+        answered = remove_speckles(index, agrees & mine.answered, int(SPECKLE * index.size))
+        result.append(SweptView(mine.steps, mine.inverse_depth, answered))
     return result
 
 
@@ -182,34 +185,37 @@ def choose_steps(
 ) -> tuple[list[Link], np.ndarray]:
     """Choose the candidates of a view of ``size`` (height, width) between two inverse depths.
 
-    The poses of many views are off by a pixel or so: with steps finer than a pixel of motion in the
-    view that moves least, noise would decide what is a plane and what agrees.
+    Of the candidates of all sources the coarsest are taken: poses of many views have errors of
+    about a pixel, and with steps finer than a pixel of motion noise would decide which depths
+    agree.
 
     Returns
     -------
     list of Link
-        Those whose source sees enough of them.
+        The links whose source sees a large enough part of the view.
     float64 [D]
         Candidate inverse depths, ascending.
     """
-    most = settings.depth_candidates
-    tried = [(k, candidates(k.relative, size, low, high, most)) for k in links]
-    shown = [one for one in tried if visible_share(one[0].relative, size, one[1]) > MIN_VISIBLE]
-    return [k for k, _ in shown], min((steps for _, steps in shown or tried), key=len)
+    maximum = settings.depth_candidates
+    tried = [(k, inverse_depth_candidates(k.relative, size, low, high, maximum)) for k in links]
+    visible = [
+        pair for pair in tried if visible_share(pair[0].relative, size, pair[1]) > MIN_VISIBLE
+    ]
+    return [k for k, _ in visible], min((steps for _, steps in visible or tried), key=len)
 
 
-def _searched(
+def _search(
     guide: np.ndarray, sources: Sequence[tuple[np.ndarray, Relative]], steps: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the candidate that every pixel matches best, float32 [H, W], and where that is clear,
-    bool."""
+    """Return the index of the best candidate of every pixel, float32 [H, W], and a mask of clear
+    winners, bool [H, W]."""
     costs = [matching_cost(guide, grey, relative, steps) for grey, relative in sources]
-    best, offset, margin = winners(aggregate(combine(costs), guide))
+    best, offset, margin = select_winners(aggregate(combine_costs(costs), guide))
     return best + offset, margin > MIN_MARGIN
 
 
-def _given(settings: PlaneSweep, view: View) -> tuple[float | None, float | None]:
-    """Near and far of a view as somebody said them."""
+def _depth_limits(settings: PlaneSweep, view: View) -> tuple[float | None, float | None]:
+    """Return near and far of a view from the settings or its camera, None where neither has one."""
     return (
         settings.near if settings.near is not None else view.camera.near,
         settings.far if settings.far is not None else view.camera.far,
@@ -217,18 +223,18 @@ def _given(settings: PlaneSweep, view: View) -> tuple[float | None, float | None
 
 
 def depth_range(
-    settings: PlaneSweep, scene: str, view: View, links: Sequence[Link], everywhere: np.ndarray
+    settings: PlaneSweep, scene: str, view: View, links: Sequence[Link], all_sparse: np.ndarray
 ) -> tuple[float, float]:
-    """Least and greatest inverse depth to try for one view.
+    """Return the smallest and greatest inverse depth of the sweep of one view.
 
-    ``everywhere`` are the sparse inverse depths of all views, for one that has too few.
+    ``all_sparse`` are the sparse inverse depths of all views, used if the view has too few.
     """
-    near, far = _given(settings, view)
+    near, far = _depth_limits(settings, view)
     low = high = 0.0
     if near is None or far is None:
         sparse = np.concatenate([link.sparse for link in links])
         if len(sparse) < MIN_MATCHES:
-            sparse = everywhere
+            sparse = all_sparse
         if len(sparse) < MIN_MATCHES:
             raise InputError(
                 f"scene {scene!r}: views do not overlap or have too little texture around "
@@ -247,32 +253,32 @@ def depth_range(
     return low, high
 
 
-def _complete(
-    sample: Sample, links: Sequence[Sequence[Link]], swept: Sequence[Swept]
+def _complete_depths(
+    sample: Sample, links: Sequence[Sequence[Link]], swept: Sequence[SweptView]
 ) -> list[np.ndarray]:
-    """Inverse depth float32 [H, W] of every view at every pixel."""
-    whole = []
-    for i, (view, mine) in enumerate(zip(sample.context, swept, strict=True)):
-        planes = fit_planes(mine.inverse_depth, mine.answered, mine.step)
-        witnesses = [(link.relative, swept[link.source].known) for link in links[i]]
-        keep = mine.answered if mine.given is None else mine.answered | mine.given
-        filled = fill(mine.inverse_depth, keep, view.grey, planes, mine.steps, witnesses)
-        whole.append(weighted_median(filled, view.image, mine.steps[0], mine.step))
-    return whole
+    """Complete the inverse depth of every view, V of float32 [H, W]."""
+    completed = []
+    for i, (view, sweep) in enumerate(zip(sample.context, swept, strict=True)):
+        planes = fit_planes(sweep.inverse_depth, sweep.answered, sweep.step)
+        witnesses = [(link.relative, swept[link.source].confirmed) for link in links[i]]
+        keep = sweep.answered if sweep.fixed is None else sweep.answered | sweep.fixed
+        filled = fill_depth(sweep.inverse_depth, keep, view.grey, planes, sweep.steps, witnesses)
+        completed.append(weighted_median(filled, view.image, sweep.steps[0], sweep.step))
+    return completed
 
 
 def _opacity(
-    i: int, links: Sequence[Link], swept: Sequence[Swept], whole: Sequence[np.ndarray]
+    i: int, links: Sequence[Link], swept: Sequence[SweptView], depths: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Opacity float32 [H, W] of view ``i``."""
-    mine = swept[i]
-    refuted = np.zeros(mine.answered.shape, bool)
-    doubled = np.zeros(mine.answered.shape, bool)
+    """Return the opacity of the pixels of view ``i``, float32 [H, W]."""
+    own_sweep = swept[i]
+    refuted = np.zeros(own_sweep.answered.shape, bool)
+    doubled = np.zeros(own_sweep.answered.shape, bool)
     for link in links:
-        known = swept[link.source].known
-        refuted |= cross_check(whole[i], known, link.relative, mine.step) == IN_FRONT
-        shown = cross_check(whole[i], whole[link.source], link.relative, mine.step)
-        doubled |= (shown == AGREES) | (shown == IN_FRONT)
-    cases = [mine.answered, refuted, doubled]
+        confirmed = swept[link.source].confirmed
+        refuted |= cross_check(depths[i], confirmed, link.relative, own_sweep.step) == IN_FRONT
+        verdict = cross_check(depths[i], depths[link.source], link.relative, own_sweep.step)
+        doubled |= (verdict == AGREES) | (verdict == IN_FRONT)
+    cases = [own_sweep.answered, refuted, doubled]
     values = [OPACITY_SHARED, OPACITY_REFUTED, OPACITY_SHARED]
     return np.select(cases, values, OPACITY_ALONE).astype(np.float32)

@@ -1,7 +1,7 @@
-"""Given cameras, moved by the least that makes the matches of all views meet.
+"""Refinement of given camera poses by bundle adjustment with the given poses as a prior.
 
-Depths of several views agree only if their cameras do: a pose is often off by some tenths of a
-degree and a baseline by some per cent, which two views alone cannot know.
+Depth maps of several views agree only if their cameras do. Given poses often have errors of some
+tenths of a degree and baselines of some per cent, which two views alone cannot reveal.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from slgaussian.scene import Camera
 
 TURN = np.radians(0.15)
 MOVE = 0.05
-"""Standard deviations of a given pose that are assumed: of the rotation, and of the centre as a
+"""Assumed standard deviations of a given pose: of the rotation, radians, and of the centre, as a
 share of the distance to the nearest other view."""
 
 ITERATIONS, TOLERANCE = 30, 1e-5
 
 
-def settle(
+def refine_cameras(
     cameras: Sequence[Camera],
     keypoints: Sequence[np.ndarray],
     matches: Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]],
 ) -> list[Camera]:
-    """The cameras after a bundle adjustment that believes the given poses, and keeps all lenses.
+    """Adjust poses so that matches agree; intrinsics stay fixed and the given poses are a prior.
 
     Parameters
     ----------
@@ -37,31 +37,31 @@ def settle(
     keypoints : V of float64 [N, 2]
         Pixels, pixel centres at +0.5.
     matches : mapping (i, j) -> (int [M], int [M])
-        Which keypoints of the views i and j show one point; at most gross errors among them.
+        Indices of corresponding keypoints of the views i and j, with few outliers.
     """
     if not matches:
         return list(cameras)
-    tracks = join_tracks(keypoints, [(*pair, *found) for pair, found in matches.items()])
+    tracks = join_tracks(keypoints, [(*pair, *indices) for pair, indices in matches.items()])
     K = np.array([camera.K for camera in cameras])
     focals = np.sqrt(K[:, 0, 0] * K[:, 1, 1])
-    # As a camera of square pixels would have seen it.
-    off = tracks.xy - K[tracks.view, :2, 2]
-    uv = off / np.stack([K[tracks.view, 0, 0], K[tracks.view, 1, 1]], 1)
+    # Pixels relative to the principal point, scaled to square pixels below.
+    centred = tracks.xy - K[tracks.view, :2, 2]
+    uv = centred / np.stack([K[tracks.view, 0, 0], K[tracks.view, 1, 1]], 1)
     w2c = np.array([camera.w2c for camera in cameras])
     R, t = w2c[:, :3, :3], w2c[:, :3, 3]
     points, _ = triangulate(R, t, tracks.view, tracks.track, uv)
     depth = np.einsum("mj,mj->m", R[tracks.view, 2], points[tracks.track]) + t[tracks.view, 2]
     front = np.ones(tracks.count, bool)
     np.logical_and.at(front, tracks.track, depth > 0)
-    seen = front[tracks.track]
-    kept, point = np.unique(tracks.track[seen], return_inverse=True)
-    if not len(kept):
+    in_front = front[tracks.track]
+    used_tracks, point = np.unique(tracks.track[in_front], return_inverse=True)
+    if not len(used_tracks):
         return list(cameras)
     centers = np.array([camera.center for camera in cameras])
-    apart = np.linalg.norm(centers[:, None] - centers, axis=-1)
-    nearest = np.where(apart > 0, apart, np.inf).min(1)
+    distances = np.linalg.norm(centers[:, None] - centers, axis=-1)
+    nearest = np.where(distances > 0, distances, np.inf).min(1)
     count = len(cameras)
-    found = adjust(
+    bundle = adjust(
         Bundle(
             R=R,
             t=t,
@@ -69,10 +69,10 @@ def settle(
             group=np.arange(count),
             focals=focals,
             k1=np.zeros(count),
-            points=points[kept],
-            view=tracks.view[seen],
+            points=points[used_tracks],
+            view=tracks.view[in_front],
             point=point,
-            xy=uv[seen] * focals[tracks.view[seen], None],
+            xy=uv[in_front] * focals[tracks.view[in_front], None],
             focal_prior=focals,
             focal_sigma=np.zeros(count),
             poses=PosePrior(R, centers, TURN, MOVE * nearest),
@@ -80,38 +80,39 @@ def settle(
         iterations=ITERATIONS,
         tolerance=TOLERANCE,
     ).bundle
-    back = found.R.transpose(0, 2, 1)
-    stands = -(back @ found.t[:, :, None])[..., 0]
-    return [placed(*one) for one in zip(cameras, back, stands, strict=True)]
+    rotations = bundle.R.transpose(0, 2, 1)
+    new_centers = -(rotations @ bundle.t[:, :, None])[..., 0]
+    return [with_pose(*parts) for parts in zip(cameras, rotations, new_centers, strict=True)]
 
 
-def kept_near(
-    given: Sequence[Camera], settled: Sequence[Camera], closeness: np.ndarray
+def anchor_cameras(
+    cameras: Sequence[Camera], refined: Sequence[Camera], closeness: np.ndarray
 ) -> list[Camera]:
-    """The settled cameras, moved back by what each shares with its neighbours.
+    """Remove from a refinement the part that neighbouring views have in common.
 
-    Given poses drift, and so does the frame in which somebody asks for a view: where all of a
-    neighbourhood is off by the same, it stays there. What differs between neighbours is mended.
+    Given poses drift slowly, and novel views are requested in the drifting frame. So a correction
+    that a whole neighbourhood shares is undone, and only differences between neighbours remain.
 
     Parameters
     ----------
-    given, settled : V Camera
+    cameras, refined : V Camera
+        The given cameras, and those of :func:`refine_cameras`.
     closeness : float64 [V, V]
         Weights of the mean around each view; rows sum to 1.
     """
-    R = np.array([camera.c2w[:3, :3] for camera in given])
+    R = np.array([camera.c2w[:3, :3] for camera in cameras])
     turns = Rotation.from_matrix(
-        [b.c2w[:3, :3] @ a.c2w[:3, :3].T for a, b in zip(given, settled, strict=True)]
+        [b.c2w[:3, :3] @ a.c2w[:3, :3].T for a, b in zip(cameras, refined, strict=True)]
     ).as_rotvec()
-    moves = np.array([b.center - a.center for a, b in zip(given, settled, strict=True)])
+    moves = np.array([b.center - a.center for a, b in zip(cameras, refined, strict=True)])
     turns, moves = turns - closeness @ turns, moves - closeness @ moves
-    turned = Rotation.from_rotvec(turns).as_matrix() @ R
-    stands = np.array([camera.center for camera in given]) + moves
-    return [placed(*one) for one in zip(given, turned, stands, strict=True)]
+    rotations = Rotation.from_rotvec(turns).as_matrix() @ R
+    centers = np.array([camera.center for camera in cameras]) + moves
+    return [with_pose(*parts) for parts in zip(cameras, rotations, centers, strict=True)]
 
 
-def placed(camera: Camera, R: np.ndarray, center: np.ndarray) -> Camera:
-    """The camera with another rotation [3, 3] (camera to world) and centre [3]."""
+def with_pose(camera: Camera, R: np.ndarray, center: np.ndarray) -> Camera:
+    """Return the camera with rotation ``R`` [3, 3] (camera to world) and centre [3]."""
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = R, center
     return replace(camera, c2w=pose)

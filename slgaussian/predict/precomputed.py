@@ -33,7 +33,7 @@ from slgaussian.masks.configs import DEPTHS
 from slgaussian.predict.configs import PrecomputedGeometryConfig
 from slgaussian.predict.depth_completion import AGREES, BEHIND, IN_FRONT, UNSEEN, cross_check
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
-from slgaussian.predict.depth_propagation import Swept
+from slgaussian.predict.depth_propagation import SweptView
 from slgaussian.predict.planesweep import PlaneSweep, assemble, choose_steps, depth_range
 from slgaussian.predict.view_graph import ViewGraph, link_views
 from slgaussian.scene import Camera, Sample, View
@@ -376,7 +376,7 @@ def _swept(
     linked: ViewGraph,
     depths: Sequence[np.ndarray],
     confidences: Sequence[np.ndarray | None],
-) -> tuple[list[Swept], np.ndarray]:
+) -> tuple[list[SweptView], np.ndarray]:
     """Check the depth of all views against each other, as after a sweep; and where confidence is
     low, bool [V, H, W]."""
     links, settings = linked.links, PlaneSweep()
@@ -412,7 +412,8 @@ def _swept(
             agrees[i] |= given[i] & ((far == AGREES) | open_)
     low_ones = _low(confidences, agrees, judged)
     swept = [
-        Swept(steps[i], inverse[i], agrees[i] & ~low_ones[i], given[i]) for i in range(len(steps))
+        SweptView(steps[i], inverse[i], agrees[i] & ~low_ones[i], given[i])
+        for i in range(len(steps))
     ]
     return swept, low_ones
 

@@ -1,7 +1,7 @@
-"""Semi-global matching (Hirschmueller 2008): costs summed along eight paths, and winners.
+"""Semi-global matching (Hirschmueller 2008): aggregation along eight paths, and winner selection.
 
-Each half of the paths is followed in one sweep over the rows, so that a cost is read twice and not
-eight times: the memory is what limits it.
+Each half of the paths is aggregated in one sweep over the rows, so that a cost is read twice and
+not eight times: memory bandwidth is the limit.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ def aggregate(
     p2_floor: int = 12,
     contrast: float = 20.0,
 ) -> np.ndarray:
-    """Path costs of semi-global matching.
+    """Aggregate matching costs along the paths of semi-global matching.
 
     Along a path a change of one candidate costs ``p1`` and a larger one
-    ``max(p2_floor, p2 / (1 + |dI| / contrast))``, where dI is the step of the guide image. With
-    ``p1 >= p2`` this is the Potts model: every change costs the same.
+    ``max(p2_floor, p2 / (1 + |dI| / contrast))``, where dI is the gradient of the guide image.
+    With ``p1 >= p2`` this is the Potts model: every change costs the same.
 
     Parameters
     ----------
@@ -37,11 +37,11 @@ def aggregate(
     Returns
     -------
     uint16 [2, H, W, D]
-        Sums over the four paths that come from the left or above, and over their four opposites.
-        What is minimised is the sum of both.
+        Sums over the four paths from the left and above, and over their four opposites. The sum of
+        both is to be minimised.
     """
     halves = np.empty((2, *cost.shape), np.uint16)
-    # What a change costs by the step of the guide, 0 to 255.
+    # Cost of a change by the absolute difference of the guide, 0 to 255.
     jumps = np.maximum(p2_floor, p2 / (1 + np.arange(256) / contrast)).astype(np.int16)
     share(_aggregate, 2, cost, guide, jumps, np.int16(p1), halves)
     return halves
@@ -57,9 +57,9 @@ def _aggregate(counter, cost, guide, jumps, p1, halves):
 
 @kernel
 def _sweep(cost, guide, jumps, p1, down, total):
-    """Sum the paths along the row, down it (or up) and both diagonals, row after row."""
+    """Sum the paths along the row, along the column and both diagonals, row after row."""
     H, W, D = cost.shape
-    # A cell of padding at both ends saves the test for the first and last candidate.
+    # Padding of one cell at both ends avoids a branch for the first and last candidate.
     start, along = np.empty(D + 2, np.int16), np.empty((2, D + 2), np.int16)
     across = np.empty((2, 3, W, D + 2), np.int16)
     start[:], along[:], across[:] = _FAR, _FAR, _FAR
@@ -68,39 +68,39 @@ def _sweep(cost, guide, jumps, p1, down, total):
     for k in range(H):
         y, before = (k, k - 1) if down else (H - 1 - k, H - k)
         new, old = k % 2, (k + 1) % 2
-        least = np.int16(0)
+        minimum = np.int16(0)
         for j in range(W):
             x, beside = (j, j - 1) if down else (W - 1 - j, W - j)
             here, grey, sums = cost[y, x], np.int32(guide[y, x]), total[y, x]
             sums[:] = 0
-            this, last = along[j % 2], along[(j + 1) % 2]
+            this, previous = along[j % 2], along[(j + 1) % 2]
             if j == 0:
-                least = _follow(start, np.int16(0), jumps[0], p1, here, this, sums)
+                minimum = _follow(start, np.int16(0), jumps[0], p1, here, this, sums)
             else:
                 jump = jumps[abs(grey - np.int32(guide[y, beside]))]
-                least = _follow(last, least, jump, p1, here, this, sums)
+                minimum = _follow(previous, minimum, jump, p1, here, this, sums)
             for path in range(3):
                 from_x = x + path - 1
                 this = across[new, path, x]
                 if k == 0 or from_x < 0 or from_x >= W:
-                    found = _follow(start, np.int16(0), jumps[0], p1, here, this, sums)
+                    lowest = _follow(start, np.int16(0), jumps[0], p1, here, this, sums)
                 else:
                     jump = jumps[abs(grey - np.int32(guide[before, from_x]))]
-                    found = _follow(
+                    lowest = _follow(
                         across[old, path, from_x], least_across[old, path, from_x], jump, p1,
                         here, this, sums,
                     )  # fmt: skip
-                least_across[new, path, x] = found
+                least_across[new, path, x] = lowest
 
 
 @kernel(inline="always")
-def _follow(last, least, jump, p1, here, this, sums):
-    """Take a path one pixel on: write its costs, add them to ``sums``, and return the least."""
-    ceiling = np.int16(least + jump)
+def _follow(previous, minimum, jump, p1, here, this, sums):
+    """Extend a path by one pixel: write its costs, add them to ``sums``, return their minimum."""
+    ceiling = np.int16(minimum + jump)
     lowest = _FAR
     for d in range(here.shape[0]):
-        side = np.int16(min(last[d], last[d + 2]) + p1)
-        value = np.int16(min(min(last[d + 1], side), ceiling) - least + here[d])
+        side = np.int16(min(previous[d], previous[d + 2]) + p1)
+        value = np.int16(min(min(previous[d + 1], side), ceiling) - minimum + here[d])
         this[d + 1] = value
         lowest = min(lowest, value)
         sums[d] = np.uint16(sums[d] + np.uint16(value))
@@ -108,8 +108,8 @@ def _follow(last, least, jump, p1, here, this, sums):
 
 
 @kernel
-def winners(halves):
-    """Candidate of least cost with a sub-pixel offset, and how clearly it won.
+def select_winners(halves):
+    """Select the candidate of minimum cost, with a sub-pixel offset and a margin.
 
     Parameters
     ----------
@@ -119,13 +119,13 @@ def winners(halves):
     Returns
     -------
     best : int16 [H, W]
-        The winner; ties go to the lowest candidate.
+        Index of the winner; ties go to the lowest candidate.
     offset : float32 [H, W]
         From the winner to the minimum of the parabola through it and its two neighbours, -0.5 to
         0.5; 0 for the first and the last candidate.
     margin : float32 [H, W]
-        ``1 - least / second``, 0 to 1, where second is the least cost more than one candidate away;
-        0 where all cost the same.
+        ``1 - minimum / second``, 0 to 1, where second is the minimum cost more than one candidate
+        away; 0 where all costs are equal.
     """
     H, W, D = halves.shape[1:]
     best = np.empty((H, W), np.int16)
@@ -134,13 +134,13 @@ def winners(halves):
     for y in range(H):
         costs = np.empty(D, np.int32)
         for x in range(W):
-            first, other = halves[0, y, x], halves[1, y, x]
-            least = np.int32(2**30)
+            first_half, second_half = halves[0, y, x], halves[1, y, x]
+            minimum = np.int32(2**30)
             for d in range(D):
-                costs[d] = np.int32(first[d]) + np.int32(other[d])
-                least = min(least, costs[d])
+                costs[d] = np.int32(first_half[d]) + np.int32(second_half[d])
+                minimum = min(minimum, costs[d])
             k = 0
-            while costs[k] != least:
+            while costs[k] != minimum:
                 k += 1
             second = np.int32(2**16)
             for d in range(k - 1):
@@ -149,9 +149,9 @@ def winners(halves):
                 second = min(second, costs[d])
             if 0 < k < D - 1:
                 left, right = costs[k - 1], costs[k + 1]
-                bend = left + right - 2 * least
+                bend = left + right - 2 * minimum
                 if bend > 0:
                     offset[y, x] = 0.5 * (left - right) / bend
             best[y, x] = k
-            margin[y, x] = 1.0 - least / second if second > 0 else 0.0
+            margin[y, x] = 1.0 - minimum / second if second > 0 else 0.0
     return best, offset, margin

@@ -1,4 +1,4 @@
-"""From depth maps to Gaussians: one thin disc a pixel, lying along the surface."""
+"""Unprojection of depth maps: one thin disc for each pixel, aligned with the surface."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from slgaussian.scene import Camera
 
 FOOTPRINT = 0.35
 """Standard deviation of a disc across the line of sight, in pixels of its own view. With the
-rasterizer's low-pass a surface then has no holes, nor from half the distance. Larger ones blur:
+rasterizer's low-pass filter surfaces have no holes, even from half the distance. Larger discs blur:
 0.45 costs 0.1 dB in novel views, 0.6 half a decibel."""
 
 THICKNESS = 0.1
 """Standard deviation along the normal, as a share of that across the line of sight."""
 
 MIN_COSINE = 0.25
-"""Surfaces seen at a flatter angle than this are stretched no further."""
+"""Smallest cosine between normal and line of sight by which discs are elongated."""
 
 SLOPE_RADIUS = 3
 SAME_SURFACE = 0.03
-"""Window, and largest relative step of inverse depth in it, from which a normal is estimated."""
+"""Half the window from which a normal is estimated, pixels, and the largest relative difference of
+inverse depth within it."""
 
 
 def unproject(
@@ -33,7 +34,7 @@ def unproject(
     inverse_depths: Sequence[np.ndarray],
     opacities: Sequence[np.ndarray],
 ) -> Gaussians:
-    """One Gaussian a context pixel, in the order of ``source``.
+    """Convert depth maps to one Gaussian for each pixel, in the order of ``source``.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ def unproject(
     Gaussians
         V * H * W of them in world space, spherical harmonics of degree 0.
     """
-    parts = [_discs_of(*one) for one in zip(cameras, inverse_depths, strict=True)]
+    parts = [_discs_of(*view) for view in zip(cameras, inverse_depths, strict=True)]
     means, scales, quats = (np.concatenate(p) for p in zip(*parts, strict=True))
     rgb = np.concatenate([c.reshape(-1, 3) for c in colors])
     return Gaussians.from_arrays(
@@ -77,7 +78,7 @@ def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ..
 
 
 def normals(inverse_depth: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Unit surface normals float64 [H, W, 3] in camera coordinates, facing the camera.
+    """Estimate unit normals in camera coordinates, facing the camera, float64 [H, W, 3].
 
     A plane ``n . X = 1`` has inverse depth ``w = (K^-T n) . (u, v, 1)``: linear in the pixel, so
     its normal follows from the slope of ``w``, fitted to the pixels nearby on the same surface.
@@ -87,7 +88,7 @@ def normals(inverse_depth: np.ndarray, K: np.ndarray) -> np.ndarray:
 
 @kernel
 def _normals(values, K, radius, same):
-    """From least-squares slopes over the window pixels within a share ``same`` of each."""
+    """Compute normals from least-squares slopes over window pixels of the same surface."""
     H, W = values.shape
     out = np.empty((H, W, 3))
     for y in range(H):
@@ -108,7 +109,7 @@ def _normals(values, K, radius, same):
                         syy += dy * dy
                         sxw += dx * w
                         syw += dy * w
-            # Centred moments; a window that is a point or a line in the image says nothing.
+            # Centred moments; a window that is a point or a line has no normal.
             a, b, c = sxx - sx * sx / n, sxy - sx * sy / n, syy - sy * sy / n
             p, q = sxw - sx * sw / n, syw - sy * sw / n
             det = a * c - b * b
@@ -126,13 +127,12 @@ def _normals(values, K, radius, same):
     return out
 
 
-# Numbers and no slices: to assign to slices takes seconds to compile, with all that says what is
-# wrong with their shapes.
+# Scalars instead of slices: assignments to slices take seconds to compile, for their shape errors.
 
 
 @kernel
 def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
-    """Local axes are (across the line of sight, uphill along the surface, normal)."""
+    """Compute discs with the local axes (across the line of sight, along the slope, normal)."""
     H, W = inverse_depth.shape
     means = np.empty((H * W, 3), np.float32)
     scales = np.empty((H * W, 3), np.float32)
@@ -153,7 +153,7 @@ def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
             n0, n1, n2 = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
             a0, a1, a2, tilt = _cross(n0, n1, n2, s0, s1, s2)
             if tilt < 1e-6:
-                # Seen squarely: any axis in the plane will do.
+                # The surface faces the camera: any axis in the plane will do.
                 a0, a1, a2, tilt = _cross(n0, n1, n2, 0.0, 1.0, 0.0)
                 s0, s1, s2 = -n0, -n1, -n2
             a0, a1, a2 = a0 / tilt, a1 / tilt, a2 / tilt
@@ -176,14 +176,15 @@ def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
 
 @kernel
 def _cross(a0, a1, a2, b0, b1, b2):
-    """``a x b`` and its length."""
+    """Return ``a x b`` and its length."""
     x, y, z = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
     return x, y, z, math.sqrt(x * x + y * y + z * z)
 
 
 @kernel
 def _quaternion(R, q):
-    """Quaternion wxyz of a rotation, from its largest component (Shepperd 1978), of any length."""
+    """Write an unnormalised quaternion wxyz of a rotation, by its largest component (Shepperd
+    1978)."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     if trace > max(R[0, 0], R[1, 1], R[2, 2]):
         q[0] = 1 + trace

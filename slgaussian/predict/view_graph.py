@@ -1,4 +1,4 @@
-"""The graph of views: which are matched with which, their settled cameras and sparse matches."""
+"""The view graph: source views for each reference view, refined cameras and sparse matches."""
 
 from __future__ import annotations
 
@@ -13,46 +13,46 @@ from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError, listed
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.pose import GATE, MIN_REFINE, refine
-from slgaussian.predict.pose_refinement import settle
+from slgaussian.predict.pose_refinement import refine_cameras
 from slgaussian.scene import Camera, Sample, View
 
 INLIER = 2.0
 """Distance to the refined epipolar line, pixels, up to which a match counts for the range."""
 
 MIN_PARALLAX = 1.0
-"""Motion of matches by depth, pixels (their 90th percentile), below which two views are taken for
-one: the matches themselves are a few tenths of a pixel off."""
+"""Smallest parallax of matches, pixels (90th percentile), at which two views count as separate
+viewpoints: the matches themselves have errors of a few tenths of a pixel."""
 
 SOURCES = 4
-"""Views that depth is found from at most; on a walk and a forward-facing capture two and three are
-worse, and memory goes with their number."""
+"""Largest number of source views of one reference view. On a walk and a forward-facing capture two
+and three sources are worse; memory is proportional to the number."""
 
 BELIEVED = 2
-"""Views, the nearest, that one without matches is linked with."""
+"""Number of nearest views that a view without matches is linked with."""
 
 WELL_POSED = 0.0015
-"""Distance of matches to their epipolar lines (the median, as a share of the image diagonal; a
-pixel of 540x360) up to which given poses stay as they are. To adjust them is to fit noise, a turn
-looks much like other depths: an exact stereo rig is turned by 0.03 degrees, which makes depths 2.1
-instead of 1.7 % wrong, and in novel views of a walk and a forward-facing capture, 2 to 8 views, it
-makes 0.1 dB more to 0.4 dB less."""
+"""Median epipolar distance of matches, as a share of the image diagonal (a pixel of 540x360), up to
+which given poses are not refined. Below it, refinement fits noise, because a small rotation looks
+like a change of depth: it turns an exact stereo rig by 0.03 degrees, which raises the depth error
+from 1.7 to 2.1 %. In novel views of a walk and a forward-facing capture with 2 to 8 views it
+changes PSNR by +0.1 to -0.4 dB."""
 
 BEST_ANGLE = 5.0
 NARROW, BROAD = 2.0, 10.0
-"""Degrees between two lines of sight at which a match tells most of depth, and how fast narrower
-and wider ones tell less (Yao et al. 2018, "MVSNet", section 4.1)."""
+"""Triangulation angle, degrees, with the greatest weight, and the standard deviations of the weight
+for narrower and wider angles (Yao et al. 2018, "MVSNet", section 4.1)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """What is known about a reference view and one of its sources before any sweep.
+    """A reference view's relation to one of its source views, before the plane sweep.
 
     Attributes
     ----------
     source : int
         Index of the source view.
     relative : Relative
-        From the reference to the source, as their settled cameras say.
+        Pose of the source relative to the reference, from the refined cameras.
     sparse : float64 [M]
         Inverse depths of sparse matches in the reference.
     """
@@ -64,152 +64,174 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class ViewGraph:
-    """Views that see the same things.
+    """Views linked with the views that overlap them.
 
     Attributes
     ----------
     cameras : V Camera
-        As given, or settled where matches do not meet under those.
+        The given cameras; refined ones where the matches contradict the given poses.
     links : V sequences of Link
-        The sources of each view, the best first.
+        The sources of each view, best first.
     """
 
     cameras: Sequence[Camera]
     links: Sequence[Sequence[Link]]
 
     def closeness(self) -> np.ndarray:
-        """Weights float64 [V, V] of a mean around each view; rows sum to 1.
+        """Return weights of a local mean around each view, float64 [V, V]; rows sum to 1.
 
-        A view and the one that shares most matches with it count alike, others by the square of
-        what they share: the exposures and poses of a walk change as one goes along.
+        A view and the view that shares most matches with it have equal weight. The weight of every
+        further view is proportional to the square of its number of shared matches, because
+        exposure and pose errors drift along a walk.
         """
         shared = np.zeros((len(self.links), len(self.links)))
         for i, sources in enumerate(self.links):
             for link in sources:
                 shared[i, link.source] = shared[link.source, i] = max(1, len(link.sparse))
-        most = np.maximum(shared.max(1, keepdims=True), 1)
-        weights = (shared / most) ** 2 + np.eye(len(shared))
+        maximum = np.maximum(shared.max(1, keepdims=True), 1)
+        weights = (shared / maximum) ** 2 + np.eye(len(shared))
         return weights / weights.sum(1, keepdims=True)
 
 
 def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGraph:
-    """Settle cameras that are off, and choose the sources of each view, by the matches of views.
+    """Refine inaccurate cameras and choose the sources of each view from the matches.
 
-    Views whose matches show no parallax are not linked, nothing can be learnt from them; nor are
-    those with too few matches. A view that matches no other is linked with the nearest by its pose
-    alone, if its depth range is given (``ranged``) or other views tell one. Where there are more
-    than two, a warning says so.
+    Pairs of views with too few matches or without parallax are not linked. A view without any
+    matches is linked with the nearest views by its pose alone if its depth range is given
+    (``ranged``) or other views provide one; with more than two views this emits a warning.
 
     Raises
     ------
     InputError
-        If a view is linked with none. Pieces of two views and more are joined by their poses.
+        If a view has no link. Separate components of two or more views are allowed: their poses
+        join them.
     """
-    matches, why = _matched(views, graph)
+    matches, rejected = _verified_matches(views, graph)
     points = graph.keypoints
     cameras = [view.camera for view in views]
-    moving = {pair: found for pair, found in matches.items() if len(found[0]) >= MIN_REFINE}
-    if _off(cameras, points, moving) > WELL_POSED * np.hypot(*views[0].grey.shape):
-        cameras = settle(cameras, points, moving)
-    found: list[list[tuple[float, Link]]] = [[] for _ in views]
+    dense = {pair: indices for pair, indices in matches.items() if len(indices[0]) >= MIN_REFINE}
+    if _median_epipolar_distance(cameras, points, dense) > WELL_POSED * np.hypot(
+        *views[0].grey.shape
+    ):
+        cameras = refine_cameras(cameras, points, dense)
+    scored_links: list[list[tuple[float, Link]]] = [[] for _ in views]
     for (i, j), (p, q) in matches.items():
-        _link(found, cameras, (i, j), points[i][p], points[j][q])
+        _link(scored_links, cameras, (i, j), points[i][p], points[j][q])
     if ranged or matches:
-        alone = {i for i, own in enumerate(found) if not own}
+        alone = {i for i, sources in enumerate(scored_links) if not sources}
         if alone and len(views) > 2:
             _warn_of([views[i].name for i in sorted(alone)])
         for i, j in neighbours(views, BELIEVED):
-            if (i, j) not in why and alone & {i, j}:
-                _link(found, cameras, (i, j), np.zeros((0, 2)), np.zeros((0, 2)))
-    _refuse_alone(views, found, why)
-    return ViewGraph(
-        cameras,
-        [[link for _, link in sorted(own, key=lambda one: -one[0])[:SOURCES]] for own in found],
-    )
+            if (i, j) not in rejected and alone & {i, j}:
+                _link(scored_links, cameras, (i, j), np.zeros((0, 2)), np.zeros((0, 2)))
+    _refuse_alone(views, scored_links, rejected)
+    links = []
+    for sources in scored_links:
+        best = sorted(sources, key=lambda scored: -scored[0])[:SOURCES]
+        links.append([link for _, link in best])
+    return ViewGraph(cameras, links)
 
 
-def usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
-    """Return the sample without the context views that bring nothing, and why each is left out.
+def select_usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
+    """Drop context views that are duplicates or that match no other view.
 
-    Those are views that repeat one before them (:func:`without_doubles`), and those of
-    :func:`without_strangers`. With it comes the graph of the other views.
+    Returns
+    -------
+    sample : Sample
+    graph : MatchGraph
+        Of the remaining context views.
+    left_out : {view name: reason}
+        From :func:`drop_duplicates` and :func:`drop_unmatched`.
     """
-    once, doubles = without_doubles(sample)
-    rest, graph, strangers = without_strangers(once, MatchGraph.of(once.context))
+    once, doubles = drop_duplicates(sample)
+    rest, graph, strangers = drop_unmatched(once, MatchGraph.of(once.context))
     return rest, graph, doubles | strangers
 
 
-def without_doubles(sample: Sample) -> tuple[Sample, dict[str, str]]:
-    """The sample without the context views that are one before them again, picture and place.
+def drop_duplicates(sample: Sample) -> tuple[Sample, dict[str, str]]:
+    """Drop context views with the same picture and camera as an earlier one.
 
-    Such a view would be drawn as if two had seen what one saw.
+    A duplicate would count as independent evidence for the surfaces that it shows.
     """
-    kept: list[View] = []
+    distinct: list[View] = []
     left = {}
     for view in sample.context:
-        same = next((one for one in kept if _same(one, view)), None)
+        same = next((view_i for view_i in distinct if _same(view_i, view)), None)
         if same is None:
-            kept.append(view)
+            distinct.append(view)
         else:
             left[view.name] = f"it is the same picture as {same.name}, from the same place"
-    return (replace(sample, context=tuple(kept)) if left else sample), left
+    return (replace(sample, context=tuple(distinct)) if left else sample), left
 
 
 def _same(a: View, b: View) -> bool:
-    alike = np.allclose(a.camera.c2w, b.camera.c2w) and np.allclose(a.camera.K, b.camera.K)
-    return bool(alike and np.array_equal(a.image, b.image))
+    same_camera = np.allclose(a.camera.c2w, b.camera.c2w) and np.allclose(a.camera.K, b.camera.K)
+    return bool(same_camera and np.array_equal(a.image, b.image))
 
 
-def without_strangers(
-    sample: Sample, graph: MatchGraph
-) -> tuple[Sample, MatchGraph, dict[str, str]]:
-    """Return the sample without the context views that match no other, and why each is left out.
+def drop_unmatched(sample: Sample, graph: MatchGraph) -> tuple[Sample, MatchGraph, dict[str, str]]:
+    """Drop context views that match no other view.
 
-    All stay where there are two, or where more than half would go. With it comes the graph of the
-    views that stay.
+    All views remain if there are only two, or if more than half would be dropped.
+
+    Returns
+    -------
+    sample : Sample
+    graph : MatchGraph
+        Of the remaining context views.
+    left_out : {view name: reason}
     """
     views = sample.context
-    met = {i for pair in _matched(views, graph)[0] for i in pair} if len(views) > 2 else set()
-    if len(met) == len(views) or len(met) < max(3, len(views) / 2):
+    matched = (
+        {i for pair in _verified_matches(views, graph)[0] for i in pair}
+        if len(views) > 2
+        else set()
+    )
+    if len(matched) == len(views) or len(matched) < max(3, len(views) / 2):
         return sample, graph, {}
-    why = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
-    left = {view.name: why for i, view in enumerate(views) if i not in met}
-    rest = tuple(views[i] for i in sorted(met))
-    # Other views are neighbours now.
+    reason = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
+    left = {view.name: reason for i, view in enumerate(views) if i not in matched}
+    rest = tuple(views[i] for i in sorted(matched))
+    # The neighbours of a view are different ones now.
     return replace(sample, context=rest), MatchGraph.of(rest), left
 
 
 Matches = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
-def _matched(
+def _verified_matches(
     views: Sequence[View], graph: MatchGraph
 ) -> tuple[Matches, dict[tuple[int, int], str]]:
-    """Which features of which pairs of views show one point, int [M] and int [M], and what is wrong
-    with pairs whose matches tell no depth."""
+    """Filter the matches of neighbouring views by their refined epipolar geometry.
+
+    Returns the feature indices (int [M], int [M]) of every pair with parallax, and the reason of
+    rejection of every pair without.
+    """
     matches: Matches = {}
-    why = {}
+    rejected = {}
     for i, j in neighbours(views):
-        given = Relative.between(views[i].camera, views[j].camera)
+        initial = Relative.between(views[i].camera, views[j].camera)
         p, q = graph.matches[i, j]
         a, b = graph.points(i, j)
-        possible = np.abs(given.epipolar_distance(a, b)) < GATE * np.hypot(*views[i].grey.shape)
-        p, q, a, b = (found[possible] for found in (p, q, a, b))
-        there = refine(given, a, b)
-        fits = np.abs(there.epipolar_distance(a, b)) < INLIER
-        p, q, a, b = (found[fits] for found in (p, q, a, b))
-        front = (there.triangulate(a, b) > 0) & (there.reversed().triangulate(b, a) > 0)
+        possible = np.abs(initial.epipolar_distance(a, b)) < GATE * np.hypot(*views[i].grey.shape)
+        p, q, a, b = (array[possible] for array in (p, q, a, b))
+        relative = refine(initial, a, b)
+        fits = np.abs(relative.epipolar_distance(a, b)) < INLIER
+        p, q, a, b = (array[fits] for array in (p, q, a, b))
+        front = (relative.triangulate(a, b) > 0) & (relative.reversed().triangulate(b, a) > 0)
         if len(a) < MIN_MATCHES:
             continue
-        said = _useless(views[i], views[j], there, a, b, front)
-        if said is None:
+        reason = _rejection_reason(views[i], views[j], relative, a, b, front)
+        if reason is None:
             matches[i, j] = p[front], q[front]
         else:
-            why[i, j] = said
-    return matches, why
+            rejected[i, j] = reason
+    return matches, rejected
 
 
-def _off(cameras: Sequence[Camera], points: Sequence[np.ndarray], matches: Matches) -> float:
+def _median_epipolar_distance(
+    cameras: Sequence[Camera], points: Sequence[np.ndarray], matches: Matches
+) -> float:
     """Median distance of the matches to their epipolar lines, pixels; 0 without any."""
     off = [
         np.abs(
@@ -220,12 +242,12 @@ def _off(cameras: Sequence[Camera], points: Sequence[np.ndarray], matches: Match
     return float(np.median(np.concatenate(off))) if off else 0.0
 
 
-def _useless(
-    a: View, b: View, there: Relative, at_a: np.ndarray, at_b: np.ndarray, front: np.ndarray
+def _rejection_reason(
+    a: View, b: View, relative: Relative, at_a: np.ndarray, at_b: np.ndarray, front: np.ndarray
 ) -> str | None:
-    """Why many matches of two views tell no depth, None if they do."""
+    """Return the reason why the matches of two views determine no depth, None if they do."""
     both = f"{a.name!r} and {b.name!r}"
-    motion = np.abs(there.triangulate(at_a, at_b)) * there.parallax(at_a)
+    motion = np.abs(relative.triangulate(at_a, at_b)) * relative.parallax(at_a)
     if np.percentile(motion, 90) < MIN_PARALLAX:
         return (
             f"{both} were taken from almost the same place: their {len(at_a)} matches show "
@@ -242,24 +264,24 @@ def _useless(
 
 
 def _link(
-    found: list[list[tuple[float, Link]]],
+    scored_links: list[list[tuple[float, Link]]],
     cameras: Sequence[Camera],
     pair: tuple[int, int],
     at_a: np.ndarray,
     at_b: np.ndarray,
 ) -> None:
-    """Link two views both ways, each with how much it tells of depth."""
+    """Link two views in both directions, each link with the sum of its matches' angle weights."""
     i, j = pair
     forth = Relative.between(cameras[i], cameras[j])
     back = forth.reversed()
-    here, there = forth.triangulate(at_a, at_b), back.triangulate(at_b, at_a)
+    depth_a, depth_b = forth.triangulate(at_a, at_b), back.triangulate(at_b, at_a)
     fits = np.abs(forth.epipolar_distance(at_a, at_b)) < INLIER
-    good = fits & (here > 0) & (there > 0)
-    angle = np.degrees(np.arctan(here * forth.parallax(at_a) / cameras[j].K[0, 0]))[good]
+    good = fits & (depth_a > 0) & (depth_b > 0)
+    angle = np.degrees(np.arctan(depth_a * forth.parallax(at_a) / cameras[j].K[0, 0]))[good]
     wide = np.where(angle < BEST_ANGLE, NARROW, BROAD)
     worth = float(np.exp(-0.5 * ((angle - BEST_ANGLE) / wide) ** 2).sum())
-    found[i].append((worth, Link(j, forth, here[good])))
-    found[j].append((worth, Link(i, back, there[good])))
+    scored_links[i].append((worth, Link(j, forth, depth_a[good])))
+    scored_links[j].append((worth, Link(i, back, depth_b[good])))
 
 
 def _warn_of(names: Sequence[str]) -> None:
@@ -273,14 +295,14 @@ def _warn_of(names: Sequence[str]) -> None:
 
 def _refuse_alone(
     views: Sequence[View],
-    found: Sequence[Sequence[tuple[float, Link]]],
-    why: dict[tuple[int, int], str],
+    scored_links: Sequence[Sequence[tuple[float, Link]]],
+    rejected: dict[tuple[int, int], str],
 ) -> None:
     """Raise InputError if a view is linked with none."""
-    alone = {i for i, own in enumerate(found) if not own}
-    for pair, said in why.items():
+    alone = {i for i, sources in enumerate(scored_links) if not sources}
+    for pair, reason in rejected.items():
         if alone & {*pair}:
-            raise InputError(said)
+            raise InputError(reason)
     if alone:
         names = listed([views[i].name] for i in sorted(alone))
         raise InputError(

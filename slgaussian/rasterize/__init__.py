@@ -1,4 +1,4 @@
-"""Splat Gaussians onto an image: one public call, several backends with one meaning."""
+"""Rasterization of Gaussians: one public function, several equivalent backends."""
 
 import sys
 from importlib import import_module
@@ -21,7 +21,7 @@ __all__ = [
     "rasterize",
 ]
 
-# Loaded on first use: whoever draws a field waits for neither torch nor their kernels.
+# Loaded on first use: drawing a field needs neither torch nor their kernels.
 _LATER = {
     "SplatPlan": "slgaussian.rasterize.planned",
     "plan": "slgaussian.rasterize.planned",

@@ -1,4 +1,4 @@
-"""The one call that turns Gaussians into images, and what all backends agree on.
+"""The public function :func:`rasterize` and the model that all backends share.
 
 A Gaussian is projected by the local affine approximation of perspective (Zwicker et al., "EWA
 splatting", 2001), widened by a low-pass filter, and composited front to back by the depth of its
@@ -31,33 +31,33 @@ BACKENDS = {
 }
 
 MOST_LABELS = 2**24
-"""Labels are compared side by side with their weights, in float32, which is exact below this."""
+"""Exclusive bound of labels: kernels store them in float32, which is exact below it."""
 
 FRUSTUM_MARGIN = 0.3
-"""The affine approximation is evaluated at most this fraction of half the image size outside the
-image; further off it explodes (Kerbl et al. 2023 and gsplat take the same fraction)."""
+"""Distance from the image, as a fraction of half its size, to which the point of evaluation of the
+affine approximation is clamped; farther outside it diverges (Kerbl et al. 2023 and gsplat use the
+same fraction)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Render:
-    """What a camera sees.
+    """A rendered view.
 
     Attributes
     ----------
     values : float [H, W, C]
-        Composited values, premultiplied: divide by ``alpha`` for the mean of what is there.
+        Composited values, premultiplied: divide by ``alpha`` for their weighted mean.
     alpha : float [H, W]
         Accumulated opacity in [0, 1].
     depth : float [H, W]
-        Expected z-depth: the mean over what is there, scene units; 0 where ``alpha`` is 0.
+        Expected z-depth, the weighted mean, scene units; 0 where ``alpha`` is 0.
     median : float [H, W] or None
-        Median z-depth: of the Gaussian with which ``alpha`` reaches one half; 0 where it does not.
-        It carries no gradient.
+        Median z-depth: of the Gaussian at which ``alpha`` reaches one half; 0 where it does not.
+        Without gradient.
     label : int32 [H, W] or None
-        The label that has most of the pixel's light, 0 where no labelled Gaussian is drawn; it
-        carries no gradient.
+        Label with the greatest blending weight, 0 without labelled Gaussians. Without gradient.
     label_weights : float [H, W, 3] or None
-        How much light that label has, the next one, and all labels together, each in [0, 1].
+        Blending weights of that label, of the second label, and of all labels, each in [0, 1].
     """
 
     values: torch.Tensor
@@ -80,7 +80,7 @@ def rasterize(
     median: bool = False,
     labels: torch.Tensor | None = None,
 ) -> Render:
-    """Render any number of channels of ``gaussians`` as ``camera`` sees them, in one pass.
+    """Render any number of channels of ``gaussians`` from ``camera`` in one pass.
 
     Differentiable in the means, scales, quaternions, opacities and values, and through the colours
     in the spherical harmonics; first derivatives only.
@@ -88,29 +88,29 @@ def rasterize(
     Parameters
     ----------
     gaussians : Gaussians
-        Quaternions of any length but zero.
+        Quaternions of any nonzero length.
     values : float [N, C] or None
-        What each Gaussian carries: colour, ID code, anything linear. None draws their colour: the
-        spherical harmonics as seen from the camera.
+        Values to composite: colours, ID codes, or other linear quantities. None renders colour:
+        the spherical harmonics evaluated for the camera.
     camera : Camera
-        Its principal point may lie anywhere; ``near`` and ``far`` play no part.
+        Its principal point may lie anywhere; ``near`` and ``far`` are not used.
     backend : "auto", "cpu", "cuda" or "reference"
         ``cpu`` is parallel Numba in float32; ``cuda`` is gsplat; ``reference`` is plain float64
-        torch that leaves nothing out, slow, for comparison. ``auto`` takes ``cuda`` for tensors
-        that are on a GPU, else ``cpu``.
+        torch without cut-offs, slow, for comparison. ``auto`` takes ``cuda`` for tensors on a GPU,
+        else ``cpu``.
     settings : Settings or "fast", "exact", "3dgs"
-        What is drawn and what is cut; see :mod:`slgaussian.rasterize.render_settings`.
+        Image formation and cut-offs; see :mod:`slgaussian.rasterize.render_settings`.
     median : bool
-        Whether to find the median depth too.
+        Compute the median depth as well.
     labels : int32 [N], optional
-        What each Gaussian belongs to, below 2^24; 0 is nothing. Finds the label of every pixel: the
-        one whose Gaussians have the greatest sum of weights, ties to the lowest.
+        Label of each Gaussian, below 2^24; 0 is none. Adds the label of every pixel: the one with
+        the greatest sum of weights, ties to the lowest.
 
     Raises
     ------
     InputError
-        If ``values`` or ``labels`` has the wrong shape, a label or a parameter is out of its range,
-        NaN or infinite (named with its index), or the backend cannot do what is asked.
+        If ``values`` or ``labels`` has the wrong shape, a label or a parameter is out of range,
+        NaN or infinite (named with its index), or the backend lacks a requested feature.
     """
     compiling.watch()
     settings = find_settings(settings)
@@ -145,7 +145,7 @@ def _check_labels(labels: torch.Tensor, n: int) -> None:
 
 
 def check_inputs(gaussians: Gaussians, values: torch.Tensor | np.ndarray) -> None:
-    """Raise InputError naming the first number that cannot be drawn."""
+    """Raise InputError naming the first invalid number."""
     gaussians.check()
     if (index := first_not_finite(values)) is not None:
         raise InputError(f"rasterize values[{index}]: holds NaN or infinity")

@@ -1,4 +1,4 @@
-"""Composite splats into pixels, tile by tile, and carry gradients back to the splats."""
+"""Compositing of splats into pixels, tile by tile, and back-propagation to the splats."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from slgaussian.rasterize.tiles import (
 )
 
 PATIENCE = 8
-"""Splats drawn in a row before looking whether any of its pixels lets light through."""
+"""Splats composited between two tests whether a block is finished."""
 
 
 def draw(
@@ -96,8 +96,8 @@ def _draw(
     strip, tiles = take(counter), bins.across * bins.down
     if strip * STRIP >= tiles:
         return
-    most = fullest(bins)
-    work = make_workspace(most, channels - 1)
+    capacity = fullest(bins)
+    work = make_workspace(capacity, channels - 1)
     sums = np.empty((channels + 3) * LANES, np.float32)
     solids, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
     places = np.full(most_label + 1, -1, np.int32)
@@ -148,12 +148,12 @@ def draw_backward(
     d_alpha: np.ndarray,
     d_z: np.ndarray,
 ) -> np.ndarray:
-    """Gradients of the splats, one row a tile that they touch.
+    """Compute the gradients of the splats, one row for each tile that they touch.
 
-    The weights are computed again; then each block is walked back to front. With R the composite of
-    everything behind a splat as if nothing were before it, ``dL/dalpha = T (f - R)``, where T is
-    the light before the splat and f its values, all times the upstream gradient. T is the light
-    after the splat plus its weight: no division, so that opaque splats do no harm.
+    The weights are recomputed; then each block is processed back to front. With R the composite of
+    everything behind a splat, ``dL/dalpha = T (f - R)``, where T is the transmittance before the
+    splat and f its values, all times the upstream gradient. T is the transmittance after the splat
+    plus its weight: without a division, opaque splats are no special case.
 
     Parameters
     ----------
@@ -186,9 +186,9 @@ def _draw_backward(
     strip, tiles = take(counter), bins.across * bins.down
     if strip * STRIP >= tiles:
         return
-    most = fullest(bins)
-    work = make_workspace(most, channels - 1)
-    totals = np.empty(most * sums * LANES, np.float32)
+    capacity = fullest(bins)
+    work = make_workspace(capacity, channels - 1)
+    totals = np.empty(capacity * sums * LANES, np.float32)
     upstream = np.empty((channels + 1) * LANES, np.float32)
     while strip * STRIP < tiles:
         for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
@@ -223,10 +223,10 @@ def _draw_backward(
 
 @kernel
 def weigh_block(block, work, alpha_max, pass_min):
-    """Write the weights of one block of a loaded tile, a vector a splat of its list.
+    """Write the weights of one block of a loaded tile, a vector for each splat of its list.
 
-    Returns how many splats of the list were looked at, the light that is left, and the sum of the
-    weights: the alpha, with all its digits where there is little of it.
+    Returns the number of processed splats, the remaining transmittance, and the sum of the weights,
+    which is alpha with full precision for small values.
     """
     first = block * len(work.keys)
     left, top = _corner(block)
@@ -252,7 +252,7 @@ def weigh_block(block, work, alpha_max, pass_min):
 
 @kernel
 def _corner(block):
-    """The first pixel of a block, counted from the first of its tile's middle row."""
+    """Return the first pixel of a block relative to the first of its tile's middle row."""
     left, top = corner_of(block, 0, -(TILE_HEIGHT // 2))
     return np.float32(left), np.float32(top)
 
@@ -271,11 +271,11 @@ def _offsets(left, top, local):
 
 @kernel
 def _sum_block(block, used, channels, work, sums):
-    """Weighted sums of what the splats of a row carry: a vector a channel."""
+    """Compute weighted sums of the values of the splats of a list, a vector for each channel."""
     first = block * len(work.keys)
     zero = vzero()
-    # Four at a time, so that each weight is loaded once for four sums that do not wait for one
-    # another. Sums past the last channel are of the next splat's values, and not used.
+    # Four channels at a time: each weight is loaded once for four independent sums. Sums past the
+    # last channel have values of the next splat, and are not used.
     for c in range(0, channels, 4):
         a, b, d, e = zero, zero, zero, zero
         for j in range(used):
@@ -293,35 +293,35 @@ def _sum_block(block, used, channels, work, sums):
 
 @kernel
 def _median_block(block, used, channels, work):
-    """The z of the splat with which the light falls to one half; 0 where it does not."""
+    """Return the z of the splat at which transmittance reaches one half; 0 where it does not."""
     first = block * len(work.keys)
-    found = vzero()
-    light = found + np.float32(1)
+    median = vzero()
+    light = median + np.float32(1)
     for j in range(used):
         after = light - vload(work.weights, j * LANES)
         k = np.uint32(work.lists[first + j])
         z = work.carried[k * channels + channels - 1]
         reached = (light > np.float32(0.5)) & (after <= np.float32(0.5))
-        found = vwhere(reached, z, found)
+        median = vwhere(reached, z, median)
         light = after
-    return found
+    return median
 
 
 @kernel
 def _elect(block, used, work, entries, labels, places, heard, votes, elected):
-    """The label with the greatest sum of weights, that sum, the next one, and that of all labels.
+    """Find the label with the greatest sum of weights, that sum, the second, and the total.
 
-    They are four vectors in ``elected``; a tie goes to the lowest label. ``places`` holds -1 for
-    every label, before and after: a block hears few of the many.
+    Writes four vectors to ``elected``; ties go to the lowest label. ``places`` is -1 for every
+    label before and after the call.
     """
     first = block * len(work.keys)
-    whole, count = vzero(), 0
+    total, count = vzero(), 0
     for j in range(used):
         label = labels[entries[np.uint32(work.lists[first + j])]]
         if label == 0:
             continue
         weight = vload(work.weights, j * LANES)
-        whole = whole + weight
+        total = total + weight
         place = places[label]
         if place < 0:
             place = places[label] = count
@@ -342,7 +342,7 @@ def _elect(block, used, work, entries, labels, places, heard, votes, elected):
     vstore(elected, 0, winner)
     vstore(elected, LANES, best)
     vstore(elected, 2 * LANES, second)
-    vstore(elected, 3 * LANES, whole)
+    vstore(elected, 3 * LANES, total)
 
 
 @kernel

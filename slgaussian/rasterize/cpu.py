@@ -1,8 +1,8 @@
-"""The fast rasteriser: Numba, parallel over tiles, blocks of 4x4 pixels, float32 sums.
+"""The CPU rasterizer: Numba, parallel over tiles, blocks of 4x4 pixels, float32 sums.
 
-Geometry is projected in float64 (:mod:`.project`), listed by tile and depth (:mod:`.tiles`) and
-composited (:mod:`.blend`). What a tile computes does not depend on the thread that runs it, so the
-bytes do not depend on the number of threads.
+Geometry is projected in float64 (:mod:`.project`), binned by tile and depth (:mod:`.tiles`) and
+composited (:mod:`.blend`). The result of a tile does not depend on the thread that computes it, so
+images are identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ def render(
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32.
 
-    A Gaussian that is not drawn, for its opacity or its place, gets no gradient.
+    A Gaussian that is not drawn has no gradient.
     """
-    gaussians, values = as_kernels_take_them(gaussians, values)
+    gaussians, values = to_kernel_arrays(gaussians, values)
     geometry = [getattr(gaussians, name) for name in GEOMETRY]
     image, alpha, depth, middle, *elected = _Splatting.apply(
         *geometry, values, gaussians, eye_of(camera, settings), settings, median, labels
@@ -45,10 +45,8 @@ def render(
     )
 
 
-def as_kernels_take_them(
-    gaussians: Gaussians, values: torch.Tensor
-) -> tuple[Gaussians, torch.Tensor]:
-    """The geometry and values in float32, contiguous and on the CPU."""
+def to_kernel_arrays(gaussians: Gaussians, values: torch.Tensor) -> tuple[Gaussians, torch.Tensor]:
+    """Convert geometry and values to contiguous float32 on the CPU."""
     geometry = {
         name: getattr(gaussians, name).to("cpu", torch.float32).contiguous() for name in GEOMETRY
     }
@@ -75,12 +73,12 @@ class _Splatting(torch.autograd.Function):
         drawn, splats, boxes, bins, limits = splatted(
             gaussians, arrays, values.detach().numpy(), eye, settings, median, named
         )
-        image, alpha, depth, *others = (torch.from_numpy(array) for array in drawn)
+        image, alpha, depth, *rest = (torch.from_numpy(array) for array in drawn)
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(means, scales, quats, opacities, values, alpha, depth)
             ctx.drawn = splats, boxes, bins, limits, eye
-        ctx.mark_non_differentiable(*others)
-        return image, alpha, depth, *others
+        ctx.mark_non_differentiable(*rest)
+        return image, alpha, depth, *rest
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -101,5 +99,5 @@ class _Splatting(torch.autograd.Function):
             splats, boxes, values, bins, firsts, limits,
             np.ascontiguousarray(d_image.numpy()), d_solid, d_z,
         )  # fmt: skip
-        found = project_backward(geometry, eye, splats, firsts, grads)
-        return *(torch.from_numpy(array) for array in found), None, None, None, None, None
+        gradients = project_backward(geometry, eye, splats, firsts, grads)
+        return *(torch.from_numpy(array) for array in gradients), None, None, None, None, None

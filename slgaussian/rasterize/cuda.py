@@ -1,13 +1,13 @@
-"""The rasteriser of GPUs: gsplat (Ye et al., JMLR 2025, https://docs.gsplat.studio, Apache-2.0).
+"""The CUDA rasterizer: gsplat (Ye et al., JMLR 2025, https://docs.gsplat.studio, Apache-2.0).
 
-Only this module knows gsplat, and imports it when it is used. Its kernels have constants of their
-own, so pictures differ from those of the other backends, and from what the settings ask, by this:
+This module imports gsplat on use. Its kernels have fixed constants, so images differ from those of
+the other backends and from the settings as follows:
 
-- Alphas are clamped to 0.999, whatever ``alpha_max`` says.
+- Alphas are clamped to 0.999, whatever ``alpha_max`` is.
 - A Gaussian is cut where its alpha is below 1/255 and outside of a rectangle of at most 3.33
-  standard deviations, whatever ``alpha_min`` and ``sigmas`` say.
-- A pixel is finished before the Gaussian that would leave it with at most 1e-4 of the light,
-  whatever ``pass_min`` says.
+  standard deviations, whatever ``alpha_min`` and ``sigmas`` are.
+- A pixel is finished before the Gaussian that would reduce its transmittance to at most 1e-4,
+  whatever ``pass_min`` is.
 - A Gaussian whose z is exactly ``near`` is drawn.
 - The arithmetic is float32, without IEEE rounding of divisions.
 """
@@ -26,11 +26,11 @@ from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
 
 LEAST_ALPHA_MAX = 0.99
-"""The constant of Kerbl et al. 2023: nearer than 0.01 to gsplat's own 0.999. Below it a clamp is
-meant to be seen, and is refused."""
+"""Smallest accepted ``alpha_max``, the constant of Kerbl et al. 2023, within 0.01 of gsplat's own
+0.999. A stronger clamp would be visible and is refused."""
 
 FAR = torch.finfo(torch.float32).max
-"""gsplat's far plane, which nothing reaches: a camera's ``far`` plays no part."""
+"""gsplat's far plane, at infinity: a camera's ``far`` is not used."""
 
 
 def render(
@@ -43,29 +43,28 @@ def render(
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32, on the device of the input.
 
-    ``near`` and ``low_pass`` are honoured, and any number of channels; see the top
-    of this module for what differs.
+    ``near``, ``low_pass`` and any number of channels are supported; the module lists differences.
 
     Raises
     ------
     InputError
         If the tensors are not on one CUDA device, gsplat is not installed or has no compiled
-        kernels, or something is asked that it cannot do: the median depth, labels, pixels with
-        skew, or an ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
+        kernels, or it does not support the request: the median depth, labels, pixels with skew, or
+        an ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
     """
     _check_possible(camera, settings, median, labels is not None)
     device = _one_device(gaussians, values)
     rasterization = load_gsplat()
     check_inputs(gaussians, values)
 
-    # Seen from the camera's place in float64: a million units from the origin, float32 would keep
-    # places to a sixteenth of one. Quaternions of any length are normalised there too.
+    # Relative to the camera in float64: a million units from the origin, float32 has a resolution
+    # of a sixteenth. Quaternions of any length are normalised in float64 too.
     R = torch.from_numpy(camera.c2w[:3, :3].T.copy()).to(device)
     offsets = gaussians.means.double() - torch.from_numpy(camera.center.copy()).to(device)
     quats = gaussians.quats.double()
     world_to_camera = torch.eye(4, device=device)
     world_to_camera[:3, :3] = R
-    # Depth is one more channel, so that there always is one: gsplat takes no less.
+    # Depth is an additional channel, so that there is at least one, as gsplat requires.
     carried = torch.cat([values.float(), (offsets @ R[2]).float()[:, None]], 1)
     image, alpha, _ = rasterization(
         means=offsets.float(),
@@ -83,7 +82,7 @@ def render(
         packed=False,
     )
     image, alpha = image[0], alpha[0, ..., 0]
-    # Where anything is drawn alpha is at least 1/255, so this is 0 elsewhere and nowhere biased.
+    # Alpha is 0 or at least 1/255, so the clamp introduces no bias.
     depth = image[..., -1] / alpha.clamp_min(1e-10)
     return Render(image[..., :-1], alpha, depth)
 
@@ -121,7 +120,7 @@ def _one_device(gaussians: Gaussians, values: torch.Tensor) -> torch.device:
 
 
 def load_gsplat() -> Callable:
-    """gsplat's ``rasterization``; raises InputError where it or its kernels are missing."""
+    """Import gsplat's ``rasterization``; raises InputError if it or its kernels are missing."""
     try:
         from gsplat import rasterization
         from gsplat.cuda._backend import _C as kernels

@@ -1,10 +1,10 @@
-"""Colour that depends on where it is seen from: real spherical harmonics of degree 0 to 3.
+"""View-dependent colour: real spherical harmonics of degree 0 to 3.
 
 The convention is that of Kerbl et al., "3D Gaussian Splatting", 2023, and of the files that follow
 it: ``rgb = max(0, 0.5 + sum_k Y_k(d) sh_k)`` with ``d`` the unit vector from the camera's
 centre to the Gaussian's mean, and ``k = l (l + 1) + m`` for degree ``l`` and order ``m = -l .. l``.
 The basis is orthonormal on the sphere and keeps the Condon-Shortley phase ``(-1)^m``, so the
-degree 1 is ``0.4886 (-y, z, -x)``. Whoever makes Gaussians brings them to it.
+degree 1 is ``0.4886 (-y, z, -x)``. Readers and predictors convert to this convention.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from slgaussian.scene import Camera
 MAX_DEGREE = 3
 
 COUNTS = tuple((degree + 1) ** 2 for degree in range(MAX_DEGREE + 1))
-"""How many coefficients a colour may have."""
+"""Allowed numbers of coefficients of a colour."""
 
 BANDS = tuple(slice(degree**2, (degree + 1) ** 2) for degree in range(MAX_DEGREE + 1))
-"""The coefficients of each degree."""
+"""Slices of the coefficients of each degree."""
 
 
 def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
-    """The real spherical harmonics up to ``degree``.
+    """Evaluate the real spherical harmonics up to ``degree``.
 
     Parameters
     ----------
     directions : float [3, N]
-        Unit vectors, a row an axis: each is read many times, and rows are contiguous. A zero vector
-        stands for no direction and gets 0 for everything above degree 0.
+        Unit vectors, a row for each axis, as rows are contiguous. A zero vector means no direction
+        and has 0 above degree 0.
     degree : int
         0 to :data:`MAX_DEGREE`.
 
@@ -45,7 +45,7 @@ def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
     """
     x, y, z = directions
     rows = [torch.full_like(x, SH_C0)]
-    # Every polynomial is homogeneous: without that the zero vector would have a colour.
+    # All polynomials are homogeneous, so that they are 0 at the zero vector.
     if degree >= 1:
         c = math.sqrt(3 / (4 * math.pi))
         rows += [-c * y, c * z, -c * x]
@@ -74,11 +74,11 @@ def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
 
 
 def turned(R: np.ndarray) -> np.ndarray:
-    """Matrix float64 [16, 16] that turns coefficients as the rotation ``R`` [3, 3] turns the scene.
+    """Return the matrix float64 [16, 16] that rotates coefficients by the rotation ``R`` [3, 3].
 
     The Wigner matrices of degree 0 to 3 of the real basis: ``Y(R d) = D Y(d)`` for every direction.
-    It is solved for on fixed directions, exact to rounding, as the harmonics of one degree turn
-    into combinations of themselves.
+    Solved on fixed directions, exact to rounding, because rotation maps the harmonics of a degree
+    to linear combinations of themselves.
     """
     directions, inverse = _sphere()
     Y = basis(torch.from_numpy(R @ directions), MAX_DEGREE).numpy()
@@ -89,7 +89,7 @@ def turned(R: np.ndarray) -> np.ndarray:
 
 
 def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
-    """RGB of every Gaussian as ``camera`` sees it, differentiable in ``sh`` and ``means``.
+    """Compute the RGB of every Gaussian from ``camera``, differentiable in ``sh`` and ``means``.
 
     Parameters
     ----------
@@ -124,18 +124,18 @@ def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
 
 
 def _directions(means: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """Unit vectors float64 [3, N] from the camera to ``means``; zero for a mean at its centre."""
-    # In float64: a million units from the origin, float32 keeps the camera to a sixteenth of one.
+    """Return unit vectors float64 [3, N] from the camera to ``means``; zero at its centre."""
+    # In float64: a million units from the origin, float32 has a resolution of a sixteenth.
     centre = torch.from_numpy(camera.center.copy()).to(means.device)
     offsets = means.double().T.contiguous() - centre[:, None]
     squared = offsets.square().sum(0)
-    # Infinity where the length is 0 makes both the quotient and its gradient zero, never NaN.
+    # Infinity instead of a zero length makes both the quotient and its gradient zero, never NaN.
     return offsets / torch.where(squared > 0, squared, torch.inf).sqrt()
 
 
 @cache
 def _sphere() -> tuple[np.ndarray, np.ndarray]:
-    """Directions [3, N] in no special position, and the pseudo-inverse [N, 16] of their basis."""
+    """Return random directions [3, N] and the pseudo-inverse [N, 16] of their basis."""
     directions = np.random.default_rng(0).standard_normal((3, 64))
     directions /= np.linalg.norm(directions, axis=0)
     Y = basis(torch.from_numpy(directions), MAX_DEGREE).numpy()

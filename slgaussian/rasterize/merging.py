@@ -1,12 +1,12 @@
-"""Draw what is even with fewer, larger Gaussians, and take back what shows.
+"""Merging of uniform Gaussians into fewer, larger ones, with a bound on the visible change.
 
-A wall of one colour needs no Gaussian a pixel. Where the Gaussians of 2x2 neighbouring pixels, and
-of those around them, are alike and lie on one surface, one takes the place of the four, and one of
-such four in turn. Then the given views are drawn, and where they changed too much the pixels get
-their own Gaussians back. What is left of the change is measured by drawing once more.
+A wall of one colour does not need a Gaussian for each pixel. Where the Gaussians of 2x2 adjacent
+pixels and their neighbours are similar and lie on one surface, one replaces the four; this is
+repeated once. Then the context views are rendered, and where they changed too much the merge is
+undone. The remaining change is measured by another rendering.
 
-Nothing is left out because the given views do not see it: another view may. Dropping what has
-little light was tried, and costs more than it saves (`docs/measured/rasterizer.md`).
+Gaussians that are invisible in the context views remain, as another view may show them. Pruning by
+weight was tried and costs more than it saves (`docs/measured/rasterizer.md`).
 """
 
 from __future__ import annotations
@@ -28,53 +28,53 @@ GREY = 1 / 255
 """A grey level."""
 
 COLOUR, OPACITY, FEATURE = 16 * GREY, 0.1, 1 / 64
-"""How far apart the least and the greatest may be, of all that are merged and of those around them:
-of a colour, of opacities and of a semantic feature. Looser colours have more taken back: at 24 grey
-levels up to 0.05 more of the Gaussians remain, at 12 up to 0.02."""
+"""Largest range within a merged cell and its neighbours: of a colour, of opacity and of a semantic
+feature. With a looser range of colours more merges are undone: at 24 grey levels up to 0.05 more of
+the Gaussians remain, at 12 up to 0.02."""
 
 HALVINGS = 2
-"""How often four become one. A third time leaves as many and costs a tenth of the error more."""
+"""Number of 2x2 merges. A third leaves as many Gaussians and adds a tenth to the error."""
 
 APART = 6.0
-"""Standard deviations of the wider one between neighbours past which a surface ends."""
+"""Distance of neighbours, in standard deviations of the wider one, above which a surface ends."""
 
 BENT = 2.0
-"""How far four neighbours may be from a parallelogram, in its shorter side. Depth has that noise,
-and along the line of sight it hardly shows."""
+"""Largest deviation of four neighbours from a parallelogram, in units of its shorter side. Depth
+noise is that large, and it is hardly visible along the line of sight."""
 
 BLOCK = 4
-"""Pixels along a side of the blocks in which changes are judged."""
+"""Side of the blocks of pixels in which changes are measured."""
 
 LIMIT = 2 * GREY
-"""Mean change of a block above which what is merged there is taken back."""
+"""Mean change of a block above which its merges are undone."""
 
 MOST = GREY
-"""Greatest root of the mean square change of a given view."""
+"""Largest root mean square change of a context view."""
 
 AIM = 0.9
-"""What a view that is over :data:`MOST` is brought down to, as a share of it: where one block is
-taken back its neighbours change too."""
+"""Target of the change of a view above :data:`MOST`, as a share of it: undoing a block changes its
+neighbours as well."""
 
 ROUNDS = 2
-"""How often what shows most is taken back, while a view is over :data:`MOST`; then it gets back all
-that it sees."""
+"""Number of rounds in which the greatest changes of a view above :data:`MOST` are undone; after
+them all merges visible in the view are undone."""
 
 BEHIND = 0.1
-"""How much farther than the surface that a view shows a thing must be, as a share of its depth, not
-to show there. Of what many views see of a wide scene, most is behind something in most of them."""
+"""Relative depth behind the visible surface beyond which a Gaussian counts as occluded. In wide
+scenes with many views, most Gaussians are occluded in most views."""
 
 REACH = 3.0
-"""Standard deviations past which a Gaussian shows no more."""
+"""Visible extent of a Gaussian, in standard deviations."""
 
 LOW_PASS = PRESETS["fast"].low_pass
 
 VISIBLE = 0.5
-"""Least opacity at which a mean colour is shown in full, as fields are shown."""
+"""Smallest opacity at which the mean colour is fully shown, as in renderings of fields."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What the given views lost by merging, in grey levels over all channels of all pixels.
+    """Change of the context views by merging, in grey levels over all channels of all pixels.
 
     Attributes
     ----------
@@ -93,14 +93,14 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Merged:
-    """What is left, and what that changed.
+    """Result of :func:`merge`.
 
     Attributes
     ----------
     gaussians : Gaussians
-        In the order of those given; ``source`` of a merged one is the first of its pixels.
+        In the order of the input; ``source`` of a merged one is the first of its pixels.
     into : int64 [N]
-        For each that was given, which of these stands for it.
+        Index of the output for each input Gaussian.
     change : Change
     """
 
@@ -110,18 +110,18 @@ class Merged:
 
 
 def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
-    """Merge Gaussians of neighbouring pixels while the given views stay as they are.
+    """Merge Gaussians of neighbouring pixels without visible change of the context views.
 
-    No view changes by more than a grey level (:data:`MOST`); see :class:`Change`. Where one would,
-    its blocks that change most get their own Gaussians back, and other views keep what is merged.
+    No view changes by more than a grey level (:data:`MOST`, see :class:`Change`). Where one would,
+    the merges in its blocks of greatest change are undone.
 
     Parameters
     ----------
     gaussians : Gaussians
-        ``source`` tells their pixels; the first of a pixel may be merged, others stay. Of one with
-        semantic features, those are alike that have the same object.
+        ``source`` has their pixels; only the first Gaussian of a pixel is merged. With semantic
+        features, only Gaussians of one object are merged.
     cameras : sequence of V Camera
-        The context views, in their order, all of one size.
+        Context views in their order, all of one size.
 
     Raises
     ------
@@ -130,18 +130,23 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
     """
     grid = _Grid.of(gaussians, cameras)
     sizes = grid.sizes()
-    given = [_picture(gaussians, camera) for camera in cameras]
-    before, depths = [picture for picture, _ in given], [_farthest(depth) for _, depth in given]
-    merged, into = _joined(gaussians, grid, sizes)
+    pictures = [_picture(gaussians, camera) for camera in cameras]
+    before, depths = (
+        [picture for picture, _ in pictures],
+        [_farthest(depth) for _, depth in pictures],
+    )
+    merged, into = _merge_cells(gaussians, grid, sizes)
     changes = _changes(merged, cameras, before)
     for attempt in range(ROUNDS + 1):
-        over = [_showing(change) for change in changes]
+        over = [_blocks_to_restore(change) for change in changes]
         if attempt == ROUNDS:
-            # What a view shows through its surfaces, too, where that is still too much.
-            for v in (v for v, one in enumerate(changes) if _summary([one]).rms > MOST / GREY):
+            # Include Gaussians behind surfaces, which may shine through.
+            for v in (
+                v for v, change_v in enumerate(changes) if _summary([change_v]).rms > MOST / GREY
+            ):
                 over[v], depths[v] = np.ones_like(over[v]), np.full_like(depths[v], np.inf)
-        _take_back(sizes, grid, over, cameras, depths)
-        merged, into = _joined(gaussians, grid, sizes)
+        _restore_cells(sizes, grid, over, cameras, depths)
+        merged, into = _merge_cells(gaussians, grid, sizes)
         changes = _changes(merged, cameras, before)
         change = _summary(changes)
         if change.rms <= MOST / GREY:
@@ -150,40 +155,40 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
 
 
 def _picture(gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Colours float32 [H, W, 3] as a field shows them, and depth float32 [H, W]."""
+    """Render colours float32 [H, W, 3] as a field does, and depth float32 [H, W]."""
     drawn = picture(gaussians, seen_colors(gaussians, camera), camera)
-    shown = drawn.values / np.maximum(drawn.alpha, np.float32(VISIBLE))[..., None]
-    return shown.clip(0, 1), drawn.depth
+    color = drawn.values / np.maximum(drawn.alpha, np.float32(VISIBLE))[..., None]
+    return color.clip(0, 1), drawn.depth
 
 
 def _changes(
     gaussians: Gaussians, cameras: Sequence[Camera], before: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
-    """How each view differs from what it was: float32 [H, W, 3], at least 0."""
+    """Return the absolute change of each view, float32 [H, W, 3]."""
     return [
-        np.abs(_picture(gaussians, camera)[0] - was)
-        for camera, was in zip(cameras, before, strict=True)
+        np.abs(_picture(gaussians, camera)[0] - original)
+        for camera, original in zip(cameras, before, strict=True)
     ]
 
 
-def _showing(change: np.ndarray) -> np.ndarray:
-    """Blocks bool [h, w] whose change is too much: by itself, or for the sum of their view."""
+def _blocks_to_restore(change: np.ndarray) -> np.ndarray:
+    """Return the blocks with too much change, alone or in the sum of a view, bool [h, w]."""
     means = _block_means(change.mean(2))
     squares = _block_means(np.square(change).mean(2))
     least_first = np.sort(squares, axis=None)
     sums = np.cumsum(least_first, dtype=np.float64)
     if sums[-1] <= squares.size * MOST**2:
-        return _near(means > LIMIT)
+        return _dilate(means > LIMIT)
     within = int(np.searchsorted(sums, squares.size * (AIM * MOST) ** 2))
-    return _near(means > LIMIT) | (squares > least_first[max(within - 1, 0)])
+    return _dilate(means > LIMIT) | (squares > least_first[max(within - 1, 0)])
 
 
 def _farthest(depth: np.ndarray) -> np.ndarray:
-    """Depth float32 [h, w] of what is farthest in each block or one beside it; infinite where a
-    view shows nothing."""
-    known = np.where(depth > 0, depth, np.inf)
+    """Return the greatest depth in each block and its neighbours, float32 [h, w]; infinite where
+    nothing is drawn."""
+    valid = np.where(depth > 0, depth, np.inf)
     height, width = depth.shape
-    padded = np.pad(known, ((0, -height % BLOCK), (0, -width % BLOCK)), "edge")
+    padded = np.pad(valid, ((0, -height % BLOCK), (0, -width % BLOCK)), "edge")
     blocks = padded.reshape(padded.shape[0] // BLOCK, BLOCK, -1, BLOCK).max((1, 3))
     return ndimage.maximum_filter(blocks, 3)
 
@@ -197,20 +202,20 @@ def _summary(changes: Sequence[np.ndarray]) -> Change:
 
 
 class _Level(NamedTuple):
-    """Cells of s x s pixels on a grid, float32 but where said.
+    """Cells of s x s pixels on a grid; float32 unless stated.
 
     Attributes
     ----------
-    there : bool [V, h, w]
-        Which cells have one Gaussian.
+    present : bool [V, h, w]
+        Mask of the cells with one Gaussian.
     means : [V, h, w, 3]
     low, high : [V, h, w, C]
-        Least and greatest trait in the cell, in units of what traits may differ by.
+        Smallest and greatest attributes in the cell, in units of their allowed range.
     widest : [V, h, w]
         Greatest scale in the cell, times s.
     """
 
-    there: np.ndarray
+    present: np.ndarray
     means: np.ndarray
     low: np.ndarray
     high: np.ndarray
@@ -219,7 +224,7 @@ class _Level(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Where Gaussians are in the images that they came from.
+    """Gaussians on the pixel grids of their source images.
 
     Attributes
     ----------
@@ -234,10 +239,10 @@ class _Grid:
 
     @staticmethod
     def of(gaussians: Gaussians, cameras: Sequence[Camera]) -> _Grid:
-        found = {(camera.height, camera.width) for camera in cameras}
-        if len(found) != 1:
-            raise InputError(f"merge cameras: found sizes {sorted(found)}, expected one size")
-        shape = (len(cameras), *found.pop())
+        image_sizes = {(camera.height, camera.width) for camera in cameras}
+        if len(image_sizes) != 1:
+            raise InputError(f"merge cameras: found sizes {sorted(image_sizes)}, expected one size")
+        shape = (len(cameras), *image_sizes.pop())
         arrays = gaussians.to_arrays()
         source = arrays["source"].astype(np.int64)
         if len(source) and not 0 <= source.min() <= source.max() < np.prod(shape):
@@ -247,25 +252,25 @@ class _Grid:
             )
         rows = np.full(shape, -1, np.int64)
         rows.ravel()[source[::-1]] = np.arange(len(source) - 1, -1, -1)
-        levels = [_pixels(rows, gaussians)]
+        levels = [_pixel_level(rows, gaussians)]
         for _ in range(HALVINGS):
-            levels.append(_halved(levels[-1]))
+            levels.append(_merge_level(levels[-1]))
         return _Grid(rows, levels)
 
     def sizes(self) -> np.ndarray:
-        """How many pixels along its side the cell of each pixel has: int64 [V, H, W]."""
+        """Return the side in pixels of the cell of each pixel, int64 [V, H, W]."""
         sizes = np.ones(self.rows.shape, np.int64)
         for power, level in enumerate(self.levels[1:], 1):
-            _mark(sizes, level.there, 2**power, 2**power)
+            _mark(sizes, level.present, 2**power, 2**power)
         return sizes
 
 
-def _pixels(rows: np.ndarray, gaussians: Gaussians) -> _Level:
+def _pixel_level(rows: np.ndarray, gaussians: Gaussians) -> _Level:
     """Return the level of single pixels.
 
-    Its traits are what must be alike, in units of what it may differ by.
+    Its attributes are in units of their allowed range.
     """
-    arrays, there = gaussians.to_arrays(), rows >= 0
+    arrays, present = gaussians.to_arrays(), rows >= 0
     traits = [
         arrays["sh"].reshape(len(gaussians), 3 * arrays["sh"].shape[1]) * (SH_C0 / COLOUR),
         arrays["opacities"][:, None] / OPACITY,
@@ -274,27 +279,30 @@ def _pixels(rows: np.ndarray, gaussians: Gaussians) -> _Level:
         traits.append(arrays["features"] / FEATURE)
 
     def image(table: np.ndarray) -> np.ndarray:
-        made = np.zeros((*rows.shape, *table.shape[1:]), np.float32)
-        made[there] = table[rows[there]]
-        return made
+        out = np.zeros((*rows.shape, *table.shape[1:]), np.float32)
+        out[present] = table[rows[present]]
+        return out
 
     low = image(np.concatenate(traits, 1).astype(np.float32, copy=False))
     widest = image(arrays["scales"].max(1, initial=0))
-    return _Level(there, image(arrays["means"]), low, low, widest)
+    return _Level(present, image(arrays["means"]), low, low, widest)
 
 
-def _halved(level: _Level) -> _Level:
-    """Return the level of cells twice as large, of which four may become one.
+def _merge_level(level: _Level) -> _Level:
+    """Return the level of cells twice as large that may be merged.
 
-    They are there and alike with the cells around them, close, and nearly a parallelogram.
+    Their four parts are present, similar to each other and their neighbours, close, and nearly a
+    parallelogram.
     """
     a, b, c, d = _corners(level.means)
     reach = np.maximum.reduce(_corners(level.widest))
-    spread = _around(np.maximum, level.high) - _around(np.minimum, level.low)
-    joined = _around(np.minimum, level.there) & (spread <= 1).all(-1)
-    across, down = (np.square(one.astype(np.float64) / 2) for one in (b - a + d - c, c - a + d - b))
+    spread = _reduce_around(np.maximum, level.high) - _reduce_around(np.minimum, level.low)
+    joined = _reduce_around(np.minimum, level.present) & (spread <= 1).all(-1)
+    across, down = (
+        np.square(step.astype(np.float64) / 2) for step in (b - a + d - c, c - a + d - b)
+    )
     twist = np.square(a - b - c + d)
-    wide, high, off = (one[..., 0] + one[..., 1] + one[..., 2] for one in (across, down, twist))
+    wide, high, off = (v[..., 0] + v[..., 1] + v[..., 2] for v in (across, down, twist))
     joined &= np.maximum(wide, high) <= np.square(reach * np.float32(APART))
     joined &= off <= np.float32(BENT) ** 2 * np.minimum(wide, high)
 
@@ -307,109 +315,115 @@ def _halved(level: _Level) -> _Level:
 
 
 def _corners(values: np.ndarray) -> list[np.ndarray]:
-    """The four of each cell of 2x2 of an image [V, H, W, ...], row by row: views [V, h, w, ...]."""
+    """Return the four elements of each 2x2 cell of an image [V, H, W, ...] as [V, h, w, ...]."""
     h, w = values.shape[1] // 2, values.shape[2] // 2
     return [values[:, y : 2 * h : 2, x : 2 * w : 2] for y in (0, 1) for x in (0, 1)]
 
 
-def _around(best: np.ufunc, values: np.ndarray) -> np.ndarray:
-    """``best`` of each cell of 2x2 and those around it, within the image: [V, h, w, ...]."""
+def _reduce_around(best: np.ufunc, values: np.ndarray) -> np.ndarray:
+    """Reduce each 2x2 cell and its neighbours within the image by ``best``, [V, h, w, ...]."""
     for axis in (1, 2):
         size = values.shape[axis]
         half = size // 2
         values = np.moveaxis(values, axis, 0)
-        # From the pixel before each cell to that after it, or to the last.
+        # From the pixel before each cell to the one after it, within the image.
         before = np.maximum(2 * np.arange(half) - 1, 0)
         after = np.minimum(2 * np.arange(half) + 2, size - 1)
         first, second = values[: 2 * half : 2], values[1 : 2 * half : 2]
-        made = best(best(values[before], first), best(second, values[after]))
-        values = np.moveaxis(made, 0, axis)
+        extreme = best(best(values[before], first), best(second, values[after]))
+        values = np.moveaxis(extreme, 0, axis)
     return values
 
 
-def _mark(sizes: np.ndarray, there: np.ndarray, side: int, size: int) -> None:
-    """Say of the pixels of cells of so many along a side what size they have."""
-    whole = there.repeat(side, 1).repeat(side, 2)
-    sizes[:, : whole.shape[1], : whole.shape[2]][whole] = size
+def _mark(sizes: np.ndarray, cells: np.ndarray, side: int, size: int) -> None:
+    """Set the size of the pixels of the masked cells of ``side`` pixels."""
+    pixels = cells.repeat(side, 1).repeat(side, 2)
+    sizes[:, : pixels.shape[1], : pixels.shape[2]][pixels] = size
 
 
-def _take_back(
+def _restore_cells(
     sizes: np.ndarray,
     grid: _Grid,
     over: Sequence[np.ndarray],
     cameras: Sequence[Camera],
     depths: Sequence[np.ndarray],
 ) -> None:
-    """Have cells that a view shows in its blocks ``over`` bool [h, w] be single pixels again.
+    """Undo the merge of cells that are visible in the blocks ``over`` bool [h, w] of a view.
 
-    ``depths`` float32 [h, w] are those behind which nothing shows.
+    ``depths`` float32 [h, w] are the depths of the visible surfaces.
     """
     for power, level in enumerate(grid.levels[1:], 1):
         size = 2**power
-        back = np.zeros(level.there.shape, bool)
-        _, height, width = level.there.shape  # whole cells: the last row and column may be ragged
+        back = np.zeros(level.present.shape, bool)
+        _, height, width = level.present.shape  # whole cells: the last row and column may be ragged
         marked = sizes[:, ::size, ::size][:, :height, :width] == size
-        v, y, x = np.nonzero(level.there & marked)
-        for where, behind, camera in zip(over, depths, cameras, strict=True):
+        v, y, x = np.nonzero(level.present & marked)
+        for blocks, block_depth, camera in zip(over, depths, cameras, strict=True):
             pixels, z = camera.project(level.means[v, y, x].astype(np.float64))
-            # What lies beyond the border reaches the blocks at it, as far as it is wide.
+            # Gaussians beyond the border extend into the blocks at it.
             wide = REACH * float(camera.K[0, 0]) * level.widest[v, y, x] / np.where(z > 0, z, 1)
             beyond = (BLOCK + wide)[:, None]
             inside = (z > 0) & (pixels >= -beyond).all(1)
             inside &= (pixels < (camera.width, camera.height) + beyond).all(1)
             column, row = (np.where(inside[:, None], pixels, 0) // BLOCK).astype(np.int64).T
-            row, column = row.clip(0, where.shape[0] - 1), column.clip(0, where.shape[1] - 1)
-            back[v, y, x] |= inside & where[row, column] & (z <= (1 + BEHIND) * behind[row, column])
+            row, column = row.clip(0, blocks.shape[0] - 1), column.clip(0, blocks.shape[1] - 1)
+            back[v, y, x] |= (
+                inside & blocks[row, column] & (z <= (1 + BEHIND) * block_depth[row, column])
+            )
         _mark(sizes, back, size, 1)
 
 
 def _block_means(change: np.ndarray) -> np.ndarray:
-    """Means of blocks of float32 [H, W]; those at the end repeat the last row and column."""
+    """Return the means of blocks of float32 [H, W], padded by replication."""
     height, width = change.shape
     padded = np.pad(change, ((0, -height % BLOCK), (0, -width % BLOCK)), "edge")
     rows, columns = padded.shape[0] // BLOCK, padded.shape[1] // BLOCK
     return padded.reshape(rows, BLOCK, columns, BLOCK).mean((1, 3))
 
 
-def _near(blocks: np.ndarray) -> np.ndarray:
-    """Those blocks and all around them: a merged Gaussian reaches into the next."""
+def _dilate(blocks: np.ndarray) -> np.ndarray:
+    """Dilate the mask by one block, as a merged Gaussian extends into the next."""
     return ndimage.binary_dilation(blocks, np.ones((3, 3), bool))
 
 
-def _joined(gaussians: Gaussians, grid: _Grid, sizes: np.ndarray) -> tuple[Gaussians, np.ndarray]:
-    """One Gaussian for each cell, and for each Gaussian given the place of its own: int64 [N].
+def _merge_cells(
+    gaussians: Gaussians, grid: _Grid, sizes: np.ndarray
+) -> tuple[Gaussians, np.ndarray]:
+    """Return one Gaussian for each cell, and its index for each input Gaussian, int64 [N].
 
-    Semantic features are those of the first of each, so that they are still codes; a guess is what
-    mostly was one.
+    Semantic features are those of the first member, so that they remain valid codes; ``guessed`` is
+    decided by majority.
     """
     arrays = gaussians.to_arrays()
     leaders = np.arange(len(gaussians))  # of each Gaussian the first of its cell
     v, y, x = np.nonzero(sizes > 1)
     size = sizes[v, y, x]
     leaders[grid.rows[v, y, x]] = grid.rows[v, y - y % size, x - x % size]
-    kept = leaders == np.arange(len(gaussians))
-    places = np.cumsum(kept) - 1
-    left = {name: array[kept] for name, array in arrays.items()}  # copies, which may be written to
+    is_leader = leaders == np.arange(len(gaussians))
+    places = np.cumsum(is_leader) - 1
+    arrays_out = {
+        name: array[is_leader] for name, array in arrays.items()
+    }  # copies, which may be written to
     first = (y % size == 0) & (x % size == 0)
     v, y, x = v[first], y[first], x[first]
     cells = np.stack([v, y, x, sizes[v, y, x]], 1)
     to = places[grid.rows[v, y, x]]
     for name in ("means", "opacities", "sh"):
-        given, made = arrays[name], left[name]
-        table = given.reshape(len(given), int(np.prod(given.shape[1:])))
+        original, merged = arrays[name], arrays_out[name]
+        table = original.reshape(len(original), int(np.prod(original.shape[1:])))
         values = _average(table, grid.rows, cells)
-        made[to] = values.reshape(made[to].shape)
+        merged[to] = values.reshape(merged[to].shape)
     shape = arrays["means"], arrays["scales"], arrays["quats"]
-    left["scales"][to] = _scales(*shape, grid.rows, cells, LOW_PASS)
-    if "guessed" in left:
+    arrays_out["scales"][to] = _scales(*shape, grid.rows, cells, LOW_PASS)
+    if "guessed" in arrays_out:
         share = _average(arrays["guessed"][:, None].astype(np.float32), grid.rows, cells)
-        left["guessed"][to] = share[:, 0] > 0.5
-    return Gaussians.from_arrays(left), places[leaders]
+        arrays_out["guessed"][to] = share[:, 0] > 0.5
+    return Gaussians.from_arrays(arrays_out), places[leaders]
 
 
 def _members(rows: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Which of the cells int64 [M, 4] (view, row, column, size) have one size, int64 [K], and the
-    Gaussians of their pixels: int64 [K, size, size]; for each size."""
+    """Yield, for each size, the indices int64 [K] of the cells int64 [M, 4] (view, row, column,
+    size) of that size, and the Gaussians of their pixels, int64 [K, size, size]."""
     for size in np.unique(cells[:, 3]).tolist():
         which = np.flatnonzero(cells[:, 3] == size)
         v, top, left = (cells[which, k, None, None] for k in range(3))
@@ -418,12 +432,12 @@ def _members(rows: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, 
 
 
 def _average(table: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Means float32 [M, C] of a table [N, C] over cells int64 [M, 4]: view, row, column, size."""
+    """Average a table [N, C] over cells int64 [M, 4] (view, row, column, size), float32 [M, C]."""
     means = np.empty((len(cells), table.shape[1]), np.float32)
     for which, members in _members(rows, cells):
         total = np.zeros((len(which), table.shape[1]))
-        for one in members.reshape(len(which), -1).T:
-            total += table[one]
+        for rows_of_pixel in members.reshape(len(which), -1).T:
+            total += table[rows_of_pixel]
         means[which] = total / members[0].size
     return means
 
@@ -436,35 +450,35 @@ def _scales(
     cells: np.ndarray,
     low_pass: float,
 ) -> np.ndarray:
-    """Scales float32 [M, 3] of the Gaussians of cells, along the axes of the first of each.
+    """Compute scales float32 [M, 3] of merged Gaussians, along the axes of their first members.
 
-    Their views draw a Gaussian as wide as it is and the low-pass together. A merged one is to be as
-    many times as wide as its cell, so that it closes the surface as they did: with C the mean
-    covariance of its members, s the side and u, v a step to the next pixel on the surface, it has
-    ``s^2 C + (s^2 - 1) low_pass (u u^T + v v^T)``.
+    A view draws a Gaussian widened by the low-pass filter. The drawn width of a merged Gaussian is
+    scaled with the side of its cell, so that the surface stays closed: with C the mean covariance
+    of its members, s the side and u, v the steps to the next pixel on the surface, its covariance
+    is ``s^2 C + (s^2 - 1) low_pass (u u^T + v v^T)``.
     """
-    made = np.empty((len(cells), 3), np.float32)
+    out = np.empty((len(cells), 3), np.float32)
     for which, members in _members(rows, cells):
         size = members.shape[1]
         axes = _axes(quats[members[:, 0, 0]])
         spread = np.zeros((len(which), 3))
-        for one in members.reshape(len(which), -1).T:
-            own, wide = _axes(quats[one]), scales[one]
+        for rows_of_pixel in members.reshape(len(which), -1).T:
+            member_axes, wide = _axes(quats[rows_of_pixel]), scales[rows_of_pixel]
             for a in range(3):
                 for k in range(3):
-                    along = _dot(axes[:, a], own[:, k])
+                    along = _dot(axes[:, a], member_axes[:, k])
                     spread[:, a] += np.square(along * wide[:, k])
         across, down = (_step(means[members], axis) for axis in (2, 1))
         for a in range(3):
             wide, high = _dot(axes[:, a], across.T), _dot(axes[:, a], down.T)
             steps = low_pass * (size * size - 1) * (wide * wide + high * high)
-            made[which, a] = np.sqrt(spread[:, a] + steps)
-    return made
+            out[which, a] = np.sqrt(spread[:, a] + steps)
+    return out
 
 
 def _step(places: np.ndarray, axis: int) -> np.ndarray:
-    """A step float64 [K, 3] to the next pixel along axis 1 or 2 of places [K, size, size, 3]:
-    between the halves of a cell, averaged."""
+    """Return the mean step float64 [K, 3] to the next pixel along axis 1 or 2 of positions
+    [K, size, size, 3], from the difference between the halves of a cell."""
     size = places.shape[1]
     half = size // 2
     total = np.zeros((len(places), 3))
@@ -476,14 +490,14 @@ def _step(places: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Dot products [K] of vectors [3, K]."""
+    """Return the dot products [K] of vectors [3, K]."""
     product: np.ndarray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     return product
 
 
 def _axes(quats: np.ndarray) -> np.ndarray:
-    """Columns of the rotation matrices of quaternions wxyz float32 [K, 4] of any length but zero:
-    float64 [3, 3, K], first the row, then the column."""
+    """Return the rotation matrices of quaternions wxyz float32 [K, 4] of any nonzero length, with
+    the axis last, float64 [3, 3, K]."""
     w, x, y, z = quats.T
     t = 2.0 / (w * w + x * x + y * y + z * z).astype(np.float64)
     return np.array(

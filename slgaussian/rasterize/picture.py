@@ -1,12 +1,12 @@
-"""The picture of arrays: what :func:`slgaussian.rasterize.rasterize` draws on the CPU, in NumPy.
+"""CPU rasterization of NumPy arrays, as :func:`slgaussian.rasterize.rasterize` of tensors.
 
-A field is asked and drawn by it, so that nobody waits for torch.
+Fields are queried and rendered with it, without the import of torch.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,17 +19,14 @@ from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.rasterize.tiles import bin_splats
 from slgaussian.scene import Camera
 
-if TYPE_CHECKING:
-    pass
-
 GEOMETRY = ("means", "scales", "quats", "opacities")
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What a camera sees: :class:`slgaussian.rasterize.Render` in arrays, float32.
+    """A rendered view: :class:`slgaussian.rasterize.Render` as float32 arrays.
 
-    ``label`` and ``label_weights`` are empty where none were asked for.
+    ``label`` and ``label_weights`` are empty without labels.
     """
 
     values: np.ndarray
@@ -41,7 +38,7 @@ class Picture:
 
     @staticmethod
     def of(render: Render) -> Picture:
-        """Convert what any backend drew, wherever its tensors are."""
+        """Convert the result of any backend, on any device."""
         arrays = {}
         for name in (field.name for field in fields(Picture)):
             tensor = getattr(render, name)
@@ -57,12 +54,12 @@ def picture(
     settings: Settings | str = "fast",
     labels: np.ndarray | None = None,
 ) -> Picture:
-    """Draw Gaussians that carry ``values`` float32 [N, C], and ``labels`` int32 [N] from 0.
+    """Render Gaussians with ``values`` float32 [N, C], and ``labels`` int32 [N] from 0.
 
     Raises
     ------
     InputError
-        If a number cannot be drawn: the first Gaussian with one is named.
+        If a number is invalid, naming the first Gaussian with one.
     """
     compiling.watch()
     settings = find_settings(settings)
@@ -76,15 +73,15 @@ def picture(
 
 
 def seen_colors(gaussians: Gaussians, camera: Camera) -> np.ndarray:
-    """As :func:`slgaussian.rasterize.harmonics.colors`, to the bit: float32 [N, 3]."""
+    """Compute :func:`slgaussian.rasterize.harmonics.colors` bit-exactly, float32 [N, 3]."""
     sh = gaussians.to_arrays()["sh"]
     if sh.shape[1] == 1 and sh.dtype == np.float32:
         plain: np.ndarray = np.maximum(sh[:, 0] * np.float32(SH_C0) + np.float32(0.5), 0)
         return plain
     from slgaussian.rasterize.harmonics import colors  # other degrees need torch
 
-    found: np.ndarray = colors(gaussians, camera).detach().cpu().numpy()
-    return found
+    rgb: np.ndarray = colors(gaussians, camera).detach().cpu().numpy()
+    return rgb
 
 
 def splatted(
@@ -96,28 +93,31 @@ def splatted(
     median: bool,
     labels: np.ndarray | None,
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, Any, tuple[np.float32, np.float32]]:
-    """What :func:`slgaussian.rasterize.blend.draw` draws; splats, boxes, bins and limits.
+    """Project, bin and draw; return the images of :func:`slgaussian.rasterize.blend.draw`, splats,
+    boxes, bins and limits.
 
-    ``geometry`` are the arrays of ``gaussians`` that :data:`GEOMETRY` names, as kernels take them.
+    ``geometry`` are the arrays :data:`GEOMETRY` of ``gaussians``, contiguous float32.
     """
     splats, boxes = checked(gaussians, geometry, values, eye)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
     named = np.empty(0, np.int32) if labels is None else np.ascontiguousarray(labels)
-    most = -1 if labels is None else int(named.max(initial=0))
-    drawn = draw(splats, boxes, values, bins, eye.width, eye.height, *limits, median, named, most)
+    most_label = -1 if labels is None else int(named.max(initial=0))
+    drawn = draw(
+        splats, boxes, values, bins, eye.width, eye.height, *limits, median, named, most_label
+    )
     return drawn, splats, boxes, bins, limits
 
 
 def checked(
     gaussians: Gaussians, geometry: list[np.ndarray], values: np.ndarray, eye: Eye
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Splats and boxes as :func:`slgaussian.rasterize.project.project` makes them.
+    """Return the splats and boxes of :func:`slgaussian.rasterize.project.project`.
 
     Raises
     ------
     InputError
-        Naming the first Gaussian with a number that makes no sense.
+        Naming the first Gaussian with an invalid number.
     """
     splats, boxes, sensible = project(geometry, values, eye)
     if not sensible:

@@ -1,8 +1,8 @@
-"""Rendering with frozen geometry: keep the weights, and only multiply.
+"""Rendering with frozen geometry by precomputed weights.
 
-Where means, covariances and opacities stay, a rendering is linear in the values:
-``image = W values``, with W the weight of every Gaussian in every pixel. That is the semantic
-branch of the paper, which learns features on frozen Gaussians (section 3.1).
+With fixed means, covariances and opacities a rendering is linear in the values:
+``image = W values``, with W the weight of every Gaussian in every pixel. The semantic branch of the
+paper learns features on frozen Gaussians (section 3.1).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
 from slgaussian.kernels.work_sharing import share, take
 from slgaussian.rasterize.blend import weigh_block
-from slgaussian.rasterize.cpu import as_kernels_take_them
+from slgaussian.rasterize.cpu import to_kernel_arrays
 from slgaussian.rasterize.picture import GEOMETRY, checked
 from slgaussian.rasterize.project import SHARE, eye_of
 from slgaussian.rasterize.render_settings import Settings, find_settings
@@ -37,18 +37,18 @@ from slgaussian.rasterize.tiles import (
 from slgaussian.scene import Camera
 
 WEIGHT_MIN = 1 / 16384
-"""Weights of a block of pixels are left out where all are at or below this."""
+"""Threshold at or below which all weights of a block are dropped."""
 
 GROUP = 4
-"""Channels whose sums are in registers at a time; values are padded to a multiple of it."""
+"""Number of channels accumulated in registers; values are padded to a multiple of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class SplatPlan:
-    """The weights of one view, ready to be multiplied with any values.
+    """Precomputed weights of one view, to be multiplied with any values.
 
-    A block of 4x4 pixels is a vector, and so are the weights that a Gaussian has in it. They are
-    kept to 11 bits: what a product costs is reading them.
+    The weights of a Gaussian in a block of 4x4 pixels are a vector. They are stored with 11 bits of
+    precision, because memory bandwidth limits the product.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class SplatPlan:
 
 
 def plan(gaussians: Gaussians, camera: Camera, settings: Settings | str = "fast") -> SplatPlan:
-    """Work out the weights of ``gaussians`` in the pixels of ``camera``, once.
+    """Compute the weights of ``gaussians`` in the pixels of ``camera``.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def plan(gaussians: Gaussians, camera: Camera, settings: Settings | str = "fast"
         As :func:`slgaussian.rasterize.rasterize` does.
     """
     settings = find_settings(settings)
-    gaussians, nothing = as_kernels_take_them(gaussians, torch.zeros(len(gaussians), 0))
+    gaussians, nothing = to_kernel_arrays(gaussians, torch.zeros(len(gaussians), 0))
     eye = eye_of(camera, settings)
     geometry = [getattr(gaussians, name).detach().numpy() for name in GEOMETRY]
     splats, boxes = checked(gaussians, geometry, nothing.numpy(), eye)
@@ -169,14 +169,14 @@ def _weigh(
     members,
     weights,
 ):
-    """Count the entries of every block into ``starts``, or ``write`` them where it says."""
+    """Count the entries of every block into ``starts``, or ``write`` them from there."""
     height, width = alpha.shape
     across = -(-width // BLOCK)
     strip, tiles = take(counter), bins.across * bins.down
     if strip * STRIP >= tiles:
         return
-    most = fullest(bins)
-    work = make_workspace(most, 0)
+    capacity = fullest(bins)
+    work = make_workspace(capacity, 0)
     solids = np.empty(LANES, np.float32)
     while strip * STRIP < tiles:
         for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
@@ -192,24 +192,24 @@ def _weigh(
                         lane = (y - y0) * BLOCK + x - x0
                         alpha[y, x] = min(solids[lane], np.float32(1))
                 place = y0 // BLOCK * across + x0 // BLOCK
-                found = 0
+                written = 0
                 for j in range(used):
                     weight = vload(work.weights, j * LANES)
                     if vany(weight > np.float32(WEIGHT_MIN)):
                         if write:
-                            k = work.lists[block * most + j]
-                            entry = starts[place] + found
+                            k = work.lists[block * capacity + j]
+                            entry = starts[place] + written
                             members[entry] = bins.entries[bins.starts[tile] + k]
                             vstore_half(weights, entry * LANES, weight)
-                        found += 1
+                        written += 1
                 if not write:
-                    starts[place] = found
+                    starts[place] = written
         strip = take(counter)
 
 
 @kernel
 def _turn(starts, members, weights, count):
-    """The entries, Gaussian by Gaussian: where each one starts, their blocks and weights."""
+    """Transpose the entries to Gaussian-major order; return starts, blocks and weights."""
     begins = np.zeros(count + 1, np.int64)
     for member in members:
         begins[member + 1] += 1

@@ -1,10 +1,10 @@
-"""From Gaussians in the world to splats on the image, and gradients the way back.
+"""Projection of Gaussians to splats on the image, and its gradients.
 
-A splat is kept in the form in which a row of pixels asks for it. Cut along a row, a 2D Gaussian is
-a 1D Gaussian: its centre moves along a line from row to row, its variance is the same on all. So
+A splat is stored in a form suited to rows of pixels. Along a row, a 2D Gaussian is a 1D Gaussian
+whose centre moves linearly from row to row and whose variance is constant. So
 ``alpha(x, y) = opacity exp(-1/2 (e^2 / var + dy^2 / yy))`` with ``dy = y - v``,
-``e = x - u - slope dy``, ``slope = xy / yy`` and ``var = xx - xy^2 / yy``. Nothing cancels in that,
-however long and thin the splat, as it does in ``a dx^2 + 2 b dx dy + c dy^2``.
+``e = x - u - slope dy``, ``slope = xy / yy`` and ``var = xx - xy^2 / yy``. This form has no
+cancellation for long and thin splats, unlike ``a dx^2 + 2 b dx dy + c dy^2``.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ d, e d and d^2, in this order, where e is times root and d is dy times row_root.
 HALF_LOG2_E = 0.5 * math.log2(math.e)
 
 SHARE = 256 * LANES
-"""Gaussians that a thread takes at a time."""
+"""Gaussians of a work item."""
 
 FAR = 1e15
-"""Image coordinates are clamped to this, so that nothing overflows in float32."""
+"""Bound of image coordinates, so that nothing overflows in float32."""
 
 
 class Eye(NamedTuple):
-    """A camera, and what of the settings concerns projection, as kernels take them."""
+    """A camera and the settings of projection, as arguments of kernels."""
 
     R: np.ndarray
     """World to camera, float64 [3, 3]."""
@@ -68,7 +68,7 @@ class Eye(NamedTuple):
     width: int
     height: int
     left: float
-    """Least x / z at which the affine approximation is taken; likewise right, top, bottom."""
+    """Smallest x / z of the affine approximation; likewise right, top, bottom."""
     right: float
     top: float
     bottom: float
@@ -82,7 +82,7 @@ class Eye(NamedTuple):
 
 
 def eye_of(camera: Camera, settings: Settings) -> Eye:
-    """What kernels need to know of a camera and settings."""
+    """Convert a camera and settings for kernels."""
     (fx, skew, cx), (_, fy, cy), _ = camera.K.tolist()
     margin_x = FRUSTUM_MARGIN * camera.width / (2 * fx)
     margin_y = FRUSTUM_MARGIN * camera.height / (2 * fy)
@@ -111,7 +111,7 @@ def eye_of(camera: Camera, settings: Settings) -> Eye:
 def project(
     geometry: Sequence[np.ndarray], values: np.ndarray, eye: Eye
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Project every Gaussian, in float64, a vector of them at a time.
+    """Project every Gaussian in float64, a SIMD vector at a time.
 
     Parameters
     ----------
@@ -140,8 +140,8 @@ def _project(counter, means, scales, quats, opacities, values, eye, splats, boxe
     n = len(means)
     numbers, wide = values.reshape(values.size), values.shape[1]
     # Column by column, LANES numbers each.
-    given = np.ones(11 * LANES, np.float32)
-    made = np.empty(12 * LANES)
+    parameters = np.ones(11 * LANES, np.float32)
+    outputs = np.empty(12 * LANES)
     part = take(counter)
     while part < len(sensible):
         start = part * SHARE
@@ -149,46 +149,57 @@ def _project(counter, means, scales, quats, opacities, values, eye, splats, boxe
             count = min(LANES, n - first)
             for k in range(count):
                 for c in range(3):
-                    given[c * LANES + k] = means[first + k, c]
-                    given[(3 + c) * LANES + k] = scales[first + k, c]
+                    parameters[c * LANES + k] = means[first + k, c]
+                    parameters[(3 + c) * LANES + k] = scales[first + k, c]
                 for c in range(4):
-                    given[(6 + c) * LANES + k] = quats[first + k, c]
-                given[10 * LANES + k] = opacities[first + k]
-            held = _finite(numbers, first * wide, (first + count) * wide)
-            if not (_sensible(given) and held):
+                    parameters[(6 + c) * LANES + k] = quats[first + k, c]
+                parameters[10 * LANES + k] = opacities[first + k]
+            values_finite = _is_finite(numbers, first * wide, (first + count) * wide)
+            if not (_is_valid(parameters) and values_finite):
                 sensible[part] = False
-            _project_vector(given, eye, made)
+            _project_vector(parameters, eye, outputs)
             for k in range(count):
                 for c in range(8):
-                    splats[first + k, c] = made[c * LANES + k]
+                    splats[first + k, c] = outputs[c * LANES + k]
                 for c in range(4):
-                    boxes[first + k, c] = np.int32(made[(8 + c) * LANES + k])
+                    boxes[first + k, c] = np.int32(outputs[(8 + c) * LANES + k])
         part = take(counter)
 
 
 @kernel
-def _column(given, column):
-    return vwiden(vload(given, column * LANES))
+def _column(parameters, column):
+    return vwiden(vload(parameters, column * LANES))
 
 
 @kernel
-def _sensible(given):
-    """Whether parameters are finite, scales and opacities in range, quaternions not zero."""
-    scale_x, scale_y, scale_z = _column(given, 3), _column(given, 4), _column(given, 5)
+def _is_valid(parameters):
+    """Test that parameters are finite, scales and opacities in range, and quaternions nonzero."""
+    scale_x, scale_y, scale_z = (
+        _column(parameters, 3),
+        _column(parameters, 4),
+        _column(parameters, 5),
+    )
     # A sum is finite if all its terms are, in float64, where it cannot overflow; and NaN fails
     # every comparison.
-    total = _column(given, 0) + _column(given, 1) + _column(given, 2) + scale_x + scale_y + scale_z
-    length = vabs(_column(given, 6)) + vabs(_column(given, 7))
-    length = length + vabs(_column(given, 8)) + vabs(_column(given, 9))
-    opacity = _column(given, 10)
+    total = (
+        _column(parameters, 0)
+        + _column(parameters, 1)
+        + _column(parameters, 2)
+        + scale_x
+        + scale_y
+        + scale_z
+    )
+    length = vabs(_column(parameters, 6)) + vabs(_column(parameters, 7))
+    length = length + vabs(_column(parameters, 8)) + vabs(_column(parameters, 9))
+    opacity = _column(parameters, 10)
     fine = (vabs(total) < np.inf) & (length > 0.0) & (length < np.inf)
     fine = fine & (scale_x >= 0.0) & (scale_y >= 0.0) & (scale_z >= 0.0)
     return vall(fine & (opacity >= 0.0) & (opacity <= 1.0))
 
 
 @kernel
-def _finite(numbers, start, end):
-    """Whether ``numbers`` float32 are, from ``start`` to ``end``."""
+def _is_finite(numbers, start, end):
+    """Test that ``numbers`` float32 are finite from ``start`` to ``end``."""
     totals, total, at = vzero(), np.float32(0), start
     while at + LANES <= end:
         totals = totals + vload(numbers, at) * np.float32(0)
@@ -200,35 +211,42 @@ def _finite(numbers, start, end):
 
 
 @kernel
-def _project_vector(given, eye, made):
-    """Columns of parameters to those of splats and boxes."""
-    x, y, z = _to_camera(_column(given, 0), _column(given, 1), _column(given, 2), eye)
+def _project_vector(parameters, eye, outputs):
+    """Convert columns of parameters to those of splats and boxes."""
+    x, y, z = _to_camera(
+        _column(parameters, 0), _column(parameters, 1), _column(parameters, 2), eye
+    )
     A = _image_rows(x, y, z, eye)
-    R = _rotation(_column(given, 6), _column(given, 7), _column(given, 8), _column(given, 9))
-    px, py = _spread(A, R, _column(given, 3), _column(given, 4), _column(given, 5))
+    R = _rotation(
+        _column(parameters, 6),
+        _column(parameters, 7),
+        _column(parameters, 8),
+        _column(parameters, 9),
+    )
+    px, py = _spread(A, R, _column(parameters, 3), _column(parameters, 4), _column(parameters, 5))
     xx, xy, yy, det = _covariance(px, py)
     wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
-    opacity = _column(given, 10)
+    opacity = _column(parameters, 10)
     xx = xx + eye.low_pass
     yy = yy + eye.low_pass
     u, v = _to_pixel(x, y, eye)
     power = vwiden(vlog2(vnarrow(opacity)))
     cut = power + eye.fraction
     cut = vwhere(cut > eye.cut, cut, eye.cut)
-    shown = (z > eye.near) & (opacity > eye.alpha_min)
+    visible = (z > eye.near) & (opacity > eye.alpha_min)
     # In variances; rounded, it may lack a millionth.
     reach = (power - cut) * (1.000001 / HALF_LOG2_E)
     inverse = 1.0 / yy
-    vstore(made, U * LANES, clamp(u, -FAR, FAR))
-    vstore(made, V * LANES, clamp(v, -FAR, FAR))
-    vstore(made, ROOT * LANES, _root(HALF_LOG2_E * yy / wide))
-    vstore(made, SLOPE * LANES, clamp(xy * inverse, -FAR, FAR))
-    vstore(made, ROW_ROOT * LANES, _root(HALF_LOG2_E * inverse))
-    vstore(made, POWER * LANES, power)
-    vstore(made, CUT * LANES, cut)
-    vstore(made, Z * LANES, z)
-    _store_pixels(u, vwhere(shown, _root(reach * xx), -1.0), eye.width, made, 8)
-    _store_pixels(v, vwhere(shown, _root(reach * yy), -1.0), eye.height, made, 10)
+    vstore(outputs, U * LANES, clamp(u, -FAR, FAR))
+    vstore(outputs, V * LANES, clamp(v, -FAR, FAR))
+    vstore(outputs, ROOT * LANES, _root(HALF_LOG2_E * yy / wide))
+    vstore(outputs, SLOPE * LANES, clamp(xy * inverse, -FAR, FAR))
+    vstore(outputs, ROW_ROOT * LANES, _root(HALF_LOG2_E * inverse))
+    vstore(outputs, POWER * LANES, power)
+    vstore(outputs, CUT * LANES, cut)
+    vstore(outputs, Z * LANES, z)
+    _store_pixels(u, vwhere(visible, _root(reach * xx), -1.0), eye.width, outputs, 8)
+    _store_pixels(v, vwhere(visible, _root(reach * yy), -1.0), eye.height, outputs, 10)
 
 
 @kernel
@@ -238,12 +256,12 @@ def _root(x):
 
 
 @kernel
-def _store_pixels(centre, reach, size, made, column):
-    """First and one past the last pixel whose centre is within ``reach``; empty if negative."""
+def _store_pixels(centre, reach, size, outputs, column):
+    """Store the half-open range of pixels with centres within ``reach``; empty if negative."""
     low = vceil(clamp(centre - reach - 0.5, 0.0, size))
     high = vfloor(clamp(centre + reach - 0.5, -1.0, size - 1.0)) + 1.0
-    vstore(made, column * LANES, low)
-    vstore(made, (column + 1) * LANES, vwhere(high > low, high, low))
+    vstore(outputs, column * LANES, low)
+    vstore(outputs, (column + 1) * LANES, vwhere(high > low, high, low))
 
 
 def project_backward(
@@ -253,12 +271,12 @@ def project_backward(
     firsts: np.ndarray,
     grads: np.ndarray,
 ) -> tuple[np.ndarray, ...]:
-    """Gradients of the Gaussians from those of the splats.
+    """Compute the gradients of the Gaussians from those of the splats.
 
     Parameters
     ----------
     geometry, eye, splats
-        As :func:`project` took and gave them.
+        Arguments and result of :func:`project`.
     firsts : int64 [N + 1]
         Gaussian i has the rows ``firsts[i]`` to ``firsts[i + 1]`` of ``grads``.
     grads : float32 [rows, MOMENTS + C + 1]
@@ -270,9 +288,9 @@ def project_backward(
         Of means, scales, quats, opacities and values; zero for what is not drawn.
     """
     n, channels = len(splats), grads.shape[1] - MOMENTS - 1
-    found = *map(np.zeros_like, geometry), np.zeros((n, channels), np.float32)
-    share(_project_backward, -(-n // SHARE), *geometry, eye, splats, firsts, grads, *found)
-    return found
+    gradients = *map(np.zeros_like, geometry), np.zeros((n, channels), np.float32)
+    share(_project_backward, -(-n // SHARE), *geometry, eye, splats, firsts, grads, *gradients)
+    return gradients
 
 
 @kernel
@@ -384,14 +402,14 @@ def _three(row):
 
 @kernel
 def clamp(x, low, high):
-    """``x``, but at least ``low`` and at most ``high``."""
+    """Clamp ``x`` to ``low`` and ``high``."""
     x = vwhere(x > low, x, low)
     return vwhere(x < high, x, high)
 
 
 @kernel
 def _to_camera(x, y, z, eye):
-    """x / z, y / z and z; z as it is, but 1 for the divisions where it is not past near."""
+    """Return x / z, y / z and z; at or before the near plane the divisor is 1."""
     x = x - eye.centre[0]
     y = y - eye.centre[1]
     z = z - eye.centre[2]
@@ -412,7 +430,7 @@ def _to_pixel(x, y, eye):
 
 @kernel
 def _image_rows(x, y, z, eye):
-    """How image x and y change with the world position, to first order: two rows of three."""
+    """Return the Jacobian of image x and y by the world position: two rows of three."""
     tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
     inverse = 1.0 / vwhere(z > eye.near, z, 1.0)
     a, b, c = eye.fx * inverse, eye.skew * inverse, -(eye.fx * tx + eye.skew * ty) * inverse
@@ -434,7 +452,7 @@ def _image_rows(x, y, z, eye):
 
 @kernel
 def _rotation(w, x, y, z):
-    """Rows of the rotation matrix of a quaternion of any length but zero."""
+    """Return the rows of the rotation matrix of a quaternion of any nonzero length."""
     t = 2.0 / (w * w + x * x + y * y + z * z)
     return (
         (1.0 - t * (y * y + z * z), t * (x * y - w * z), t * (x * z + w * y)),
@@ -477,7 +495,7 @@ def _rotation_backward(quat, dR, out):
 
 @kernel
 def _spread(A, R, s0, s1, s2):
-    """The three axes of a Gaussian, scaled, on the image: x and y of each, in pixels."""
+    """Project the three scaled axes of a Gaussian: x and y of each, in pixels."""
     (a, b, c), (d, e, f) = A
     return (
         (
@@ -495,9 +513,9 @@ def _spread(A, R, s0, s1, s2):
 
 @kernel
 def _covariance(px, py):
-    """xx, xy, yy and the determinant of the sum of the outer products of three axes.
+    """Return xx, xy, yy and the determinant of the sum of the outer products of three axes.
 
-    The determinant is a sum of squares (Cauchy and Binet), so that it does not cancel.
+    The determinant is a sum of squares (Cauchy-Binet), without cancellation.
     """
     xx = px[0] * px[0] + px[1] * px[1] + px[2] * px[2]
     xy = px[0] * py[0] + px[1] * py[1] + px[2] * py[2]

@@ -1,6 +1,6 @@
-"""The rasteriser written to be obviously right: float64, every Gaussian at every pixel.
+"""The reference rasterizer: float64, every Gaussian at every pixel, for simplicity.
 
-Plain differentiable torch, so its gradients are those of automatic differentiation.
+Plain differentiable torch; gradients are those of automatic differentiation.
 """
 
 import torch
@@ -11,15 +11,15 @@ from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
 
 PAIRS_AT_ONCE = 4_000_000
-"""Pixel-Gaussian pairs in memory at a time (8 bytes each, a few arrays of them)."""
+"""Pixel-Gaussian pairs in memory at a time (8 bytes each, in a few arrays)."""
 
 
 def project(
     gaussians: Gaussians, camera: Camera, settings: Settings
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Pixel means [N, 2], low-passed pixel covariances [N, 2, 2], opacities [N] and z [N], float64.
+    """Project to pixel means [N, 2], low-passed covariances [N, 2, 2], opacities [N] and z [N].
 
-    Gaussians at or behind the near plane have meaningless means and covariances.
+    All are float64. Means and covariances at or behind the near plane are undefined.
     """
     double = {name: v.double() for name, v in gaussians.items() if v.is_floating_point()}
     gaussians = Gaussians(**double, source=gaussians.source)
@@ -44,7 +44,7 @@ def project(
         ],
         -2,
     )
-    # The axes of each Gaussian on the image: two rows of three.
+    # Projected axes of each Gaussian: two rows of three.
     axes = jacobian @ R @ rotation_matrices(gaussians.quats) * gaussians.scales[:, None, :]
     cov = axes @ axes.mT + settings.low_pass * torch.eye(2, dtype=torch.float64, device=device)
     return torch.stack([fx * x + skew * y + cx, fy * y + cy], -1), cov, gaussians.opacities, depth
@@ -58,7 +58,7 @@ def render(
     median: bool,
     labels: torch.Tensor | None,
 ) -> Render:
-    """See :func:`slgaussian.rasterize.rasterize`; results are float64, and nothing is cut off."""
+    """See :func:`slgaussian.rasterize.rasterize`; results are float64, without cut-offs."""
     check_inputs(gaussians, values)
     mean, cov, opacity, z = project(gaussians, camera, settings)
     order = torch.argsort(z.float(), stable=True)
@@ -100,16 +100,16 @@ def render(
 
 
 def _memberships(labels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """The labels L above 0 in use, ascending, and who has which: float64 [N, L]."""
+    """Return the L labels above 0 in use, ascending, and their one-hot encoding, float64 [N, L]."""
     names = labels[labels > 0].unique()
     return names, (labels[:, None] == names).double()
 
 
 def _elect(votes: torch.Tensor, names: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """``label`` and ``label_weights`` of a Render from the weight of each label [H, W, L]."""
+    """Compute ``label`` and ``label_weights`` of a Render from the label weights [H, W, L]."""
     two_more = torch.nn.functional.pad(votes, (0, 2))
     best, second = two_more.topk(2, -1).values.unbind(-1)
-    # NumPy's takes the first of equal ones.
+    # NumPy's argmax takes the first of equal values.
     winner = torch.from_numpy(two_more.cpu().numpy().argmax(-1)).to(names.device)
     named = torch.cat([names, names.new_zeros(2)])[winner]
     label = torch.where(best > 0, named, named.new_zeros(()))

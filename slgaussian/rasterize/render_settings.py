@@ -1,4 +1,4 @@
-"""What defines a rendered picture, and what trades its accuracy for time."""
+"""Settings of image formation, and cut-offs that trade accuracy for time."""
 
 from __future__ import annotations
 
@@ -10,28 +10,26 @@ from slgaussian.errors import InputError, did_you_mean
 
 @dataclass(frozen=True)
 class Settings:
-    """How Gaussians become pixels.
+    """Image formation and cut-offs of a rasterizer.
 
-    The first three define the picture; every backend and the float64 reference follow them. The
-    others are cut-offs: what they leave out is the error of a fast backend, and the reference
-    leaves out nothing.
+    The first three define the image; every backend and the float64 reference follow them. The
+    others are cut-offs of the fast backends, which the reference ignores.
 
     Attributes
     ----------
     near : float
         Gaussians whose centre has z at or below this are not drawn; scene units, above 0.
     low_pass : float
-        Added to the diagonal of every projected covariance, px^2, above 0, so that no Gaussian is
-        lost between pixel centres (Kerbl et al. 2023 use 0.3).
+        Added to the diagonal of every projected covariance, px^2, above 0, so that no Gaussian
+        falls between pixel centres (Kerbl et al. 2023 use 0.3).
     alpha_max : float
-        Alphas are clamped to this, in (0, 1]; 1 leaves them alone.
+        Upper bound of alphas, in (0, 1]; 1 does not clamp.
     alpha_min : float
-        A Gaussian is cut where its own alpha is below this, in [0, 1); 0 cuts nothing.
+        Threshold of alpha below which a Gaussian is cut, in [0, 1); 0 cuts nothing.
     sigmas : float
-        A Gaussian is also cut this many standard deviations from its centre; infinity cuts nothing.
+        Radius in standard deviations beyond which a Gaussian is cut; infinity cuts nothing.
     pass_min : float
-        A pixel is finished once it lets less light than this through, in [0, 1); 0 goes on while
-        there is any.
+        Transmittance below which a pixel is finished, in [0, 1); 0 continues to the end.
 
     Raises
     ------
@@ -68,13 +66,13 @@ PRESETS = {
     "3dgs": Settings(near=0.2, alpha_max=0.99, alpha_min=1 / 255, sigmas=3.0, pass_min=1e-4),
 }
 """Settings by name. ``fast`` is the default: errors below a grey level on real scenes. ``exact``
-cuts nothing and is slow. ``3dgs`` has the constants of Kerbl et al. 2023, for comparison with what
-others render. The published MVSplat checkpoints were trained with these, too; that renderer also
-took the principal point for the middle of the image, so give it a camera where it is."""
+cuts nothing and is slow. ``3dgs`` has the constants of Kerbl et al. 2023, for comparison with other
+renderers. The published MVSplat checkpoints were trained with them as well; that renderer also
+assumes a centred principal point, so use a camera with one."""
 
 
 def find_settings(settings: Settings | str) -> Settings:
-    """``settings`` itself, or the preset of that name; raises InputError if there is none."""
+    """Return ``settings``, or the preset of that name; raises InputError if there is none."""
     if isinstance(settings, Settings):
         return settings
     if settings not in PRESETS:

@@ -1,8 +1,8 @@
-"""Which splats each tile of the image draws, and in which order.
+"""Binning of splats into tiles of the image, and sorting by depth.
 
-A tile is a few blocks of pixels, each one vector. Its splats are gathered into a small workspace,
-sorted by depth, and listed block by block: what draws a block then walks one list, with its pixels
-in registers.
+A tile consists of blocks of pixels, each a SIMD vector. Its splats are gathered into a small
+workspace, sorted by depth, and listed for each block: drawing a block iterates over one list with
+its pixels in registers.
 
 Nothing here depends on the number of threads: lists are filled in parts of fixed size, in the order
 of the input, and the sort is stable.
@@ -30,16 +30,16 @@ from slgaussian.rasterize.project import (
 )
 
 BLOCK = 4
-"""Pixels across and down of a block, which is one vector. Square ones waste least of it."""
+"""Side of a block in pixels; a block is one vector. Square blocks waste fewest lanes."""
 
 assert BLOCK * BLOCK == LANES
 
 ACROSS, DOWN = (np.float32(lane.ravel()) for lane in np.indices((BLOCK, BLOCK))[::-1])
-"""Where in its block each lane is."""
+"""Column and row of each lane in its block."""
 
 TILE_WIDTH, TILE_HEIGHT = 16, 32
-"""Larger tiles sort fewer splats twice, but hold more at a time. Measured: 8x32 is slower by a
-tenth, 16x16 by a twentieth, 16x64 no faster."""
+"""Size of a tile in pixels. Larger tiles sort fewer splats repeatedly, but have larger workspaces.
+Measured: 8x32 is slower by a tenth, 16x16 by a twentieth, 16x64 no faster."""
 
 BLOCKS_ACROSS = TILE_WIDTH // BLOCK
 TILE_BLOCKS = BLOCKS_ACROSS * TILE_HEIGHT // BLOCK
@@ -47,19 +47,20 @@ TILE_BLOCKS = BLOCKS_ACROSS * TILE_HEIGHT // BLOCK
 assert TILE_BLOCKS == 32  # a bit of a uint32 each
 
 ROWS = np.uint64(sum(1 << BLOCKS_ACROSS * row for row in range(TILE_BLOCKS // BLOCKS_ACROSS)))
-"""The first block of each row of blocks."""
+"""Bit mask of the first block of each row of blocks."""
 
 PARTS = 16
-"""Parts in which splats are counted and listed side by side."""
+"""Number of parts in which splats are counted and binned in parallel."""
 
 STRIP = 8
-"""Tiles that a thread takes at a time: neighbours, which have splats in common."""
+"""Consecutive tiles of a work item, which share splats."""
 
 MOST_BITS = 11
-"""Bits of depth that a pass of the sort looks at: most tiles need two, with eight bits three."""
+"""Bits of depth in one pass of the radix sort: most tiles need two passes, with eight bits three.
+"""
 
 AHEAD = 12
-"""Splats between what is read and what is asked for."""
+"""Prefetch distance in splats."""
 
 LOCAL_X, LOCAL_Y, LOCAL_ROOT, LOCAL_SLANT, LOCAL_ROW_ROOT, LOCAL_POWER, LOCAL_CUT = range(7)
 """Columns of a splat in its tile. Its centre is in pixels from the first of the tile's middle row:
@@ -68,7 +69,7 @@ times slope."""
 
 
 class Bins(NamedTuple):
-    """The splats of every tile: tile t, row by row, has ``entries[starts[t] : starts[t + 1]]``."""
+    """Splats by tile: tile t, in row-major order, is ``entries[starts[t] : starts[t + 1]]``."""
 
     across: int
     down: int
@@ -77,7 +78,7 @@ class Bins(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Room for the splats of one tile, n of them.
+    """Workspace for the n splats of one tile.
 
     Attributes
     ----------
@@ -108,7 +109,7 @@ class Workspace(NamedTuple):
 
 @kernel
 def make_workspace(n, channels):
-    """A :class:`Workspace` for at most ``n`` splats of ``channels`` values."""
+    """Make a :class:`Workspace` for at most ``n`` splats of ``channels`` values."""
     return Workspace(
         np.empty(n, np.uint64),
         np.empty(n, np.uint64),
@@ -122,7 +123,7 @@ def make_workspace(n, channels):
 
 
 def bin_splats(boxes: np.ndarray, width: int, height: int) -> Bins:
-    """List the splats with pixel ``boxes`` int32 [N, 4] by tile; returns :class:`Bins`."""
+    """Bin the splats with pixel ``boxes`` int32 [N, 4] by tile; returns :class:`Bins`."""
     across, down = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
     cursors = np.zeros((PARTS, across * down), np.int64)
     share(_bin, PARTS, boxes, across, cursors, np.empty(0, np.int32), False)
@@ -137,7 +138,7 @@ def bin_splats(boxes: np.ndarray, width: int, height: int) -> Bins:
 
 @kernel
 def _bin(counter, boxes, across, cursors, entries, write):
-    """Count the splats of each tile, part by part, or ``write`` them where the cursors say."""
+    """Count the splats of each tile and part, or ``write`` them at the cursors."""
     n, part = len(boxes), take(counter)
     while part < PARTS:
         for i in range(part * n // PARTS, (part + 1) * n // PARTS):
@@ -152,13 +153,13 @@ def _bin(counter, boxes, across, cursors, entries, write):
 
 
 def strips_of(bins: Bins) -> int:
-    """How many portions of :data:`STRIP` tiles there are."""
+    """Return the number of work items of :data:`STRIP` tiles."""
     return -(-bins.across * bins.down // STRIP)
 
 
 @kernel
 def tile_range(box):
-    """First and one past the last tile, across and down, that a pixel box touches."""
+    """Return the half-open ranges of tiles, across and down, that a pixel box touches."""
     if box[1] <= box[0] or box[3] <= box[2]:
         return 0, 0, 0, 0
     # Unsigned, so that the divisions are shifts.
@@ -173,7 +174,7 @@ def tile_range(box):
 
 @kernel
 def count_tiles(boxes):
-    """How many tiles the splats before each one touch: int64 [N + 1], the last for all of them."""
+    """Return the exclusive cumulative number of tiles that splats touch, int64 [N + 1]."""
     firsts = np.zeros(len(boxes) + 1, np.int64)
     for i in range(len(boxes)):
         left, right, top, bottom = tile_range(boxes[i])
@@ -183,11 +184,11 @@ def count_tiles(boxes):
 
 @kernel
 def fullest(bins):
-    """How many splats the fullest tile has, at least one."""
-    most = 1
+    """Return the number of splats of the fullest tile, at least one."""
+    maximum = 1
     for tile in range(bins.across * bins.down):
-        most = max(most, bins.starts[tile + 1] - bins.starts[tile])
-    return most
+        maximum = max(maximum, bins.starts[tile + 1] - bins.starts[tile])
+    return maximum
 
 
 @kernel
@@ -235,7 +236,7 @@ def load_tile(tile, bins, splats, boxes, values, work):
         nearest, farthest = min(nearest, z), max(farthest, z)
     order = _sort_by_depth(n, channels, nearest, farthest, work)
     lists, counts = work.lists, work.counts
-    most = np.uint64(len(work.keys))
+    capacity = np.uint64(len(work.keys))
     counts[:] = 0
     for j in range(n):
         entry = np.uint32(order[j])  # the lower half
@@ -243,7 +244,7 @@ def load_tile(tile, bins, splats, boxes, values, work):
         while left_over:
             block = lowest_bit(left_over)
             count = counts[block]
-            lists[np.uint64(block) * most + np.uint64(count)] = entry
+            lists[np.uint64(block) * capacity + np.uint64(count)] = entry
             counts[block] = count + 1
             left_over &= left_over - np.uint32(1)
     return left, top
@@ -251,13 +252,13 @@ def load_tile(tile, bins, splats, boxes, values, work):
 
 @kernel
 def corner_of(block, left, top):
-    """The first pixel of a block of the tile whose first pixel is ``left, top``."""
+    """Return the first pixel of a block of the tile whose first pixel is ``left, top``."""
     return left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
 
 
 @kernel
 def _sort_by_depth(n, channels, nearest, farthest, work):
-    """The keys of the splats of the workspace, nearest first; those of equal z keep their order.
+    """Return the keys of the splats of the workspace by rising depth, in a stable order.
 
     Radix sort over the bits of the float32 z: positive floats are in the order of their bits, and
     close ones share the upper bits, which then need no pass.

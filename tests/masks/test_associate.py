@@ -197,7 +197,7 @@ def test_copies_that_would_be_the_same_are_not_made_and_change_nothing(kind):
 
 def test_where_copies_alone_vote_no_view_overrules_them(monkeypatch):
     views = [flat(picture(seed), name) for seed, name in enumerate("abc")]
-    monkeypatch.setattr("slgaussian.masks.associate.settle", None)
+    monkeypatch.setattr("slgaussian.masks.associate.vote_on_objects", None)
     associate(views, Regions(), GeometricTracker(), 5, "copies")
     with pytest.raises(TypeError):
         associate(views, Regions(), GeometricTracker())

@@ -9,7 +9,7 @@ from slgaussian.datasets.procedural import reader
 from slgaussian.geometry import SeenView
 from slgaussian.masks import Proposals, consensus
 from slgaussian.masks.associate import associate
-from slgaussian.masks.consensus import Atoms, contract, settle
+from slgaussian.masks.consensus import Atoms, contract, vote_on_objects
 from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.regions import Regions
 from slgaussian.masks.shared import SurfacePoints, met, overlap
@@ -90,11 +90,11 @@ def test_a_view_votes_from_two_hundredths_of_another_on(points, votes):
     """Of one camera, with depth at 1 or 3 of the 100 points that overlap is told by."""
     shown = Shown(0.0).add({})
     whole = SurfacePoints(SeenView(shown.views[0].view, shown.views[0].depth[:96, :128]))
-    depth = np.zeros_like(whole.seen.depth)
-    few = whole.few[:: len(whole.few) // points][:points]
-    depth.ravel()[few] = whole.seen.depth.ravel()[few]
-    part = SurfacePoints(SeenView(whole.seen.view, depth))
-    assert overlap(whole, part) == pytest.approx(points / len(whole.few))
+    depth = np.zeros_like(whole.frame.depth)
+    few = whole.coarse_pixels[:: len(whole.coarse_pixels) // points][:points]
+    depth.ravel()[few] = whole.frame.depth.ravel()[few]
+    part = SurfacePoints(SeenView(whole.frame.view, depth))
+    assert overlap(whole, part) == pytest.approx(points / len(whole.coarse_pixels))
     assert (1 in consensus._voters([whole, part])[0]) == votes
 
 
@@ -266,15 +266,15 @@ def test_where_no_two_views_meet_the_tracker_is_believed():
     for _ in shown.eyes:
         shown.add({1: (-30.0, 30.0, -0.4, 0.4, 3.0)})
     labels = np.stack(shown.truths)
-    np.testing.assert_array_equal(settle(shown.views, labels, labels), labels)
+    np.testing.assert_array_equal(vote_on_objects(shown.views, labels, labels), labels)
 
 
 def test_what_is_not_labelled_stays_so():
     seen = room()[1][:3]
     labels = np.zeros((3, 208, 288), np.int32)
-    assert not settle(seen, labels, labels).any()
+    assert not vote_on_objects(seen, labels, labels).any()
     labels[:, :100] = 1
-    assert np.array_equal(settle(seen, labels, labels) > 0, labels > 0)
+    assert np.array_equal(vote_on_objects(seen, labels, labels) > 0, labels > 0)
 
 
 def test_shared_points_are_those_of_one_surface():

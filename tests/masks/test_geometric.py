@@ -9,7 +9,7 @@ from drawn_views import canvas, paste, view, with_depths
 from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
-from slgaussian.masks import load_tracker
+from slgaussian.masks import geometric, load_tracker
 from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.scene import Camera, View
 
@@ -99,11 +99,10 @@ def screen_and_wall(shift=0.4):
 
 def test_what_one_view_hides_has_no_match_and_the_rest_has():
     views, depths = screen_and_wall()
-    tracker = GeometricTracker()
     frames = [
-        tracker.describe(seen, np.ones(SIZE, np.int32)) for seen in with_depths(views, depths)
+        geometric._make_frame(seen, np.ones(SIZE, np.int32)) for seen in with_depths(views, depths)
     ]
-    place, matched = tracker.match(frames[1], frames[0])
+    place, matched = geometric._match(frames[1], frames[0])
     rows, columns = np.indices(SIZE)
     # The camera went right by 0.4: the screen moved left by 20 pixels and the wall by 10.
     screen = depths[1] == 2
@@ -120,10 +119,9 @@ def test_equals_the_plain_rule():
     rng = np.random.default_rng(0)
     depths = [(d * rng.uniform(0.93, 1.07, d.shape)).astype(np.float32) for d in depths]
     depths[0][5:9, 5:50] = depths[1][:20, 60:80] = 0
-    tracker = GeometricTracker()
-    place, matched = tracker.match(
+    place, matched = geometric._match(
         *(
-            tracker.describe(seen, np.ones(SIZE, np.int32))
+            geometric._make_frame(seen, np.ones(SIZE, np.int32))
             for seen in with_depths((b, a), depths[::-1])
         )
     )
@@ -199,11 +197,11 @@ def test_a_view_is_matched_with_the_few_frames_that_show_most_of_it(monkeypatch)
     scene = reader.read(seed=3, height=104, width=144, views=10, baseline=2.0)
     views = [scene.read(each) for each in scene.cameras]
     tracker, asked = load_tracker("geometric"), []
-    match = type(tracker).match
+    match = geometric._match
     monkeypatch.setattr(
-        type(tracker),
-        "match",
-        lambda self, new, old: asked.append(old.seen.view.name) or match(self, new, old),
+        geometric,
+        "_match",
+        lambda new, old: asked.append(old.frame.view.name) or match(new, old),
     )
     for each in views[:9]:
         tracker.add(SeenView(each, each.depth), each.instances)

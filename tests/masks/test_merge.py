@@ -228,7 +228,7 @@ def test_tree_heights_rise_and_every_cut_is_a_partition(noise):
     assert (tree.height[tree.parent[child]] >= tree.height[child]).all()
     counts = []
     for height in (0.0, 0.4, 0.6, 1.0):
-        nodes = tree.cut(height, most=10_000)
+        nodes = tree.cut(height, max_count=10_000)
         labels = tree.labels(nodes)
         assert labels.min() == 1 and len(np.unique(labels)) == len(nodes)
         counts.append(len(nodes))

@@ -102,12 +102,12 @@ def test_an_unknown_level_is_refused():
 def test_where_limits_the_search(scene):
     where = np.zeros(SIZE, bool)
     where[:, 80:] = True
-    proposals = Regions().propose(SeenView.alone(scene), where=where)
+    proposals = Regions().propose(SeenView.alone(scene), region=where)
     np.testing.assert_array_equal(proposals.masks.any(0), where)
-    every = Regions(level="all").propose(SeenView.alone(scene), where=where)
+    every = Regions(level="all").propose(SeenView.alone(scene), region=where)
     np.testing.assert_array_equal(every.masks.any(0), where)
     for level in ("m", "all"):
-        nothing = Regions(level=level).propose(SeenView.alone(scene), where=np.zeros(SIZE, bool))
+        nothing = Regions(level=level).propose(SeenView.alone(scene), region=np.zeros(SIZE, bool))
         assert nothing.masks.shape == (0, *SIZE) and nothing.scores.shape == (0,)
         assert nothing.levels.shape == (0,)
 
@@ -162,8 +162,8 @@ def test_same_bytes_whatever_the_number_of_threads(scene):
         (np.zeros((4, 4), np.uint8), {}, "expected uint8"),
         (np.zeros((4, 4, 3), np.float32), {}, "expected uint8"),
         (np.zeros((0, 4, 3), np.uint8), {}, "expected uint8"),
-        (np.zeros((4, 4, 3), np.uint8), {"where": np.ones((4, 5), bool)}, "where"),
-        (np.zeros((4, 4, 3), np.uint8), {"where": np.ones((4, 4))}, "where"),
+        (np.zeros((4, 4, 3), np.uint8), {"region": np.ones((4, 5), bool)}, "region"),
+        (np.zeros((4, 4, 3), np.uint8), {"region": np.ones((4, 4))}, "region"),
         (np.zeros((4, 4, 3), np.uint8), {"depth": np.full((4, 4), np.nan)}, "NaN"),
     ],
 )

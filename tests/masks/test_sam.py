@@ -292,8 +292,8 @@ def test_what_cannot_be_is_one_sentence(folders, name, settings, says):
     ("image", "where", "says"),
     [
         (np.zeros((9, 9), np.uint8), None, "expected uint8"),
-        (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 8), bool), "where: found bool"),
-        (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 9)), "where: found float64"),
+        (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 8), bool), "region: found bool"),
+        (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 9)), "region: found float64"),
     ],
 )
 def test_an_image_that_cannot_be_is_refused(folders, image, where, says):

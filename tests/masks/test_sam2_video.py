@@ -14,7 +14,6 @@ from slgaussian.masks import load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.regions import Regions
 from slgaussian.masks.sam2_video import Sam2Video
-from slgaussian.masks.video_memory import VideoMemory
 
 
 def save_sam2_video(folder: Path) -> Path:
@@ -92,7 +91,7 @@ def test_three_hundred_objects(folder):
     assert many.shape == SIZE
     tracker = Sam2Video(model=folder, batch=64, device="cpu")
     tracker.add(view(canvas()), many)
-    assert len(tracker._memory._groups()[0,]) == 300
+    assert len(tracker._groups()[0,]) == 300
     assert tracker.propagate(view(canvas(seed=2))).max() > 255
 
 
@@ -105,10 +104,10 @@ def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
     later[70:90, 10:40] = 71_000
     tracker.add(view(canvas(seed=2)), later)
     # 5 was in the first frame only, 71000 in the second, the others in both.
-    assert tracker._memory._groups() == {(0, 1): [9, 300, 70_000], (0,): [5], (1,): [71_000]}
+    assert tracker._groups() == {(0, 1): [9, 300, 70_000], (0,): [5], (1,): [71_000]}
     carried = tracker.propagate(view(canvas(seed=3)))
     assert set(np.unique(carried)) <= {0, *np.unique(labels()), 71_000}
-    assert len(tracker._memory._encoded) == 3
+    assert len(tracker._encoded) == 3
 
 
 def test_memory_is_a_copy_and_nothing_in_it_gives_nothing(folder):
@@ -124,15 +123,14 @@ def test_memory_is_a_copy_and_nothing_in_it_gives_nothing(folder):
 
 
 def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lowest_id(folder):
-    class Told(VideoMemory):
-        def _tracked(self, features):
+    class Fixed(Sam2Video):
+        def _track(self, features):
             grid = torch.full((4, 4), -1.0)
             high, low = grid.clone(), grid.clone()
             high[:2], low[:2, :2] = 2.0, 1.0
             return {70_000: high, 8: low, 3: torch.zeros(4, 4), 400: high.clone()}
 
-    tracker = Sam2Video(model=folder, device="cpu")
-    tracker._memory = Told(tracker._memory.network, 16)
+    tracker = Fixed(model=folder, device="cpu")
     found = tracker.propagate(view(canvas()))
     assert (found[:50] == 400).all() and not found[75:].any()
 

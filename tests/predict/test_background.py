@@ -5,7 +5,7 @@ import pytest
 from textured_planes import camera
 
 from slgaussian.gaussians import Gaussians, source_depths
-from slgaussian.predict.background import hidden
+from slgaussian.predict.background import continue_surfaces
 from slgaussian.predict.unproject import unproject
 
 # Written out, not imported: a slip in the module must show here.
@@ -45,7 +45,7 @@ def shown(points, cameras, walls):
 def test_only_what_no_view_shows_is_continued(box, size):
     cameras = camera(size=size), camera(x=0.3, size=size)
     walls, colors = scene(cameras, box)
-    made = hidden(cameras, colors, walls, [STEP] * 2)
+    made = continue_surfaces(cameras, colors, walls, [STEP] * 2)
     made.check()
     assert len(made) > 0
     points = made.means.numpy().astype(np.float64)
@@ -58,7 +58,7 @@ def test_only_what_no_view_shows_is_continued(box, size):
 
 def test_a_view_goes_on_beyond_its_border():
     walls, colors = scene(CAMERAS[:1], False)
-    made = hidden(CAMERAS[:1], colors, walls, [STEP])
+    made = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
     pixels, z = CAMERAS[0].project(made.means.numpy().astype(np.float64))
     assert np.allclose(z, 4, rtol=1e-5)
     H, W = SIZE
@@ -76,7 +76,7 @@ def test_a_view_goes_on_beyond_its_border():
 
 def test_the_wall_goes_on_behind_the_rim_of_a_box():
     walls, colors = scene(CAMERAS[:1], True)
-    made = hidden(CAMERAS[:1], colors, walls, [STEP])
+    made = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
     pixels, z = CAMERAS[0].project(made.means.numpy().astype(np.float64))
     column, row = np.floor(pixels).astype(int).T
     behind = (column >= 28) & (column < 60) & (row >= 20) & (row < 40)
@@ -90,7 +90,7 @@ def test_the_wall_goes_on_behind_the_rim_of_a_box():
 def test_a_slope_has_nothing_behind_it():
     walls, colors = scene(CAMERAS[:1], False)
     walls[0] += np.linspace(0, 0.1, SIZE[1], dtype=np.float32)
-    made = hidden(CAMERAS[:1], colors, walls, [STEP])
+    made = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
     pixels, _ = CAMERAS[0].project(made.means.numpy().astype(np.float64))
     assert ((pixels < 0) | (pixels > (SIZE[1], SIZE[0]))).any(1).all()
 
@@ -99,6 +99,6 @@ def test_depths_of_the_views_stay_what_they_are():
     walls, colors = scene(CAMERAS, True)
     opacities = [np.full(SIZE, 0.5, np.float32)] * 2
     given = unproject(CAMERAS, colors, walls, opacities)
-    both = Gaussians.concatenated([given, hidden(CAMERAS, colors, walls, [STEP] * 2)])
+    both = Gaussians.concatenated([given, continue_surfaces(CAMERAS, colors, walls, [STEP] * 2)])
     assert len(both) > len(given)
     assert np.allclose(source_depths(both, CAMERAS), source_depths(given, CAMERAS), rtol=1e-5)

@@ -5,7 +5,7 @@ import pytest
 from textured_planes import Plane, camera
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.cost import combine, matching_cost
+from slgaussian.predict.cost import combine_costs, matching_cost
 
 # Written out, not imported: a slip in the module must show here.
 OUTSIDE, RADIUS = 60, 2
@@ -96,7 +96,7 @@ def test_combined_costs_are_the_mean_of_the_better_half_of_those_that_see():
     for cost in costs:
         cost[rng.random(cost.shape) < 0.4] = OUTSIDE
     for count in (1, 2, 3, 4):
-        found = combine(costs[:count])
+        found = combine_costs(costs[:count])
         for at in np.ndindex(found.shape):
             seen = sorted(int(c[at]) for c in costs[:count] if c[at] != OUTSIDE)
             half = seen[: (count + 1) // 2]

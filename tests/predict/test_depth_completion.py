@@ -11,10 +11,10 @@ from slgaussian.predict.depth_completion import (
     IN_FRONT,
     UNSEEN,
     cross_check,
-    fill,
+    fill_depth,
     fit_planes,
+    remove_speckles,
     weighted_median,
-    without_speckles,
 )
 
 # Written out, not imported: a slip in the module must show here.
@@ -56,10 +56,10 @@ def test_speckles_go_and_large_patches_stay():
     index = np.full((40, 60), 10.0, np.float32)
     index[10:13, 10:13] = 20
     keep = np.ones((40, 60), bool)
-    out = without_speckles(index, keep, size=30)
+    out = remove_speckles(index, keep, size=30)
     assert not out[10:13, 10:13].any()
     assert out.sum() == keep.sum() - 9
-    assert not without_speckles(index, np.zeros_like(keep), size=30).any()
+    assert not remove_speckles(index, np.zeros_like(keep), size=30).any()
 
 
 def two_planes(noise=0.0):
@@ -114,7 +114,7 @@ def test_fill_continues_planes_up_to_the_image_edge_between_them():
     keep[40:80, 60:100] = False
     guide = np.where(np.arange(160) < 80, 60, 180) * np.ones((120, 1))
     broken = np.where(keep, exact, np.float32(0.95))
-    out = fill(broken, keep, guide.astype(np.uint8), np.array(expected), STEPS, [])
+    out = fill_depth(broken, keep, guide.astype(np.uint8), np.array(expected), STEPS, [])
     assert np.array_equal(out[keep], exact[keep])
     assert np.abs(out - truth).max() < 1e-5
 
@@ -128,20 +128,20 @@ def test_fill_avoids_what_another_view_sees_through():
     near = np.where(keep, np.float32(0.6), truth)
     blank = np.zeros((120, 160), np.uint8)
     # Alone, the answered strip spreads its near plane; the other view knows that space is free.
-    alone = fill(near, keep, blank, planes, STEPS, [])
+    alone = fill_depth(near, keep, blank, planes, STEPS, [])
     assert (alone == np.float32(0.6)).all()
-    seen = fill(near, keep, blank, planes, STEPS, [(Relative.between(a, b), truth)])
+    seen = fill_depth(near, keep, blank, planes, STEPS, [(Relative.between(a, b), truth)])
     assert (seen[:, 60:] == np.float32(0.3)).mean() > 0.9
 
 
 def test_fill_without_planes_takes_a_level():
     keep = np.zeros((20, 30), bool)
     flat, blank = np.zeros((20, 30), np.float32), np.zeros((20, 30), np.uint8)
-    out = fill(flat, keep, blank, np.zeros((0, 3)), STEPS, [])
+    out = fill_depth(flat, keep, blank, np.zeros((0, 3)), STEPS, [])
     assert np.allclose(out, 0.55)
     keep[3, 4], depth = True, flat.copy()
     depth[3, 4] = 0.7
-    assert np.allclose(fill(depth, keep, blank, np.zeros((0, 3)), STEPS, []), 0.7)
+    assert np.allclose(fill_depth(depth, keep, blank, np.zeros((0, 3)), STEPS, []), 0.7)
 
 
 def plain_median(values, image, y, x):

@@ -6,7 +6,7 @@ import numpy as np
 from textured_planes import camera, sample
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.depth_propagation import Swept, lend
+from slgaussian.predict.depth_propagation import SweptView, propagate_depth
 from slgaussian.predict.view_graph import Link
 
 CAMERAS = (camera(), camera(x=0.3))
@@ -23,7 +23,7 @@ def pair():
     images = [np.full((*view.depth.shape, 3), 0.5, np.float32) for view in views]
     steps = np.linspace(0.05, 1, 100)
     swept = [
-        Swept(steps, 1 / view.depth.astype(np.float32), np.ones(view.depth.shape, bool))
+        SweptView(steps, 1 / view.depth.astype(np.float32), np.ones(view.depth.shape, bool))
         for view in views
     ]
     answered, guessed = swept[0].answered.copy(), swept[0].inverse_depth.copy()
@@ -33,7 +33,7 @@ def pair():
 
 def test_a_hole_gets_the_depth_that_the_other_view_found_there():
     views, images, swept = pair()
-    first, second = lend(swept, images, LINKS)
+    first, second = propagate_depth(swept, images, LINKS)
     assert first.answered[HOLE].mean() > 0.98
     there = first.answered[HOLE]
     found, true = first.inverse_depth[HOLE][there], 1 / views[0].depth[HOLE][there]
@@ -44,7 +44,7 @@ def test_a_hole_gets_the_depth_that_the_other_view_found_there():
 
 def test_answers_are_not_overruled():
     _, images, swept = pair()
-    first, _ = lend(swept, images, LINKS)
+    first, _ = propagate_depth(swept, images, LINKS)
     mine = swept[0].answered
     assert np.array_equal(first.inverse_depth[mine], swept[0].inverse_depth[mine])
 
@@ -53,5 +53,5 @@ def test_what_has_another_colour_is_not_believed():
     """It may lie behind what the view shows there."""
     _, images, swept = pair()
     images[0][40:80, 50:100] = 0.8
-    first, _ = lend(swept, images, LINKS)
+    first, _ = propagate_depth(swept, images, LINKS)
     assert not first.answered[53:67, 63:87].any()

@@ -6,7 +6,7 @@ from textured_planes import camera, sample
 
 from slgaussian.cameras.relative import Relative
 from slgaussian.predict.depth_completion import AGREES, cross_check
-from slgaussian.predict.fusion import blend, needed
+from slgaussian.predict.fusion import blend, select_drawn
 from slgaussian.predict.view_graph import Link, ViewGraph
 
 # Written out, not imported: a slip in the module must show here.
@@ -109,10 +109,12 @@ def test_without_overlap_colours_stay():
 
 
 def kept(cameras, depths, guessed=None):
-    """What :func:`needed` keeps if all depths are known but those of the view ``guessed``."""
+    """What :func:`select_drawn` keeps if all depths are known but those of the view ``guessed``."""
     inverse = [1 / depth.astype(np.float32) for depth in depths]
     known = [np.full_like(w, np.inf) if i == guessed else w for i, w in enumerate(inverse)]
-    return needed(ViewGraph(cameras, links_of(*cameras)), inverse, known, [0.001] * len(cameras))
+    return select_drawn(
+        ViewGraph(cameras, links_of(*cameras)), inverse, known, [0.001] * len(cameras)
+    )
 
 
 def test_a_surface_is_drawn_by_two_views_at_most_and_what_is_new_by_all():
@@ -158,10 +160,10 @@ def test_a_guess_is_not_drawn_in_front_of_what_a_view_before_draws():
         w[30:90, 30:130] = np.inf
     inverse[2][45:75, 60:100] *= 1.3
     graph = ViewGraph(cameras, links_of(*cameras))
-    assert not needed(graph, inverse, known, [0.001] * 3)[2][46:74, 61:99].any()
+    assert not select_drawn(graph, inverse, known, [0.001] * 3)[2][46:74, 61:99].any()
     # Matched there, it is drawn: guesses do not refute it.
     known[2] = inverse[2]
-    assert needed(graph, inverse, known, [0.001] * 3)[2][46:74, 61:99].mean() > 0.9
+    assert select_drawn(graph, inverse, known, [0.001] * 3)[2][46:74, 61:99].mean() > 0.9
 
 
 def test_a_view_of_which_nothing_is_known_draws_nothing():

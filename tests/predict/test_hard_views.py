@@ -18,7 +18,7 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.planesweep import PlaneSweep
-from slgaussian.predict.view_graph import link_views, usable
+from slgaussian.predict.view_graph import link_views, select_usable
 from slgaussian.scene import Sample
 from tests.predict import twists
 
@@ -76,7 +76,7 @@ def test_a_photograph_given_twice_is_used_once():
     """The very same picture from the same place is left out, and said to be."""
     given = room(0)
     again = replace(given.context[ODD], name="again")
-    rest, _, left = usable(replace(given, context=(*given.context, again)))
+    rest, _, left = select_usable(replace(given, context=(*given.context, again)))
     assert left == {"again": "it is the same picture as view_04, from the same place"}
     assert rest.context == given.context
 
@@ -101,7 +101,7 @@ def test_a_stranger_is_left_out_by_name_and_the_rest_is_as_without_it():
         given = room(seed)
         views = given.context
         among = (*views[:3], twists.stranger(seed, given, ODD), *views[3:])
-        rest, _, left = usable(replace(given, context=among))
+        rest, _, left = select_usable(replace(given, context=among))
         assert left == {"stranger": "fewer than 12 matches with any other tell its depth"}
         assert rest.context == views
     assert same_bytes(rest, given)

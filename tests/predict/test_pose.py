@@ -11,13 +11,13 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.predict.depth_hypotheses import (
-    candidates,
+    inverse_depth_candidates,
     inverse_depth_range,
     pixel_grid,
     visible_share,
 )
 from slgaussian.predict.pose import refine
-from slgaussian.predict.view_graph import link_views, without_strangers
+from slgaussian.predict.view_graph import drop_unmatched, link_views
 from tests.matching import sift_matches
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
@@ -140,7 +140,7 @@ def test_sift_on_a_blank_image_finds_nothing():
 
 def test_candidates_move_a_pixel_by_about_a_pixel():
     relative = Relative.between(A, B)
-    steps = candidates(relative, (120, 160), 0.1, 1.0, 144)
+    steps = inverse_depth_candidates(relative, (120, 160), 0.1, 1.0, 144)
     assert (steps[0], steps[-1]) == (0.1, 1.0)
     assert np.allclose(np.diff(steps), steps[1] - steps[0])
     grid = pixel_grid((120, 160), 12)
@@ -232,8 +232,8 @@ def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
     given = sample(camera(), camera(x=0.3), camera(x=0.5))
     other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
     among = replace(given, context=(given.context[0], other, *given.context[1:]))
-    kept, _, left_out = without_strangers(among, MatchGraph.of(among.context))
+    kept, _, left_out = drop_unmatched(among, MatchGraph.of(among.context))
     assert [view.name for view in kept.context] == [view.name for view in given.context]
     assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
     graph = MatchGraph.of(given.context)
-    assert without_strangers(given, graph) == (given, graph, {})
+    assert drop_unmatched(given, graph) == (given, graph, {})

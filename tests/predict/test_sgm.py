@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.predict.sgm import aggregate, winners
+from slgaussian.predict.sgm import aggregate, select_winners
 
 DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, -1), (1, -1), (-1, 1))
 
@@ -74,7 +74,7 @@ def test_winner_is_the_vertex_of_a_parabola():
     d = np.arange(12)
     truth = np.linspace(1, 10, 40)
     total = (100 * (d - truth[:, None]) ** 2 + 7).astype(np.int64)
-    best, offset, margin = winners(split(total))
+    best, offset, margin = select_winners(split(total))
     assert np.array_equal(best[0], total.argmin(-1))
     # Costs are whole numbers of at least 100 at one candidate's distance: off by up to 1 %.
     assert np.abs(best[0] + offset[0] - truth).max() < 0.01
@@ -84,7 +84,7 @@ def test_winner_is_the_vertex_of_a_parabola():
 def test_margin_is_against_the_best_that_is_not_a_neighbour():
     rng = np.random.default_rng(5)
     total = rng.integers(1, 2000, (50, 7))
-    best, _, margin = winners(split(total))
+    best, _, margin = select_winners(split(total))
     for k, row in enumerate(total):
         apart = np.abs(np.arange(7) - row.argmin()) > 1
         assert best[0, k] == row.argmin()
@@ -92,10 +92,10 @@ def test_margin_is_against_the_best_that_is_not_a_neighbour():
 
 
 def test_flat_costs_win_nothing_and_ends_get_no_offset():
-    best, offset, margin = winners(split(np.full((3, 8), 500)))
+    best, offset, margin = select_winners(split(np.full((3, 8), 500)))
     assert (margin == 0).all()
     assert (best == 0).all()
     falling = np.broadcast_to(np.arange(80, 0, -10), (3, 8))
-    best, offset, _ = winners(split(falling))
+    best, offset, _ = select_winners(split(falling))
     assert (best == 7).all()
     assert (offset == 0).all()

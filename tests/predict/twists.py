@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian import datasets
 from slgaussian.datasets.procedural.raycast import BOX, Solid
-from slgaussian.predict.pose_refinement import placed
+from slgaussian.predict.pose_refinement import with_pose
 from slgaussian.scene import Camera, Sample, View
 from tests.predict.hard_pairs import PHOTO_WALL, camera, photograph
 
@@ -68,7 +68,7 @@ def stranger(seed: int, given: Sample, place: int) -> View:
     a, b = (view.camera for view in given.context[place : place + 2])
     size = (a.height, a.width)
     other = arc(seed + ELSEWHERE, len(given.context), size).context[place]
-    between = placed(a, a.c2w[:3, :3], (2 * a.center + b.center) / 3)
+    between = with_pose(a, a.c2w[:3, :3], (2 * a.center + b.center) / 3)
     return replace(other, name="stranger", camera=between, depth=None, instances=None)
 
 
@@ -144,7 +144,7 @@ def drifted(given: Sample, degrees: float, move: float) -> Sample:
     def off(view: View, part: float) -> View:
         turn = Rotation.from_rotvec([0, 0, np.radians(degrees * part)]).as_matrix()
         seen, way = view.camera, np.array([1, 0, 0.5]) * move * part
-        return replace(view, camera=placed(seen, turn @ seen.c2w[:3, :3], seen.center + way))
+        return replace(view, camera=with_pose(seen, turn @ seen.c2w[:3, :3], seen.center + way))
 
     context = tuple(off(view, k / number) for k, view in enumerate(given.context))
     closing, opposite = given.targets

@@ -80,7 +80,7 @@ class Inputs:
     def own_labels(self) -> LabelMaps:
         """Label maps of each context view on its own: no id is in two views."""
         maps, count = [], 0
-        for seen in self.geometry.seen:
+        for seen in self.geometry.frames:
             ids = without_crumbs(flatten(self.proposer.propose(seen)))
             maps.append(np.where(ids > 0, ids + count, 0).astype(np.int32))
             count += int(ids.max(initial=0))
@@ -90,7 +90,7 @@ class Inputs:
     @cached_property
     def own_bank(self) -> MemoryBank:
         """Features of :attr:`own_labels`, without codes and groups."""
-        return self.look_at(self.geometry.seen, self.own_labels, self.geometry.surroundings)
+        return self.look_at(self.geometry.frames, self.own_labels, self.geometry.surroundings)
 
     def look_at(
         self,

@@ -30,7 +30,7 @@ class NoAssociation:
     def __call__(self, inputs: Inputs) -> SemanticField:
         """Lift the labels that each view was given on its own, as the field was lifted."""
         geometry, labels = inputs.geometry, inputs.own_labels
-        bank = inputs.look_at(geometry.seen, labels, geometry.surroundings, grouped=True)
+        bank = inputs.look_at(geometry.frames, labels, geometry.surroundings, grouped=True)
         used = {"lifting": "hard", "codes": "separated"} | dict(inputs.field.settings)
         codes = load_codes(used["codes"], **inputs.settings.get(used["codes"], {}))
         drawn = codes(labels, rng_for(inputs.seed, inputs.sample.content, "codes"))

@@ -1,13 +1,13 @@
-"""From the network's numbers at every pixel to Gaussians in the world.
+"""Conversion of the network's output at every pixel to Gaussians in the world.
 
-**Colour.** The networks were trained with harmonics of their own, which end here:
-:func:`harmonics_to_world` brings them to those of :mod:`slgaussian.rasterize.harmonics`. They
-predict in the basis of e3nn, whose polar axis is y, and turn into the world there. Then they draw
-with the formula of Kerbl et al. with its axes cycled, which is e3nn's basis seen from ``(-x, y,
--z)``: that, too, is a rotation, so one rotation of the coefficients does all. They predict 25
-coefficients a colour and draw 16 of them. The kernel that they were trained with has ``z`` for
-``y`` in one term of degree 3, in its forward pass alone; here that term is the harmonic, as that
-degree is damped to 0.0016."""
+**Colour.** :func:`harmonics_to_world` converts the networks' convention of spherical harmonics to
+that of :mod:`slgaussian.rasterize.harmonics`. The networks predict coefficients in the basis of
+e3nn, whose polar axis is y, and rotate them into the world in that basis. They render with the
+formula of Kerbl et al. with cycled axes, which is e3nn's basis seen from ``(-x, y, -z)``. That is a
+rotation as well, so one rotation of the coefficients is enough. Of 25 predicted coefficients for
+each colour 16 are rendered. The CUDA kernel of the training has ``z`` for ``y`` in one term of
+degree 3, in its forward pass only; here that term is the correct harmonic, as the degree is damped
+to 0.0016."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from slgaussian.rasterize import harmonics
 from slgaussian.scene import Camera
 
 HALF_TURN = np.diag([-1.0, 1.0, -1.0])
-"""About y: from where the networks see the harmonics."""
+"""Half turn about y, from which the networks evaluate the harmonics."""
 
 CYCLE = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-"""From (x, y, z) to (z, x, y): the axes of the formula that they draw with."""
+"""From (x, y, z) to (z, x, y), the axes of the rendering formula."""
 
 
 def gaussians_of(
     disparity: torch.Tensor, raw: torch.Tensor, camera: Camera, config: Config
 ) -> dict[str, torch.Tensor]:
-    """The Gaussians of one view, one a pixel in the order of its rows.
+    """Compute the Gaussians of one view, one for each pixel in row-major order.
 
     Parameters
     ----------
@@ -59,15 +59,15 @@ def gaussians_of(
 
 
 def _means(offset: torch.Tensor, depth: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """Up to half a pixel from the pixel's centre, at ``depth`` along the ray.
+    """Return means up to half a pixel from the pixel centre, at ``depth`` along the ray.
 
-    The depth was found along z and is taken for a distance: so the checkpoints were trained.
+    Z-depth is used as a distance, as in the training of the checkpoints.
     """
     H, W = camera.height, camera.width
     row, column = torch.meshgrid(
         torch.arange(H, device=depth.device), torch.arange(W, device=depth.device), indexing="ij"
     )
-    # Half a pixel, and the sigmoid less a half: the sigmoid from the pixel's corner.
+    # Centre at half a pixel plus (sigmoid - 0.5) is the sigmoid from the pixel's corner.
     pixels = torch.stack([column.ravel(), row.ravel()], 1) + offset.sigmoid()
     to_world = torch.from_numpy(camera.c2w[:3, :3] @ np.linalg.inv(camera.K)).to(pixels)
     rays = torch.addmm(to_world[:, 2], pixels, to_world[:, :2].T)
@@ -84,7 +84,7 @@ def _scales(
 
 
 def _quats(xyzw: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """Unit quaternions wxyz in the world of xyzw in the camera's frame."""
+    """Convert quaternions xyzw in the camera frame to unit quaternions wxyz in the world."""
     turn = Rotation.from_matrix(camera.c2w[:3, :3]).as_quat()
     x, y, z, w = (float(part) for part in turn)
     # Multiplication by the camera's quaternion from the left, xyzw in and wxyz out.
@@ -97,25 +97,25 @@ def _quats(xyzw: torch.Tensor, camera: Camera) -> torch.Tensor:
         ]
     )
     quats = xyzw @ product.T
-    # A quaternion of zeros, which only weights made by hand give, is no rotation of any kind.
+    # Artificial weights may predict a zero quaternion, which is no rotation.
     return torch.nn.functional.normalize(quats, eps=1e-8)
 
 
 def _harmonics(sh: torch.Tensor, camera: Camera) -> torch.Tensor:
-    """Coefficients [N, 16, 3] in the world of predicted ones [N, 16 * 3], colours the fastest."""
+    """Convert predicted coefficients [N, 16 * 3], colours fastest, to the world, [N, 16, 3]."""
     # All three colours in one product.
-    whole = torch.from_numpy(np.kron(harmonics_to_world(camera.c2w[:3, :3]), np.eye(3))).to(sh)
-    return (sh @ whole.T).view(len(sh), -1, 3)
+    matrix = torch.from_numpy(np.kron(harmonics_to_world(camera.c2w[:3, :3]), np.eye(3))).to(sh)
+    return (sh @ matrix.T).view(len(sh), -1, 3)
 
 
 def harmonics_to_world(R: np.ndarray) -> np.ndarray:
-    """Matrix float64 [16, 16] from what the networks predict to coefficients in the world.
+    """Return the matrix float64 [16, 16] from predicted coefficients to those in the world.
 
-    They say ``E(H d) . D m c`` of the colour in direction ``d``: coefficients ``c``, damped by
-    ``m``, are turned by the Wigner matrix ``D`` of the camera's rotation ``R``, and e3nn's basis
-    ``E`` is seen after the half turn ``H``. With ``E(d) = Y(C H d)``, where ``Y`` is the basis of
-    :mod:`slgaussian.rasterize.harmonics` and ``C`` the cycle of axes, that is ``Y(d) . T m c``,
-    where ``T`` turns as ``H R H C^-1`` does."""
+    The networks define the colour in direction ``d`` as ``E(H d) . D m c``: coefficients ``c``,
+    damped by ``m``, are rotated by the Wigner matrix ``D`` of the camera's rotation ``R``, and
+    e3nn's basis ``E`` is evaluated after the half turn ``H``. With ``E(d) = Y(C H d)``, where ``Y``
+    is the basis of :mod:`slgaussian.rasterize.harmonics` and ``C`` the cycle of axes, this equals
+    ``Y(d) . T m c``, where ``T`` is the rotation ``H R H C^-1``."""
     turn = harmonics.turned(HALF_TURN @ R @ HALF_TURN @ CYCLE.T)
     for degree, band in enumerate(harmonics.BANDS):
         turn[:, band] *= damping(degree)
@@ -123,5 +123,5 @@ def harmonics_to_world(R: np.ndarray) -> np.ndarray:
 
 
 def damping(degree: int) -> float:
-    """Factor on predicted coefficients: in training, higher degrees start out smaller."""
+    """Return the factor on predicted coefficients of a degree, from the training initialisation."""
     return 1.0 if degree == 0 else 0.1 * 0.25**degree

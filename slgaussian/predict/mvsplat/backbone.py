@@ -20,8 +20,10 @@ class ResidualBlock(nn.Module):
         super().__init__()
         self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, padding=1, bias=False)
         self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1, bias=False)
-        alike = stride == 1 and inputs == outputs
-        self.downsample = None if alike else nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride))
+        same_shape = stride == 1 and inputs == outputs
+        self.downsample = (
+            None if same_shape else nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride))
+        )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """[V, inputs, H, W] to [V, outputs, H / stride, W / stride]."""
@@ -51,7 +53,7 @@ class FeatureCnn(nn.Module):
 
 
 class Backbone(nn.Module):
-    """What the checkpoint calls ``backbone``: the CNN and the transformer."""
+    """The CNN and the transformer, ``backbone`` in the checkpoint."""
 
     def __init__(self, config: Config) -> None:
         super().__init__()

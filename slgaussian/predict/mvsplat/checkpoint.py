@@ -1,4 +1,4 @@
-"""Published checkpoints into a network: read without running code, and all or nothing."""
+"""Loading of published checkpoints, without running code and with strict matching of tensors."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ SHOWN = 3
 
 
 def load_network(path: str | Path, config: Config = PUBLISHED) -> Network:
-    """The network with the weights of ``path``, in float32 on the CPU, ready to infer.
+    """Load the network with the weights of ``path``, float32 on the CPU, in evaluation mode.
 
     Raises
     ------
     InputError
-        If the file cannot be read, holds no tensors by name, or other names or shapes than the
+        If the file cannot be read, holds no named tensors, or its names or shapes differ from the
         network's.
     """
     return with_weights(read_state(path), config, str(path))
 
 
 def read_state(path: str | Path) -> dict[str, torch.Tensor]:
-    """Tensors by name of a Lightning checkpoint or a bare dictionary; a prefix ``encoder.`` goes.
+    """Read tensors by name from a Lightning checkpoint or a bare state dictionary.
+
+    A prefix ``encoder.`` is removed.
 
     Raises
     ------
@@ -43,7 +45,7 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
             "README says, and give its path"
         )
     try:
-        # Mapped into memory, so that what else is in it, like an optimiser's state, is not read.
+        # Memory-mapped, so that other content, such as an optimiser's state, is not read.
         stored = tensorfile.load(path, mapped=True)
     except tensorfile.CodeError as code:
         raise InputError(
@@ -62,13 +64,13 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
             "MVSplat or its state_dict"
         )
     if any(name.startswith(PREFIX) for name in state):
-        # Beside the encoder, a checkpoint may hold buffers of the losses that it was trained with.
+        # Beside the encoder, a checkpoint may hold buffers of the training losses.
         state = {n.removeprefix(PREFIX): t for n, t in state.items() if n.startswith(PREFIX)}
     return state
 
 
 def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str) -> Network:
-    """A network with exactly the tensors of ``state``; ``origin`` names them in errors.
+    """Make a network with exactly the tensors of ``state``; ``origin`` names them in errors.
 
     Raises
     ------
@@ -90,10 +92,10 @@ def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str)
         "of another shape": wrong,
     }
     if any(problems.values()):
-        found = "; ".join(f"{len(p)} {what}: {_few(p)}" for what, p in problems.items() if p)
+        summary = "; ".join(f"{len(p)} {kind}: {_shorten(p)}" for kind, p in problems.items() if p)
         raise InputError(
-            f"checkpoint {origin}: does not fit the network of {len(expected)} tensors ({found}); "
-            "expected re10k.ckpt or acid.ckpt of MVSplat, or another of the same shape"
+            f"checkpoint {origin}: does not fit the network of {len(expected)} tensors "
+            f"({summary}); expected re10k.ckpt or acid.ckpt of MVSplat, or one of the same shape"
         )
     state = {name: state[name].to(torch.float32, copy=True) for name in shared}
     network.load_state_dict(state, assign=True)
@@ -111,6 +113,6 @@ def _damaged(path: Path, reason: str) -> InputError:
     )
 
 
-def _few(names: Iterable[str]) -> str:
+def _shorten(names: Iterable[str]) -> str:
     names = list(names)
     return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")

@@ -1,4 +1,4 @@
-"""What fixes the shape of an MVSplat network and the ranges of its numbers."""
+"""Configuration of an MVSplat network: its shape and the ranges of its outputs."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class Config:
     windows : int
         The transformer attends within ``windows`` x ``windows`` parts of the feature map.
     candidates : int
-        Disparities that the cost volume is made for.
+        Number of disparities of the cost volume.
     cost_levels, cost_attention : int, tuple of int
-        Levels of the U-Net over the cost volume, and at which factors of downsampling it attends.
+        Levels of the U-Net over the cost volume, and its downsampling factors with attention.
     detail_width, detail_levels, detail_attention : int, int, tuple of int
         The same for the U-Net at full resolution.
     near, far : float

@@ -1,4 +1,4 @@
-"""How well every pixel matches the other views at every candidate depth."""
+"""Cost volume: feature correlation of every pixel with other views at every candidate depth."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from slgaussian.predict.mvsplat.cost_volume_cpu import add_products
 from slgaussian.scene import Camera
 
 CHUNK = 1024
-"""Pixels warped at a time: their samples at all depths are 64 MB, where those of a whole image
-would be a gigabyte."""
+"""Pixels warped at a time: their samples at all depths take 64 MB; those of a full image would take
+a gigabyte."""
 
 MIN_DEPTH = 1e-3
-"""Depth in the other view is taken for at least this, so that nothing is divided by zero."""
+"""Lower bound of depth in the target view, against division by zero."""
 
 REDUCED = 4
-"""Pixels of the image a pixel of the features."""
+"""Downsampling factor of the features."""
 
 SPARSE = 64
-"""One pixel in so many is looked at to choose a number of candidates."""
+"""Stride of the pixels that determine the number of candidates."""
 
 
 def spread(near: float, far: float, count: int) -> torch.Tensor:
-    """Disparities float32 [count], evenly from the far end to the near one."""
+    """Return evenly spaced disparities from far to near, float32 [count]."""
     return 1 / far + torch.linspace(0, 1, count) * (1 / near - 1 / far)
 
 
 def correlate(
     features: torch.Tensor, cameras: Sequence[Camera], disparities: torch.Tensor
 ) -> torch.Tensor:
-    """Plane-sweep correlation of every view with all others, averaged over these.
+    """Correlate every view with all others by a plane sweep, averaged over the others.
 
-    A pixel of the reference is placed at each depth, projected into the other view, and the
-    features sampled there bilinearly, zero outside. Pixels have integer coordinates at their
-    centres, as the published networks were trained with.
+    A pixel of the reference is unprojected to each depth and projected into the other view, whose
+    features are sampled bilinearly with zero padding. Pixel centres have integer coordinates, as
+    in the training of the published networks.
 
     Parameters
     ----------
     features : float [V, C, h, w]
     cameras : V Camera
-        Of any size: their intrinsics are scaled to (h, w).
+        Of any size; intrinsics are scaled to (h, w).
     disparities : float32 [D]
         Inverse depths along z.
 
@@ -69,49 +69,50 @@ def correlate(
     return volume
 
 
-def needed_candidates(cameras: Sequence[Camera], near: float, far: float, most: int) -> int:
-    """How many disparities are a pixel of the feature map apart, up to ``most``.
+def needed_candidates(cameras: Sequence[Camera], near: float, far: float, maximum: int) -> int:
+    """Return the number of disparities at which steps are one pixel of the feature map.
 
-    A bilinear sample changes linearly between two pixels, so less than one candidate a pixel is
-    what loses. It is the 99th percentile over pixels and candidates that lands in another view.
+    A bilinear sample changes linearly between two pixels, so only fewer than one candidate for each
+    pixel loses information. The step is the 99th percentile over pixels and candidates inside
+    another view; the result is at most ``maximum``.
     """
     h, w = cameras[0].height // REDUCED, cameras[0].width // REDUCED
-    disparities = spread(near, far, most)
+    disparities = spread(near, far, maximum)
     longest = [1.0]
     for reference in cameras:
-        for other in cameras:
-            if other is not reference:
-                start, offset = path(reference, other, (h, w))
+        for target in cameras:
+            if target is not reference:
+                start, offset = path(reference, target, (h, w))
                 x, y = positions(start[:, ::SPARSE], offset, disparities)
                 inside = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)
                 steps = torch.hypot(x.diff(), y.diff())[inside[:, 1:] & inside[:, :-1]]
                 if len(steps):
-                    longest.append(float(steps.quantile(0.99)) * (most - 1))
-    return min(math.ceil(max(longest)) + 1, most)
+                    longest.append(float(steps.quantile(0.99)) * (maximum - 1))
+    return min(math.ceil(max(longest)) + 1, maximum)
 
 
-def path(reference: Camera, other: Camera, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Where pixels of ``reference`` land in ``other``, both seen as maps of ``size`` (h, w).
+def path(reference: Camera, target: Camera, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the epipolar paths of pixels of ``reference`` in ``target``, maps of ``size`` (h, w).
 
     Returns
     -------
     start, offset : float32 [3, h * w], [3]
-        At disparity ``q`` a pixel lands on the homogeneous ``start + q offset``, whose third
-        component is the depth in ``other`` over that in ``reference``.
+        At disparity ``q`` the homogeneous position is ``start + q offset``; its third component
+        is the depth in ``target`` over that in ``reference``.
     """
     h, w = size
-    K_reference, K_other = reference.resized(w, h).K, other.resized(w, h).K
-    motion = other.w2c @ reference.c2w
+    K_reference, K_target = reference.resized(w, h).K, target.resized(w, h).K
+    motion = target.w2c @ reference.c2w
     v, u = np.mgrid[:h, :w].reshape(2, -1).astype(np.float64)
     pixels = np.stack([u, v, np.ones_like(u)])
-    start = K_other @ motion[:3, :3] @ np.linalg.inv(K_reference) @ pixels
-    return start.astype(np.float32), (K_other @ motion[:3, 3]).astype(np.float32)
+    start = K_target @ motion[:3, :3] @ np.linalg.inv(K_reference) @ pixels
+    return start.astype(np.float32), (K_target @ motion[:3, 3]).astype(np.float32)
 
 
 def positions(
     start: np.ndarray, offset: np.ndarray, disparities: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Pixels x and y, float32 [P, D], where P paths are at D disparities."""
+    """Return the pixels x and y of P paths at D disparities, float32 [P, D] each."""
     columns = torch.from_numpy(np.ascontiguousarray(start)).to(disparities.device)[..., None]
     x, y, z = (c + disparities * s for c, s in zip(columns, offset.tolist(), strict=True))
     z = torch.maximum(z, MIN_DEPTH * disparities)
@@ -122,17 +123,17 @@ def add_warped(
     start: np.ndarray,
     offset: np.ndarray,
     reference: torch.Tensor,
-    other: torch.Tensor,
+    target: torch.Tensor,
     disparities: torch.Tensor,
     out: torch.Tensor,
 ) -> None:
-    """Add to ``out`` [h, w, D] the products of ``reference`` and ``other`` [h, w, C].
+    """Add to ``out`` [h, w, D] the products of ``reference`` and ``target`` [h, w, C].
 
-    The same as ``cost_volume_cpu.add_products``, on any device and as it is defined.
+    The definition of ``cost_volume_cpu.add_products``, on any device.
     """
     h, w, channels = reference.shape
     corners, weights = bilinear(*positions(start, offset, disparities), (h, w))
-    references, rows = reference.view(h * w, channels, 1), other.view(h * w, channels)
+    references, rows = reference.view(h * w, channels, 1), target.view(h * w, channels)
     products = out.view(h * w, -1, 1)
     for first in range(0, h * w, CHUNK):
         part = slice(first, first + CHUNK)
@@ -149,7 +150,7 @@ def add_warped(
 def bilinear(
     x: torch.Tensor, y: torch.Tensor, size: tuple[int, int]
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The four pixels around each position, and how much each counts.
+    """Return the four pixels around each position and their bilinear weights.
 
     Returns
     -------
@@ -166,13 +167,13 @@ def bilinear(
 
 
 def _neighbours(position: torch.Tensor, length: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """The whole numbers below and above, brought into the map, and their weights."""
-    # Farther outside the weights are zero anyway, and integers must not overflow.
+    """Return the integers below and above, clamped to the map, and their weights."""
+    # Farther outside the weights are zero, and integers must not overflow.
     position = position.clamp(-1, length)
     below = position.floor()
     share = position - below
-    found = []
+    corners = []
     for index, weight in ((below, 1 - share), (below + 1, share)):
         inside = (index >= 0) & (index < length)
-        found.append((index.clamp(0, length - 1).int(), weight * inside))
-    return found
+        corners.append((index.clamp(0, length - 1).int(), weight * inside))
+    return corners

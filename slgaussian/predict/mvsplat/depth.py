@@ -1,4 +1,4 @@
-"""From matches to depth, and from depth and image to the raw numbers of the Gaussians."""
+"""Depth from the cost volume, and raw parameters of Gaussians from depth and image."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ POSE_CHANNELS = 9
 """Raw channels before the harmonics: 2 of offset, 3 of scale, 4 of rotation."""
 
 VECTOR = 16
-"""Numbers of a processor's vector, at most."""
+"""Largest number of elements of a SIMD vector."""
 
 STRIP = 64
-"""Rows of an image in the last layers at a time. Their values are then small enough for the memory
-to be used again, and fresh memory costs more than many a layer."""
+"""Image rows that the last layers process at a time. Their activations are then small enough for
+the allocator to reuse memory; fresh memory costs more than many layers."""
 
 HALO = 2
-"""Rows around a strip that two 3x3 convolutions see."""
+"""Rows around a strip in the receptive field of two 3x3 convolutions."""
 
 
 class Pixelwise(NamedTuple):
-    """What the network says of every pixel.
+    """Output of the network for every pixel.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class Pixelwise(NamedTuple):
 
 
 class DepthPredictor(nn.Module):
-    """What the checkpoint calls ``depth_predictor``: all that follows the cost volume.
+    """Layers after the cost volume, ``depth_predictor`` in the checkpoint.
 
-    ``drawn`` of the predicted harmonics are computed: no renderer evaluates the last nine.
+    Only ``drawn`` of the predicted harmonics are computed: no renderer evaluates the last nine.
     """
 
     def __init__(self, config: Config, drawn: int) -> None:
@@ -85,7 +85,7 @@ class DepthPredictor(nn.Module):
             conv(detail + 3 + width, 2 * raw), Gelu(), conv(2 * raw, raw)
         )
         self.to_disparity = nn.Sequential(conv(detail, 2 * detail), Gelu(), conv(2 * detail, 2))
-        self.kept = kept_channels(coefficients, drawn)
+        self.kept = computed_channels(coefficients, drawn)
 
     def forward(
         self,
@@ -95,7 +95,7 @@ class DepthPredictor(nn.Module):
         correlation: torch.Tensor,
         disparities: torch.Tensor,
     ) -> Pixelwise:
-        """Refine what the cost volume says.
+        """Refine the depth of the cost volume and predict raw parameters.
 
         Parameters
         ----------
@@ -117,7 +117,7 @@ class DepthPredictor(nn.Module):
     def coarse(
         self, matched: torch.Tensor, correlation: torch.Tensor, disparities: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Expected disparity and greatest probability, both float32 [V, 1, H, W]."""
+        """Return expected disparity and greatest probability, both float32 [V, 1, H, W]."""
         volume = torch.cat([correlation, matched.to(correlation.dtype)], 1)
         refined = self.corr_refine_net(volume) + self.regressor_residual(volume)
         chances = self.depth_head_lowres(refined).float().softmax(1)
@@ -136,7 +136,7 @@ class DepthPredictor(nn.Module):
         coarse: torch.Tensor,
         disparities: torch.Tensor,
     ) -> Pixelwise:
-        """Two convolutions on each full-resolution input, in strips: the widest layers of all."""
+        """Apply the full-resolution heads, the widest layers, in strips of rows."""
         views, _, H, W = images.shape
         disparity, opacity = (coarse.new_empty(views, H, W) for _ in range(2))
         raw = features.new_empty(views, H, W, len(self.kept))
@@ -146,7 +146,7 @@ class DepthPredictor(nn.Module):
                 mine = slice(top - rows.start, top - rows.start + STRIP)
                 parts = [x[view : view + 1, :, rows] for x in (detail, images, features)]
                 out = view, slice(top, top + STRIP)
-                # Depth in float32, whatever the rest is computed in.
+                # Depth in float32, whatever the precision of other layers.
                 with torch.autocast(detail.device.type, enabled=False):
                     delta, density = self.to_disparity(parts[0].float())[0, :, mine]
                 disparity[out] = (coarse[out] + delta).clamp(disparities[0], disparities[-1])
@@ -155,7 +155,7 @@ class DepthPredictor(nn.Module):
         return Pixelwise(disparity, opacity, raw)
 
     def raw_gaussians(self, x: torch.Tensor) -> torch.Tensor:
-        """[1, C, H, W] to [1, H, W, 9 + 16 * 3]."""
+        """Convert features [1, C, H, W] to raw parameters [1, H, W, 9 + 16 * 3]."""
         first, activation, last = self.to_gaussians
         assert isinstance(last, nn.Conv2d) and last.bias is not None  # as it was made
         weight, bias = last.weight[self.kept], last.bias[self.kept]
@@ -166,8 +166,9 @@ class DepthPredictor(nn.Module):
         return x.permute(0, 2, 3, 1)[..., : len(self.kept)]
 
 
-def kept_channels(coefficients: int, drawn: int) -> list[int]:
-    """Channels of the head that are computed: from colours by coefficients to the transpose."""
+def computed_channels(coefficients: int, drawn: int) -> list[int]:
+    """Return the channels of the head to compute, reordered from colour-major to
+    coefficient-major."""
     harmonics = [
         POSE_CHANNELS + color * coefficients + k for k in range(drawn) for color in range(3)
     ]

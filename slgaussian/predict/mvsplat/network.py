@@ -1,4 +1,4 @@
-"""The MVSplat encoder put together (Chen et al., "MVSplat", ECCV 2024, arXiv:2403.14627)."""
+"""The MVSplat encoder (Chen et al., "MVSplat", ECCV 2024, arXiv:2403.14627)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slgaussian.scene import Camera
 
 
 class Network(nn.Module):
-    """Parameters are named as in the published checkpoints, without their ``encoder.``."""
+    """The encoder, with parameter names of the published checkpoints without ``encoder.``."""
 
     def __init__(self, config: Config = PUBLISHED) -> None:
         super().__init__()
@@ -33,7 +33,7 @@ class Network(nn.Module):
         far: float,
         candidates: int | None = None,
     ) -> Pixelwise:
-        """All that the network says of every pixel.
+        """Predict disparity, opacity and raw Gaussian parameters of every pixel.
 
         Parameters
         ----------
@@ -42,10 +42,10 @@ class Network(nn.Module):
         cameras : V Camera
             Poses in the units of ``near`` and ``far``.
         near, far : float
-            Depths between which is searched.
+            Depth range of the search.
         candidates : int, optional
-            Correlate at this many disparities, evenly spaced, and interpolate linearly to those
-            that the network was trained with. All of them, if not given.
+            Number of evenly spaced disparities to correlate at, interpolated linearly to those of
+            training; all of them by default.
         """
         trained = self.config.candidates
         disparities = spread(near, far, trained).to(images.device)
@@ -57,7 +57,7 @@ class Network(nn.Module):
 
 
 def interpolate(correlation: torch.Tensor, count: int) -> torch.Tensor:
-    """[V, h, w, D] to [V, count, h, w], linearly along the disparities."""
+    """Resample [V, h, w, D] linearly along the disparities to [V, count, h, w]."""
     views, h, w, depths = correlation.shape
     lines = correlation.view(views, h * w, depths)
     if depths != count:

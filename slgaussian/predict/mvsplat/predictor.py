@@ -1,4 +1,4 @@
-"""The predictor ``mvsplat``: context views in any units to Gaussians in the same units."""
+"""The predictor ``mvsplat``: Gaussians from context views, in the units of the scene."""
 
 from __future__ import annotations
 
@@ -27,42 +27,41 @@ from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Camera, Sample, View
 
 MULTIPLE = 16
-"""Images are cropped to multiples of this: by all that downsampling, and two windows a side."""
+"""Image sides are cropped to multiples of this, for downsampling and two windows on each side."""
 
 NEAREST_DEPTH = 1.25
-"""Depth of the 5th percentile of points in the training scenes, where the near plane is at 1 (Zhou
-et al., "Stereo Magnification", SIGGRAPH 2018, whose clips are RealEstate10K)."""
+"""5th percentile of depth in the training scenes, whose near plane is at 1 (Zhou et al., "Stereo
+Magnification", SIGGRAPH 2018, the source of RealEstate10K)."""
 
 
 class MVSplat(MVSplatConfig):
     """MVSplat (Chen et al., ECCV 2024) with published weights, one Gaussian a context pixel.
 
-    The context is two or more views; the published weights were trained with two. Images whose
-    sides are no multiples of 16 lose their edges, and those pixels get no Gaussian.
+    The context has two or more views; the published weights were trained with two. Images whose
+    sides are no multiples of 16 are cropped; the removed pixels have no Gaussian.
 
-    **Units.** The networks know scenes whose nearest points are about one unit away. So the scene
-    is scaled to put ``near`` at 1, and the Gaussians back. Without any ``near``, it is where
-    RealEstate10K has it: the 5th percentile of depths, here of triangulated matches between the
-    views, over 1.25. With too few matches for that, it is the least distance between two views,
-    the rule of pixelSplat for scenes of unknown scale.
+    **Units.** The networks were trained on scenes whose nearest points are about one unit away. So
+    the scene is scaled to put ``near`` at 1, and the Gaussians are scaled back. Without a given
+    ``near`` the rule of RealEstate10K applies: the 5th percentile of depths, here of triangulated
+    matches, over 1.25. With too few matches it is the smallest distance between two views, the
+    rule of pixelSplat for scenes of unknown scale.
 
-    **Colour.** ``sh`` has 16 coefficients: colours depend on the direction that they are seen from.
+    **Colour.** ``sh`` has 16 coefficients: colours depend on the viewing direction.
 
     Attributes
     ----------
     checkpoint : path
         ``re10k.ckpt``, ``acid.ckpt`` or another of the same shape. Has no default.
     near, far : float or None
-        Depth range along z in scene units. None takes the context cameras' own, the least near and
-        the greatest far; and where they have none either, near as above and a far of 100 near.
+        Depth range along z in scene units. None takes the smallest near and the greatest far of
+        the context cameras; if they have none, near as above and far 100 times near.
     precision : "float32" or "bfloat16"
-        Of the layers. Disparity, probabilities of depths, and geometry are always float32.
+        Precision of the layers. Disparity, depth probabilities and geometry are always float32.
     depth_candidates : int or "auto"
-        Disparities at which views are correlated, interpolated to the 128 that the weights were
-        trained for, which says how many there are at most. "auto" takes one for each pixel of
-        motion over the feature map.
+        Number of disparities at which views are correlated, interpolated to the 128 of the
+        training, the maximum. "auto" takes one for each pixel of motion over the feature map.
     device : str
-        "auto" is "cuda" where there is one, else "cpu". Gaussians come back on the CPU.
+        "auto" is "cuda" if available, else "cpu". Gaussians are returned on the CPU.
     config : Config
 
     Raises
@@ -84,11 +83,11 @@ class MVSplat(MVSplatConfig):
                 "mvsplat checkpoint: none given; download re10k.ckpt from where MVSplat's README "
                 "says, and give its path, as in --set mvsplat.checkpoint=re10k.ckpt"
             )
-        most = self.config.candidates
-        if self.depth_candidates != "auto" and self.depth_candidates > most:
+        maximum = self.config.candidates
+        if self.depth_candidates != "auto" and self.depth_candidates > maximum:
             raise InputError(
-                f"mvsplat depth_candidates: found {self.depth_candidates!r}, expected 2 to {most} "
-                'or "auto"'
+                f"mvsplat depth_candidates: found {self.depth_candidates!r}, expected 2 to "
+                f'{maximum} or "auto"'
             )
         device = chosen_device(self.device)
         network = load_network(self.checkpoint, self.config)
@@ -104,9 +103,9 @@ class MVSplat(MVSplatConfig):
         return self._network
 
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
-        """Gaussians in the world frame of ``sample``, one a context pixel in order of ``source``.
+        """Predict one Gaussian for each context pixel, in the world frame of ``sample``.
 
-        Nothing is drawn at random, so ``seed`` is not looked at.
+        Gaussians are in the order of ``source``. ``seed`` is not used.
 
         Raises
         ------
@@ -114,28 +113,28 @@ class MVSplat(MVSplatConfig):
             If near is not below far, or images are smaller than 16 pixels a side.
         """
         near, far = self._range(sample, graph)
-        views = [_cropped(sample.scene, view) for view in sample.context]
+        views = [_crop(sample.scene, view) for view in sample.context]
         unit = self.config.near / near
-        cameras = [_scaled(view.camera, unit) for view in views]
+        cameras = [_scale(view.camera, unit) for view in views]
         gaussians = self._predict(views, cameras, near * unit, far * unit)
         return replace(
             gaussians,
             means=gaussians.means.div_(unit),
             scales=gaussians.scales.div_(unit),
-            source=_source(sample.context[0].camera, cameras),
+            source=_source_indices(sample.context[0].camera, cameras),
         )
 
     def _range(self, sample: Sample, graph: MatchGraph | None) -> tuple[float, float]:
-        """Near and far in scene units."""
+        """Return near and far in scene units."""
         cameras = [view.camera for view in sample.context]
         near, far = self.near, self.far
         if near is None:
             near = min((c.near for c in cameras if c.near is not None), default=None)
         if near is None:
-            near = estimated_near(sample.context, graph)
+            near = estimate_near(sample.context, graph)
         if far is None:
-            own = max((c.far for c in cameras if c.far is not None), default=None)
-            far = own or near * self.config.far / self.config.near
+            camera_far = max((c.far for c in cameras if c.far is not None), default=None)
+            far = camera_far or near * self.config.far / self.config.near
         if near >= far:
             raise InputError(
                 f"scene {sample.scene!r}: near {near:.3g} is not below far {far:.3g}; give both"
@@ -145,7 +144,7 @@ class MVSplat(MVSplatConfig):
     def _predict(
         self, views: Sequence[View], cameras: Sequence[Camera], near: float, far: float
     ) -> Gaussians:
-        """In the units of ``cameras``; ``source`` counts the cropped pixels."""
+        """Predict in the units of ``cameras``; ``source`` counts the cropped pixels."""
         stacked = np.stack([view.image for view in views])
         device = next(self.network.parameters()).device
         images = torch.from_numpy(stacked).permute(0, 3, 1, 2).to(device)
@@ -155,34 +154,36 @@ class MVSplat(MVSplatConfig):
         bfloat16 = self.precision == "bfloat16"
         with torch.no_grad(), inside(self.network):
             with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                found = self.network(images.float().div_(255), cameras, near, far, candidates)
+                output = self.network(images.float().div_(255), cameras, near, far, candidates)
             lifted = [
                 gaussians_of(disparity, raw, camera, self.config)
-                for disparity, raw, camera in zip(found.disparity, found.raw, cameras, strict=True)
+                for disparity, raw, camera in zip(
+                    output.disparity, output.raw, cameras, strict=True
+                )
             ]
             fields = {name: torch.cat([part[name] for part in lifted]).cpu() for name in lifted[0]}
-            opacities = found.opacity.flatten().cpu()
+            opacities = output.opacity.flatten().cpu()
         source = torch.arange(len(opacities), dtype=torch.int32)
         return Gaussians(**fields, opacities=opacities, source=source)
 
 
-def estimated_near(views: Sequence[View], graph: MatchGraph | None = None) -> float:
-    """Where the near plane of a scene is in its own units, as the networks know it.
+def estimate_near(views: Sequence[View], graph: MatchGraph | None = None) -> float:
+    """Estimate the near plane that the networks expect, in the units of the scene.
 
-    See "Units" in :class:`slgaussian.predict.mvsplat.predictor.MVSplat`. It scales with the scene.
+    See "Units" in :class:`slgaussian.predict.mvsplat.predictor.MVSplat`.
     """
     links = link_views(views, graph or MatchGraph.of(views), ranged=True).links
-    found = [np.concatenate([link.sparse for link in mine]) for mine in links]
-    if min(map(len, found)) >= MIN_MATCHES:
-        # Inverse depths: their 95th percentile is the 5th of depths.
-        depths = [1 / np.percentile(inverse, 95) for inverse in found]
+    sparse = [np.concatenate([link.sparse for link in sources]) for sources in links]
+    if min(map(len, sparse)) >= MIN_MATCHES:
+        # The 95th percentile of inverse depths is the 5th of depths.
+        depths = [1 / np.percentile(inverse, 95) for inverse in sparse]
         return float(np.percentile(depths, 10)) / NEAREST_DEPTH
     centres = [view.camera.center for view in views]
     return min(float(np.linalg.norm(a - b)) for a, b in combinations(centres, 2))
 
 
-def _cropped(scene: str, view: View) -> View:
-    """The middle of a view, with sides that are multiples of 16."""
+def _crop(scene: str, view: View) -> View:
+    """Crop the centre of a view to sides that are multiples of 16."""
     camera = view.camera
     height, width = (length - length % MULTIPLE for length in (camera.height, camera.width))
     if height == 0 or width == 0:
@@ -195,15 +196,15 @@ def _cropped(scene: str, view: View) -> View:
     return View(view.name, camera.cropped(left, top, width, height), image)
 
 
-def _scaled(camera: Camera, unit: float) -> Camera:
-    """The camera in a scene that is ``unit`` times as large."""
+def _scale(camera: Camera, unit: float) -> Camera:
+    """Return the camera in a scene scaled by ``unit``."""
     c2w = camera.c2w.copy()
     c2w[:3, 3] *= unit
     return replace(camera, c2w=c2w, near=None, far=None)
 
 
-def _source(original: Camera, cropped: Sequence[Camera]) -> torch.Tensor:
-    """Flat indices of the pixels of cropped views in the originals, all of one size, int32 [N]."""
+def _source_indices(original: Camera, cropped: Sequence[Camera]) -> torch.Tensor:
+    """Return flat indices of cropped pixels in the originals, all of one size, int32 [N]."""
     height, width = cropped[0].height, cropped[0].width
     index = torch.arange(len(cropped) * original.height * original.width, dtype=torch.int32)
     index = index.view(len(cropped), original.height, original.width)

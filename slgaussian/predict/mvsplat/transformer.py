@@ -1,10 +1,10 @@
-"""Attention within a view and between views, in windows that shift from block to block.
+"""Attention within a view and between views, in shifted windows.
 
 After GMFlow (Xu et al., CVPR 2022) and the Swin transformer (Liu et al., ICCV 2021). In a shifted
-block Swin rolls the map by half a window, and adds -100 to the score of two tokens that are in one
-window only because the map wraps around. A weight of e^-100 is zero in float32, so here every part
-that may be attended to is cut out and attended to alone: the same numbers without masks, and 9/16
-of the products.
+block Swin rolls the map by half a window, and adds -100 to the score of two tokens that share a
+window only because the map wraps around. A weight of e^-100 is zero in float32. So here each
+contiguous part of a window attends to itself alone: the same result without masks, and 9/16 of the
+products.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ BLOCKS = 6
 TEMPERATURE = 10_000.0
 
 TOKENS = 4096
-"""Tokens in the feed-forward net at a time. Its inner layer is then small enough for the memory to
-be used again: fresh memory costs six times what the activation does."""
+"""Tokens that the feed-forward net processes at a time. Its inner layer is then small enough for
+the allocator to reuse memory: fresh memory costs six times as much as the activation."""
 
 Part = tuple[torch.Tensor, torch.Tensor]
 
 
 class Attention(nn.Module):
-    """One head of attention, merged into the tokens that ask; with or without a feed-forward net.
+    """Single-head attention with a residual connection, with or without a feed-forward net.
 
     Names are those of the checkpoint: ``norm1`` follows ``merge``, ``norm2`` follows ``mlp``.
     """
@@ -51,40 +51,43 @@ class Attention(nn.Module):
             self.norm2 = nn.LayerNorm(width)
 
     def forward(
-        self, x: torch.Tensor, other: torch.Tensor, seen: torch.Tensor, parts: list[Part]
+        self, x: torch.Tensor, memory: torch.Tensor, attended: torch.Tensor, parts: list[Part]
     ) -> torch.Tensor:
-        """``x`` after its tokens looked at those of ``other``.
+        """Update the tokens of ``x`` by attention to those of ``memory``.
 
         Parameters
         ----------
-        x, other : float [V, h, w, C]
-        seen : int64 [V, n]
-            Which views of ``other`` each view looks at.
+        x, memory : float [V, h, w, C]
+        attended : int64 [V, n]
+            Indices of the views of ``memory`` that each view attends to.
         parts : list of (tokens int64 [T], keys int64 [S])
-            Tokens of a view, and at which of the n h w tokens seen these look.
+            Tokens of a view, and the tokens among the n h w attended ones that they attend to.
         """
         q = self.q_proj(x).flatten(1, 2)
-        k, v = self.k_proj(other)[seen].flatten(1, 3), self.v_proj(other)[seen].flatten(1, 3)
+        k, v = (
+            self.k_proj(memory)[attended].flatten(1, 3),
+            self.v_proj(memory)[attended].flatten(1, 3),
+        )
         message = torch.empty_like(q)
         for tokens, keys in parts:
-            found = F.scaled_dot_product_attention(
+            values = F.scaled_dot_product_attention(
                 q[:, None, tokens], k[:, None, keys], v[:, None, keys]
             )
-            message[:, tokens] = found[:, 0]
+            message[:, tokens] = values[:, 0]
         message = self.norm1(self.merge(message)).view_as(x)
         if self.mlp is not None:
             message = self._feed_forward(self.mlp, x, message)
         return x + message
 
     def _feed_forward(self, mlp: nn.Module, x: torch.Tensor, message: torch.Tensor) -> torch.Tensor:
-        """The new message [V, h, w, C], for a part of the tokens at a time."""
+        """Return the new message [V, h, w, C], computed in chunks of tokens."""
         rows = (t.flatten(0, -2).to(message.dtype).split(TOKENS) for t in (x, message))
         pairs = (torch.cat(pair, -1) for pair in zip(*rows, strict=True))
         return torch.cat([self.norm2(mlp(pair)) for pair in pairs]).view_as(x)
 
 
 class Block(nn.Module):
-    """Attention of every view to itself, then to the others as they came into the block."""
+    """Self-attention of every view, then cross-attention to the other views' input features."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -92,15 +95,15 @@ class Block(nn.Module):
         self.cross_attn_ffn = Attention(width, feed_forward=True)
 
     def forward(self, x: torch.Tensor, count: int, shifted: bool) -> torch.Tensor:
-        """[V, h, w, C] to the same, in ``count`` x ``count`` windows."""
+        """Update features [V, h, w, C] in ``count`` x ``count`` windows."""
         views, h, w, _ = x.shape
         itself = torch.arange(views, device=x.device)[:, None]
-        others = torch.tensor(
+        attended = torch.tensor(
             [[j for j in range(views) if j != i] for i in range(views)], device=x.device
         )
         within = parts(h, w, count, shifted, 1, x.device)
         between = parts(h, w, count, shifted, views - 1, x.device)
-        return self.cross_attn_ffn(self.self_attn(x, x, itself, within), x, others, between)
+        return self.cross_attn_ffn(self.self_attn(x, x, itself, within), x, attended, between)
 
 
 class MultiViewTransformer(nn.Module):
@@ -112,49 +115,47 @@ class MultiViewTransformer(nn.Module):
         self.layers = nn.ModuleList(Block(width) for _ in range(BLOCKS))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Features float [V, h, w, C] with their positions added; the same shape comes back."""
+        """Transform features with position encoding, float [V, h, w, C], to the same shape."""
         for index, block in enumerate(self.layers):
             x = block(x, self.windows, shifted=index % 2 == 1)
         return x
 
 
-def parts(
-    h: int, w: int, count: int, shifted: bool, others: int, device: torch.device
-) -> list[Part]:
-    """Which tokens of a map of h x w look at which, in the same place of ``others`` other maps.
+def parts(h: int, w: int, count: int, shifted: bool, maps: int, device: torch.device) -> list[Part]:
+    """Return pairs of tokens of an h x w map and the keys that they attend to in ``maps`` maps.
 
-    The published code lays out the keys of several views token by token, and the mask against
-    looking across the edge view by view. With three or more views the two do not fit, so that in
-    shifted blocks some keys are left out and others let in. It is so here too.
+    The published code orders the keys of several views token by token, but the mask of shifted
+    windows view by view. With three or more views the two disagree, so that in shifted blocks
+    some keys are omitted and others included. This function reproduces that.
     """
     sides = h // count, w // count
     shift = [side // 2 if shifted else 0 for side in sides]
     tokens = torch.arange(h * w, device=device).view(h, w)
-    # How often a token's window wraps around, by rows and by columns.
+    # Wrap-around of a token's window: 1 by rows, 2 by columns.
     wraps = torch.zeros_like(tokens)
     wraps[: shift[0]] += 1
     wraps[:, : shift[1]] += 2
     order = [-s for s in shift]
-    found = []
+    pairs = []
     for row, column in itertools.product(range(count), repeat=2):
         rows, columns = (
             slice(i * side, (i + 1) * side) for i, side in zip((row, column), sides, strict=True)
         )
-        mine = tokens.roll(order, (0, 1))[rows, columns].flatten()
-        kind = wraps.flatten()[mine]
+        window = tokens.roll(order, (0, 1))[rows, columns].flatten()
+        kind = wraps.flatten()[window]
         for value in kind.unique():
             places = (kind == value).nonzero()[:, 0]
-            key = (places + len(mine) * torch.arange(others, device=device)[:, None]).flatten()
-            keys = key % others * (h * w) + mine[key // others]
-            found.append((mine[places], keys))
-    return found
+            key = (places + len(window) * torch.arange(maps, device=device)[:, None]).flatten()
+            keys = key % maps * (h * w) + window[key // maps]
+            pairs.append((window[places], keys))
+    return pairs
 
 
 def position_code(height: int, width: int, channels: int, device: torch.device) -> torch.Tensor:
-    """Sines and cosines of position, float32 [height, width, channels]: of y first, then of x.
+    """Sinusoidal position encoding, float32 [height, width, channels], of y first, then of x.
 
-    As in DETR (Carion et al., ECCV 2020): coordinates go from one step to 2 pi, each over half
-    of the channels with sine and cosine in turn.
+    As in DETR (Carion et al., ECCV 2020): coordinates are scaled to 2 pi, and each has half of the
+    channels, with sine and cosine alternating.
     """
     half = channels // 2
     wavelengths = TEMPERATURE ** (2 * (torch.arange(half, device=device) // 2) / half)

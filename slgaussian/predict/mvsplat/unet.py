@@ -64,9 +64,9 @@ class ViewAttention(nn.Module):
         qkv = F.linear(tokens, self.qkv.weight[..., 0], self.qkv.bias)
         # Each head has its own query, key and value side by side.
         q, k, v = qkv.view(1, -1, width // HEAD, 3, HEAD).transpose(1, 2).unbind(3)
-        found = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(-1, width)
-        found = F.linear(found, self.proj_out.weight[..., 0], self.proj_out.bias)
-        return self.norm(found.view(views, h, w, width).permute(0, 3, 1, 2)) + x
+        values = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(-1, width)
+        values = F.linear(values, self.proj_out.weight[..., 0], self.proj_out.bias)
+        return self.norm(values.view(views, h, w, width).permute(0, 3, 1, 2)) + x
 
 
 class Downsample(nn.Module):

@@ -21,14 +21,14 @@ class Ink(ComponentConfig):
     within: float = Field(40.0, ge=0, le=442, description="Greatest distance from a colour.")
     least: int = Field(20, ge=1, description="Fewest pixels of a mask.")
 
-    def propose(self, seen, where=None):
+    def propose(self, frame, region=None):
         if self.colours is None:
             raise InputError("ink colours: none given; give a file of colours")
-        allowed = True if where is None else where
+        allowed = True if region is None else region
         masks = [
-            (np.linalg.norm(seen.image - colour, axis=-1) <= self.within) & allowed
+            (np.linalg.norm(frame.image - colour, axis=-1) <= self.within) & allowed
             for colour in np.loadtxt(self.colours, ndmin=2)
         ]
         masks = [mask for mask in masks if mask.sum() >= self.least]
-        stack = np.array(masks, bool).reshape(-1, *seen.image.shape[:2])
+        stack = np.array(masks, bool).reshape(-1, *frame.image.shape[:2])
         return Proposals(stack, np.linspace(1, 0.5, len(stack), dtype=np.float32))

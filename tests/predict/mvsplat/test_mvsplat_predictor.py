@@ -9,7 +9,7 @@ import torch
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict import load_predictor
-from slgaussian.predict.mvsplat.predictor import estimated_near
+from slgaussian.predict.mvsplat.predictor import estimate_near
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample, View
 from tests.predict.textured_planes import camera, sample
@@ -84,7 +84,7 @@ def test_gaussians_scale_with_the_scene(predict, near):
     given = pair(96, 128, near=near)
     if near is None:
         # By matches, and not by the distance between the views, which is 0.4.
-        assert 1.5 < estimated_near(given.context) < 2.5
+        assert 1.5 < estimate_near(given.context) < 2.5
     one, ten = predict(given), predict(scaled(given, 10.0))
     # The same numbers to rounding: matches are triangulated in float64.
     torch.testing.assert_close(ten.means, 10 * one.means, rtol=1e-4, atol=1e-3)
@@ -99,7 +99,7 @@ def test_without_matches_the_baseline_is_the_unit():
         replace(view, image=np.full_like(view.image, 90 + 20 * i))
         for i, view in enumerate(given.context)
     ]
-    assert estimated_near(blank) == pytest.approx(0.4)
+    assert estimate_near(blank) == pytest.approx(0.4)
 
 
 def test_the_world_frame_does_not_matter(predict):
