@@ -288,7 +288,7 @@ def _warn_of(names: Sequence[str]) -> None:
     warnings.warn(
         f"{listed([names])}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
         "which the given poses alone must find; leave out what shows another place "
-        "(slgaussian.predict.view_graph.usable)",
+        "(slgaussian.predict.view_graph.select_usable)",
         stacklevel=4,
     )
 
