@@ -263,7 +263,8 @@ def _write(
         }
         hard = [] if made.hard_cases is None else store.get(made.hard_cases).to_pylist()
         cases = [HardCase(**row) for row in hard]
-        took = Times(made.stages, host, made.machines, costs_of(costs), cases)
+        paper = settings.method if settings.preset == "paper" else ""
+        took = Times(made.stages, host, made.machines, costs_of(costs), cases, paper)
         stored = store.get(made.report)
         forms = {form: stored[form].tobytes().decode() for form in ("html", "markdown")}
         novel = [(r.dataset, r.method, r.scene_metrics["psnr"])

@@ -301,6 +301,19 @@ class SemanticField:
             rgb = hatched(rgb, alpha < VISIBLE)
         return FieldView(rgb, ids, confidence, alpha, depth, self, camera)
 
+    def render_codes(self, camera: Camera, backend: str = "auto") -> np.ndarray:
+        """Render the semantic feature map F (paper, equation 3), float32 [H, W, D], D at most 3.
+
+        Codes are times the light of their objects, so 0 where nothing is. InputError of a field
+        without codes, as ``codes=exact`` builds it.
+        """
+        if not self.bank.dimension:
+            raise InputError(
+                "render: found a field without codes, as codes=exact builds it, expected codes to "
+                "draw; build it with --set codes=grid or codes=separated"
+            )
+        return self._picture(camera, backend).values[..., 3:-1]
+
     def _picture(self, camera: Camera, backend: str) -> Picture:
         """Colours and codes, or colours and the rows of objects, as arrays on the CPU."""
         from slgaussian.rasterize.picture import Picture, picture, seen_colors

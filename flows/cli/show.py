@@ -59,6 +59,9 @@ def render(
     panels: Annotated[
         bool, typer.Option("--panels", help="Draw depth and objects beside the colours.")
     ] = False,
+    show: Annotated[
+        str, typer.Option(help="What is drawn: colours, or codes (the paper's feature maps).")
+    ] = "colours",
 ) -> None:
     """Draw a field, or any .ply of Gaussians, from a camera.
 
@@ -69,6 +72,7 @@ def render(
     \b
     slgaussian render field/ -o picture.png --view 1 --depth depth.npy --ids ids.png
     slgaussian render field/ -o middle.png --between 0 1 0.5 --panels
+    slgaussian render field/ -o codes.png --between 0 1 0.5 --show codes
     slgaussian render field/ -o turn.mp4 --orbit 60
     slgaussian render field/ -o flight.mp4 --path camera_path.json
     slgaussian render scene.ply --camera transforms.json -o picture.png
@@ -83,6 +87,8 @@ def render(
     from slgaussian.io import write_file
     from slgaussian.masks.precomputed import encode_ids
 
+    if show not in ("colours", "codes"):
+        raise InputError(f"--show: found {show!r}, expected colours or codes")
     film = orbit is not None or path is not None
     check_picture(out, FILMS if film else PICTURES)
     ways = {"--orbit": orbit, "--path": path, "--view": view, "--between": between}
@@ -97,8 +103,8 @@ def render(
     if depth is not None and depth.suffix.lower() == ".exr":
         check_exr(depth)
     is_ply = source.suffix.lower() == ".ply" and not source.is_dir()
-    if is_ply and ids is not None:
-        raise InputError(f"{source}: a .ply has no objects; leave out --ids")
+    if is_ply and (ids is not None or show == "codes"):
+        raise InputError(f"{source}: a .ply has no objects; leave out --ids and --show")
     if is_ply and camera is None and path is None:
         raise InputError(
             f"{source}: a .ply has no cameras; add --camera transforms.json, in the world of "
@@ -113,7 +119,7 @@ def render(
     else:
         field = SemanticField.load(source)
         gaussians, cameras = field.gaussians, field.cameras
-        look = partial(_look_at_field, field)
+        look = partial(_look_at_field, field, show == "codes")
     if path is not None:
         shots = dict(cameras_in(path))
         if len({(one.width, one.height) for one in shots.values()}) > 1:
@@ -156,9 +162,14 @@ def _draw_panels(see: Callable[[str], Shot], names: Sequence[str]) -> Iterator[n
         yield pictures.side_by_side(shown)
 
 
-def _look_at_field(field: SemanticField, camera: Camera) -> Shot:
-    seen = field.render(camera)
-    return Shot(seen.rgb, seen.depth, seen.ids)
+def _look_at_field(field: SemanticField, codes: bool, camera: Camera) -> Shot:
+    import numpy as np
+
+    seen, rgb = field.render(camera), np.zeros((camera.height, camera.width, 3), np.uint8)
+    if codes:
+        drawn = np.rint(field.render_codes(camera).clip(0, 1) * 255)
+        rgb[..., : drawn.shape[-1]] = drawn
+    return Shot(rgb if codes else seen.rgb, seen.depth, seen.ids)
 
 
 def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:

@@ -141,6 +141,8 @@ class Times:
         Of each method on each data set.
     hard_cases : sequence of HardCase
         Measured on this machine.
+    paper : str
+        Name of the method that is set against the paper's costs; "" for none.
     """
 
     stages: Mapping[str, StageCost]
@@ -148,6 +150,7 @@ class Times:
     machines: Mapping[str, int] = field(default_factory=dict)
     costs: Sequence[Cost] = ()
     hard_cases: Sequence[HardCase] = ()
+    paper: str = ""
 
     def as_json(self) -> dict[str, Any]:
         """Return plain data, for a file; those of answers are in the table ``times``."""

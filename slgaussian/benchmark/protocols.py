@@ -200,6 +200,23 @@ def _langsplat(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     return Scored(scores, mask, point)
 
 
+def _highest_pixel(frame: Frame, k: int, settings: MaskSettings) -> Scored:
+    """Localise as the paper prints it; all pixels of an object have one relevancy, so ties count.
+
+    The point is the first of them in reading order.
+    """
+    relevancy = frame.answers[k].relevancy
+    peak = (relevancy == relevancy.max()) & (relevancy > 0)
+    row, column = np.unravel_index(int(peak.argmax()), peak.shape)
+    point = (float(column), float(row)) if peak.any() else None
+    scores = {
+        "hit_box": metrics.point_in_boxes(point, frame.boxes[k]),
+        "hit_mask": metrics.point_in_mask(point, frame.masks[k]),
+        "hit_peak": metrics.any_in_boxes(peak, frame.boxes[k]),
+    }
+    return Scored(scores, None, point)
+
+
 def _three_d_ovs(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     assert frame.labels is not None  # by this protocol texts always compete
     region = frame.labels == k + 1
@@ -249,6 +266,9 @@ PROTOCOLS: Mapping[str, ScoringProtocol] = {
         ScoringProtocol("3d-ovs", 2, lambda rules, width: MaskSettings("arg-max"), _three_d_ovs),
         ScoringProtocol(
             "threshold-free", 2, lambda rules, width: MaskSettings("none"), _threshold_free, False
+        ),
+        ScoringProtocol(
+            "highest-pixel", 1, lambda rules, width: MaskSettings("none"), _highest_pixel, False
         ),
     )
 }

@@ -128,6 +128,15 @@ def scores(protocol, frame, k):
             "accuracy": right.mean(),
         }
     relevancy = answer.relevancy
+    if protocol == "highest-pixel":
+        best = relevancy.max()
+        h, w = relevancy.shape
+        peak = [(x, y) for y in range(h) for x in range(w) if 0 < relevancy[y, x] == best]
+        return {
+            "hit_box": bool(peak) and inside_boxes(peak[:1], boxes),
+            "hit_mask": bool(peak) and bool(truth[peak[0][1], peak[0][0]]),
+            "hit_peak": inside_boxes(peak, boxes),
+        }
     return {
         "average_precision": average_precision(relevancy, truth),
         "auc": None if truth.all() else auc(relevancy, truth),

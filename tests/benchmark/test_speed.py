@@ -36,15 +36,23 @@ def test_scores_stand_beside_costs_and_hard_cases_beside_their_machine(result):
         {"machine": "a machine", "processor": "this"},
         {"this": 5, "another": 12},
         [
-            Cost(name, "slgaussian", view_query=0.5, grown=300_000_000),
+            Cost(name, "slgaussian", None, 0.5, 0.1, None, 2.0, 300_000_000, 1_500_000_000),
             Cost(name, other, view_query=0.1, grown=500_000_000),
             Cost(name, "query-2d", view_query=6.0),
         ],
         [good, replace(good, case="on its edge", error=math.nan)],
+        "slgaussian",
     )
     rows = [*result.rows, *({**row, "method": other, "iou": 0.0} for row in result.rows)]
     text = blocks_as("md", speed_blocks(times, rows, [(name, "slgaussian", 20.0)]))
-    worth, stages, hard, machine = tables_of(text)
+    worth, paper, stages, hard, machine = tables_of(text)
+    assert [line[:3] for line in paper[1:5]] == [
+        ["inference of a scene, s", "0.3", "0.7500"],
+        ["a scene, s", "25", "2.0000"],
+        ["a rendering, s", "0.0006", "0.4000"],
+        ["a query, s", "0.011", "0.5000"],
+    ]
+    assert [line[1:3] for line in paper[5:]] == [["18", "6.0000"], ["9", "1.5000"], ["6", "1.5000"]]
     front_of = [(line[0], line[1], line[2], *line[5:]) for line in worth[1:]]
     assert front_of == [
         ("slgaussian", f"{result.scene_metrics['iou']:.3f}", "20.0", "0.5000", "300",

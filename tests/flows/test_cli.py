@@ -167,6 +167,7 @@ def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
         (["--depth", "d.tif"], "d.tif: found '.tif', expected the name of a"),
         (["--ids", "i.npy"], "i.npy: found '.npy', expected the name of a"),
         (["--path", "p.json"], "end in .mp4"),
+        (["--show", "code"], "--show: found 'code', expected colours or codes"),
     ],
 )
 def test_what_render_cannot_write_is_refused(field, tmp_path, monkeypatch, capsys, words, sentence):
@@ -174,6 +175,25 @@ def test_what_render_cannot_write_is_refused(field, tmp_path, monkeypatch, capsy
     assert run(monkeypatch, "render", field, "-o", "a.png", *words) == 2
     assert sentence in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_codes_are_drawn_as_the_papers_feature_maps(field, tmp_path, monkeypatch):
+    """Every pixel is the code of its object times its light (equation 3), as colours."""
+    own = SemanticField.load(field)
+    assert run(monkeypatch, "render", field, "-o", tmp_path / "a.png", "--show", "codes") == 0
+    drawn = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
+    seen = own.render(next(iter(own.cameras.values())))
+    sure = (seen.confidence > 0.9) & (seen.alpha > 0.99)
+    codes = own.bank.codes[np.searchsorted(own.bank.ids, seen.ids[sure])]
+    assert sure.mean() > 0.5
+    size = codes.shape[1]
+    assert (
+        np.abs(drawn[sure][:, :size] - 255 * codes).max() <= 0.1 * 255
+        and not drawn[..., size:].any()
+    )
+    bare = replace(own, bank=replace(own.bank, codes=own.bank.codes[:, :0]))
+    with pytest.raises(InputError, match="found a field without codes"):
+        bare.render_codes(next(iter(own.cameras.values())))
 
 
 def test_a_film_follows_a_camera_path_of_nerfstudio(field, tmp_path, monkeypatch):

@@ -15,6 +15,7 @@ from PIL import Image
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
 from slgaussian.benchmark.external_predictions import SCORABLE
+from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.storage.specs import load_spec
 from tests.flows.command import ROOM, room, run, said
 from tests.formats.test_resampling import box_sums
@@ -107,7 +108,7 @@ def samples(folder: Path) -> dict:
 
 def test_a_method_of_another_package_is_in_the_report(made):
     rows = [row for key, row in samples(made).items() if key[0] == "colours"]
-    assert {row["protocol"].partition("@")[0] for row in rows} == {*SCORABLE, "threshold-free"}
+    assert {row["protocol"].partition("@")[0] for row in rows} == PROTOCOLS.keys()
     assert any(row["iou"] for row in rows) and any(row["average_precision"] for row in rows)
     (value,) = [
         row["value"]
@@ -163,7 +164,7 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(
     told = capsys.readouterr()
     assert "missing" not in told.err and "left out" not in told.err
     of_run, again = samples(made), samples(out)
-    kept = {key for key in of_run if not key[1].startswith("threshold-free")}
+    kept = {key for key in of_run if key[1].partition("@")[0] in SCORABLE}
     assert again.keys() == kept
     assert {key[0] for key in kept} == {"slgaussian", "colours"}
     for key in kept:

@@ -57,6 +57,8 @@ MORE = (
     Score("langsplat", "boundary_iou", "Boundary IoU", 3, "their rims"),
     Score("langsplat", "hit_peak", "Peak in box", 2, "any of the most relevant pixels"),
     Score("langsplat", "hit_box", "Point in box", 2, "the middle one of them"),
+    Score("highest-pixel", "hit_box", "Pixel in box", 2, "the first of the most relevant pixels"),
+    Score("highest-pixel", "hit_peak", "Pixels in box", 2, "any of them"),
     Score("langsplat-rescaled", "iou", "IoU", 3, "the same, filter scaled to the image"),
     Score("langsplat-rescaled", "hit_box", "Point in box", 2, "the same"),
     Score("3d-ovs", "miou", "mIoU", 3, "all texts compete for each pixel"),

@@ -76,6 +76,7 @@ def speed_blocks(
         blocks += _tradeoff(title, costs, scores, novel)
     if len(blocks) > 1:
         blocks.append(Prose(FRONT))
+    blocks += _paper_costs(times)
     if times.stages:
         blocks.append(_stages_table(times))
     if times.hard_cases:
@@ -142,6 +143,34 @@ def _tradeoff(
     table = Table.of(heads, list(zip(*columns.values(), strict=True)), title)
     sentence = claim(costs)
     return [table, Plots(plots), *[Prose(f"**{sentence}**", "")] * bool(sentence)]
+
+
+def _paper_costs(times: Times) -> list[Block]:
+    """Set what the paper prints (section 4.1, Table 4) beside a run, with what each measures."""
+    tables: list[Block] = []
+    infer = [times.stages[name].middle for name in ("geometry", "field") if name in times.stages]
+    for cost in times.costs:
+        if cost.method != times.paper:
+            continue
+        pairs = [other for other in times.costs if other.dataset == cost.dataset]
+        flat = next((other.view_query for other in pairs if other.method == "query-2d"), None)
+        view, further = cost.view_query, cost.further_query
+        draw = None if view is None or further is None else view - further
+        peak = None if cost.peak is None else cost.peak / 1e9
+        rows = [
+            ("inference of a scene, s", "0.3", sum(infer) or None, "stages geometry and field"),
+            ("a scene, s", "25", cost.build, "stages geometry, masks, supervision and field"),
+            ("a rendering, s", "0.0006", draw, "a view and its first query, less a further query"),
+            ("a query, s", "0.011", view, "a query in a new view, with its rendering"),
+            ("a 2D query, s", "18", flat, "the same by query-2d"),
+            ("memory on each of two GPUs, GB", "9", peak, "most that the process held, no GPU"),
+            ("memory on one GPU, GB", "6", peak, "the same"),
+        ]
+        lines = [(name, paper, number(ours, 4), about) for name, paper, ours, about in rows]
+        heads = ["", "The paper, RTX 3090", "Here", Column("Measured here", is_text=True)]
+        title = f"{cost.dataset}: the paper's costs at 416 x 576"
+        tables.append(Table.of([Column("", is_text=True), *heads[1:]], lines, title))
+    return tables
 
 
 def front(costs: Sequence[float | None], values: Sequence[float]) -> list[bool]:
