@@ -281,18 +281,10 @@ def _scaled(factor: float, centre: bool) -> Callable[[Camera, Camera], Pair]:
     return lambda a, b: (replace(a, K=scale * a.K), replace(b, K=scale * b.K))
 
 
-_FACTORS = {
-    1 / 4: "divided by 4",
-    1 / 3: "divided by 3",
-    1 / 2: "halved",
-    2 / 3: "divided by 1.5",
-    3 / 4: "divided by 1.33",
-    4 / 3: "multiplied by 1.33",
-    3 / 2: "multiplied by 1.5",
-    2: "doubled",
-    3: "multiplied by 3",
-    4: "multiplied by 4",
-}
+def _times(factor: float) -> str:
+    """Describe a multiplication: "divided by 3", "multiplied by 1.33"."""
+    return f"multiplied by {factor:.3g}" if factor > 1 else f"divided by {1 / factor:.3g}"
+
 
 _INVERTED = (
     "if every pose is inverted, in the axes of {}: they are world-to-camera where "
@@ -319,15 +311,15 @@ CORRECTIONS = (
     Correction(_INVERTED.format("OpenGL"), _posed(lambda c2w: _YZ @ np.linalg.inv(c2w) @ _YZ)),
     *(
         Correction(
-            f"if the focal length is {_FACTORS[factor]}: it is too "
+            f"if the focal length is {_times(factor)}: it is too "
             f"{'long' if factor < 1 else 'short'} for these photographs",
             _scaled(factor, centre=False),
         )
-        for factor in _FACTORS
+        for factor in (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4)
     ),
     *(
         Correction(
-            f"if focal length and principal point are {_FACTORS[factor]}: they are those of a "
+            f"if focal length and principal point are {_times(factor)}: they are those of a "
             f"{'larger' if factor < 1 else 'smaller'} photograph",
             _scaled(factor, centre=True),
         )

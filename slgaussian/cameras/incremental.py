@@ -9,7 +9,7 @@ the relative poses of its pairs), and all are adjusted together: the way of Snav
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -173,30 +173,25 @@ def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> Tracks:
     return join_tracks(points, [(*tie.views, *tie.features) for tie in ties])
 
 
+@dataclass(eq=False)
 class _Growing:
     """Views placed so far; the world is that of the start pair's first."""
 
-    def __init__(
-        self,
-        tracks: Tracks,
-        centers: np.ndarray,
-        group: np.ndarray,
-        focal_prior: np.ndarray,
-        focal_sigma: np.ndarray,
-        ties: Sequence[Tie],
-    ) -> None:
-        self.tracks = tracks
-        self.centers = centers
-        self.group = group
-        self.focal_prior, self.focal_sigma = focal_prior, focal_sigma
-        self.ties = ties
-        self.R = np.tile(np.eye(3), (len(centers), 1, 1))
-        self.t = np.zeros((len(centers), 3))
-        self.focals = focal_prior.copy()
-        self.k1 = np.zeros(len(focal_prior))
-        self.placed: list[int] = []
-        self.k1_sigma = 0.0
-        self.known: set[int] = set()  # lenses of placed views
+    tracks: Tracks
+    centers: np.ndarray
+    group: np.ndarray
+    focal_prior: np.ndarray
+    focal_sigma: np.ndarray
+    ties: Sequence[Tie]
+    placed: list[int] = field(default_factory=list)
+    known: set[int] = field(default_factory=set)  # lenses of placed views
+    k1_sigma: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.R = np.tile(np.eye(3), (len(self.centers), 1, 1))
+        self.t = np.zeros((len(self.centers), 3))
+        self.focals = self.focal_prior.copy()
+        self.k1 = np.zeros(len(self.focal_prior))
 
     def grow(self, start: Tie) -> bool:
         """Place all that can be; False if the start itself cannot."""

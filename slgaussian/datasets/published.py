@@ -133,5 +133,5 @@ def _differs(labelled: Found, scene: LabelledScene) -> str:
     return ""
 
 
-def _some(names: Sequence[str], limit: int = 4) -> str:
-    return ", ".join(names[:limit]) + (" ..." if len(names) > limit else "")
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (" ..." if len(names) > 4 else "")

@@ -37,21 +37,22 @@ def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
     try:
         with opened(io.BytesIO(data)) as image:
             size = image.size
-            scale = min(1.0, SIDE / min(size))
-            small = max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
-            image.draft("L", small)
+            image.draft("L", _small_size(*size))
             grey = np.asarray(image.convert("L"))
     except ValueError as error:
         raise InputError(f"its JPEG cannot be decoded ({error})") from None
-    return cv2.resize(grey, small, interpolation=cv2.INTER_AREA), size
+    return cv2.resize(grey, _small_size(*size), interpolation=cv2.INTER_AREA), size
 
 
 def small(image: np.ndarray) -> np.ndarray:
     """Make a photograph uint8 [H, W, 3] grey and as small as :func:`glance` makes it."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    scale = min(1.0, SIDE / min(grey.shape))
-    size = max(1, round(grey.shape[1] * scale)), max(1, round(grey.shape[0] * scale))
-    return cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    return cv2.resize(grey, _small_size(*grey.shape[::-1]), interpolation=cv2.INTER_AREA)
+
+
+def _small_size(width: int, height: int) -> tuple[int, int]:
+    scale = min(1.0, SIDE / min(width, height))
+    return max(1, round(width * scale)), max(1, round(height * scale))
 
 
 def blur(grey: np.ndarray) -> float:

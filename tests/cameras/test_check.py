@@ -88,10 +88,10 @@ def test_what_a_pair_is_said_to_be(room):
         (lambda c: replace(c, c2w=FLIP @ np.linalg.inv(c.c2w) @ FLIP), "in the axes of OpenGL"),
         (lambda c: replace(c, c2w=np.linalg.inv(c.c2w)), "in the axes of OpenCV"),
         (lambda c: focal(c, 3), "the focal length is divided by 3"),
-        (lambda c: focal(c, 1 / 2), "the focal length is doubled"),
+        (lambda c: focal(c, 1 / 2), "the focal length is multiplied by 2"),
         (
             lambda c: replace(c, K=np.diag([2, 2, 1]) @ c.K),
-            "are halved: they are those of a larger",
+            "are divided by 2: they are those of a larger",
         ),
     ],
     ids=["axes", "inverted (OpenGL)", "inverted (OpenCV)", "long", "short", "larger"],
