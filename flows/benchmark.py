@@ -40,7 +40,7 @@ from flows.scene import (
     method_task_name,
     scene_task,
 )
-from flows.scenes import THIRDS, labelled_scenes, room_scene, seeds
+from flows.scenes import DATASET, THIRDS, labelled_scenes, room_scene, seeds
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
@@ -285,13 +285,17 @@ def _write(
 def _example(made: _Refs, out: Path) -> str:
     """A command that asks a field something, as it can be pasted.
 
-    Of the first scene whose answer is known to be right, or else of the first that has one. A field
-    without is drawn.
+    Of the first scene that has an answer, real ones before made-up ones, and those whose answer is
+    known to be right before others. A field without is drawn.
     """
     asked = {one.scene: one.answer.meta["example"] for one in made.scored}
     examples = {scene: example for scene, example in asked.items() if example is not None}
-    known = [scene for scene, example in examples.items() if example["iou"] is not None]
-    scene = next(iter([*known, *examples, *made.fields]), None)
+    data = made.manifest["data"]
+    best = sorted(
+        examples,
+        key=lambda scene: (data[scene]["dataset"] == DATASET, examples[scene]["iou"] is None),
+    )
+    scene = next(iter([*best, *made.fields]), None)
     if scene is None:
         return ""
     folder = field_place(scene, out)

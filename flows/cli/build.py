@@ -38,11 +38,11 @@ def demo(
 
     A stereo pair with true depth, and three made-up rooms in which everything is known. It takes
     one or two minutes, leaves a report and a field of every scene, and ends with a command that
-    asks one. Run it again, and what is unchanged comes from the store.
+    asks the real one. Run it again, and what is unchanged comes from the store.
 
     \b
     slgaussian demo
-    slgaussian query slg-demo/fields/room_0 "purple ball" -o hit.png
+    slgaussian query slg-demo/fields/motorcycle "grey floor" -o hit.png
     slgaussian demo --preset fast --store /data/slg -o fast
     """
     from flows.scenes import demo_scenes

@@ -122,9 +122,26 @@ def run_scenes(command: str, settings: Any, verbose: bool) -> None:
         typer.echo(scenes_text(results.results))
     if results.report is not None:
         typer.echo(f"report: {results.report}")
+    if command == "demo":
+        typer.echo(_after_demo(settings.store))
     if results.ready:
         typer.echo(f"look at it: {results.look}\n{results.ready}")
     report_left_out(settings.out, results.failures)
+
+
+def _after_demo(root: str) -> str:
+    """Return what the demo leaves on the disk, and the commands for photographs of one's own."""
+    from rich.filesize import decimal
+
+    from slgaussian.storage.store import ArtifactStore
+
+    store = ArtifactStore(root)
+    return (
+        f"store: {root} has {decimal(store.fs.du(store.path))}, from which the next run is quick; "
+        "delete that folder when you are done\n"
+        "your own photographs: slgaussian field a.jpg b.jpg -o field/\n"
+        "and then: slgaussian view field/"
+    )
 
 
 def report_left_out(out: Path, failures: Sequence[Any]) -> None:

@@ -7,6 +7,7 @@ by :func:`with_times`: a section, and the seconds beside the first numbers.
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ import numpy as np
 
 from slgaussian.benchmark.attribution import STAND_INS
 from slgaussian.benchmark.costs import Times
-from slgaussian.benchmark.outputs import mask_place
+from slgaussian.benchmark.outputs import file_name, mask_place
 from slgaussian.benchmark.reports import look
 from slgaussian.benchmark.reports.model import (
     Block,
@@ -102,7 +103,8 @@ def run_report(
     leading = [score for score in scores if asked and score["protocol"] == asked[0]["protocol"]]
     lost_by = {key_of(row): row["lost"] or "" for row in attribution}
     drawn = _draw(scenes, asked, lost_by)
-    sections = [*drawn.looks, *_score_sections(by_method, scores, leading)]
+    sections = [*drawn.looks, *map(_next_section, scenes[:1])]
+    sections += _score_sections(by_method, scores, leading)
     if failures:
         sections.append(_failures_section(failures))
     sections.append(Section("Speed against error", [Slot(TIMES)], "times", link="Speed"))
@@ -317,6 +319,17 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
         blocks.append(Table(tuple(columns), tuple(lines), f"Which stage lost them, {dataset}"))
     blocks.append(Terms({title: help for title, help in STAND_INS.values() if help}))
     return blocks
+
+
+def _next_section(scene: Scene) -> Section:
+    """Name the commands that look at a scene and make one of the reader's photographs."""
+    field = shlex.quote(f"fields/{file_name(scene.name)}")
+    text = (
+        f"Walk through a scene and ask it words, in the folder of this report: `slgaussian view "
+        f"{field}`. Make one of two photographs of your own, a step apart: `slgaussian field a.jpg "
+        "b.jpg -o field/`, then `slgaussian view field/`."
+    )
+    return Section("What to do next", [Prose(text)], "next", link="Next")
 
 
 def _scenes_section(
