@@ -11,6 +11,7 @@ pairs to judge by, each PLACE others to learn from beside the rooms, as for othe
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import chain, product
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ def learn(
     """Liftings of each seed by network, and sentences on the cost of what was trained now."""
     liftings: dict[str, list[Lifting]] = {name: [] for name in TRAINED}
     costs = []
-    for name, seed in [(name, seed) for name in TRAINED for seed in range(seeds[name])]:
+    for name, seed in chain(*(product([name], range(seeds[name])) for name in TRAINED)):
         settings = replace(TRAINED[name], steps=steps, seed=seed)
         start, reached = time.process_time(), []
 
