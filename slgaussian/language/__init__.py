@@ -61,7 +61,7 @@ class Encoder(Protocol):
         """Words of ``text`` that may be known and yet do not count, with the reason."""
 
     def read_as(self, text: str) -> str:
-        """What is left of ``text``, in words of the encoder."""
+        """The part of ``text`` that is answered, in words of the encoder."""
 
 
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:

@@ -124,22 +124,24 @@ class MemoryBank:
             raise InputError("memory bank codes: two objects share one code")
         _check_lengths("features: object", self.ids, self.features, self.present)
         if self.levels is not None and self.group_features is not None:
-            own = self.levels == np.arange(n)
-            if not (own | ((self.levels >= n) & (self.levels < n + groups))).all():
+            alone = self.levels == np.arange(n)
+            if not (alone | ((self.levels >= n) & (self.levels < n + groups))).all():
                 raise InputError(
                     f"memory bank levels: expected each object's own row or one of the {groups} "
                     f"groups, {n} to {n + groups - 1}"
                 )
-            held = np.any(self.group_features, axis=2)
-            _check_lengths("group_features: group", range(groups), self.group_features, held)
+            present_groups = np.any(self.group_features, axis=2)
+            _check_lengths(
+                "group_features: group", range(groups), self.group_features, present_groups
+            )
         if self.wholes is not None and len(self.wholes.at_edge) != n:
             raise InputError(
                 f"memory bank wholes: are of {len(self.wholes.at_edge)} objects, expected {n}"
             )
         if self.boxes is not None:
             size = self.boxes[..., 2:] - self.boxes[..., :2]
-            shown = (size > 0).all(-1) & (self.boxes >= 0).all(-1)
-            wrong = np.where(self.present, ~shown, self.boxes.any(-1))
+            has_box = (size > 0).all(-1) & (self.boxes >= 0).all(-1)
+            wrong = np.where(self.present, ~has_box, self.boxes.any(-1))
             if wrong.any():
                 row, view = np.argwhere(wrong)[0]
                 raise InputError(
@@ -167,9 +169,9 @@ class MemoryBank:
     def to_arrays(self) -> dict[str, np.ndarray]:
         """The arrays by name, as stored in ``bank.npz``: features as float16, what is known."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "wholes"}
-        known = {name: array for name, array in arrays.items() if array is not None}
-        known |= {} if self.wholes is None else self.wholes.to_arrays()
-        return known | {name: known[name].astype(np.float16) for name in HALF & known.keys()}
+        stored = {name: array for name, array in arrays.items() if array is not None}
+        stored |= {} if self.wholes is None else self.wholes.to_arrays()
+        return stored | {name: stored[name].astype(np.float16) for name in HALF & stored.keys()}
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> MemoryBank:
@@ -240,31 +242,35 @@ def build_bank(
     columns, boxes, unions = [], np.zeros((*present.shape, 4), np.int32), []
     classify, classes, photographs = getattr(encoder, "class_scores", None), [], []
     of_views = zip(views, label_maps.labels, present.T, arounds, strict=True)
-    for v, (view, labels, held, around) in enumerate(of_views):
-        masks = labels == ids[held][:, None, None]
-        boxes[held, v] = _boxes(masks)
-        shown = np.zeros(0, bool) if members is None else (members & held).any(1)
-        groups_here = np.zeros((shown.sum(), *labels.shape), bool)
+    for v, (view, labels, visible, around) in enumerate(of_views):
+        masks = labels == ids[visible][:, None, None]
+        boxes[visible, v] = _boxes(masks)
+        visible_groups = np.zeros(0, bool) if members is None else (members & visible).any(1)
+        groups_here = np.zeros((visible_groups.sum(), *labels.shape), bool)
         if members is not None:
             inside = labels > 0
-            groups_here[:, inside] = members[shown][:, np.searchsorted(ids, labels[inside])]
+            groups_here[:, inside] = members[visible_groups][
+                :, np.searchsorted(ids, labels[inside])
+            ]
         # Together: what an encoder derives of the photograph, it derives once.
         regions = np.concatenate([masks, groups_here])
         encoded = encoder.encode_regions(view.image, regions, around)
-        columns.append(_half_rounded(encoded[: len(masks)], held))
-        unions.append(_half_rounded(encoded[len(masks) :], shown))
+        columns.append(_half_rounded(encoded[: len(masks)], visible))
+        unions.append(_half_rounded(encoded[len(masks) :], visible_groups))
         scores = None if classify is None else classify(view.image, regions)
         if scores is not None:
-            column = np.zeros((len(ids) + len(shown), scores[0].shape[1]), np.uint8)
-            column[np.concatenate([held, shown])] = scores[0]
+            column = np.zeros((len(ids) + len(visible_groups), scores[0].shape[1]), np.uint8)
+            column[np.concatenate([visible, visible_groups])] = scores[0]
             classes.append(column)
             photographs.append(scores[1])
     features = np.stack(columns, 1)
     together = np.stack(unions, 1) if members is not None else None
     codes = np.asarray(codes, np.float32)
     named = np.stack(classes, 1) if classes else None
-    whole = np.stack(photographs) if classes else None
-    return MemoryBank(ids, codes, features, present, boxes, levels, together, named, whole, wholes)
+    photograph_scores = np.stack(photographs) if classes else None
+    return MemoryBank(
+        ids, codes, features, present, boxes, levels, together, named, photograph_scores, wholes
+    )
 
 
 def merge(first: MemoryBank, later: MemoryBank) -> MemoryBank:
@@ -310,14 +316,14 @@ def merge(first: MemoryBank, later: MemoryBank) -> MemoryBank:
     def beside(name: str) -> np.ndarray:
         columns = []
         for bank, place in zip((first, later), places, strict=True):
-            own = getattr(bank, name)
-            column = np.zeros((len(ids), *own.shape[1:]), own.dtype)
-            column[place] = own
+            values = getattr(bank, name)
+            column = np.zeros((len(ids), *values.shape[1:]), values.dtype)
+            column[place] = values
             columns.append(column)
         return np.concatenate(columns, 1)
 
-    known = first.boxes is not None and later.boxes is not None
-    boxes = beside("boxes") if known else None
+    have_boxes = first.boxes is not None and later.boxes is not None
+    boxes = beside("boxes") if have_boxes else None
     levels, unions = _merged_levels((first, later), places, len(ids))
     return MemoryBank(ids, codes, beside("features"), beside("present"), boxes, levels, unions)
 
@@ -335,10 +341,10 @@ def _merged_levels(
     for bank, place in zip(banks, places, strict=True):
         if bank.levels is None or bank.group_features is None:
             return None, None
-        own = np.tile(np.arange(count, dtype=np.int32), (len(bank.levels), 1))
+        level_rows = np.tile(np.arange(count, dtype=np.int32), (len(bank.levels), 1))
         grouped = bank.levels >= len(bank)
-        own[:, place] = np.where(grouped, bank.levels - len(bank) + count + groups, place)
-        levels.append(own)
+        level_rows[:, place] = np.where(grouped, bank.levels - len(bank) + count + groups, place)
+        levels.append(level_rows)
         wide = np.zeros((len(bank.group_features), views, bank.features.shape[2]), np.float32)
         wide[:, start : start + bank.present.shape[1]] = bank.group_features
         unions.append(wide)
@@ -350,28 +356,28 @@ def _members(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The groups of several objects, bool [G, N], and ``levels`` of :class:`MemoryBank`."""
     count = groups.shape[1]
     levels = np.tile(np.arange(count, dtype=np.int32), (len(groups), 1))
-    found: dict[bytes, int] = {}
+    group_of_members: dict[bytes, int] = {}
     members: list[np.ndarray] = []
     for level, numbers in enumerate(groups):
         for number in np.unique(numbers):
             member = numbers == number
             if member.sum() > 1:
-                group = found.setdefault(member.tobytes(), len(found))
+                group = group_of_members.setdefault(member.tobytes(), len(group_of_members))
                 if group == len(members):
                     members.append(member)
                 levels[level, member] = count + group
     return np.array(members, bool).reshape(-1, count), levels
 
 
-def _half_rounded(encoded: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Vectors [M, C] of what is ``held`` bool [N], M of them, zeros elsewhere: float32 [N, C]."""
-    column = np.zeros((len(held), encoded.shape[1]), np.float16)
-    column[held] = encoded
+def _half_rounded(encoded: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Spread vectors [M, C] over rows ``present`` bool [N], zeros elsewhere: float32 [N, C]."""
+    column = np.zeros((len(present), encoded.shape[1]), np.float16)
+    column[present] = encoded
     return column.astype(np.float32)
 
 
 def _check_lengths(
-    what: str, names: Sequence[int] | np.ndarray, features: np.ndarray, present: np.ndarray
+    kind: str, names: Sequence[int] | np.ndarray, features: np.ndarray, present: np.ndarray
 ) -> None:
     """InputError unless vectors [N, V, C] have length 1 where present, and 0 elsewhere."""
     lengths = np.linalg.norm(features.astype(np.float64), axis=2)
@@ -379,16 +385,16 @@ def _check_lengths(
     if wrong.any():
         row, view = np.argwhere(wrong)[0]
         raise InputError(
-            f"memory bank {what} {names[row]} in view {view} has length "
+            f"memory bank {kind} {names[row]} in view {view} has length "
             f"{lengths[row, view]:.4g}, expected {float(present[row, view]):g}"
         )
 
 
 def _boxes(masks: np.ndarray) -> np.ndarray:
     """First column and row, and those after the last, of masks bool [M, H, W] not empty."""
-    found = np.empty((len(masks), 4), np.int32)
+    boxes = np.empty((len(masks), 4), np.int32)
     for k, axis in enumerate((1, 2)):
         used = np.any(masks, axis=axis)
-        found[:, k] = used.argmax(1)
-        found[:, 2 + k] = used.shape[1] - used[:, ::-1].argmax(1)
-    return found
+        boxes[:, k] = used.argmax(1)
+        boxes[:, 2 + k] = used.shape[1] - used[:, ::-1].argmax(1)
+    return boxes

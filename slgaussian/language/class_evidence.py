@@ -16,7 +16,7 @@ def quantised(log_probabilities: np.ndarray) -> np.ndarray:
 
 
 def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int]) -> np.ndarray:
-    """How much more likely some classes are in regions than in the whole photographs.
+    """Compute how much more likely some classes are in regions than in whole photographs.
 
     Parameters
     ----------

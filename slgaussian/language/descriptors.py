@@ -1,4 +1,4 @@
-"""What can be measured on a region of a photograph, as evidence for or against each descriptor.
+"""Measurements on a region of a photograph, as evidence for or against each descriptor.
 
 Evidence lies in [-1, 1]: 1 is clearly so, -1 clearly not, 0 cannot tell. Lengths are relative to
 the image and to the region, so that the resolution of a photograph matters little.
@@ -94,8 +94,8 @@ def _share_evidence(shares: np.ndarray) -> np.ndarray:
 
 def _solid_evidence(match: np.ndarray) -> np.ndarray:
     """A solid is seen where its outline matches well, and better than that of any other."""
-    others = np.stack([np.delete(match, k, axis=1).max(1) for k in range(match.shape[1])], 1)
-    return 0.4 * _ramps(match, 0.7, 0.95) + 0.6 * _ramps(match - others, -0.04, 0.04)
+    best_other = np.stack([np.delete(match, k, axis=1).max(1) for k in range(match.shape[1])], 1)
+    return 0.4 * _ramps(match, 0.7, 0.95) + 0.6 * _ramps(match - best_other, -0.04, 0.04)
 
 
 def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[float]:
@@ -220,11 +220,11 @@ def _room(
 
 def _percentiles(values: np.ndarray, percents: tuple[float, ...]) -> list[float]:
     """As ``np.percentile``, which takes ten times as long where values are few."""
-    ordered, found = np.sort(values), []
+    ordered, results = np.sort(values), []
     for percent in percents:
         place = (len(ordered) - 1) * (percent / 100)
         low, over = int(place), place - int(place)
         a, b = ordered[low], ordered[min(low + 1, len(ordered) - 1)]
         step = float(b - a)
-        found.append(float(a) + step * over if over < 0.5 else float(b) - step * (1 - over))
-    return found
+        results.append(float(a) + step * over if over < 0.5 else float(b) - step * (1 - over))
+    return results

@@ -1,4 +1,4 @@
-"""How LangSplat (arXiv 2312.16084) turns a relevancy image into a mask and a place.
+"""The mask and the place that LangSplat (arXiv 2312.16084) takes from a relevancy image.
 
 Facts from the published evaluation (`evaluate_iou_loc.py`), written anew. There the image comes
 from a network a pixel and is noisy; here it is one number an object, so that the maximum is a
@@ -61,7 +61,7 @@ def find_mask(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
 
 
 def find_point(relevancy: np.ndarray, side: int = FILTER) -> tuple[tuple[int, int], np.ndarray]:
-    """Where the :func:`smoothed` image is greatest: one pixel (x, y), and all of them [H, W].
+    """Find where the :func:`smoothed` image is greatest: a pixel (x, y), and all bool [H, W].
 
     LangSplat counts a hit if *any* of them lies in a box of the truth, which a plateau that spans
     the picture would always do. The one pixel is that of the plateau nearest its centroid, the
@@ -78,7 +78,7 @@ def find_point(relevancy: np.ndarray, side: int = FILTER) -> tuple[tuple[int, in
 
 
 def _most_around(mask: np.ndarray) -> np.ndarray:
-    """Where more than half of the window is set."""
+    """Find the pixels around which more than half of the window is set."""
     set_, voting = mask.astype(np.float32), np.ones(mask.shape, np.float32)
     for image in (set_, voting):
         image[-1], image[:, -1] = 0, 0

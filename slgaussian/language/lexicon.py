@@ -154,7 +154,7 @@ class Lexicon:
     def class_scores(
         self, image: np.ndarray, masks: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """What the classifier sees in regions bool [M, H, W], and in the whole uint8 photograph.
+        """Classify regions bool [M, H, W] and the whole uint8 photograph.
 
         uint8 [M, 1000] and [1000], as :func:`~slgaussian.language.class_evidence.quantised`
         has them; None without a classifier. InputError if its weights are missing or not those
@@ -176,7 +176,7 @@ class Lexicon:
         return self._read(text).classes
 
     def describing(self, text: str) -> int:
-        """How many words of ``text`` describe its noun; InputError as in :meth:`encode_text`."""
+        """Count the words that describe the noun of ``text``; InputError as :meth:`encode_text`."""
         return sum(word.family not in NOUNS for word in self._read(text).words)
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
@@ -202,7 +202,7 @@ class Lexicon:
         return vectors.astype(np.float32)
 
     def untold(self, text: str, by_class: bool) -> str:
-        """Why nothing can be said of what ``text`` asks for; empty if something can.
+        """The reason why ``text`` cannot be answered; empty if it can.
 
         ``by_class``: whether a classifier has seen the regions. InputError as in
         :meth:`encode_text`.
@@ -237,6 +237,6 @@ class Lexicon:
         return " ".join(word.name for word in self._read(text).words)
 
     def measurements(self, text: str) -> int:
-        """How many descriptors the words of ``text`` ask for."""
+        """Count the descriptors that the words of ``text`` ask for."""
         words = self._read(text).words
         return len({name for word in words for name in word.weights})

@@ -58,9 +58,9 @@ def _deepest(inside: np.ndarray) -> tuple[int, int]:
     return row, column
 
 
-def _squared_distance(inside: np.ndarray, row: int, column: int, about: float) -> int:
+def _squared_distance(inside: np.ndarray, row: int, column: int, limit: float) -> int:
     """To the nearest pixel outside, which is nearly ``about`` away."""
-    reach = int(about) + 2
+    reach = int(limit) + 2
     top, left = max(0, row - reach), max(0, column - reach)
     outside = np.argwhere(inside[top : row + reach + 1, left : column + reach + 1] == 0)
     return int(((outside - (row - top, column - left)) ** 2).sum(1).min())

@@ -83,9 +83,9 @@ def make_lookup(codes: np.ndarray) -> Lookup:
         none = np.empty(0, np.int32)
         counts = _divide(padded, cells, axes, starts, members, none, none)
         divided = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
-        kept = np.empty(divided[-1], np.int32)
-        _divide(padded, cells, axes, starts, members, divided, kept)
-        starts, members = divided, kept
+        candidates = np.empty(divided[-1], np.int32)
+        _divide(padded, cells, axes, starts, members, divided, candidates)
+        starts, members = divided, candidates
     x, y, z = cells.tolist()
     return Lookup(padded, (x, y, z), starts, members)
 
@@ -120,20 +120,20 @@ def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
         )
     bad = ~np.isfinite(values).all(-1)
     if bad.any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise InputError(f"nearest code: values at index {where} hold NaN or infinity")
+        index = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(f"nearest code: values at index {index} hold NaN or infinity")
     flat = np.zeros((bad.size, MOST_DIMENSIONS))
     flat[:, : codes.shape[1]] = values.reshape(-1, codes.shape[1])
-    found = np.empty(len(flat), np.int32)
-    share(_find, -(-len(flat) // SHARE), flat, lookup, found)
-    return found.reshape(values.shape[:-1])
+    nearest = np.empty(len(flat), np.int32)
+    share(_find, -(-len(flat) // SHARE), flat, lookup, nearest)
+    return nearest.reshape(values.shape[:-1])
 
 
 @kernel
-def _divide(codes, cells, axes, starts, members, divided, kept):
+def _divide(codes, cells, axes, starts, members, divided, candidates):
     """Pass the candidates of each cell on to those of its halves that they may be nearest in.
 
-    With ``divided`` empty, count them: int64 a new cell; else write them to ``kept`` where it says.
+    With ``divided`` empty, count them: int64 a new cell; else write them to ``candidates``.
     """
     counts = np.zeros(cells[0] * cells[1] * cells[2], np.int64)
     low, high, place = np.zeros(3), np.zeros(3), np.empty(3, np.int64)
@@ -159,21 +159,21 @@ def _divide(codes, cells, axes, starts, members, divided, kept):
                 for m in range(first, last):
                     if _may_win(codes[members[m]], codes[middle], low, high):
                         if len(divided):
-                            kept[divided[cell] + counts[cell]] = members[m]
+                            candidates[divided[cell] + counts[cell]] = members[m]
                         counts[cell] += 1
     return counts
 
 
 @kernel
-def _may_win(code, other, low, high):
-    """Whether ``code`` may be as near as ``other`` to some point between ``low`` and ``high``.
+def _may_win(code, rival, low, high):
+    """Test whether ``code`` may be as near as ``rival`` to a point between ``low`` and ``high``.
 
     Along an axis ``|x - other| - |x - code|`` is monotonous: its greatest value is at an end.
     """
     lead = 0.0
     for k in range(3):
-        at_low = abs(low[k] - other[k]) - abs(low[k] - code[k])
-        at_high = abs(high[k] - other[k]) - abs(high[k] - code[k])
+        at_low = abs(low[k] - rival[k]) - abs(low[k] - code[k])
+        at_high = abs(high[k] - rival[k]) - abs(high[k] - code[k])
         lead += max(at_low, at_high)
     return lead >= -SLACK
 
@@ -214,11 +214,11 @@ def distance(x, y, z, codes, row):
 
 
 @kernel
-def _find(counter, values, lookup, found):
+def _find(counter, values, lookup, nearest):
     codes, (across, down, deep), starts, members = lookup
     start = take(counter) * SHARE
     while start < len(values):
         for i in range(start, min(len(values), start + SHARE)):
             x, y, z = values[i]
-            found[i], _ = find(x, y, z, codes, across, down, deep, starts, members)
+            nearest[i], _ = find(x, y, z, codes, across, down, deep, starts, members)
         start = take(counter) * SHARE

@@ -12,7 +12,7 @@ from slgaussian.language.locate import central_point
 
 
 class ObjectMap:
-    """Which object of a bank each pixel shows, and what no text changes about that.
+    """The object of a bank that each pixel shows, and what depends on no text.
 
     Parameters
     ----------
@@ -71,26 +71,26 @@ class ObjectMap:
         """
         wide = len(self.areas) + 1
         beside = [self.rows[:, :-1], self.rows[:, 1:]], [self.rows[:-1], self.rows[1:]]
-        found = []
-        for one, other in beside:
-            meet = (one != other) & (one > 0) & (other > 0)
-            a, b = one[meet].astype(np.int64), other[meet].astype(np.int64)
-            found.append(np.minimum(a, b) * wide + np.maximum(a, b))
-        pairs = np.unique(np.concatenate(found))
+        borders = []
+        for first, second in beside:
+            meet = (first != second) & (first > 0) & (second > 0)
+            a, b = first[meet].astype(np.int64), second[meet].astype(np.int64)
+            borders.append(np.minimum(a, b) * wide + np.maximum(a, b))
+        pairs = np.unique(np.concatenate(borders))
         return np.stack([pairs // wide, pairs % wide], 1) - 1
 
-    def parts(self, taken: np.ndarray) -> int:
-        """Of how many groups of touching objects those ``taken`` bool [N] are, if visible."""
-        shown = taken & (self.areas > 0)
-        group = {place: place for place in np.flatnonzero(shown).tolist()}
+    def parts(self, selected: np.ndarray) -> int:
+        """Count the groups of touching objects among the visible of ``selected`` bool [N]."""
+        visible = selected & (self.areas > 0)
+        group = {place: place for place in np.flatnonzero(visible).tolist()}
 
         def first(place: int) -> int:
             while group[place] != place:
                 place = group[place]
             return place
 
-        for one, other in self.touching[shown[self.touching].all(1)].tolist():
-            group[first(one)] = first(other)
+        for a, b in self.touching[visible[self.touching].all(1)].tolist():
+            group[first(a)] = first(b)
         return sum(place == under for place, under in group.items())
 
     def point(self, place: int) -> tuple[int, int]:
@@ -107,14 +107,14 @@ def _look_up(ids_map: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """
     flat = ids_map.ravel()
     starts = np.flatnonzero(np.concatenate([[len(flat) > 0], flat[1:] != flat[:-1]]))
-    shown = flat[starts]
-    places = np.searchsorted(ids, shown)
-    known = np.append(ids, 0)[places] == shown
-    strange = shown[(shown != 0) & ~known]
+    run_ids = flat[starts]
+    places = np.searchsorted(ids, run_ids)
+    in_bank = np.append(ids, 0)[places] == run_ids
+    strange = run_ids[(run_ids != 0) & ~in_bank]
     if len(strange):
         if strange[0] < 0:
             raise InputError(f"id map: found the negative id {strange[0]}")
         raise InputError(f"id map: object {strange[0]} is not in the memory bank")
-    rows = np.where(shown == 0, 0, places + 1)
+    rows = np.where(run_ids == 0, 0, places + 1)
     rows = rows.astype(np.min_scalar_type(len(ids)) if len(ids) < 2**16 else np.int32)
     return np.repeat(rows, np.diff(starts, append=len(flat))).reshape(ids_map.shape)

@@ -71,7 +71,7 @@ OPENAI_SIZES = {"input_resolution", "context_length", "vocab_size"}
 TRANSPOSED = ("visual.proj", "text_projection")
 
 
-def load_open_clip(found: ModelFiles) -> Any:
+def load_open_clip(files: ModelFiles) -> Any:
     """The ``CLIPModel`` of a checkpoint, float32.
 
     Parameters
@@ -87,11 +87,11 @@ def load_open_clip(found: ModelFiles) -> Any:
         configuration asks for what CLIPModel has not.
     """
     config: Mapping[str, Any] = {}
-    for file in found.files:
+    for file in files.files:
         if file.name == OPEN_CLIP_CONFIG:
             config = _read_config(file)
-    assert found.checkpoint is not None  # a folder's model is loaded as it is, not converted
-    return convert(_read_tensors(found.checkpoint), config, str(found.checkpoint))
+    assert files.checkpoint is not None  # a folder's model is loaded as it is, not converted
+    return convert(_read_tensors(files.checkpoint), config, str(files.checkpoint))
 
 
 def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], source: str) -> Any:
@@ -163,8 +163,8 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
 
 def _count_layers(tensors: Mapping[str, torch.Tensor], tower: str) -> int:
     pattern = re.compile(re.escape(tower) + r"\.resblocks\.(\d+)\.")
-    found = [int(match[1]) for match in map(pattern.match, tensors) if match]
-    return 1 + max(found, default=0)
+    numbers = [int(match[1]) for match in map(pattern.match, tensors) if match]
+    return 1 + max(numbers, default=0)
 
 
 def _names(layers: Mapping[str, int]) -> dict[str, str]:
@@ -175,8 +175,8 @@ def _names(layers: Mapping[str, int]) -> dict[str, str]:
             theirs, ours = f"{tower}.resblocks.{i}", f"{TOWERS[tower]}.layers.{i}"
             for kind in ("weight", "bias"):
                 names[f"{theirs}.attn.in_proj_{kind}"] = f"{ours}.self_attn.{{}}_proj.{kind}"
-                for part, other in LAYER.items():
-                    names[f"{theirs}.{part}.{kind}"] = f"{ours}.{other}.{kind}"
+                for part, counterpart in LAYER.items():
+                    names[f"{theirs}.{part}.{kind}"] = f"{ours}.{counterpart}.{kind}"
     return names
 
 
@@ -225,10 +225,10 @@ def _sizes(
 
 def _read_config(file: Path) -> Mapping[str, Any]:
     config = table_in(read_json(file), "model_cfg", file)
-    for table, known in UNDERSTOOD.items():
-        own = table_in(config, table, file) if table else config
-        for key, value in own.items():
-            if key not in known and value:
+    for table, supported in UNDERSTOOD.items():
+        section = table_in(config, table, file) if table else config
+        for key, value in section.items():
+            if key not in supported and value:
                 name = f"{table}.{key}" if table else key
                 raise InputError(
                     f"{file}: {name} is {value!r}, but models with it cannot be converted; give "

@@ -13,7 +13,7 @@ _HOLE = 0.25  # least radius of a ring's hole, in root mean square distances fro
 
 @dataclass(frozen=True)
 class Pattern:
-    """What :func:`measure` finds on one surface; all scale-free but ``roughness``.
+    """Results of :func:`measure` on one surface; all scale-free but ``roughness``.
 
     Attributes
     ----------

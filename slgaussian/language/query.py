@@ -51,7 +51,7 @@ REMEMBERED = 4096
 
 @dataclass(frozen=True)
 class Rules:
-    """How a text becomes an answer.
+    """Rules by which a text becomes an answer.
 
     Attributes
     ----------
@@ -94,11 +94,11 @@ class Rules:
     def __post_init__(self) -> None:
         check_temperature(self.temperature)
         for name, choices in (("protocol", PROTOCOLS), ("absent", ABSENT)):
-            given = getattr(self, name)
-            if given not in choices:
+            number = getattr(self, name)
+            if number not in choices:
                 raise InputError(
-                    f"{name}: found {given!r}, expected one of {', '.join(choices)}"
-                    f"{did_you_mean(given, choices)}"
+                    f"{name}: found {number!r}, expected one of {', '.join(choices)}"
+                    f"{did_you_mean(number, choices)}"
                 )
         if self.threshold is not None and not 0 <= self.threshold < 1:
             raise InputError(
@@ -128,7 +128,7 @@ class Rules:
 
     @property
     def selection(self) -> str:
-        """How objects are selected, in a word: ``near-best``, ``threshold`` or ``langsplat``."""
+        """Way of selecting objects: ``near-best``, ``threshold`` or ``langsplat``."""
         if self.protocol == "langsplat":
             return "langsplat"
         return "near-best" if self.threshold is None else "threshold"
@@ -136,7 +136,7 @@ class Rules:
 
 @dataclass(frozen=True)
 class Understood:
-    """What an encoder makes of the words of a text.
+    """The words of a text as an encoder reads them.
 
     Attributes
     ----------
@@ -208,8 +208,8 @@ class TextReader:
             If there is no text, or the encoder cannot use one.
         """
         if isinstance(texts, str) or not len(texts):
-            found = "one text" if isinstance(texts, str) else "no text"
-            raise InputError(f"query: found {found}, expected a list of at least one")
+            problem = "one text" if isinstance(texts, str) else "no text"
+            raise InputError(f"query: found {problem}, expected a list of at least one")
         return np.stack([self._read(text)[0] for text in texts])
 
     def phrases(self, rules: Rules) -> tuple[str, ...]:
@@ -217,7 +217,7 @@ class TextReader:
         return rules.phrases or tuple(self.encoder.canonical)
 
     def understood(self, text: str) -> Understood:
-        """What counts of ``text`` and what does not; InputError if the encoder cannot use it."""
+        """Read ``text``: what counts and what does not; InputError if the encoder cannot use it."""
         return self._read(text)[1]
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
@@ -279,31 +279,31 @@ class BankReader(TextReader):
         if isinstance(texts, str) or not len(texts):
             self.vectors(texts)  # which says what is wrong
         gaps = np.empty((len(texts), len(self.bank)))
-        by: dict[str, list[int]] = {"named": [], "taught": [], "known": []}
+        rows: dict[str, list[int]] = {"named": [], "taught": [], "known": []}
         for k, text in enumerate(texts):
-            by[self._who(text)].append(k)
-        if by["known"]:
-            known = [texts[k] for k in by["known"]]
-            more = np.stack([self.class_leads(text)[self._present] for text in known])
-            gaps[by["known"]] = scorer.gaps(self.vectors(known), more)
-        if by["taught"]:
-            leads = [self.taught.leads(texts[k], scorer.looks) for k in by["taught"]]
-            gaps[by["taught"]] = scorer.combined(np.stack(leads))
-        for k in by["named"]:
+            rows[self._who(text)].append(k)
+        if rows["known"]:
+            encoded = [texts[k] for k in rows["known"]]
+            class_leads = np.stack([self.class_leads(text)[self._present] for text in encoded])
+            gaps[rows["known"]] = scorer.gaps(self.vectors(encoded), class_leads)
+        if rows["taught"]:
+            leads = [self.taught.leads(texts[k], scorer.looks) for k in rows["taught"]]
+            gaps[rows["taught"]] = scorer.combined(np.stack(leads))
+        for k in rows["named"]:
             mine = np.isin(self.bank.ids, self._called[spelled(texts[k])])
             gaps[k] = np.where(mine, NAMED, -NAMED)
         return gaps
 
     def class_leads(self, text: str) -> np.ndarray:
-        """What the classifier adds to the leads of a text, float64 [M, V], over ``bank.nodes``.
+        """Compute what the classifier adds to the leads of a text, float64 [M, V].
 
         Zero where the noun is none of its classes, or nothing was classified.
         """
         nats = self.class_evidence(text)
         if nats is None:
             return np.zeros(self._present.shape)
-        most = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
-        leads: np.ndarray = most * np.tanh(nats / CLASS_SCALE)
+        strength = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
+        leads: np.ndarray = strength * np.tanh(nats / CLASS_SCALE)
         return leads
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
@@ -320,7 +320,7 @@ class BankReader(TextReader):
         return float(log_probability(objects, classes).max())
 
     def class_evidence(self, text: str) -> np.ndarray | None:
-        """How much likelier the noun's classes are there than in whole photographs, in nats.
+        """Compute how much likelier the noun's classes are there than in whole photographs, nats.
 
         float64 [M, V] over ``bank.nodes``, see :func:`slgaussian.language.class_evidence.evidence`;
         None if there are none, or nothing was classified. InputError if the text cannot be used.
@@ -352,8 +352,8 @@ class BankReader(TextReader):
             above: np.ndarray = gaps > _least_gap(rules)
             return above
         wholes, ranking = self.bank.wholes, getattr(self.encoder, "ranking", None)
-        known = self._who(text) == "known" and not unmeasured(self.encoder, rules)
-        if wholes is None or ranking is None or not known:
+        ranks = self._who(text) == "known" and not unmeasured(self.encoder, rules)
+        if wholes is None or ranking is None or not ranks:
             return near_best(gaps, gaps[areas > 0].max(initial=-np.inf), rules.share)
         plain = self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors([text]))[0]
         plain = np.where(gaps > -np.inf, plain, -np.inf)
@@ -362,7 +362,7 @@ class BankReader(TextReader):
         return wholes.choose(plain, evidence, areas, ranking, rules.share)
 
     def understood(self, text: str) -> Understood:
-        """What counts of ``text`` and what does not; InputError if nobody can use it."""
+        """Read ``text``: what counts and what does not; InputError if nothing can use it."""
         who = self._who(text)
         if who == "known":
             return super().understood(text)
@@ -380,7 +380,7 @@ class BankReader(TextReader):
         return self.understood(text).unknown
 
     def _who(self, text: str) -> str:
-        """Who answers: a name wins over a taught word, and that over the encoder."""
+        """Name what answers: a name wins over a taught word, and that over the encoder."""
         if spelled(text) in self._called:
             return "named"
         return "taught" if text in self.taught else "known"
@@ -396,7 +396,7 @@ class BankReader(TextReader):
 
 @dataclass(frozen=True, eq=False)
 class QueryResult:
-    """What a text found in one image. Pictures are drawn when they are first looked at.
+    """The answer to a text in one image. Pictures are drawn when they are first looked at.
 
     Attributes
     ----------
@@ -427,13 +427,13 @@ class QueryResult:
     nothing is to be doubted."""
 
     def __repr__(self) -> str:
-        found = short([id_ for id_, _ in self.objects])
-        about = f"{self.verdict}, score {self.score:.3f}, objects {found}"
-        return f"{type(self).__name__}({self.text!r}: {about})"
+        ids = short([id_ for id_, _ in self.objects])
+        summary = f"{self.verdict}, score {self.score:.3f}, objects {ids}"
+        return f"{type(self).__name__}({self.text!r}: {summary})"
 
     @property
     def kind(self) -> str:
-        """Who answered, as :class:`Understood` says: ``known``, ``named``, ``taught`` and so on."""
+        """Source of the answer: ``known``, ``named``, ``taught`` and so on."""
         return self.understood.kind
 
     @property
@@ -452,8 +452,8 @@ class QueryResult:
 
         By the protocol ``langsplat``, those that lie in the mask with more than half their pixels.
         """
-        found = self._ranked[self._selected[self._ranked]]
-        return tuple((int(self._ids[i]), float(self.scores[i])) for i in found)
+        rows = self._ranked[self._selected[self._ranked]]
+        return tuple((int(self._ids[i]), float(self.scores[i])) for i in rows)
 
     @cached_property
     def relevancy(self) -> np.ndarray:
@@ -486,7 +486,7 @@ class QueryResult:
 
     @property
     def shown(self) -> bool:
-        """Whether mask and point are to be shown: it is ``found``, or ``not sure``."""
+        """True if mask and point are to be shown: the verdict is ``found`` or ``not sure``."""
         return self.verdict in ("found", "not sure")
 
     @property
@@ -584,7 +584,7 @@ def ask(
 def answer(
     text: str, gaps: np.ndarray, seen: ObjectMap, reader: BankReader, rules: Rules
 ) -> QueryResult:
-    """What a text finds, given its gaps float64 [N]; -inf is what cannot be meant."""
+    """Answer a text, given its gaps float64 [N]; -inf is what cannot be meant."""
     kind = LangSplatResult if rules.protocol == "langsplat" else QueryResult
     calibration = reader.encoder.calibration
     doubt = unmeasured(reader.encoder, rules)
@@ -602,8 +602,8 @@ def answer(
         parts = seen.parts(chosen & (gaps > -np.inf))
         at = signs(gaps[ranked], chosen[ranked], read.measurements, parts, read.named)
         sure = confidence(calibration, at)
-    found = ranked, as_good, chosen, sure, why
-    return kind(text, scores, read, reader.bank.ids, seen, *found)
+    selection = ranked, as_good, chosen, sure, why
+    return kind(text, scores, read, reader.bank.ids, seen, *selection)
 
 
 def unmeasured(encoder: Encoder, rules: Rules) -> str:
@@ -631,9 +631,9 @@ def find(
     """
     gaps = np.where(among, reader.gaps([text], rules)[0], -np.inf)
     everywhere = np.where(among, LEAST_PIXELS, 0)
-    taken = np.flatnonzero(reader.chosen(text, gaps, everywhere, rules) & among)
+    matching = np.flatnonzero(reader.chosen(text, gaps, everywhere, rules) & among)
     scores = sigmoid(rules.temperature * gaps)
-    ranked = taken[np.argsort(-gaps[taken], kind="stable")]
+    ranked = matching[np.argsort(-gaps[matching], kind="stable")]
     return tuple((int(reader.bank.ids[i]), float(scores[i])) for i in ranked)
 
 

@@ -1,4 +1,4 @@
-"""How well a text describes an object: the relevancy of section 3.3 of the paper, computed safely.
+"""The relevancy of an object to a text: section 3.3 of the paper, computed without overflow.
 
 The paper's  max_j min_i  exp(T L_j.q) / (exp(T L_j.q) + exp(T L_j.c_i))  is a sigmoid of T times
 
@@ -109,13 +109,13 @@ class Scorer:
         if levels is not None:
             self._rows = np.concatenate([np.arange(levels.shape[1])[None], levels])
 
-    def gaps(self, queries: np.ndarray, more: np.ndarray | float = 0.0) -> np.ndarray:
+    def gaps(self, queries: np.ndarray, extra_leads: np.ndarray | float = 0.0) -> np.ndarray:
         """The gap of the module's formula, float64 [Q, N]; -inf for an object that no view holds.
 
         ``queries`` float [Q, C] are unit vectors of texts; ``more`` [Q, P] is added to the leads of
         the looks. Errors as in the class.
         """
-        return self.combined(self._cosines(queries, "queries") - self._rival + more)
+        return self.combined(self._cosines(queries, "queries") - self._rival + extra_leads)
 
     def combined(self, leads: np.ndarray) -> np.ndarray:
         """The gaps of :meth:`gaps` of leads float64 [Q, P], one a look and text, however made."""
@@ -187,8 +187,8 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
     By the C library's exponential, number by number: they are a few an object and a text. NumPy's
     own differs in the last digit from processor to processor; SciPy's is this one.
     """
-    made = [1 / (1 + math.exp(-v)) if -v < LOG_MOST else 0.0 for v in np.ravel(x).tolist()]
-    return np.array(made, np.float64).reshape(np.shape(x))
+    values = [1 / (1 + math.exp(-v)) if -v < LOG_MOST else 0.0 for v in np.ravel(x).tolist()]
+    return np.array(values, np.float64).reshape(np.shape(x))
 
 
 def check_temperature(temperature: float) -> None:

@@ -58,7 +58,7 @@ class Pairs(NamedTuple):
 
 
 def neighbours(label_maps: LabelMaps) -> Pairs:
-    """Which objects come near each other, in any view; see :data:`GAPS`."""
+    """Find the objects that come near each other, in any view; see :data:`GAPS`."""
     ids = label_maps.ids
     rows = np.searchsorted(ids, label_maps.labels)
     rows[label_maps.labels == 0] = -1
@@ -67,21 +67,21 @@ def neighbours(label_maps: LabelMaps) -> Pairs:
         for a, b in ((rows[..., gap:], rows[..., :-gap]), (rows[:, gap:], rows[:, :-gap])):
             meet = (a != b) & (a >= 0) & (b >= 0)
             a, b = a[meet], b[meet]
-            found, counts = np.unique(
+            pair_keys, counts = np.unique(
                 np.minimum(a, b) * len(ids) + np.maximum(a, b), return_counts=True
             )
-            keys.append(found)
+            keys.append(pair_keys)
             weights.append(counts / gap**2)
-    found, place_of = np.unique(np.concatenate(keys), return_inverse=True)
-    total = np.bincount(place_of, np.concatenate(weights), len(found))
-    pairs = np.stack([found // max(len(ids), 1), found % max(len(ids), 1)], 1)
+    pair_keys, place_of = np.unique(np.concatenate(keys), return_inverse=True)
+    total = np.bincount(place_of, np.concatenate(weights), len(pair_keys))
+    pairs = np.stack([pair_keys // max(len(ids), 1), pair_keys % max(len(ids), 1)], 1)
     return Pairs(pairs, total / max(total.sum(), 1e-300))
 
 
 def place(n: int, pairs: Pairs, dimension: int, rng: np.random.Generator) -> np.ndarray:
     """Codes float32 [n, dimension] for objects with these neighbours, distinct points in [0, 1]."""
     points = _points(n, dimension)
-    taken = rng.permutation(len(points))[:n]
+    assignment = rng.permutation(len(points))[:n]
     weight = pairs.weights
     moves = int(min(MOVES_PER_OBJECT * n, MOST_COMPARISONS / max(len(weight), 1)))
     if n > 2 and len(weight):
@@ -90,11 +90,11 @@ def place(n: int, pairs: Pairs, dimension: int, rng: np.random.Generator) -> np.
         padded = np.zeros((len(points), 3), np.float32)
         padded[:, :dimension] = points
         _anneal(
-            padded, taken, pairs.rows, *_layout(padded, taken, weight), starts, first // 2,
-            rng.integers(n, size=moves), rng.integers(len(points), size=moves),
+            padded, assignment, pairs.rows, *_layout(padded, assignment, weight), starts,
+            first // 2, rng.integers(n, size=moves), rng.integers(len(points), size=moves),
             rng.random(moves), HEAT[0], HEAT[1],
         )  # fmt: skip
-    return points[taken].astype(np.float32)
+    return points[assignment].astype(np.float32)
 
 
 def misread(codes: np.ndarray, pairs: Pairs) -> float:
@@ -104,8 +104,8 @@ def misread(codes: np.ndarray, pairs: Pairs) -> float:
     """
     a, b = pairs.rows.T
     shares = ((np.arange(SHARES) + 0.5) / SHARES)[:, None, None]
-    found = nearest_code((1 - shares) * codes[a] + shares * codes[b], codes)
-    return float((((found != a) & (found != b)) * pairs.weights).sum() / SHARES)
+    nearest = nearest_code((1 - shares) * codes[a] + shares * codes[b], codes)
+    return float((((nearest != a) & (nearest != b)) * pairs.weights).sum() / SHARES)
 
 
 def _points(n: int, dimension: int) -> np.ndarray:
@@ -122,7 +122,7 @@ def _points(n: int, dimension: int) -> np.ndarray:
 
 
 def _layout(
-    points: np.ndarray, taken: np.ndarray, weights: np.ndarray
+    points: np.ndarray, assignment: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The object at each point, or -1; codes [3, ...], and balls [5, ...] without centres.
 
@@ -130,9 +130,9 @@ def _layout(
     balls that weigh nothing. A ball is its centre, 1 / (radius times MARGIN), and its weight.
     """
     owners = np.full(len(points), -1)
-    owners[taken] = np.arange(len(taken))
-    codes = np.full((3, -(-len(taken) // LANES) * LANES), 1e6, np.float32)
-    codes[:, : len(taken)] = points[taken].T
+    owners[assignment] = np.arange(len(assignment))
+    codes = np.full((3, -(-len(assignment) // LANES) * LANES), 1e6, np.float32)
+    codes[:, : len(assignment)] = points[assignment].T
     balls = np.zeros((5, -(-len(weights) // LANES) * LANES), np.float32)
     balls[4, : len(weights)] = weights
     return owners, codes, balls
@@ -140,49 +140,61 @@ def _layout(
 
 @kernel
 def _anneal(
-    points, taken, pairs, owners, codes, balls, starts, touching, movers, targets, luck, hot, cold
+    points,
+    assignment,
+    pairs,
+    owners,
+    codes,
+    balls,
+    starts,
+    touching,
+    movers,
+    targets,
+    luck,
+    hot,
+    cold,
 ):
     """Move objects to free points, or swap two, so that balls between neighbours get emptier.
 
-    ``taken`` [n], the point of each object, is changed in place. The pairs of object i are
+    ``assignment`` [n], the point of each object, is changed in place. The pairs of object i are
     ``touching[starts[i] : starts[i + 1]]``.
     """
-    n, count = len(taken), len(pairs)
+    n, count = len(assignment), len(pairs)
     for e in range(count):
         _blow(e, pairs, codes, balls)
     start = np.float32(0)
     for e in range(count):
         start += balls[4, e] * _crowd(e, codes, balls)
-    kept = np.empty(n + count, np.float32)
-    kept[:] = np.nan
+    depths = np.empty(n + count, np.float32)
+    depths[:] = np.nan
     for step in range(len(movers)):
         i, target = movers[step], targets[step]
-        j, source = owners[target], taken[i]
+        j, source = owners[target], assignment[i]
         if j == i:
             continue
         heat = start * hot * (cold / hot) ** (step / len(movers))
-        before = _part(i, j, pairs, starts, touching, codes, balls, kept, True, np.inf)
+        before = _part(i, j, pairs, starts, touching, codes, balls, depths, True, np.inf)
         # What is added is never below zero, but for rounding: beyond this no luck is enough.
-        most = before - heat * np.log(luck[step]) + ROUNDING * before
-        _move(i, target, points, taken, owners, pairs, starts, touching, codes, balls)
+        bound = before - heat * np.log(luck[step]) + ROUNDING * before
+        _move(i, target, points, assignment, owners, pairs, starts, touching, codes, balls)
         if j >= 0:
-            _move(j, source, points, taken, owners, pairs, starts, touching, codes, balls)
+            _move(j, source, points, assignment, owners, pairs, starts, touching, codes, balls)
         else:
             owners[source] = -1
-        worse = _part(i, j, pairs, starts, touching, codes, balls, kept, False, most) - before
+        worse = _part(i, j, pairs, starts, touching, codes, balls, depths, False, bound) - before
         if worse > 0 and luck[step] >= np.exp(-worse / heat):
-            _move(i, source, points, taken, owners, pairs, starts, touching, codes, balls)
+            _move(i, source, points, assignment, owners, pairs, starts, touching, codes, balls)
             if j >= 0:
-                _move(j, target, points, taken, owners, pairs, starts, touching, codes, balls)
+                _move(j, target, points, assignment, owners, pairs, starts, touching, codes, balls)
             else:
                 owners[target] = -1
         else:
-            kept[:] = np.nan
+            depths[:] = np.nan
 
 
 @kernel
-def _move(i, target, points, taken, owners, pairs, starts, touching, codes, balls):
-    taken[i], owners[target] = target, i
+def _move(i, target, points, assignment, owners, pairs, starts, touching, codes, balls):
+    assignment[i], owners[target] = target, i
     for k in range(3):  # for a slice Numba would compile the words of an error
         codes[k, i] = points[target, k]
     for at in range(starts[i], starts[i + 1]):
@@ -202,7 +214,7 @@ def _blow(e, pairs, codes, balls):
 
 @kernel
 def _crowd(e, codes, balls):
-    """How deep all codes are in the ball of pair ``e``: 1 in the middle, 0 at the edge and outside.
+    """Sum how deep all codes are in the ball of pair ``e``: 1 in the middle, 0 from the edge on.
 
     Those of the pair itself count too, the same wherever they are.
     """
@@ -224,20 +236,20 @@ def _deep(e, i, codes, balls):
 
 
 @kernel
-def _part(i, j, pairs, starts, touching, codes, balls, kept, keep, most):
+def _part(i, j, pairs, starts, touching, codes, balls, depths, keep, bound):
     """The part of the weighted crowding that depends on the codes of i and j; j may be -1.
 
     It stops where the sum is above ``most``. Nearly all moves are taken back, so that what objects
-    and pairs add, with ``keep``, is found in ``kept`` or left there; NaN is not known.
+    and pairs add, with ``keep``, is read from ``depths`` or stored there; NaN is unknown.
     """
     total = np.float32(0)
     for k in (i, j):
         if k >= 0:
-            alone = kept[k] if keep else np.float32(np.nan)
+            alone = depths[k] if keep else np.float32(np.nan)
             if np.isnan(alone):
                 alone = _everywhere(k, codes, balls)
                 if keep:
-                    kept[k] = alone
+                    depths[k] = alone
             total += alone
     for which, k in enumerate((i, j)):
         if k < 0:
@@ -247,24 +259,24 @@ def _part(i, j, pairs, starts, touching, codes, balls, kept, keep, most):
             if which == 1 and (pairs[e, 0] == i or pairs[e, 1] == i):
                 continue
             place = len(starts) - 1 + e
-            crowd = kept[place] if keep else np.float32(np.nan)
+            crowd = depths[place] if keep else np.float32(np.nan)
             if np.isnan(crowd):
                 crowd = _crowd(e, codes, balls)
                 if keep:
-                    kept[place] = crowd
+                    depths[place] = crowd
             # All codes in this ball, but those that were counted above.
             crowd -= _deep(e, i, codes, balls)
             if j >= 0:
                 crowd -= _deep(e, j, codes, balls)
             total += balls[4, e] * crowd
-            if total > most:
+            if total > bound:
                 return total
     return total
 
 
 @kernel
 def _everywhere(i, codes, balls):
-    """How deep the code of i is in all balls, by their weights."""
+    """Sum how deep the code of i is in all balls, by their weights."""
     x, y, z = codes[0, i], codes[1, i], codes[2, i]
     flat, room, total = balls.ravel(), balls.shape[1], vzero()
     for e in range(0, room, LANES):

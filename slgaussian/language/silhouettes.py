@@ -32,7 +32,7 @@ _ASPECT_STEP = 1.25  # a mask is compared with outlines whose aspect is this clo
 
 
 def match(masks: Sequence[np.ndarray]) -> np.ndarray:
-    """How well each mask matches each of :data:`SOLIDS`, float64 [M, 5] in [0, 1].
+    """Compute how well each mask matches each of :data:`SOLIDS`, float64 [M, 5] in [0, 1].
 
     ``masks`` are non-empty bool arrays of any sizes. 1 is a perfect match; 0 says that no outline
     of that solid has nearly the mask's aspect. The score is intersection over union, in the form

@@ -110,7 +110,7 @@ class TaughtWords:
         return iter(self._known)
 
     def __len__(self) -> int:
-        """How many those are."""
+        """Count the words."""
         return len(self._known)
 
     @cached_property
@@ -118,7 +118,7 @@ class TaughtWords:
         return np.unique(self.words).tolist()
 
     def __contains__(self, text: object) -> bool:
-        """Whether a text is a taught word, whatever its case and spaces."""
+        """Return whether a text is a taught word, whatever its case and spaces."""
         return isinstance(text, str) and spelled(text) in self._known
 
     def examples(self, word: str) -> int:
@@ -177,8 +177,8 @@ class TaughtWords:
         """The words but this one, with all its examples; InputError if it is not there."""
         word = normal(word)
         if not (self.words == word).any():
-            known = ", ".join(map(repr, self)) or "none"
-            raise InputError(f"{word!r}: is no taught word; those there are: {known}")
+            taught_words = ", ".join(map(repr, self)) or "none"
+            raise InputError(f"{word!r}: is no taught word; those there are: {taught_words}")
         keep, stay = self.words != word, self.rival_words != word
         if not keep.any():
             return TaughtWords()
@@ -203,12 +203,12 @@ class TaughtWords:
         if not len(self.words):
             return other
         self.check_encoder(other.encoder, "the taught words")
-        made = {
+        arrays = {
             f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)])
             for f in fields(self)
             if f.name != "encoder"
         }
-        return TaughtWords(self.encoder, **made)
+        return TaughtWords(self.encoder, **arrays)
 
     def leads(self, word: str, looks: np.ndarray) -> np.ndarray:
         """The lead of the module, float64 [P], of looks float [P, C]: unit vectors of regions.
@@ -216,8 +216,8 @@ class TaughtWords:
         InputError if the word is not taught, or the looks are of another width.
         """
         word = normal(word)
-        own = self.words == word
-        if not own.any():
+        examples = self.words == word
+        if not examples.any():
             raise InputError(f"{word!r}: has no example; teach it first")
         if looks.ndim != 2 or looks.shape[1] != self.features.shape[1]:
             raise InputError(
@@ -226,8 +226,8 @@ class TaughtWords:
             )
         rivals = self.rivals[self.rival_words == word].astype(np.float64)
         common = rivals.mean(0) if len(rivals) else np.zeros(looks.shape[1])
-        seen = _directions(looks, common)
-        likeness = np.einsum("pc,ec->pe", seen, _directions(self.features[own], common))
+        directions = _directions(looks, common)
+        likeness = np.einsum("pc,ec->pe", directions, _directions(self.features[examples], common))
         return SCALE * (likeness.max(1) - EVEN)
 
     def check_encoder(self, encoder: str, what: str) -> None:
@@ -312,8 +312,8 @@ def normal(word: str) -> str:
     """
     plain = spelled(word)
     if not plain or len(plain) > LONGEST:
-        found = f"{len(plain)} letters" if plain else "an empty text"
-        raise InputError(f"word: found {found}, expected 1 to {LONGEST} letters")
+        problem = f"{len(plain)} letters" if plain else "an empty text"
+        raise InputError(f"word: found {problem}, expected 1 to {LONGEST} letters")
     return plain
 
 
@@ -323,22 +323,22 @@ def spelled(word: str) -> str:
 
 
 def encoder_identity(settings: Mapping[str, Any]) -> str:
-    """Which encoder made a field's features, of the settings of the field: JSON, name and settings.
+    """Return the identity of the encoder that made a field's features, as JSON.
 
     Files are there by content, so that words pass between machines. What is not set is left out,
     and so is the lexicon's classifier, which changes no feature.
     """
     name = settings["encoder"]
-    known = {"encoder": name, **dict(settings.get(name, {}))}
-    known.pop("classifier", None)
-    return json.dumps({k: v for k, v in known.items() if v is not None}, sort_keys=True)
+    identity = {"encoder": name, **dict(settings.get(name, {}))}
+    identity.pop("classifier", None)
+    return json.dumps({k: v for k, v in identity.items() if v is not None}, sort_keys=True)
 
 
 def _without_nulls(encoder: str) -> str:
     """The identity of a file as :func:`encoder_identity` writes it today."""
     try:
-        known = json.loads(encoder)
-        return encoder_identity({"encoder": known["encoder"], known.pop("encoder"): known})
+        identity = json.loads(encoder)
+        return encoder_identity({"encoder": identity["encoder"], identity.pop("encoder"): identity})
     except (ValueError, LookupError, TypeError, AttributeError):
         return encoder
 
@@ -346,12 +346,12 @@ def _without_nulls(encoder: str) -> str:
 def _brief(encoder: str) -> str:
     """An identity as a message says it."""
     try:
-        known = strict_json.parse(encoder)
-        name = known.pop("encoder")
+        identity = strict_json.parse(encoder)
+        name = identity.pop("encoder")
     except (ValueError, KeyError, AttributeError):
         return repr(encoder[:40])
-    said = ", ".join(f"{key} {str(value)[:12]}" for key, value in known.items() if value)
-    return f"{name!r}" + (f" ({said})" if said else "")
+    details = ", ".join(f"{key} {str(value)[:12]}" for key, value in identity.items() if value)
+    return f"{name!r}" + (f" ({details})" if details else "")
 
 
 def _half(vectors: np.ndarray) -> np.ndarray:

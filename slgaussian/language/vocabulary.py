@@ -135,27 +135,27 @@ class Vocabulary:
         self._check_one_thing(text, spelled)
         spelled, places = self._take_phrases(spelled)
         end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
-        meant = [s for s in spelled[:end] if s not in self.stop]
-        known = [(s, self._look_up(s)) for s in _join_names(meant)]
-        nouns = [i for i, (_, word) in enumerate(known) if word and word.family in NOUNS]
+        content = [s for s in spelled[:end] if s not in self.stop]
+        looked_up = [(s, self._look_up(s)) for s in _join_names(content)]
+        nouns = [i for i, (_, word) in enumerate(looked_up) if word and word.family in NOUNS]
         # In "a picture of a plant" the first thing is meant, in "a plant pot" the last.
-        whole = len(known)
+        head_limit = len(looked_up)
         if "of" in spelled[:end]:
-            whole = sum(s not in self.stop for s in spelled[: spelled.index("of")])
-        head = next((i for i in reversed(nouns) if i < whole), nouns[-1] if nouns else None)
+            head_limit = sum(s not in self.stop for s in spelled[: spelled.index("of")])
+        head = next((i for i in reversed(nouns) if i < head_limit), nouns[-1] if nouns else None)
         words = {
             word.name: word
-            for i, (_, word) in enumerate(known)
+            for i, (_, word) in enumerate(looked_up)
             if word is not None and (i == head or i not in nouns)
         }
         words |= {word.name: word for word in places}
-        left_out = [(s, word) for s, word in known if word is None or word.name not in words]
+        left_out = [(s, word) for s, word in looked_up if word is None or word.name not in words]
         elsewhere = [s for s in spelled[end:] if s not in self.stop]
-        if not words and all(word is not None or s in self.unseen for s, word in known):
+        if not words and all(word is not None or s in self.unseen for s, word in looked_up):
             raise unusable(text, [s for s, _ in left_out] + elsewhere)
         unseen = {s: self.unseen[s] for s, _ in left_out if s in self.unseen}
         unknown = [s for s, word in left_out if word is None and s not in unseen]
-        sought = "" if head is None else known[head][0]
+        sought = "" if head is None else looked_up[head][0]
         unused = {
             s: f"another thing, while {sought!r} is looked for"
             for s, _ in left_out
@@ -164,10 +164,10 @@ class Vocabulary:
         unused |= unseen
         after = f"said of another thing, after {spelled[end]!r}" if elsewhere else ""
         unused |= dict.fromkeys(elsewhere, after)
-        head_word = None if head is None else known[head][1]
+        head_word = None if head is None else looked_up[head][1]
         classes = () if head_word is None else classes_of(sought) or classes_of(head_word.name)
         # An unknown word after a noun is what the noun describes.
-        last = [s for s, _ in known[:whole] if s not in unseen][-1:]
+        last = [s for s, _ in looked_up[:head_limit] if s not in unseen][-1:]
         if head is None or set(last) & set(unknown):
             sought, classes = "", ()
         return Reading(
@@ -179,21 +179,21 @@ class Vocabulary:
         end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
         for middle in (i for i in range(end) if spelled[i] == "and"):
             sides = spelled[:middle], spelled[middle + 1 : end]
-            meant = [[self._look_up(w) for w in side if self._names(w)] for side in sides]
-            nouns = [any(word and word.family in NOUNS for word in side) for side in meant]
-            unknown = bool(meant[1]) and all(word is None for word in meant[1])
+            side_words = [[self._look_up(w) for w in side if self._names(w)] for side in sides]
+            nouns = [any(word and word.family in NOUNS for word in side) for side in side_words]
+            unknown = bool(side_words[1]) and all(word is None for word in side_words[1])
             if nouns[0] and (nouns[1] or unknown):
-                one, other = map(" ".join, sides)
+                left, right = map(" ".join, sides)
                 raise InputError(
-                    f"query {_short(text)!r}: asks for two things; ask for {_short(one)!r} and for "
-                    f"{_short(other)!r} one at a time"
+                    f"query {_short(text)!r}: asks for two things; ask for {_short(left)!r} and "
+                    f"for {_short(right)!r} one at a time"
                 )
 
     def _names(self, spelling: str) -> bool:
         return spelling not in self.stop and spelling not in self.unseen
 
     def explain(self, text: str) -> tuple[bool, str]:
-        """Whether all of ``text`` is known, and how its words are, in a line."""
+        """Return whether all of ``text`` is known, and how its words are, in a line."""
         try:
             reading = self.read(text)
         except InputError as refusal:
@@ -216,14 +216,14 @@ class Vocabulary:
         if len(spelling) > LONGEST:
             return None
         describing = [*self.words, *self.unseen]
-        for known in (describing, noun_classes()):
-            near = difflib.get_close_matches(spelling, known, n=1, cutoff=NEAR)
+        for spellings in (describing, noun_classes()):
+            near = difflib.get_close_matches(spelling, spellings, n=1, cutoff=NEAR)
             if near:
                 return near[0]
         return None
 
     def _relates(self, spelled: Sequence[str], i: int) -> bool:
-        """Whether what follows describes another object: after "on", or "left of" after a thing."""
+        """Test whether another object is described next: after "on", or "left of" after a thing."""
         if spelled[i] in self.relations:
             return True
         word = self._look_up(spelled[i])
@@ -232,13 +232,13 @@ class Vocabulary:
 
     def families(self) -> dict[str, dict[str, tuple[str, ...]]]:
         """Every word that counts by family, with its synonyms."""
-        found: dict[str, dict[str, tuple[str, ...]]] = {}
+        families: dict[str, dict[str, tuple[str, ...]]] = {}
         for spelling, word in self.words.items():
             if word.weights:
-                family = found.setdefault(word.family, {})
+                family = families.setdefault(word.family, {})
                 synonyms = family.get(word.name, ())
                 family[word.name] = synonyms + ((spelling,) if spelling != word.name else ())
-        return found
+        return families
 
     def _take_phrases(self, spelled: list[str]) -> tuple[list[str], list[Word]]:
         """The spellings without those of phrases, and the phrases' words.
@@ -248,7 +248,7 @@ class Vocabulary:
         door") it is a relation itself.
         """
         left: list[str] = []
-        found: list[Word] = []
+        phrase_words: list[Word] = []
         start = 0
         while start < len(spelled):
             word, length = self.phrase_at(spelled, start)
@@ -260,9 +260,9 @@ class Vocabulary:
             elif word.family in NOUNS:
                 left.append(word.name)
             else:
-                found.append(word)
+                phrase_words.append(word)
             start += length
-        return left, found
+        return left, phrase_words
 
     def phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
         """The longest phrase that begins there, which may be a plural, and how long it is."""
@@ -299,8 +299,8 @@ def load_vocabulary() -> Vocabulary:
     words |= {name: Word(name, "neutral", {}) for name in data["neutral"]}
     for family, entries in {**data["words"], **nouns}.items():
         words |= {name: Word(name, family, weights) for name, weights in entries.items()}
-    for name, others in synonyms.items():
-        words |= dict.fromkeys(others, words[name])
+    for name, spellings in synonyms.items():
+        words |= dict.fromkeys(spellings, words[name])
     phrases = {phrase: word for phrase, word in words.items() if " " in phrase}
     phrases |= {p: words[name] for name, several in data["phrases"].items() for p in several}
     return Vocabulary(

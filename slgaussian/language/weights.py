@@ -1,4 +1,4 @@
-"""Where the weights of the classifier are: in a package of their own, which is never imported."""
+"""The file of the classifier's weights: in a package of its own, which is never imported."""
 
 from __future__ import annotations
 

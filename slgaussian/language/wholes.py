@@ -1,4 +1,4 @@
-"""Which objects are an answer: one of them, a whole of several, or all that fit about as well.
+"""The choice of an answer: one object, a whole of several, or all that fit about as well.
 
 A photograph is cut into more pieces than things, and no piece of a thing looks like it. So an
 answer is chosen among the nodes of trees over the objects, as SAM has parts, objects and groups,
@@ -175,29 +175,35 @@ class Wholes:
         """
         visible = (areas > 0) & (gaps > -np.inf)
         top = max(float(gaps[visible].max(initial=-np.inf)), LEAST_BEST)
-        known = np.where(gaps > -np.inf, gaps, UNSEEN)
-        alike = near_best(gaps, top, share)
-        sets, whole, around, places = self._candidates
-        shown = sets @ np.where(visible, areas, 0) >= LEAST_PIXELS
-        sets, whole, around = sets[shown], whole[shown], around[shown]
-        standing = self._standing[places[shown]]
-        if (alike & visible).any():
-            sets = np.concatenate([sets, alike[None]])
-            whole = np.concatenate([whole, self._numbers(alike[None].astype(float))])
-            around = np.concatenate([around, self._around(alike[None].astype(float))])
+        finite_gaps = np.where(gaps > -np.inf, gaps, UNSEEN)
+        near = near_best(gaps, top, share)
+        sets, numbers_of_sets, around, places = self._candidates
+        visible_sets = sets @ np.where(visible, areas, 0) >= LEAST_PIXELS
+        sets, numbers_of_sets, around = (
+            sets[visible_sets],
+            numbers_of_sets[visible_sets],
+            around[visible_sets],
+        )
+        standing = self._standing[places[visible_sets]]
+        if (near & visible).any():
+            sets = np.concatenate([sets, near[None]])
+            numbers_of_sets = np.concatenate(
+                [numbers_of_sets, self._numbers(near[None].astype(float))]
+            )
+            around = np.concatenate([around, self._around(near[None].astype(float))])
             standing = np.append(standing, 0.0)
         if not len(sets):
-            return alike & visible
-        area = np.exp(whole[:, 0])
-        mean = _times(sets, self._area * known) / area
-        fits = self._area * np.maximum(known, 0) * visible
+            return near & visible
+        area = np.exp(numbers_of_sets[:, 0])
+        mean = _times(sets, self._area * finite_gaps) / area
+        fits = self._area * np.maximum(finite_gaps, 0) * visible
         numbers = [
             np.maximum(mean / top, -2),
-            np.maximum(_times(around, known) / top, -2),
+            np.maximum(_times(around, finite_gaps) / top, -2),
             mean,
             _times(sets, fits) / max(fits.sum(), 1e-12),
             sets[:, np.where(visible, gaps, -np.inf).argmax()],
-            (sets[:, visible] == alike[visible]).all(1),
+            (sets[:, visible] == near[visible]).all(1),
         ]
         if evidence is None:
             numbers += [np.zeros(len(sets))] * 2
@@ -207,7 +213,7 @@ class Wholes:
             fits = self._area * np.maximum(evidence, 0) * visible
             mean = _times(sets, self._area * evidence) / area
             numbers += [mean, _times(sets, fits) / max(fits.sum(), 1e-12)]
-        table = np.column_stack([*numbers, whole[:, :3], standing, whole[:, 3]])
+        table = np.column_stack([*numbers, numbers_of_sets[:, :3], standing, numbers_of_sets[:, 3]])
         score = _times(table, np.array(ranking))
         chosen: np.ndarray = sets[score.argmax()] > 0
         return chosen & (gaps > -np.inf)
@@ -264,8 +270,8 @@ class Wholes:
 
 def near_best(gaps: np.ndarray, best: float, share: float = NEAR_BEST) -> np.ndarray:
     """Take the objects with a gap above 0 and at least a share of the ``best``: bool [N]."""
-    taken: np.ndarray = (gaps > 0) & (gaps >= share * best)
-    return taken
+    selected: np.ndarray = (gaps > 0) & (gaps >= share * best)
+    return selected
 
 
 def _times(rows: np.ndarray, values: np.ndarray) -> np.ndarray:

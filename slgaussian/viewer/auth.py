@@ -64,17 +64,17 @@ class Access:
             site as its origin, or under a name of its own that it has made lead to this machine.
         """
         try:
-            asked = urlsplit(f"//{host}").hostname if host else None
+            hostname = urlsplit(f"//{host}").hostname if host else None
             if origin is not None and urlsplit(origin).netloc != host:
                 return None
         except ValueError:  # no address at all, as "["
             return None
         if self.token is None:
-            return path if asked in LOOPBACK else None
+            return path if hostname in LOOPBACK else None
         first, _, rest = path.removeprefix("/").partition("/")
         first = first.partition("?")[0]
-        known = secrets.compare_digest(first.encode(), self.token.encode())
-        return f"/{rest}" if known else None
+        valid = secrets.compare_digest(first.encode(), self.token.encode())
+        return f"/{rest}" if valid else None
 
 
 def listen(host: str = LOOPBACK[0], port: int | None = None) -> Access:
@@ -88,7 +88,7 @@ def listen(host: str = LOOPBACK[0], port: int | None = None) -> Access:
     token = None if host in LOOPBACK else secrets.token_urlsafe(24)
     for tried in (PORT, 0) if port is None else (port,):
         try:
-            family, kind, protocol, _, where = socket.getaddrinfo(
+            family, kind, protocol, _, sockaddr = socket.getaddrinfo(
                 host, tried, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
             )[0]
         except (OSError, UnicodeError):
@@ -99,7 +99,7 @@ def listen(host: str = LOOPBACK[0], port: int | None = None) -> Access:
         listener = socket.socket(family, kind, protocol)
         try:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(where)
+            listener.bind(sockaddr)
             listener.listen(128)
             return Access(host, listener, token)
         except OSError as error:

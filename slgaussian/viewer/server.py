@@ -69,7 +69,7 @@ class LiveField:
 
     @property
     def unsaved(self) -> bool:
-        """Whether the field was changed since it was opened or saved."""
+        """True if the field was changed since it was opened or saved."""
         return self.field is not self._saved
 
     def state(self) -> dict[str, Any]:
@@ -108,19 +108,19 @@ class LiveField:
             every = reader.gaps([text], Rules())[0]
         except InputError as error:
             return {"text": text, "refused": str(error)}
-        gaps, held = every[self._rows], ~np.isin(self.ids, list(self.field.removed))
-        shown = np.zeros(len(every), int)
-        shown[self._rows[held]] = LEAST_PIXELS
-        taken = reader.chosen(text, every, shown, Rules())[self._rows] & held
-        there = np.isfinite(gaps) & held
+        gaps, present = every[self._rows], ~np.isin(self.ids, list(self.field.removed))
+        areas = np.zeros(len(every), int)
+        areas[self._rows[present]] = LEAST_PIXELS
+        selected = reader.chosen(text, every, areas, Rules())[self._rows] & present
+        answerable = np.isfinite(gaps) & present
         return {
             "text": text,
             "kind": read.kind,
             "gaps": [
-                round(gap, 6) if held else None
-                for gap, held in zip(gaps.tolist(), there, strict=True)
+                round(gap, 6) if present else None
+                for gap, present in zip(gaps.tolist(), answerable, strict=True)
             ],
-            "taken": taken.tolist(),
+            "taken": selected.tolist(),
             "measurements": read.measurements,
             "named": read.named,
             "alone": read.alone,

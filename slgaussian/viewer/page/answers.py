@@ -1,4 +1,4 @@
-"""What a page can be asked: texts, with what every thing answers worked out beforehand.
+"""Texts that a page can be asked, with the answer of every object computed beforehand.
 
 A page holds no encoder. Of the lexicon it knows every word, every colour with every thing ("red
 car") and every describing word with every common thing ("striped chair"); of another encoder some
@@ -29,7 +29,7 @@ MOST = 2**20
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What a page knows of words.
+    """Words of a page and their answers.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Answers:
 def answers_of(
     field: SemanticField, ids: Sequence[int], more: Sequence[str] = (), live: bool = False
 ) -> Answers:
-    """What the things of ``ids`` answer to all that a page can be asked, ``more`` texts among it.
+    """Compute the answers of the objects ``ids`` to all that a page can be asked, and to ``more``.
 
     A ``live`` page asks its server: of texts it has only the words of a lexicon, to offer them.
     InputError if the encoder cannot use one of these, knows nothing of it, or is not there.
@@ -86,9 +86,12 @@ def answers_of(
     skipped: tuple[str, ...] = ()
     pairs: list[str] = []
     if isinstance(field.encoder, Lexicon):
-        known = load_vocabulary()
-        skipped = tuple(sorted({*known.stop, *known.unseen}))
-        every = {**known.words, **{" ".join(p): word for p, word in known.phrases.items()}}
+        vocabulary = load_vocabulary()
+        skipped = tuple(sorted({*vocabulary.stop, *vocabulary.unseen}))
+        every = {
+            **vocabulary.words,
+            **{" ".join(p): word for p, word in vocabulary.phrases.items()},
+        }
         for spelling, word in sorted(every.items()):
             if word.weights:
                 kinds[word.name] = "thing" if word.family in NOUNS else "describing"
@@ -97,9 +100,9 @@ def answers_of(
         things = sorted(word for word, kind in kinds.items() if kind == "thing")
         describing = sorted(word for word, kind in kinds.items() if kind == "describing")
         pairs = [
-            f"{one} {other}"
-            for one in describing
-            for other in (things if one in known.colours else known.naming)
+            f"{word} {noun}"
+            for word in describing
+            for noun in (things if word in vocabulary.colours else vocabulary.naming)
         ]
         if len(pairs) * len(ids) > MOST:
             pairs = []
@@ -118,17 +121,17 @@ def answers_of(
     kinds |= {_plain(field.names[id_]): "named" for id_ in ids if id_ in field.names}
     texts = tuple(dict.fromkeys([*kinds, *pairs]))
     rows = np.searchsorted(field.bank.ids, np.array(ids, field.bank.ids.dtype))
-    gaps, taken = np.zeros((2, len(texts), 0))
+    gaps, selected = np.zeros((2, len(texts), 0))
     if len(ids):
-        reader, shown = field.reader, np.zeros(len(field.bank), int)
-        shown[rows] = LEAST_PIXELS
+        reader, areas = field.reader, np.zeros(len(field.bank), int)
+        areas[rows] = LEAST_PIXELS
         of_texts = zip(texts, reader.gaps(texts, Rules()), strict=True)
-        answers = [(own, reader.chosen(text, own, shown, Rules())) for text, own in of_texts]
-        gaps, taken = np.array(answers).transpose(1, 0, 2)[..., rows]
-    known_as = texts, gaps.astype(np.float32), taken > 0, kinds, spellings, skipped
+        answers = [(row, reader.chosen(text, row, areas, Rules())) for text, row in of_texts]
+        gaps, selected = np.array(answers).transpose(1, 0, 2)[..., rows]
+    known_as = texts, gaps.astype(np.float32), selected > 0, kinds, spellings, skipped
     read = [field.reader.understood(text) for text in texts]
-    measurements = tuple(one.measurements for one in read)
-    named = tuple(one.named for one in read)
+    measurements = tuple(reading.measurements for reading in read)
+    named = tuple(reading.named for reading in read)
     return Answers(*known_as, bool(pairs), measurements, named, calibration, doubt)
 
 

@@ -29,7 +29,7 @@ Layout = dict[str, tuple[str, int, int]]
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """What the page unpacks.
+    """Bytes that the page unpacks.
 
     Attributes
     ----------
@@ -113,6 +113,6 @@ def _in_blocks(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     starts = np.arange(0, len(means), BLOCK)
     low = np.minimum.reduceat(means, starts)
     step = (np.maximum.reduceat(means, starts) - low) / np.float32(65535)
-    own = np.arange(len(means)) // BLOCK
-    codes = np.rint((means - low[own]) / np.maximum(step[own], 1e-30)).clip(0, 65535)
+    block = np.arange(len(means)) // BLOCK
+    codes = np.rint((means - low[block]) / np.maximum(step[block], 1e-30)).clip(0, 65535)
     return low, step, codes.astype(np.uint32)

@@ -159,7 +159,7 @@ def _page(
 ) -> str:
     content = packed(gaussians, numbers, 1 if live else 9)
     rules = Rules()
-    about = {
+    scene_data = {
         "format": 1,
         "made_by": f"slgaussian {__version__}",
         "title": title,
@@ -201,7 +201,7 @@ def _page(
         policy=policy,
         style=style,
         script=script,
-        about=_harmless(json.dumps(about, ensure_ascii=False, allow_nan=False)),
+        about=_harmless(json.dumps(scene_data, ensure_ascii=False, allow_nan=False)),
         packed_gaussians=_base64(content.data),
         packed_answers=_base64(
             gzip.compress(
@@ -221,14 +221,14 @@ def _before(means: np.ndarray) -> Camera:
 
 
 def _view(
-    name: str, camera: Camera, depth: np.ndarray, picture: np.ndarray, made: str
+    name: str, camera: Camera, depth: np.ndarray, picture: np.ndarray, note: str
 ) -> dict[str, Any]:
     middle = depth[depth.shape[0] // 4 : -depth.shape[0] // 4 or None]
-    seen = middle[middle > 0]
+    positive = middle[middle > 0]
     (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
     return {
         "name": name,
-        "caption": f"{name} ({made})" if made else name,
+        "caption": f"{name} ({note})" if note else name,
         "width": camera.width,
         "height": camera.height,
         "fx": fx,
@@ -236,7 +236,7 @@ def _view(
         "cx": cx,
         "cy": cy,
         "c2w": camera.c2w.tolist(),
-        "distance": float(np.median(seen)) if seen.size else 1.0,
+        "distance": float(np.median(positive)) if positive.size else 1.0,
         "picture": "data:image/jpeg;base64," + _base64(encode_jpeg(picture, THUMB)),
     }
 
@@ -262,37 +262,39 @@ def _thing(
 
 
 def _honest(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
-    said = [f"{len(gaussians):,} Gaussians made of {len(field.cameras)} photographs."]
+    sentences = [f"{len(gaussians):,} Gaussians made of {len(field.cameras)} photographs."]
     if "quality" in field.settings:
         quality = Quality(**field.settings["quality"])
         depth = quality.depth[0].upper() + quality.depth[1:]
-        said.append(f"{depth}, and the depth of the rest is a guess.")
-        said.append(f"{quality.verdict().sentence().capitalize()}.")
-    said.append("What no photograph shows is left open.")
+        sentences.append(f"{depth}, and the depth of the rest is a guess.")
+        sentences.append(f"{quality.verdict().sentence().capitalize()}.")
+    sentences.append("What no photograph shows is left open.")
     if field.removed:
-        said.append("Stripes are open too, such as what stood behind what was removed.")
+        sentences.append("Stripes are open too, such as what stood behind what was removed.")
     if any(camera.estimated for camera in field.cameras.values()):
-        said.append("The cameras were found from the photographs, so there is no scale in metres.")
+        sentences.append(
+            "The cameras were found from the photographs, so there is no scale in metres."
+        )
         warnings = field.settings.get("cameras", {}).get("warnings", [])
-        said += [f"Warning: {warning}." for warning in warnings]
+        sentences += [f"Warning: {warning}." for warning in warnings]
     if gaussians.sh.shape[1] > 1:
-        said.append("Colours do not change with the viewpoint here, as those of the field do.")
-    made = f", as worked out when this file was made with slgaussian {__version__}"
-    said.append(f"Words are answered for whole objects{'' if live else made}.")
-    return " ".join(said)
+        sentences.append("Colours do not change with the viewpoint here, as those of the field do.")
+    when = f", as worked out when this file was made with slgaussian {__version__}"
+    sentences.append(f"Words are answered for whole objects{'' if live else when}.")
+    return " ".join(sentences)
 
 
-def _touching(shown: np.ndarray, ids: Sequence[int]) -> list[list[int]]:
-    """Which things touch in a view int32 [H, W], as places in the list of their ``ids``."""
-    known = np.array(ids, np.int32)
-    return ObjectMap(np.where(np.isin(shown, known), shown, 0), known).touching.tolist()
+def _touching(ids_map: np.ndarray, ids: Sequence[int]) -> list[list[int]]:
+    """Find the pairs of ``ids`` that touch in a view int32 [H, W], as places in that list."""
+    listed = np.array(ids, np.int32)
+    return ObjectMap(np.where(np.isin(ids_map, listed), ids_map, 0), listed).touching.tolist()
 
 
-def _calibration(known: Calibration | None) -> dict[str, Any] | None:
-    """What the page works out confidence by, as the module ``confidence`` does."""
-    if known is None:
+def _calibration(calibration: Calibration | None) -> dict[str, Any] | None:
+    """Constants by which the page computes confidence, as the module ``confidence`` does."""
+    if calibration is None:
         return None
-    curves = {"mask": list(astuple(known.mask)), "point": list(astuple(known.point))}
+    curves = {"mask": list(astuple(calibration.mask)), "point": list(astuple(calibration.point))}
     return {**curves, "absent": ABSENT, "typical": TYPICAL, "even_out": EVEN_OUT}
 
 
@@ -304,18 +306,18 @@ def _said_words(answers: Answers, live: bool) -> str:
         kinds.setdefault(kind, []).append(word)
     titles = {"named": "Names", "taught": "Taught", "text": "Texts"}
     titles |= {"thing": "Things", "describing": "Describing"}
-    said = [
+    sentences = [
         f"{name}: {', '.join(sorted(kinds[kind]))}."
         for kind, name in titles.items()
         if kind in kinds
     ]
     if answers.pairs:
-        said.append(
+        sentences.append(
             "And a colour with a thing, as in “red chair”, or another describing word with a "
             "common thing."
         )
-    said.append("Several, with commas between them, share the scene out among them.")
-    return " ".join(said)
+    sentences.append("Several, with commas between them, share the scene out among them.")
+    return " ".join(sentences)
 
 
 def _harmless(text: str) -> str:
