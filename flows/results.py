@@ -18,7 +18,7 @@ from slgaussian.benchmark.baselines import Row
 from slgaussian.benchmark.outputs import file_name, write_table
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.datasets.photographs import stored_size
-from slgaussian.datasets.published import Found, standing
+from slgaussian.datasets.published import LabelledFrames, standing
 from slgaussian.errors import InputError
 from slgaussian.io import file_sha256, write_atomic
 from slgaussian.kernels import threads
@@ -277,5 +277,5 @@ def published_as(scene: SceneSettings) -> dict[str, str]:
     except (InputError, OSError):  # results that are there outlive their data
         return {}
     name = str(scene.options.get("scene") or scene.labels.name)
-    known = standing(Found(scene.format, name, asked, frames, sizes))
+    known = standing(LabelledFrames(scene.format, name, asked, frames, sizes))
     return {} if known is None else asdict(known)

@@ -29,7 +29,7 @@ from slgaussian.datasets.new_clips import changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.semantic.versions import Version, Versions, called
 from slgaussian.storage.encoding import table_digest
-from slgaussian.storage.locks import BusyError, held
+from slgaussian.storage.locks import BusyError, hold_lock
 from slgaussian.storage.store import ArtifactStore
 from slgaussian.storage.tables import read_table
 
@@ -119,7 +119,7 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
     config = settled(config)
     check_folder(config.out)
     try:
-        with held(config.out / LOCK, "retrain"), held(config.models / LOCK, "retrain"):
+        with hold_lock(config.out / LOCK, "retrain"), hold_lock(config.models / LOCK, "retrain"):
             result = run_session(
                 "retrain", config, verbose, lambda store: _retrain(config, store, verbose)
             )

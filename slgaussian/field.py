@@ -38,7 +38,7 @@ from slgaussian.semantic.boundary_gaussians import boundary_gaussians
 from slgaussian.storage import field_folder
 from slgaussian.storage.encoding import Arrays, arrays_digest, packed
 from slgaussian.storage.field_folder import About
-from slgaussian.storage.provenance import Made, making
+from slgaussian.storage.provenance import Provenance, making
 from slgaussian.storage.specs import load_spec
 
 if TYPE_CHECKING:
@@ -575,11 +575,11 @@ class SemanticField:
             "objects": self.objects(),
         }
 
-    def made(self) -> Made:
+    def made(self) -> Provenance:
         """What made the field, as its files say it where no stage of a run does."""
         results = ("account", "quality", "verdict")
         said = {name: own for name, own in self.settings.items() if name not in results}
-        return Made("build_field", settings=json.loads(json.dumps(said, sort_keys=True)))
+        return Provenance("build_field", settings=json.loads(json.dumps(said, sort_keys=True)))
 
     def about(self, digests: Mapping[str, str]) -> About:
         """What the field says of itself, given the digests of its contents by spec."""

@@ -28,7 +28,7 @@ from slgaussian.components.component import Component
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
 from slgaussian.kernels import compiling, threads
-from slgaussian.storage.provenance import Made, making
+from slgaussian.storage.provenance import Provenance, making
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactRef, DamagedError
 from tasks.context import RunContext, StageEvent, current_run
@@ -204,7 +204,8 @@ class Stage:
         settings = {n: canonical(value, n) for n, value in keyed.items() if n not in inputs}
         specs = {name: ref.spec for name, ref in inputs.items()}
         digests = {name: ref.digest for name, ref in inputs.items()}
-        provenance = Made(self.name, self.version, settings, specs, frozenset(digests.values()))
+        passed = frozenset(digests.values())
+        provenance = Provenance(self.name, self.version, settings, specs, passed)
         threads.limit(run.workers)
         compiling.watch()
         peak, compiled = Peak(), compiling.spent()

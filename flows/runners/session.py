@@ -22,7 +22,7 @@ from flows.runners.task_runners import NO_EVENTS
 from slgaussian import __version__
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import write_atomic
-from slgaussian.storage.provenance import Made, making
+from slgaussian.storage.provenance import Provenance, making
 from slgaussian.storage.store import ArtifactStore, DamagedError
 
 Result = TypeVar("Result")
@@ -66,7 +66,7 @@ def run_session(
         threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     damaged: dict[str, str] = {}
     check_folder(config.out)
-    with log_to_file(config.out, verbose, **facts), making(Made(command)):
+    with log_to_file(config.out, verbose, **facts), making(Provenance(command)):
         while True:
             try:
                 return work(store)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, EstimatedPair, Focal
-from slgaussian.cameras.multi_view import Many, Solved, Unplaced, find_many
+from slgaussian.cameras.multi_view import PairSolver, PlacedCameras, Unplaced, find_multi_view
 from slgaussian.cameras.two_view import EXIF_SPREAD, SPREAD, Described, Photograph, confidence
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
@@ -49,17 +49,6 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
     InputError
         If they cannot be found; the message says of which photographs, why, and what to do.
     """
-    once, duplicates = _once(photographs)
-    if not duplicates or len(once) < 2:
-        return _find(photographs)
-    estimate = _find(once)
-    sentences = (f"{name} is left out: {why}" for name, why in duplicates.items())
-    warnings = (*estimate.warnings, *sentences)
-    return replace(estimate, warnings=warnings, left_out={**estimate.left_out, **duplicates})
-
-
-def _once(photographs: Sequence[Photograph]) -> tuple[list[Photograph], dict[str, str]]:
-    """The different ones, and of the others, by name, which they are again."""
     once: list[Photograph] = []
     duplicates = {}
     for photograph in photographs:
@@ -69,20 +58,25 @@ def _once(photographs: Sequence[Photograph]) -> tuple[list[Photograph], dict[str
             once.append(photograph)
         else:
             duplicates[photograph.name] = f"it is the same picture as {first.name}"
-    return once, duplicates
+    if not duplicates or len(once) < 2:
+        return _find(photographs)
+    estimate = _find(once)
+    sentences = (f"{name} is left out: {why}" for name, why in duplicates.items())
+    warnings = (*estimate.warnings, *sentences)
+    return replace(estimate, warnings=warnings, left_out={**estimate.left_out, **duplicates})
 
 
 def _find(photographs: Sequence[Photograph]) -> EstimatedCameras:
     """As :func:`find_cameras`, of photographs all of which may have a say."""
     described = [Described.of(photograph) for photograph in photographs]
     remaining, left = described, dict[str, str]()
-    solved = Solved()
+    solver = PairSolver()
     while True:
         try:
             solution = (
-                find_many(remaining, solved)
+                find_multi_view(remaining, solver)
                 if len(remaining) > 2
-                else _find_two(remaining[0], remaining[1], solved)
+                else _find_two(remaining[0], remaining[1], solver)
             )
             break
         except Unplaced as gap:
@@ -98,7 +92,7 @@ def _find(photographs: Sequence[Photograph]) -> EstimatedCameras:
     estimate = _estimated_cameras(solution, remaining)
     if not left:
         return estimate
-    aside = tuple(_left_out_pairs(solved, described, left))
+    aside = tuple(_left_out_pairs(solver, described, left))
     warnings = (*estimate.warnings, _left_out(left, len(described)))
     return replace(estimate, pairs=estimate.pairs + aside, warnings=warnings, left_out=left)
 
@@ -115,12 +109,12 @@ def _left_out(left: Mapping[str, str], count: int) -> str:
 
 
 def _left_out_pairs(
-    solved: Solved, described: Sequence[Described], left: Mapping[str, str]
+    solver: PairSolver, described: Sequence[Described], left: Mapping[str, str]
 ) -> list[EstimatedPair]:
     """List the pairs with photographs that were left out, as unused."""
     place = {entry.photograph.name: k for k, entry in enumerate(described)}
     pairs = []
-    for pose in solved.poses.values():
+    for pose in solver.poses.values():
         views = sorted(pose.estimate.views, key=place.__getitem__)
         if left.keys() & {*views}:
             reason = pose.estimate.said or "of a photograph that cannot be placed among the others"
@@ -129,9 +123,9 @@ def _left_out_pairs(
     return pairs
 
 
-def _find_two(a: Described, b: Described, solved: Solved) -> Many:
+def _find_two(a: Described, b: Described, solver: PairSolver) -> PlacedCameras:
     first, second = sorted((a, b), key=lambda item: item.digest)
-    pose = solved(first, second)
+    pose = solver(first, second)
     views = pose.views
     if pose.estimate.verdict == UNUSED or views is None or views.covariance is None:
         raise InputError(
@@ -145,7 +139,7 @@ def _find_two(a: Described, b: Described, solved: Solved) -> Many:
     if first is not a:
         R, t = R.T, -R.T @ t
         focals, deviations = focals[::-1], deviations[::-1]
-    return Many(
+    return PlacedCameras(
         np.stack([np.eye(3), R]),
         np.stack([np.zeros(3), t]),
         focals,
@@ -156,7 +150,7 @@ def _find_two(a: Described, b: Described, solved: Solved) -> Many:
     )
 
 
-def _estimated_cameras(solution: Many, described: Sequence[Described]) -> EstimatedCameras:
+def _estimated_cameras(solution: PlacedCameras, described: Sequence[Described]) -> EstimatedCameras:
     photographs = [item.photograph for item in described]
     if len(solution.pairs) == 1:
         (pair,) = solution.pairs

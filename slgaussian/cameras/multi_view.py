@@ -45,7 +45,7 @@ STILL = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Many:
+class PlacedCameras:
     """Cameras of photographs, in their order, in the world of the first.
 
     Attributes
@@ -84,7 +84,7 @@ class Unplaced(InputError):
         self.left_out = left_out
 
 
-class Solved:
+class PairSolver:
     """Relative poses of pairs, each solved once."""
 
     def __init__(self) -> None:
@@ -99,7 +99,7 @@ class Solved:
         return self.poses[names]
 
 
-def find_many(described: Sequence[Described], solved: Solved) -> Many:
+def find_multi_view(described: Sequence[Described], solver: PairSolver) -> PlacedCameras:
     """The cameras of three or more photographs.
 
     They are worked on in the order of what they hold, so that the order in which they are given
@@ -114,7 +114,7 @@ def find_many(described: Sequence[Described], solved: Solved) -> Many:
     """
     order = sorted(range(len(described)), key=lambda k: described[k].digest)
     ordered = [described[k] for k in order]
-    poses = {(i, j): solved(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
+    poses = {(i, j): solver(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
     lenses = list(dict.fromkeys(item.lens for item in ordered))
     group = np.array([lenses.index(item.lens) for item in ordered])
     priors = [ordered[int(np.argmax(group == g))].focal for g in range(len(lenses))]
@@ -144,7 +144,7 @@ def find_many(described: Sequence[Described], solved: Solved) -> Many:
     pairs = {views: _checked(pose, placed, views, order) for views, pose in poses.items()}
     sure = _confidence(ordered, placed, pairs)
     lens = bundle.group[back]
-    return Many(
+    return PlacedCameras(
         R,
         t / scale,
         bundle.focals[lens],

@@ -225,7 +225,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     every = PairPose(a, b, None, i, j, x, y, estimate)
     answers, prior = solve(x, y, prior)
     if not answers:
-        return _few(every.of(np.zeros(len(i), bool)))
+        return _refuse_few(every.of(np.zeros(len(i), bool)))
     best = answers[0]
     inlier = best.inliers(x, y, 3 * best.scale)
     count = int(inlier.sum())
@@ -235,7 +235,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         return _refused(every.of(flat), *(_flaw_of_points(every.of(flat), PART, max) or flaw))
     pose = replace(every.of(inlier), views=best)
     if count < max(LEAST, SHARE * len(i)):
-        return _few(pose)
+        return _refuse_few(pose)
     flaw = _flaw_of_points(pose, SMALL, min)
     if flaw is not None:
         return _refused(pose, *flaw)
@@ -356,7 +356,7 @@ def _refused(pose: PairPose, reason: str, advice: str) -> PairPose:
     )
 
 
-def _few(pose: PairPose) -> PairPose:
+def _refuse_few(pose: PairPose) -> PairPose:
     """Too few matches agree: perhaps because one photograph is mirrored."""
     matches = pose.estimate.matches
     return _mirrored(pose) or _refused(

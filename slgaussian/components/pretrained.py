@@ -216,14 +216,16 @@ def find_model(model: str | Path) -> ModelFiles:
     """
     path = Path(model)
     if path.is_dir():
-        return _found(path)
+        return _files_of_model(path)
     if path.is_file():
         config = path.parent / OPEN_CLIP_CONFIG
         return ModelFiles(path.parent, (config, path) if config.is_file() else (path,), path)
     beside = [CONFIG, OPEN_CLIP_CONFIG, PREPROCESSOR, *TOKENIZER]
     formats = [[WEIGHTS, INDEX, "model-*.safetensors"], *([name] for name in OPEN_CLIP_WEIGHTS)]
     wanted = [beside + weights for weights in formats]
-    return _found(_from_hub("model", model, wanted, f"one with {CONFIG} and {WEIGHTS}", _found))
+    return _files_of_model(
+        _from_hub("model", model, wanted, f"one with {CONFIG} and {WEIGHTS}", _files_of_model)
+    )
 
 
 def find_tokenizer(place: str | Path) -> Path:
@@ -322,7 +324,7 @@ def _tokenizer_files(folder: Path) -> list[Path]:
     return files
 
 
-def _found(folder: Path) -> ModelFiles:
+def _files_of_model(folder: Path) -> ModelFiles:
     """The files of the model in a folder; InputError if one is missing."""
     present = [(folder / name).is_file() for name in (WEIGHTS, INDEX)]
     if not any(present):

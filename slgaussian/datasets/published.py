@@ -50,7 +50,7 @@ RECOGNISED, UNVERIFIED, ANOTHER = "recognised", "unverified", "another"
 
 
 @dataclass(frozen=True)
-class Found:
+class LabelledFrames:
     """A scene that was asked.
 
     Attributes
@@ -93,7 +93,7 @@ class Standing:
     why: str = ""
 
 
-def standing(labelled: Found) -> Standing | None:
+def standing(labelled: LabelledFrames) -> Standing | None:
     """Return the published scene that this is, or is called like and is not; None if neither.
 
     Any folder may hold a published scene. Where its texts are not published, it must have the
@@ -110,7 +110,7 @@ def standing(labelled: Found) -> Standing | None:
     return Standing(ANOTHER if why else UNVERIFIED, labelled.format, labelled.name, why)
 
 
-def _differs(labelled: Found, scene: LabelledScene) -> str:
+def _differs(labelled: LabelledFrames, scene: LabelledScene) -> str:
     """Return the first thing that differs from a published scene; empty if nothing does."""
     strange = [frame for frame in labelled.asked if frame not in scene.frames]
     if not labelled.asked or strange:

@@ -108,16 +108,16 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
     InputError
         As :func:`photographs`.
     """
-    files = _taken(path, only)
+    files = _photograph_files(path, only)
     return posed(files, find(files))
 
 
 def files(path: Place, only: Sequence[str] | None = None) -> list[Path]:
     """List the photographs of a scene, each of which has its say in where all cameras are."""
-    return list(_taken(path, only).values())
+    return list(_photograph_files(path, only).values())
 
 
-def _taken(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
+def _photograph_files(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
     if only is not None and isinstance(path, str | Path):
         path = [Path(path) / name for name in only]
     return named([path] if isinstance(path, str | Path) else path)

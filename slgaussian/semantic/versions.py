@@ -28,7 +28,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import file_sha256, write_atomic
 from slgaussian.storage.encoding import decode_table, encode_table
-from slgaussian.storage.locks import held
+from slgaussian.storage.locks import hold_lock
 from slgaussian.storage.specs import load_spec
 
 POINTER = "current.json"
@@ -295,7 +295,7 @@ class Versions:
             ) from error
 
     def _locked(self) -> AbstractContextManager[None]:
-        return held(self.folder / ".lock", "versions", wait=True)
+        return hold_lock(self.folder / ".lock", "versions", wait=True)
 
     def _claim(self) -> int:
         """The next number, taken by making an empty file that nobody else can make."""

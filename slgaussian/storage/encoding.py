@@ -69,9 +69,10 @@ def packed(spec: str, content: Mapping[str, np.ndarray] | pa.Table, file: str) -
 
 
 def encode_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, digest: str = "") -> bytes:
-    """Return an ``.npz`` file whose bytes depend on the arrays and what made them alone.
+    """Return an ``.npz`` file whose bytes depend on the arrays and their provenance alone.
 
-    That is not said of what only passed through (:attr:`slgaussian.storage.provenance.Made.given`).
+    Content that only passed through a stage does not name that stage
+    (:class:`slgaussian.storage.provenance.Provenance`).
     """
     buffer = io.BytesIO()
     method = zipfile.ZIP_DEFLATED if spec.compress else zipfile.ZIP_STORED

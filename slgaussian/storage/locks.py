@@ -16,7 +16,7 @@ class BusyError(InputError):
 
 
 @contextmanager
-def held(file: Path, action: str, wait: bool = False) -> Iterator[None]:
+def hold_lock(file: Path, action: str, wait: bool = False) -> Iterator[None]:
     """Hold a lock for the time of the block; ``kill -9`` releases it too.
 
     Parameters

@@ -30,7 +30,7 @@ PACKAGES = (
 
 
 @dataclass(frozen=True)
-class Made:
+class Provenance:
     """The work that makes files.
 
     Attributes
@@ -43,7 +43,7 @@ class Made:
         Plain data: those that play a part, files and weights by their content.
     of : mapping
         What it was made of, by the name that the work has for it: the spec of an artifact.
-    given : set of str
+    passed_through : set of str
         The digests of these: what comes out as it went in was made by others.
     source, licence : str
         Where the data come from and under which licence they are, where that is known.
@@ -53,16 +53,16 @@ class Made:
     version: int | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     of: Mapping[str, str] = field(default_factory=dict)
-    given: Set[str] = frozenset()
+    passed_through: Set[str] = frozenset()
     source: str = ""
     licence: str = ""
 
 
-_made: ContextVar[Made | None] = ContextVar("made", default=None)
+_made: ContextVar[Provenance | None] = ContextVar("made", default=None)
 
 
 @contextmanager
-def making(work: Made) -> Iterator[None]:
+def making(work: Provenance) -> Iterator[None]:
     """Have the files that are written within the block say that this made them."""
     token = _made.set(work)
     try:
@@ -79,7 +79,7 @@ def saying(source: str, licence: str) -> Iterator[None]:
         yield
 
 
-def current() -> Made | None:
+def current() -> Provenance | None:
     """Return the work of the innermost :func:`making`."""
     return _made.get()
 
@@ -90,7 +90,7 @@ def statement(digest: str = "") -> dict[str, Any]:
     The latter where they are known.
     """
     work = current()
-    if work is not None and digest in work.given:
+    if work is not None and digest in work.passed_through:
         work = None
     record: dict[str, Any] = {"program": f"slgaussian {__version__}"}
     origin = {}

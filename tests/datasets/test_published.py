@@ -10,7 +10,7 @@ from slgaussian.datasets.published import (
     RECOGNISED,
     SETS,
     UNVERIFIED,
-    Found,
+    LabelledFrames,
     Standing,
     standing,
 )
@@ -18,12 +18,12 @@ from slgaussian.datasets.published import (
 KNOWN = [(format, name) for format, scenes in SETS.items() for name in scenes]
 
 
-def found_of(format: str, name: str) -> Found:
+def found_of(format: str, name: str) -> LabelledFrames:
     """All of a published scene, in a folder of its name."""
     scene = SETS[format][name]
     asked = dict.fromkeys(scene.frames, scene.texts or ("something",))
     sizes = {} if scene.size is None else dict.fromkeys(scene.frames, scene.size)
-    return Found(format, name, asked, scene.frames, sizes)
+    return LabelledFrames(format, name, asked, scene.frames, sizes)
 
 
 def test_all_scenes_of_the_papers_tables_are_known():

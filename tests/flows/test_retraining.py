@@ -15,7 +15,7 @@ from slgaussian import datasets
 from slgaussian.datasets import re10k
 from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.versions import Versions
-from slgaussian.storage.locks import held
+from slgaussian.storage.locks import hold_lock
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -96,7 +96,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
 
     # Nothing happens; then another one is on; then one is killed while something damaged came.
     assert "nothing new since version 1; no version is in use" in retrain("nothing new")
-    with held(tmp_path / "models" / LOCK, "test"):
+    with hold_lock(tmp_path / "models" / LOCK, "test"):
         assert "models is in use by another process" in retrain("busy")
     lost = {"number": 3, "begun": "2099-01-01T00:00:00+00:00", "outcome": "on", "messages": []}
     (tmp_path / "corpus" / "history" / "000003.json").write_text(json.dumps(lost))

@@ -22,7 +22,7 @@ from slgaussian.scene import Camera
 from slgaussian.semantic.branch import Architecture, make_branch, save_branch
 from slgaussian.storage.encoding import encode_arrays, encode_table
 from slgaussian.storage.inspection import inspect
-from slgaussian.storage.provenance import Made, making
+from slgaussian.storage.provenance import Provenance, making
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 
@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def artifact(tmp_path) -> Path:
-    with making(Made("masks", 5, {"replicas": 3}, {"sample": "sample"})):
+    with making(Provenance("masks", 5, {"replicas": 3}, {"sample": "sample"})):
         ref = ArtifactStore(tmp_path / "store").put("labels", labels(3))
     return tmp_path / "store" / ref.uri
 

@@ -22,11 +22,11 @@ from slgaussian.storage.encoding import (
     encode_table,
     stated,
 )
-from slgaussian.storage.provenance import Made, making, software, statement
+from slgaussian.storage.provenance import Provenance, making, software, statement
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 
-MADE = Made(
+MADE = Provenance(
     "masks",
     5,
     {"replicas": 3},
@@ -105,7 +105,7 @@ def test_what_made_a_file_is_no_part_of_its_digest(store, monkeypatch):
 
 
 def test_of_two_works_with_one_result_the_same_is_named_in_any_order():
-    works = [MADE, Made("masks", 5, {"replicas": 5}), Made("other", 1)]
+    works = [MADE, Provenance("masks", 5, {"replicas": 5}), Provenance("other", 1)]
     left = []
     for order in (works, works[::-1], [works[1], works[2], works[0]]):
         store = ArtifactStore(f"memory://{uuid.uuid4().hex}")
@@ -121,24 +121,24 @@ def test_of_two_works_with_one_result_the_same_is_named_in_any_order():
 
 def test_what_only_passes_through_was_made_by_others(store):
     digest = arrays_digest(labels())
-    with making(Made("a", 1, given={digest})):
+    with making(Provenance("a", 1, passed_through={digest})):
         ref = store.put("labels", labels())
         assert "stage" not in stated(store.read(ref.uri))["made"]
-    with making(Made("z", 1)):
+    with making(Provenance("z", 1)):
         store.put("labels", labels())
-    with making(Made("a", 1, given={digest})):
+    with making(Provenance("a", 1, passed_through={digest})):
         store.put("labels", labels())
     assert stated(store.read(ref.uri))["made"]["stage"] == "z"
 
 
 def test_a_damaged_file_is_replaced_whatever_it_says(store):
-    with making(Made("a", 1)):
+    with making(Provenance("a", 1)):
         ref = store.put("labels", labels())
     whole = store.read(ref.uri)
     cut = bytearray(whole)
     cut[-200] ^= 255
     store.write(ref.uri, bytes(cut))
-    with making(Made("z", 1)):
+    with making(Provenance("z", 1)):
         store.put("labels", labels())
     assert stated(store.read(ref.uri))["made"]["stage"] == "z"
     np.testing.assert_array_equal(store.get(ref)["labels"], labels()["labels"])
@@ -221,7 +221,7 @@ def test_the_same_work_leaves_the_same_bytes_whatever_the_tables_own_metadata():
 def test_who_comes_in_between_is_heard(tmp_path, monkeypatch):
     """Another process makes the same content after this one saw that nobody has."""
     store = ArtifactStore(tmp_path / "store")
-    first, second = Made("a", 1), Made("b", 1)
+    first, second = Provenance("a", 1), Provenance("b", 1)
     read = ArtifactStore.read
 
     def interrupted(self, uri, what="a file"):
