@@ -12,6 +12,7 @@ import numpy as np
 
 from slgaussian.components.component import Component
 from slgaussian.components.hub_cache import local_place
+from slgaussian.components.known_answers import KNOWN
 from slgaussian.components.pretrained import find_model, model_digest, tokenizer_digest
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
@@ -23,9 +24,10 @@ AGAIN = "get it again"
 def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     """Check the files of a component, and download nothing.
 
-    A model whose files are those that the hub knows is fine. Anything else is loaded, by which its
-    configuration, names and shapes are compared; then neither its weights nor what it makes of one
-    grey image may be NaN or infinite.
+    Files are compared with those that the hub knows, where its cache keeps them. Models are loaded,
+    by which their configuration, names and shapes are compared; then neither their weights nor what
+    they make of one grey image may be NaN or infinite, and they are asked what is known
+    (:mod:`slgaussian.components.known_answers`).
 
     Parameters
     ----------
@@ -52,11 +54,15 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
                 weights = [f for f in find_model(places[key]).files if f.suffix != ".json"]
                 verified += map(is_of_hub, weights)
     label = ", ".join(f"{key} {places[key]}" for key in config.files() if places.get(key))
-    if label and verified and all(verified):
-        return f"{label}: is what the hub has, by its SHA-256"
     part = Component.of(kind, name, places).load()
     check_numbers(part, label)
-    return f"{label}: can be loaded and used" if label else ""
+    if not label:
+        return ""
+    known = verified and all(verified)
+    facts = ["is what the hub has, by its SHA-256" if known else "can be loaded and used"]
+    if kind in KNOWN and {"model", "checkpoint"} & config.files().keys():
+        facts.append(KNOWN[kind](part))
+    return f"{label}: {', '.join(facts)}"
 
 
 def is_of_hub(file: Path) -> bool:
