@@ -40,3 +40,37 @@ def test_rasterize_is_the_call_however_often_it_is_looked_up():
         assert callable(slgaussian.rasterize)
     with pytest.raises(slgaussian.InputError, match="unknown rasterize settings"):
         slgaussian.rasterize(None, None, None, settings="slow")
+
+
+# What Windows and macOS have not, and no /proc.
+ELSEWHERE = """
+import os, pathlib, signal, sys
+import numpy, numba, torch  # which ask for them as they are on their own system
+for module, name in ((os, "sched_getaffinity"), (os, "register_at_fork"), (os, "getuid"),
+                     (signal, "pthread_sigmask")):
+    delattr(module, name)
+sys.modules["pwd"] = None
+plain = pathlib.Path.read_text
+def read_text(path, *options, **more):
+    if str(path).startswith("/proc"):
+        raise FileNotFoundError(path)
+    return plain(path, *options, **more)
+pathlib.Path.read_text = read_text
+from slgaussian import system
+from slgaussian.benchmark.resident_memory import Peak
+from slgaussian.kernels import threads, work_sharing
+assert system.cores() and system.user() and threads.processor()
+with Peak().watched(), system.without_interrupts():
+    pass
+assert Peak().grown is None
+import slgaussian as slg
+sample = slg.datasets.load("procedural", seed=0, objects=3, views=4).sample(
+    ["view_00", "view_03"], size=(64, 96)
+)
+field = slg.build_field(sample)
+assert len(field.gaussians) and field.query("red").verdict
+"""
+
+
+def test_a_field_is_built_without_what_only_linux_has():
+    subprocess.run([sys.executable, "-c", ELSEWHERE], cwd=ROOT, check=True)

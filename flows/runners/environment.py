@@ -53,6 +53,8 @@ def prepare(home: Path) -> None:
         "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
         # flows.runners.progress reports progress and failures.
         "PREFECT_LOGGING_LEVEL": "CRITICAL",
+        # Nor on the terminal of who has set that level for the sake of Prefect's page.
+        "PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL": "CRITICAL",
         # Our own server ends with the run, so its logs cannot be read.
         "PREFECT_LOGGING_TO_API_ENABLED": str(bool(os.environ.get("PREFECT_API_URL"))),
         "PREFECT_LOGGING_EXTRA_LOGGERS": "slgaussian",
@@ -139,7 +141,7 @@ def interruptible() -> Iterator[None]:
         number = signal.SIGTERM if isinstance(reason, _Terminated) else signal.SIGINT
         signal.signal(number, signal.SIG_DFL)
         atexit._run_exitfuncs()  # avoids warnings of leaked process pools
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
     finally:
         signal.signal(signal.SIGTERM, before)
 

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.storage.local_copies import LocalCache
+from slgaussian.system import HANDS_OVER_SOCKETS
 
 LOOPBACK = "127.0.0.1"
 
@@ -48,7 +49,12 @@ class LocalServer:
         self.makes_database = False
 
     def start(self) -> None:
-        """Start the server process; InputError if its folder cannot be written."""
+        """Start the server process; InputError if its folder cannot be written, or on Windows."""
+        if not HANDS_OVER_SOCKETS:
+            raise InputError(
+                "on Windows this command needs a server that runs already: start `prefect server "
+                "start`, and set PREFECT_API_URL to its address"
+            )
         inherited = self.socket.fileno()
         try:
             self.home.mkdir(parents=True, exist_ok=True)

@@ -36,6 +36,7 @@ from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import install_line
 from slgaussian.storage.remote import redacted
 from slgaussian.storage.store import ArtifactStore, DamagedError
+from slgaussian.system import without_interrupts
 
 CONNECT = 5.0
 """Timeout of the connection to a cluster, seconds."""
@@ -231,19 +232,6 @@ def check_runner(runner: str, store: ArtifactStore) -> None:
             socket.create_connection((place.hostname, place.port), CONNECT).close()
         except OSError as error:
             raise InputError(_nobody(runner, error)) from error
-
-
-@contextmanager
-def without_interrupts() -> Iterator[None]:
-    """Block SIGINT in threads and processes that start within the block.
-
-    A terminal sends it to all processes of a program; only the main process should handle it.
-    """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def become_worker() -> None:

@@ -2,34 +2,17 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from pathlib import Path
 
-
-def held(name: str) -> int:
-    """Bytes that /proc/self/status says of ``VmRSS`` (now), ``VmHWM`` (the most) or another.
-
-    Not ``getrusage``, whose peak a process has from the one that started it. OSError elsewhere.
-    """
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(f"{name}:"):
-            return 1024 * int(line.split()[1])
-    raise OSError(f"/proc/self/status: has no {name}")
-
-
-def forget_peak() -> None:
-    """Let ``VmHWM`` begin with what is held now."""
-    Path("/proc/self/clear_refs").write_text("5")
+from slgaussian.system import forget_peak, held, trim_memory
 
 
 def give_back() -> None:
     """Let go of what is not used any more, so that it counts for nobody."""
     gc.collect()
-    with suppress(OSError, TypeError, AttributeError):  # another library of C has none
-        ctypes.CDLL(None).malloc_trim(0)
+    trim_memory()
 
 
 _watching: list[Peak] = []

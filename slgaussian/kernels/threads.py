@@ -27,6 +27,9 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from slgaussian import system
+from slgaussian.system import cores
+
 if TYPE_CHECKING:
     from torch import nn
 
@@ -93,14 +96,8 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 
 @cache
 def processor() -> str:
-    """Return the name of the processor and the number of usable cores."""
-    name = platform.processor() or platform.machine()
-    with contextlib.suppress(OSError):  # not Linux
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                name = line.partition(":")[2].replace("(R)", "").replace("(TM)", "").strip()
-                break
-    return f"{name}, {cores()} cores"
+    """What the processor calls itself, and how many of its cores can be used."""
+    return f"{system.processor()}, {cores()} cores"
 
 
 def limit(workers: int = 1) -> int:
@@ -176,13 +173,6 @@ def indifferent_to_alignment() -> bool:
     except (OSError, AttributeError):
         return True
     return mode != 1  # MKL_CBWR_BRANCH_OFF
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use, e.g. in a container or batch job."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def kernels() -> dict[str, str]:

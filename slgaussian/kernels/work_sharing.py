@@ -11,7 +11,6 @@ can share at the same time, and a single-threaded kernel compiles faster than a 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
@@ -24,6 +23,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from slgaussian.kernels import threads
+from slgaussian.system import after_fork
 
 
 @intrinsic
@@ -63,4 +63,4 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max(1, threads.cores() - 1), "slgaussian-kernel")
 
 
-os.register_at_fork(after_in_child=_pool.cache_clear)  # a fork has none of its parent's threads
+after_fork(_pool.cache_clear)  # a fork has none of its parent's threads

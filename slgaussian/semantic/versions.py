@@ -10,7 +10,6 @@ is there, and the history ends with it. Two that add at the same time get differ
 
 from __future__ import annotations
 
-import getpass
 import hashlib
 import json
 import os
@@ -30,6 +29,7 @@ from slgaussian.io import file_sha256, write_atomic
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.locks import hold_lock
 from slgaussian.storage.specs import load_spec
+from slgaussian.system import user
 
 POINTER = "current.json"
 
@@ -323,11 +323,7 @@ def called(number: int) -> str:
 
 def somebody() -> str:
     """Who runs this, and on which machine."""
-    try:
-        user = getpass.getuser()
-    except (KeyError, OSError):  # a number without a name, as in a container
-        user = str(os.getuid())
-    return f"{user}@{socket.gethostname()}"
+    return f"{user()}@{socket.gethostname()}"
 
 
 def find_weights(place: str | Path) -> Path:

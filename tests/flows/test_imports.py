@@ -63,3 +63,21 @@ def test_a_question_asked_again_reads_no_gaussians(tmp_path, monkeypatch):
     damaged.write_bytes(damaged.read_bytes()[:1000])
     with pytest.raises(AssertionError, match=r"gaussians\.npz"):
         imported(*question)
+
+
+LOGGED = """
+import sys
+from pathlib import Path
+from flows.runners.environment import prepare
+prepare(Path(sys.argv[1]))
+import prefect
+prefect.logging.get_logger("flow_runs").info("a line")
+"""
+
+
+def test_lines_of_prefect_stay_off_the_terminal(tmp_path, monkeypatch):
+    monkeypatch.setenv("PREFECT_LOGGING_LEVEL", "INFO")
+    monkeypatch.delenv("PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL", raising=False)
+    command = [sys.executable, "-c", LOGGED, tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout + done.stderr == ""
