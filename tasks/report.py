@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from slgaussian.benchmark.reports.look import Scene
 from slgaussian.benchmark.reports.run_report import run_report
-from slgaussian.benchmark.reports.scenes import Scene
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
     Decoded,

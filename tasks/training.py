@@ -155,7 +155,7 @@ SHOWN = "corrupted"
 """The kind of labels in the pictures: as found, liftings hardly differ to the eye."""
 
 
-@stage("training_report", version=4)
+@stage("training_report", version=5)
 def training_report(
     run: RunContext,
     judgements: ArtifactRef,
@@ -202,16 +202,16 @@ def _examples(
     made = []
     for sample in chosen:
         lesson = lessons[places[sample]]
-        shown = labels_of(lesson, SHOWN, seed)
-        found = novel_labels(lesson, lifts, shown, codes, seed)
+        labels = labels_of(lesson, SHOWN, seed)
+        predicted = novel_labels(lesson, lifts, labels, codes, seed)
         middle = len(lesson.targets) // 2
         made.append(
             Example(
                 sample,
                 SHOWN,
-                shown[0],
+                labels[0],
                 lesson.targets[middle],
-                {name: views[middle] for name, views in found.items()},
+                {name: views[middle] for name, views in predicted.items()},
                 ious[sample],
             )
         )

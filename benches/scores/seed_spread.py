@@ -26,7 +26,7 @@ from flows.config import SceneSettings, Settings
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
-from slgaussian.benchmark.reports.scenes import METRICS
+from slgaussian.benchmark.reports.score_tables import METRICS
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 
@@ -98,10 +98,10 @@ def summary(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[dic
     lines = []
     for name in names:
         for metric in METRICS:
-            values = over_seeds(rows, name, metric.key)
-            if metric.key not in SHOWN or not values:
+            values = over_seeds(rows, name, metric.metric)
+            if metric.metric not in SHOWN or not values:
                 continue
-            digits = metric.digits + 1 if metric.key != "bad2" else 4
+            digits = metric.digits + 1 if metric.metric != "bad2" else 4
             numbers = (np.mean(values), np.std(values, ddof=1), min(values), max(values))
             lines.append(
                 {

@@ -7,8 +7,7 @@ from typing import Any
 
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.reports.model import plain
-from slgaussian.benchmark.reports.scenes import metrics_table
-from slgaussian.benchmark.reports.score_tables import MAIN, MORE, conditions, method_tables
+from slgaussian.benchmark.reports.score_tables import conditions, method_tables, metrics_table
 from slgaussian.benchmark.scores import of_first_protocol, score_table
 
 
@@ -29,13 +28,9 @@ def scenes_text(results: Sequence[SceneResult]) -> str:
 
 def methods_text(samples: Sequence[Mapping[str, Any]]) -> str:
     """Tabulate samples: a table a data set and protocol, one line a method."""
-    scores = score_table(samples).to_pylist()
-    blocks = []
-    for protocol in dict.fromkeys(score.protocol for score in (*MAIN, *MORE)):
-        shown = [score for score in (*MAIN, *MORE) if score.protocol == protocol]
-        for table in method_tables(scores, shown):
-            blocks.append("\n".join([table.title, table.as_text(), *map(plain, table.notes)]))
-    return "\n\n".join(blocks)
+    tables = method_tables(score_table(samples).to_pylist())
+    texts = ("\n".join([t.title, t.as_text(), *map(plain, t.notes)]) for t in tables)
+    return "\n\n".join(texts)
 
 
 def _conditions_text(score: Mapping[str, Any]) -> str:

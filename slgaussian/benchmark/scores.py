@@ -54,6 +54,11 @@ def key_of(row: Row) -> tuple[str, str, str]:
     return row["scene"], row["frame"], row["query"]
 
 
+def sample_key(row: Row) -> tuple[Any, ...]:
+    """Return what two samples have in common whose scores compare: question, protocol and size."""
+    return row["dataset"], row["protocol"], row["height"], row["width"], *key_of(row)
+
+
 def of_first_protocol(rows: Sequence[Row]) -> list[Row]:
     """Return the samples of the protocol of the first one."""
     return [row for row in rows if row["protocol"] == rows[0]["protocol"]]
@@ -133,9 +138,9 @@ def score_table(rows: Iterable[Row], seed: int = 0) -> pa.Table:
         If samples of one method and protocol were made with different settings.
     """
     table: list[dict[str, Any]] = []
-    for names, group in _grouped(rows, *GROUPS).items():
+    for names, group in grouped(rows, *GROUPS).items():
         common = {**dict(zip(GROUPS, names, strict=True)), "level": LEVEL, **_settings(group)}
-        scenes = list(_grouped(group, "scene").values())
+        scenes = list(grouped(group, "scene").values())
         for metric in (*METRICS, *CURVE):
             means = [(_scene_mean(scene, metric), scene) for scene in scenes]
             known = [(mean, scene) for mean, scene in means if mean is not None]
@@ -191,9 +196,9 @@ def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> li
     mine, theirs = (_by_sample(each) for each in (rows, others))
     pairs = [(mine[key], theirs[key]) for key in mine if key in theirs]
     found = []
-    groups = _grouped(pairs, "dataset", "protocol", of=lambda pair: pair[0])
+    groups = grouped(pairs, "dataset", "protocol", row_of=lambda pair: pair[0])
     for (dataset, protocol), own in groups.items():
-        scenes = _grouped(own, "scene", of=lambda pair: pair[0]).values()
+        scenes = grouped(own, "scene", row_of=lambda pair: pair[0]).values()
         for metric in (*METRICS, *CURVE):
             shared = [
                 [p for p in scene if None not in (metric.of(p[0]), metric.of(p[1]))]
@@ -292,7 +297,7 @@ def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:
     if not metric.by_frame:
         values = [value for row in rows if (value := metric.of(row)) is not None]
     else:
-        frames = _grouped(rows, "frame").values()
+        frames = grouped(rows, "frame").values()
         once = Metric(metric.name, metric.column)
         values = [mean for own in frames if (mean := _scene_mean(own, once)) is not None]
     return float(np.mean(values)) if values else None
@@ -316,9 +321,8 @@ def _settings(rows: Sequence[Row]) -> dict[str, Any]:
 
 def _by_sample(rows: Iterable[Row]) -> dict[tuple[Any, ...], Row]:
     keyed: dict[tuple[Any, ...], Row] = {}
-    names = "dataset", "protocol", "height", "width", "scene", "frame", "query"
     for row in rows:
-        key = tuple(row[name] for name in names)
+        key = sample_key(row)
         if key in keyed:
             raise InputError(
                 f"differences: {row['query']!r} in {row['frame']!r} of scene {row['scene']!r} is "
@@ -328,11 +332,14 @@ def _by_sample(rows: Iterable[Row]) -> dict[tuple[Any, ...], Row]:
     return keyed
 
 
-def _grouped(
-    rows: Iterable[Any], *names: str, of: Callable[[Any], Row] = lambda row: row
+def grouped(
+    rows: Iterable[Any], *names: str, row_of: Callable[[Any], Row] = lambda row: row
 ) -> dict[tuple[Any, ...], list[Any]]:
-    """Rows by some of their columns, in order of appearance."""
+    """Group rows by some of their columns, in order of appearance.
+
+    ``row_of`` returns the row of an item of ``rows``.
+    """
     groups: dict[tuple[Any, ...], list[Any]] = defaultdict(list)
     for row in rows:
-        groups[tuple(of(row)[name] for name in names)].append(row)
+        groups[tuple(row_of(row)[name] for name in names)].append(row)
     return dict(groups)

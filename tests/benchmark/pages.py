@@ -50,7 +50,7 @@ def check_alone(html: str) -> None:
     assert "http" not in re.sub(r'src="data:[^"]*"', "", html)
     assert set(re.findall(r"url\((.)", html)) <= {"#"}
     for image in page.images:
-        assert image["src"].startswith("data:image/webp;base64,")
+        assert re.match(r"data:image/(webp|svg\+xml);base64,", image["src"])
         assert image["alt"]
 
 

@@ -83,13 +83,13 @@ def test_what_ran_is_named_as_it_is_and_never_by_its_original():
         ("LangSplat", "langsplat-like"),
         ("SLGaussian", "mine"),
     ]
-    assert [line.about for line in by_title(tables, "Table 3").lines] == [
+    assert [line.description for line in by_title(tables, "Table 3").lines] == [
         "",
         "langsplat-like",
         "langsplat-like, association",
         "mine",
     ]
-    assert [line.about for line in by_title(tables, "Table 4").lines] == ["query-2d", "mine"]
+    assert [line.description for line in by_title(tables, "Table 4").lines] == ["query-2d", "mine"]
 
 
 def test_without_its_data_there_is_no_number():

@@ -1,15 +1,15 @@
-"""What is printed of scores: the best is marked, conditions and samples are said."""
+"""Tables of scores: what is best, conditions and samples, and verdicts on differences."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.reports.score_tables import (
-    MAIN,
-    MORE,
-    about,
+    SCORES,
     conditions,
+    describe,
     difference_tables,
     gain_cell,
     method_tables,
@@ -31,70 +31,61 @@ SETTINGS = {
 }
 
 
-def rows_of(method: str, *ious: float, **more) -> list[dict]:
+def rows_of(method: str, *ious: float, **columns) -> list[dict]:
     """One query a scene."""
-    empty = dict.fromkeys(load_spec("samples").columns)
+    empty = dict.fromkeys(load_spec("samples").columns) | SETTINGS | {"method": method}
     return [
-        {**empty, **SETTINGS, "method": method, "scene": f"s{k}", "query": "q", "iou": iou, **more}
-        for k, iou in enumerate(ious)
+        empty | {"scene": f"s{k}", "query": "q", "iou": iou} | columns for k, iou in enumerate(ious)
     ]
 
 
-def table_of(*groups, shown=MAIN):
-    rows = [row for group in groups for row in group]
-    (table,) = method_tables(score_table(rows).to_pylist(), shown)
-    return table
+def tables_of(*groups):
+    return method_tables(score_table([row for rows in groups for row in rows]).to_pylist())
 
 
-def first_cells(table):
-    """The cell of the first score by method."""
-    return {line.cells[0].value: line.cells[1] for line in table.lines}
+def column_of(table, title):
+    """The cells below a title by method."""
+    place = [column.title for column in table.columns].index(title)
+    return {line.cells[0].value: line.cells[place] for line in table.lines}
 
 
-def test_the_best_is_what_no_other_reads_better_than():
-    table = table_of(rows_of("a", 0.50004), rows_of("b", 0.5), rows_of("c", 0.4994))
-    cells = first_cells(table).values()
-    assert [(cell.value, cell.mark) for cell in cells] == [
-        ("0.500", "best"),
-        ("0.500", "best"),
-        ("0.499", ""),
+def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
+    (table,) = tables_of(rows_of("c", 0.4994), rows_of("a", 0.50004), rows_of("b", 0.5))
+    cells = column_of(table, "IoU")
+    assert [(name, cell.value, cell.mark) for name, cell in cells.items()] == [
+        ("a", "0.500", "best"),
+        ("b", "0.500", "best"),
+        ("c", "0.499", ""),
     ]
+    sure = [rows_of(n, 1.0, score=s, hit_mask=True) for n, s in (("a", 0.6), ("b", 0.9))]
+    errors = column_of(tables_of(*sure)[0], "ECE, point ↓")
+    assert {name: cell.mark for name, cell in errors.items()} == {"a": "", "b": "best"}
 
 
-def test_of_errors_the_least_is_best():
-    wrong = [
-        rows_of(name, 1.0, score=score, hit_mask=True) for name, score in (("a", 0.6), ("b", 0.9))
-    ]
-    table = table_of(*wrong, shown=MORE)
-    assert table.columns[1].title == "ECE, point ↓"
-    assert [cell.mark for cell in first_cells(table).values()] == ["", "best"]
-
-
-def test_conditions_and_samples_are_said_once_and_again_where_they_differ():
-    other = rows_of("b", 0.1, share=0.5)
-    table = table_of(rows_of("a", 0.5, 0.6), rows_of("c", 0.5, 0.6), other)
-    column = table.columns[1]
-    assert (column.title, column.group, column.note) == ("IoU", "slgaussian@2", "n 2")
+def test_conditions_and_samples_stand_once_and_again_where_they_differ():
+    rows = rows_of("a", 0.5, 0.6), rows_of("c", 0.5, 0.6), rows_of("b", 0.1, share=0.5)
+    (table,) = tables_of(*rows)
+    assert (table.columns[1].title, table.columns[1].note) == ("IoU", "n 2")
     common = "near-best, share 0.7, temperature 10, phrases: lerf, absent: skip"
     assert table.notes[0] == f"slgaussian@2: {common}."
-    cells = first_cells(table)
+    cells = column_of(table, "IoU")
     assert "n 1" in cells["b"].note and "n 2" not in cells["a"].note
-    assert [line.about for line in table.lines] == ["", "", "share 0.5"]
+    assert [line.description for line in table.lines] == ["", "", "share 0.5"]
     assert cells["a"].below == "0.500–0.600" and cells["b"].below == ""
+    assert conditions(rows_of("a", None, selection="none", filter="30")[0]).startswith("no mask, ")
 
 
-def test_data_sets_are_apart_and_columns_without_a_score_are_not_there():
-    rows = rows_of("a", 0.5) + rows_of("a", 0.7, dataset="e")
-    tables = method_tables(score_table(rows).to_pylist())
-    assert [table.title for table in tables] == ["d", "e"]
-    assert [column.title for column in tables[0].columns] == ["Method", "IoU"]
-    assert method_tables([]) == []
-
-
-def test_a_threshold_that_was_tried_is_no_score_of_its_own():
+def test_data_sets_and_protocols_are_apart_without_tried_thresholds():
     curve = {"protocol": "threshold-free@2", "iou_curve": [0.25] * 19, "average_precision": 0.5}
-    table = table_of(rows_of("a", None, **curve))
-    assert [column.title for column in table.columns] == ["Method", "AP"]
+    rows = rows_of("a", None, **curve) + rows_of("a", 0.5) + rows_of("a", 0.7, dataset="e")
+    tables = tables_of(rows)
+    assert [table.title for table in tables] == [
+        "d by slgaussian@2", "e by slgaussian@2", "d by threshold-free@2"
+    ]  # fmt: skip
+    assert [[c.title for c in table.columns] for table in tables] == [
+        ["Method", "IoU"], ["Method", "IoU"], ["Method", "AP"]
+    ]  # fmt: skip
+    assert method_tables([]) == []
 
 
 @pytest.mark.parametrize(
@@ -102,70 +93,41 @@ def test_a_threshold_that_was_tried_is_no_score_of_its_own():
     [(1, 0.1, "few"), (5, 0.1, "few"), (6, 0.1, "better"), (6, -0.1, "worse"), (6, 0.0, "noise")],
 )
 def test_a_difference_is_beyond_noise_or_not(scenes, gain, mark):
-    ours = rows_of("a", *[0.5 + gain] * scenes)
-    theirs = rows_of("b", *[0.5] * scenes)
+    ours, theirs = rows_of("a", *[0.5 + gain] * scenes), rows_of("b", *[0.5] * scenes)
     (table,) = difference_tables({"b": (ours, theirs)})
     cell = table.lines[0].cells[1]
-    assert cell.value == f"{gain:+.3f}"
-    assert cell.mark == mark
+    assert (cell.value, cell.mark) == (f"{gain:+.3f}", mark)
     assert (cell.below == "") == (scenes == 1)
     assert f"{scenes} samples of {scenes} scene" in cell.note
 
 
-def test_nothing_is_printed_as_less_than_nothing():
+def test_a_difference_is_judged_as_it_is_printed():
     (table,) = difference_tables({"b": (rows_of("a", 0.5), rows_of("b", 0.50001))})
     assert table.lines[0].cells[1].value == "+0.000"
-
-
-def test_what_ends_at_nothing_as_it_is_printed_is_noise():
-    gains = [0.0004, *[0.002] * 20]
-    ours = rows_of("a", *(0.5 + gain for gain in gains))
-    (table,) = difference_tables({"b": (ours, rows_of("b", *[0.5] * len(gains)))})
-    assert table.lines[0].cells[1].mark == "better"
-    small = rows_of("a", *[0.5004] * 6)
-    (table,) = difference_tables({"b": (small, rows_of("b", *[0.5] * 6))})
-    assert table.lines[0].cells[1].mark == "noise"
-
-
-def test_scenes_of_few_places_are_few():
-    ours, theirs = (
-        [row | {"place": "one"} for row in rows_of(name, *[iou] * 6)]
-        for name, iou in (("a", 0.6), ("b", 0.5))
-    )
-    (table,) = difference_tables({"b": (ours, theirs)})
-    assert (table.lines[0].cells[1].mark, table.lines[0].cells[1].below) == ("few", "")
-    assert "Mean over 6 scenes" in table_of(ours).notes[1]
-    assert "scenes of one place have no interval" in table_of(ours).notes[1]
-
-
-def test_less_of_an_error_is_better():
-    rows = [
+    small = rows_of("a", *[0.5004] * 6), rows_of("b", *[0.5] * 6)
+    assert difference_tables({"b": small})[0].lines[0].cells[1].mark == "noise"
+    errors = [
         rows_of(name, *[None] * 6, protocol="threshold-free@2", calibration_error=error)
         for name, error in (("a", 0.1), ("b", 0.3))
     ]
-    (table,) = difference_tables({"b": (rows[0], rows[1])}, MORE)
-    assert (table.lines[0].cells[1].value, table.lines[0].cells[1].mark) == ("-0.200", "better")
+    cell = difference_tables({"b": tuple(errors)})[0].lines[0].cells[1]
+    assert (cell.value, cell.mark) == ("-0.200", "better")  # less of an error
 
 
-def test_what_is_like_says_that_it_is_not_the_original():
-    for name in ("lerf-like", "langsplat-like", "3d-ovs-like"):
-        assert about(name).startswith("not ")
-    assert about("something else") == ""
-
-
-def test_conditions_of_a_protocol_without_a_mask():
-    row = rows_of("a", None, selection="none", share=None, filter="30")[0]
-    assert conditions(row) == "no mask, filter 30, temperature 10, phrases: lerf, absent: skip"
+def test_likenesses_are_described_as_such():
+    for name in ROWS:
+        assert describe(name).startswith("not ") == ROWS[name].method.endswith("-like")
+    assert describe("something else") == ""
 
 
 def claim(ours, theirs, places=None):
     """The words and mark of one method against another, by IoU of a query a scene."""
     rows = rows_of("mine", *ours), rows_of("query-2d, depth", *theirs)
-    for own in rows:
-        for row, place in zip(own, places or [None] * len(own), strict=True):
+    for method_rows in rows:
+        for row, place in zip(method_rows, places or [None] * len(method_rows), strict=True):
             row["place"] = place
-    (one,) = differences(*rows)
-    cell = gain_cell(one, MAIN[0], is_worded=True)
+    (difference,) = differences(*rows)
+    cell = gain_cell(difference, SCORES[0], is_worded=True)
     return cell.text, cell.mark
 
 
@@ -173,38 +135,34 @@ STEADY = np.array([0.01, -0.01, 0.02, 0.0, -0.02, 0.01, 0.0, -0.01])
 
 
 @pytest.mark.parametrize(
-    ("step", "mark", "text"),
+    ("step", "mark", "words"),
     [
         (0.1, "better", "ahead"),
         (-0.1, "worse", "behind"),
         (0.001, "noise", "no difference beyond noise"),
     ],
 )
-def test_a_method_is_ahead_behind_or_not_to_be_told_apart(step, mark, text):
-    words, marked = claim(0.5 + step + STEADY, np.full(8, 0.5))
-    assert marked == mark and words.startswith(f"{step:+.3f} (")
+def test_a_method_is_ahead_behind_or_neither(step, mark, words):
+    text, marked = claim(0.5 + step + STEADY, np.full(8, 0.5))
     gain = compare(0.5 + step + STEADY, np.full(8, 0.5))
-    ends = f"({gain.low:+.3f} to {gain.high:+.3f}, {text})"
-    assert words.endswith(ends.replace("-0.000", "+0.000"))
+    ends = f"({gain.low:+.3f} to {gain.high:+.3f}, {words})"
+    assert marked == mark and text == f"{step:+.3f} {ends.replace('-0.000', '+0.000')}"
 
 
-def test_scenes_are_compared_in_pairs():
+def test_scenes_are_compared_in_pairs_and_of_few_places_nothing_is_claimed():
     """Methods whose own intervals overlap by far, one always a little better."""
     theirs = np.linspace(0.1, 0.9, 8)
     assert claim(theirs + 0.02 + STEADY / 4, theirs)[1] == "better"
-
-
-def test_of_few_places_nothing_is_claimed_however_many_scenes_they_have():
-    ours, theirs = [0.6] * 8, [0.5] * 8
-    few = "too few places to tell"
-    assert claim(ours, theirs, list("aabbccdd")) == (f"+0.100 (+0.100 to +0.100, {few})", "few")
-    assert claim(ours, theirs, list("aaaaaaaa")) == (f"+0.100 ({few})", "few")
-    assert claim(ours, theirs, list("abcdefgg"))[1] == "better"
+    text = "too few places to tell"
+    pair = [0.6] * 8, [0.5] * 8
+    assert claim(*pair, list("aabbccdd")) == (f"+0.100 (+0.100 to +0.100, {text})", "few")
+    assert claim(*pair, list("aaaaaaaa")) == (f"+0.100 ({text})", "few")
+    assert claim(*pair, list("abcdefgg"))[1] == "better"
 
 
 @given(st.lists(st.tuples(st.floats(0, 1), st.floats(0, 1)), min_size=1, max_size=10))
 def test_only_an_interval_that_excludes_0_puts_one_ahead(pairs):
-    ours, theirs = (np.array(own) for own in zip(*pairs, strict=True))
+    ours, theirs = (np.array(scores) for scores in zip(*pairs, strict=True))
     gain = compare(ours, theirs)
     sentence, mark = claim(ours, theirs)
     sure = len(pairs) >= LEAST and (round(gain.low, 3) > 0 or round(gain.high, 3) < 0)

@@ -5,12 +5,13 @@ from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
-from pages import tables_of
+from pages import check_alone, tables_of
 
 from slgaussian.benchmark.costs import Cost, StageCost, Times
 from slgaussian.benchmark.hard_cases import HardCase
-from slgaussian.benchmark.reports.model import blocks_as
-from slgaussian.benchmark.reports.speed import front, speed_blocks
+from slgaussian.benchmark.reports.model import Gallery, Report, Section, blocks_as
+from slgaussian.benchmark.reports.plots import plot_pareto
+from slgaussian.benchmark.reports.speed import pareto_front, speed_blocks
 
 STEPS = st.integers(0, 4)  # few, so that many are equal
 
@@ -18,7 +19,7 @@ STEPS = st.integers(0, 4)  # few, so that many are equal
 @given(st.lists(st.tuples(STEPS | st.none(), STEPS), max_size=8))
 def test_the_front_is_what_no_other_beats(points):
     costs, values = [p[0] for p in points], [p[1] for p in points]
-    on = front(costs, values)
+    on = pareto_front(costs, values)
     for k, (cost, value) in enumerate(points):
         beaten = cost is None
         for other, worth in points:
@@ -66,4 +67,11 @@ def test_scores_stand_beside_costs_and_hard_cases_beside_their_machine(result):
     assert "12 times as long as slgaussian, 6 s against 0.5 s; the paper says 18 s" in text
     assert "took 30 s more" in text
     page = blocks_as("html", speed_blocks(times, rows, []))
-    assert page.count("<svg") == 2 and "0.5000" in page
+    assert page.count("data:image/svg+xml") == 2 and "0.5000" in page
+
+
+def test_a_plot_stands_in_a_page_with_the_same_bytes():
+    points = [(f"method {k}", (k + 1) / 12, 0.1 * (k + 1)) for k in range(12)]
+    picture = plot_pareto(points, "method 0", "seconds")
+    assert picture == plot_pareto(points, "method 0", "seconds")
+    check_alone(Report("", [], [Section("", [Gallery([picture], "grid plots")])]).as_html())

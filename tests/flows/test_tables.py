@@ -57,7 +57,7 @@ def test_data_sets_and_methods_are_kept_apart():
     first, methods, second = scenes_text([*ours, other]).split("\n\n")
     assert first.splitlines()[1].split() == ["a", "0.500", "20.0"]
     title, *lines, conditions, by = methods.splitlines()
-    assert title == "x" and [line.split() for line in lines] == [
+    assert title == "x by slgaussian@2" and [line.split() for line in lines] == [
         ["Method", "IoU"], ["m", "0.500"], ["other", "0.250"]
     ]  # fmt: skip
     assert conditions.startswith("slgaussian@2: near-best, share 0.7") and "no interval" in by

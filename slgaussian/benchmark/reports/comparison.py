@@ -1,4 +1,4 @@
-"""Runs compared: how they were made, methods ranked, by how much scores differ, and costs.
+"""Runs compared: how they were made, their methods, by how much scores differ, and costs.
 
 Only what was asked the same counts: the same query of the same frame, by the same version of a
 protocol, judged at the same size.
@@ -30,14 +30,8 @@ from slgaussian.benchmark.reports.model import (
     flatten,
     number,
 )
-from slgaussian.benchmark.reports.score_tables import (
-    MAIN,
-    MORE,
-    Score,
-    difference_tables,
-    score_cell,
-)
-from slgaussian.benchmark.scores import METRICS, key_of, of_first_protocol, score_table
+from slgaussian.benchmark.reports.score_tables import difference_tables, method_tables
+from slgaussian.benchmark.scores import grouped, of_first_protocol, sample_key, score_table
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.tables import read_table
@@ -59,9 +53,9 @@ COSTS = {
 SCENES = 3
 """Scenes whose data differ that are named one by one, at most."""
 
-OPENING = (
-    "Only what was asked the same is compared, or in one table. Intervals hold 95% of the means if "
-    "scenes are drawn anew; s: median seconds of a query in a new view."
+INTRODUCTION = (
+    "Only what was asked the same is compared. Intervals hold 95% of the means if scenes are drawn "
+    "anew."
 )
 
 
@@ -78,10 +72,7 @@ class Run:
     @property
     def by_method(self) -> dict[str, list[Row]]:
         """The samples of each method, ours first."""
-        by_method: dict[str, list[Row]] = {}
-        for row in self.rows:
-            by_method.setdefault(row["method"], []).append(row)
-        return by_method
+        return {method: rows for (method,), rows in grouped(self.rows, "method").items()}
 
 
 def read_run(folder: str | Path) -> Run:
@@ -134,7 +125,7 @@ def compare_runs(runs: Sequence[Run]) -> Report:
             f"{len(ascii_uppercase)}"
         )
     for place, run in enumerate(runs):
-        if run.folder.resolve() in [other.folder.resolve() for other in runs[:place]]:
+        if run.folder.resolve() in [earlier.folder.resolve() for earlier in runs[:place]]:
             raise InputError(f"compare: {run.folder} is given twice; give each folder once")
     named = dict(zip(ascii_uppercase, runs, strict=False))
     sections = [Section("What is compared", [_runs_table(named)])]
@@ -143,17 +134,30 @@ def compare_runs(runs: Sequence[Run]) -> Report:
     if settings := differing_settings(list(manifests.values())):
         block = Table.of([Column(n, is_text=True) for n in ("what differs", *manifests)], settings)
     sections.append(Section("How they were made", [block]))
-    if rankings := rank_methods(named):
-        first = [table for table in rankings if f" by {MAIN[0].protocol}@" in table.title]
-        others = [table for table in rankings if table not in first]
-        folds = [Fold("By other protocols", others)] if first and others else others
-        sections.append(Section("Methods ranked", [*first, *folds]))
-    sections += _difference_sections(named)
+    if tables := rank_methods(named):
+        sections.append(Section("Methods ranked", _fold_protocols(tables)))
+    (letter, first), *later = named.items()
+    pairs = {
+        f"{name}, {other}" if later[1:] else name: (rows, baseline)
+        for other, run in later
+        for name, baseline, rows in _pair_methods(first, run)
+    }
+    if tables := difference_tables(pairs, "Method"):
+        title = f"{'Each' if later[1:] else later[0][0]} minus {letter}"
+        sections.append(Section(title, _fold_protocols(tables)))
     if all(run.times for run in runs):
         sections.append(Section("What they cost", [_costs_table(runs)]))
     if len(runs) == 2 and (changes := _changes_table(*runs)):
         sections.append(Section("IoU that changed most", [changes]))
-    return Report("Runs compared", [Prose(OPENING)], sections)
+    return Report("Runs compared", [Prose(INTRODUCTION)], sections)
+
+
+def _fold_protocols(tables: Sequence[Table]) -> list[Block]:
+    """Return the tables by the first protocol, and those by others folded up."""
+    protocol = tables[0].title.rpartition(" by ")[2]
+    first = [table for table in tables if table.title.endswith(f" by {protocol}")]
+    others = [table for table in tables if table not in first]
+    return [*first, *([Fold("By other protocols", others)] if others else [])]
 
 
 def _runs_table(named: Mapping[str, Run]) -> Table:
@@ -161,7 +165,9 @@ def _runs_table(named: Mapping[str, Run]) -> Table:
     first = next(iter(named.values()))
     rows = []
     for letter, run in named.items():
-        pairs = [pair for _, mine, theirs in _paired(first, run) for pair in _aligned(mine, theirs)]
+        pairs = [
+            pair for _, mine, theirs in _pair_methods(first, run) for pair in _align(mine, theirs)
+        ]
         same = sum({**a, "method": ""} == {**b, "method": ""} for a, b in pairs)
         scenes = len({row["scene"] for row in run.rows})
         counts = (scenes, len(run.by_method), len(run.rows), len(pairs), len(pairs) - same)
@@ -170,44 +176,21 @@ def _runs_table(named: Mapping[str, Run]) -> Table:
     return Table.of(heads, rows)
 
 
-def _paired(first: Run, second: Run) -> Iterator[tuple[str, list[Row], list[Row]]]:
+def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], list[Row]]]:
     """Pair the samples of each method that both have; if none, those of their own methods."""
     earlier, later = first.by_method, second.by_method
     shared = [name for name in earlier if name in later]
     for name in shared:
         yield name, earlier[name], later[name]
     if not shared and earlier and later:
-        (name, rows), (other, others) = next(iter(earlier.items())), next(iter(later.items()))
-        yield f"{other} − {name}", rows, others
+        (name, rows), (rival, rival_rows) = next(iter(earlier.items())), next(iter(later.items()))
+        yield f"{rival} − {name}", rows, rival_rows
 
 
-def _aligned(rows: Sequence[Row], others: Sequence[Row]) -> list[tuple[Row, Row]]:
-    """Return the samples that both have; scores at two sizes do not compare."""
-
-    def key(row: Row) -> tuple[Any, ...]:
-        return row["dataset"], row["protocol"], row["height"], row["width"], *key_of(row)
-
-    theirs = {key(row): row for row in others}
-    return [(row, theirs[key(row)]) for row in rows if key(row) in theirs]
-
-
-def _difference_sections(named: Mapping[str, Run]) -> list[Section]:
-    """Set each run against the first, the later minus the earlier."""
-    (letter, first), *others = named.items()
-    pairs = {}
-    for other, run in others:
-        for name, earlier, later in _paired(first, run):
-            pairs[f"{name}, {other}" if others[1:] else name] = (later, earlier)
-    folded = {table.title: table for table in difference_tables(pairs, MORE, "Method")}
-    sections = []
-    for table in difference_tables(pairs, MAIN, "Method"):
-        blocks: list[Block] = [table.untitled]
-        if table.title in folded:
-            rest = folded[table.title].untitled
-            blocks.append(Fold("By other protocols, and calibration", [rest]))
-        minus = others[0][0] if len(others) == 1 else "Each"
-        sections.append(Section(f"{minus} minus {letter}, {table.title}", blocks))
-    return sections
+def _align(rows: Sequence[Row], others: Sequence[Row]) -> list[tuple[Row, Row]]:
+    """Return the pairs of samples that both have."""
+    theirs = {sample_key(row): row for row in others}
+    return [(row, theirs[sample_key(row)]) for row in rows if sample_key(row) in theirs]
 
 
 def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]]:
@@ -216,7 +199,7 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
     Of the data of more than :data:`SCENES` scenes that differ alike the first ones are listed.
     """
     flat = [dict(flatten({k: v for k, v in m.items() if k != "data"})) for m in manifests]
-    lines = _differences(flat)
+    lines = _differing(flat)
     data = [manifest.get("data", {}) for manifest in manifests]
     by_leaf: dict[str, list[list[str]]] = {}
     for scene in dict.fromkeys(name for scenes in data for name in scenes):
@@ -224,7 +207,7 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
             leaves = [{f".{k}": v for k, v in flatten(scenes[scene])} for scenes in data]
         else:
             leaves = [{"": "present"} if scene in scenes else {} for scenes in data]
-        for leaf, *values in _differences(leaves):
+        for leaf, *values in _differing(leaves):
             by_leaf.setdefault(leaf, []).append([f"data.{scene}{leaf}", *values])
     for leaf, scene_lines in by_leaf.items():
         lines += scene_lines[:SCENES]
@@ -233,104 +216,42 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
     return lines
 
 
-def _differences(leaves: Sequence[Mapping[str, str]]) -> list[list[str]]:
+def _differing(leaves: Sequence[Mapping[str, str]]) -> list[list[str]]:
     names = dict.fromkeys(name for values in leaves for name in values)
     lines = ([name, *(values.get(name, NO_VALUE) for values in leaves)] for name in names)
     return [line for line in lines if len(set(line[1:])) > 1]
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """A method of a run with what it was asked, the truth's digest by scene, and its scores."""
-
-    letter: str
-    method: str
-    asked: frozenset[tuple[str, str, str]]
-    truth: Mapping[str, str]
-    scores: Mapping[str, Row]
-    seconds: float | None
-
-    def is_like(self, other: _Entry) -> bool:
-        shared = self.truth.keys() & other.truth.keys()
-        same_truth = all(self.truth[scene] == other.truth[scene] for scene in shared)
-        return self.asked == other.asked and same_truth
-
-
 def rank_methods(named: Mapping[str, Run]) -> list[Table]:
-    """Rank the methods of runs by the first score of each protocol; equal as printed is equal.
+    """Rank the methods of all runs, by their scores on what all runs were asked.
 
-    There is a table for each data set, protocol, size and list of questions; the truth is the same
-    where the manifests know it.
+    Of a data set those runs count that have it. A scene counts if its truth is the same, where the
+    manifests know it.
     """
-    groups: dict[tuple[str, str, str], list[list[_Entry]]] = {}
+    by_dataset: dict[str, dict[str, list[Row]]] = {}
     for letter, run in named.items():
-        for kind, entry in _entries(letter, run):
-            same_kind = groups.setdefault(kind, [])
-            group = next((group for group in same_kind if group[0].is_like(entry)), None)
-            if group is None:
-                same_kind.append([entry])
-            else:
-                group.append(entry)
-    order = list(dict.fromkeys(score.protocol for score in (*MAIN, *MORE)))
-    return [
-        _ranking(kind, group)
-        for kind in sorted(groups, key=lambda kind: order.index(kind[1].partition("@")[0]))
-        for group in sorted(groups[kind], key=len, reverse=True)
-    ]
-
-
-def _entries(letter: str, run: Run) -> Iterator[tuple[tuple[str, str, str], _Entry]]:
-    seconds = {(cost.dataset, cost.method): cost.view_query for cost in run.costs}
-    data = run.manifest.get("data", {})
-    kinds: dict[tuple[str, str, str, str], list[Row]] = {}
-    for row in run.rows:
-        size = f"{row['height']} x {row['width']}"
-        kinds.setdefault((row["method"], row["dataset"], row["protocol"], size), []).append(row)
-    for (method, *kind), rows in kinds.items():
-        dataset, protocol, size = kind
-        scores = {score["metric"]: score for score in score_table(rows).to_pylist()}
-        if not any(score.metric in scores for score in _ranked_scores(protocol)):
-            continue
-        asked = frozenset(
-            key_of(row) for row in rows if any(m.of(row) is not None for m in METRICS)
-        )
-        digests = {scene: data.get(scene, {}).get("truth") for scene, *_ in asked}
-        truth = {scene: digest for scene, digest in digests.items() if digest is not None}
-        spent = seconds.get((dataset, method))
-        entry = _Entry(letter, method, asked, truth, scores, spent)
-        yield (dataset, protocol, size), entry
-
-
-def _ranked_scores(protocol: str) -> list[Score]:
-    """List the scores of a protocol that are the better the greater."""
-    name = protocol.partition("@")[0]
-    return [score for score in (*MAIN, *MORE) if score.protocol == name and score.sign > 0]
-
-
-def _ranking(kind: tuple[str, str, str], group: Sequence[_Entry]) -> Table:
-    shown = [s for s in _ranked_scores(kind[1]) if any(s.metric in e.scores for e in group)]
-
-    def value(entry: _Entry) -> float:
-        score = entry.scores.get(shown[0].metric)
-        return -1.0 if score is None else round(score["value"], shown[0].digits)
-
+        for (dataset,), rows in grouped(run.rows, "dataset").items():
+            by_dataset.setdefault(dataset, {})[letter] = rows
     rows = []
-    for entry in sorted(group, key=value, reverse=True):
-        rank = 1 + sum(value(other) > value(entry) for other in group)
-        cells = [score_cell(entry.scores.get(score.metric), score.digits) for score in shown]
-        name = f"{rank}. {entry.method}"
-        rows.append([name, entry.letter, *cells, number(entry.seconds, 3)])
-    names = [Column(name, is_text=True) for name in ("Method", "Run")]
-    scenes = len({scene for scene, *_ in group[0].asked})
-    dataset, protocol, size = kind
-    title = f"{dataset} by {protocol} at {size}: {scenes} scenes, {len(group[0].asked)} queries"
-    return Table.of([*names, *(score.column() for score in shown), "s"], rows, title)
+    for by_run in by_dataset.values():
+        truths: dict[str, set[str]] = {}
+        for letter in by_run:
+            for scene, data in named[letter].manifest.get("data", {}).items():
+                truths.setdefault(scene, set()).update(filter(None, [data.get("truth")]))
+        shared = set.intersection(*({sample_key(row) for row in own} for own in by_run.values()))
+        rows += [
+            {**row, "method": f"{row['method']}, {letter}"}
+            for letter, run_rows in by_run.items()
+            for row in run_rows
+            if sample_key(row) in shared and len(truths.get(row["scene"], ())) < 2
+        ]
+    return method_tables(score_table(rows).to_pylist())
 
 
 def _costs_table(runs: Sequence[Run]) -> Table:
     """Set seconds, memory and machines side by side."""
     costs = [{(cost.dataset, cost.method): cost for cost in run.costs} for run in runs]
-    rows = []
+    rows: list[list[str | None]] = []
     for key in costs[0]:
         for name, (title, unit, digits) in COSTS.items():
             values = [getattr(by_key.get(key), name, None) for by_key in costs]
@@ -352,15 +273,15 @@ def _costs_table(runs: Sequence[Run]) -> Table:
 
 def _changes_table(first: Run, second: Run) -> Table | None:
     """List the most changed queries of the first method of both, what became worse first."""
-    name, earlier, later = next(_paired(first, second), ("", [], []))
-    changed = [
-        (row, other["iou"], other["iou"] - row["iou"])
-        for row, other in _aligned(of_first_protocol(earlier), of_first_protocol(later))
-        if None not in (row["iou"], other["iou"]) and row["iou"] != other["iou"]
+    name, earlier, later = next(_pair_methods(first, second), ("", [], []))
+    changes = [
+        (after["iou"] - row["iou"], row, after["iou"])
+        for row, after in _align(of_first_protocol(earlier), of_first_protocol(later))
+        if None not in (row["iou"], after["iou"]) and row["iou"] != after["iou"]
     ]
-    if not changed:
+    if not changes:
         return None
-    changed = sorted(changed, key=lambda one: -abs(one[2]))[:CHANGED]
+    largest = sorted(changes, key=lambda change: -abs(change[0]))[:CHANGED]
     rows = [
         [
             row["query"],
@@ -369,7 +290,7 @@ def _changes_table(first: Run, second: Run) -> Table | None:
             number(after, 3),
             mask_place(row).as_posix(),
         ]
-        for row, after, _ in sorted(changed, key=lambda one: one[2])
+        for _, row, after in sorted(largest, key=lambda change: change[0])
     ]
     place, mask = (Column(n, is_text=True) for n in ("Scene and frame", "Mask, in predictions/"))
     note = f"By {escape(name)}, {escape(earlier[0]['protocol'])}."

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -11,8 +12,6 @@ import numpy as np
 
 from slgaussian.benchmark import pictures
 from slgaussian.benchmark.evaluate import ALONG_THE_WAY, ERROR_TOP
-from slgaussian.benchmark.pictures import Named
-from slgaussian.benchmark.reports.encoding import picture
 from slgaussian.benchmark.reports.model import (
     Block,
     Card,
@@ -28,32 +27,26 @@ from slgaussian.benchmark.reports.model import (
     Terms,
     number,
 )
-from slgaussian.benchmark.scores import GOOD, key_of
+from slgaussian.benchmark.scores import GOOD, grouped, key_of
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
 Key = tuple[str, str, str]
 
-SHOWN_SETS = 3
+LOOKS = 3
 """Data sets of which a scene is shown at the top."""
 
-SHOWN_NAMES = 10
+NAMED_OBJECTS = 10
 """Names that are written onto one picture, at most."""
 
 LARGE, LETTERS = 960, 24
 """Width of a picture with names, and the size of their letters, pixels."""
 
-SHOWN, ANSWER = 800, 480
-"""Width of pictures that open the page, and of answers, pixels."""
+WALK, ANSWER, SMALL = 800, 480, 360
+"""Widths of pictures of the slider, of answers, and in the section of a scene, pixels."""
 
-SMALL = 360
-"""Width of the pictures in the section of a scene, pixels."""
-
-WORST = 8
-"""Answers of a run that are shown, those that scored least."""
-
-OF_A_SCENE = 2
-"""Shown answers that are of one scene at most, unless there are too few scenes."""
+WORST, OF_A_SCENE = 8, 2
+"""Answers of a run that are shown, those that scored least, and of one scene at most."""
 
 ANSWERS = 4
 """Answers of a scene that are shown."""
@@ -79,6 +72,33 @@ ANSWER_TERMS = Terms(
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One scene of a report. Images are read when they are wanted, a scene at a time.
+
+    Attributes
+    ----------
+    name, dataset : str
+    rows : sequence
+        Of the spec ``samples``: of our method, then of each of the others.
+    metrics : {name: float}
+        The ``scene_metrics`` of our result.
+    pictures : function giving {name: uint8 [H, W, 3]}
+        The pictures of our result.
+    truth : function giving {frame: {query: bool [H, W]}}
+    masks : function giving {(protocol, frame, query): bool [H, W]}
+        Our masks.
+    """
+
+    name: str
+    dataset: str
+    rows: Sequence[Row]
+    metrics: Mapping[str, float]
+    pictures: Callable[[], Images]
+    truth: Callable[[], Mapping[str, Images]]
+    masks: Callable[[], Mapping[Key, np.ndarray]]
+
+
 def choose_scenes(scenes: Iterable[tuple[str, str, Mapping[str, float]]]) -> dict[str, str]:
     """Choose a scene to show of each of the first data sets; return the reason by name.
 
@@ -89,44 +109,42 @@ def choose_scenes(scenes: Iterable[tuple[str, str, Mapping[str, float]]]) -> dic
     for name, dataset, metrics in scenes:
         by_set.setdefault(dataset, []).append((name, metrics.get("iou")))
     chosen = {}
-    for dataset, own in list(by_set.items())[:SHOWN_SETS]:
-        scored = sorted((iou, name) for name, iou in own if iou is not None)
-        name = scored[(len(scored) - 1) // 2][1] if scored else own[0][0]
+    for dataset, members in list(by_set.items())[:LOOKS]:
+        scored = sorted((iou, name) for name, iou in members if iou is not None)
+        name = scored[(len(scored) - 1) // 2][1] if scored else members[0][0]
         place = "in the middle by IoU" if scored else "the first"
-        chosen[name] = f"{place} of the {len(own)} scenes of {dataset}" if own[1:] else ""
+        chosen[name] = f"{place} of the {len(members)} scenes of {dataset}" if members[1:] else ""
     return chosen
 
 
-def ranked(rows: Iterable[Row]) -> list[Row]:
-    """Sort the scored rows, worst first: by IoU, and of equal ones those that point elsewhere."""
+def sort_worst_first(rows: Iterable[Row]) -> list[Row]:
+    """Sort the scored rows by IoU, and of equal ones those first that point elsewhere."""
     scored = [row for row in rows if row["iou"] is not None]
     return sorted(scored, key=lambda row: (row["iou"], bool(row["hit_mask"]), bool(row["hit_box"])))
 
 
-def few_a_scene(rows: Sequence[Row], count: int) -> list[Row]:
-    """Return the first ``count`` rows, few of any scene, and of each data set its share.
+def limit_per_scene(rows: Sequence[Row], count: int) -> list[Row]:
+    """Return the first ``count`` rows, :data:`OF_A_SCENE` of a scene, or more of few scenes.
 
     A query is there once a scene, whatever the number of frames that it is asked in.
     """
-    sets, scenes = (len({row[name] for row in rows}) or 1 for name in ("dataset", "scene"))
-    limits = {"scene": max(OF_A_SCENE, -(-count // scenes))}
-    taken: Counter[tuple[str, str]] = Counter()
-    chosen: dict[tuple[str, str], int] = {}
-    # Where a data set has not its share, the others fill the places.
-    for most in (limits | {"dataset": -(-count // sets)}, limits):
-        for place, row in enumerate(rows):
-            query = row["scene"], row["query"]
-            full = any(taken[name, row[name]] >= limit for name, limit in most.items())
-            if len(chosen) < count and not full and query not in chosen:
-                taken.update((name, row[name]) for name in ("scene", "dataset"))
-                chosen[query] = place
-    return [rows[place] for place in sorted(chosen.values())]
+    limit = max(OF_A_SCENE, -(-count // (len({row["scene"] for row in rows}) or 1)))
+    by_query: dict[tuple[str, str], Row] = {}
+    for row in rows:
+        by_query.setdefault((row["scene"], row["query"]), row)
+    counts: Counter[str] = Counter()
+    chosen = []
+    for row in by_query.values():
+        if counts[row["scene"]] < limit:
+            counts[row["scene"]] += 1
+            chosen.append(row)
+    return chosen[:count]
 
 
 def answer_card(
-    row: Row, images: Images, width: int, lost_by: str = "", place: bool = True
+    row: Row, images: Images, width: int, lost_by: str = "", is_placed: bool = True
 ) -> Card:
-    """Return an answer as a card; with ``place`` it says of which scene and frame it is."""
+    """Return an answer as a card; if ``is_placed``, its note has the scene and the frame."""
     query = row["query"]
     chips = []
     if row["iou"] is not None:
@@ -138,126 +156,93 @@ def answer_card(
     if lost_by:
         chips.append((f"lost by {lost_by}", "lost"))
     name = f"{row['frame']}/{query}"
-    drawn = [
-        picture(images[f"mask/{name}"], width, "found", f"mask found for {query}"),
-        picture(images[f"relevancy/{name}"], width, "relevancy", f"relevancy of {query}"),
+    panels = [
+        Picture.of(images[f"mask/{name}"], width, "found", f"mask found for {query}"),
+        Picture.of(images[f"relevancy/{name}"], width, "relevancy", f"relevancy of {query}"),
     ]
-    note = [f"{row['scene']}, {row['frame']}"] * place + [row["note"]] * bool(row["note"])
-    return Card(query, chips, drawn, ": ".join(note))
+    note = [f"{row['scene']}, {row['frame']}"] * is_placed + [row["note"]] * bool(row["note"])
+    return Card(query, chips, panels, ": ".join(note))
 
 
 def look_section(
-    scene: str,
-    reason: str,
-    rows: Sequence[Row],
-    images: Images,
-    truth: Mapping[str, Images],
-    found: Mapping[tuple[str, str, str], np.ndarray],
-    lost_by: Mapping[Key, str],
+    scene: Scene, reason: str, rows: Sequence[Row], images: Images, lost_by: Mapping[Key, str]
 ) -> Section:
     """Return a scene to look at: everything found in one view, a walk, and some answers.
 
-    ``rows`` are ours by the first protocol, ``found`` our masks.
+    ``rows`` are ours by the first protocol.
     """
     inputs = {name: images[f"input/{name}"] for name in _frames(images, "input")}
-    frame, asked = _most_asked(rows, images)
-    frame = frame or next(iter(_frames(images, "photo")), "")
+    answers = _of_busiest_frame(rows, images)
+    frame = answers[0]["frame"] if answers else next(iter(_frames(images, "photo")), "")
     stage: list[Block] = []
     strip = [
-        picture(image, ANSWER, f"given: photograph {name}", f"given photograph {name} of {scene}")
+        Picture.of(image, ANSWER, f"given: photograph {name}",
+                   f"given photograph {name} of {scene.name}")
         for name, image in inputs.items()
-    ]
+    ]  # fmt: skip
     if f"photo/{frame}" in images:
         caption = f"photograph {frame}, never shown to the method"
-        strip.append(picture(images[f"photo/{frame}"], ANSWER, caption, f"{caption}, {scene}"))
-        strip.append(picture(images[f"render/{frame}"], ANSWER, "the same view, rendered"))
-    cards: list[Block] = []
-    if asked:
-        ground = images.get(f"photo/{frame}", images.get(f"render/{frame}"))
-        assert ground is not None  # a frame that was drawn was chosen
-        scored = any(row["iou"] is not None for row in asked)
-        shown = asked[:SHOWN_NAMES]
-        caption = f"found by its words in {frame}"
-        caption += ", each with its overlap with the truth (IoU)" if scored else ""
-        masks = [found.get((row["protocol"], frame, row["query"])) for row in shown]
-        texts = [
-            row["query"] if row["iou"] is None else f"{row['query']} {row['iou']:.2f}"
-            for row in shown
-        ]
-        alt = f"everything found in {frame} of {scene}"
-        stage.append(Gallery([picture(_named(ground, texts, masks), LARGE, caption, alt)], "grid"))
-        known = [truth.get(frame, {}).get(row["query"]) for row in shown]
-        if any(mask is not None and mask.any() for mask in known):
-            labelled = _named(ground, [row["query"] for row in shown], known)
-            caption = "the truth: what labels say is there"
-            strip.append(picture(labelled, ANSWER, caption, f"truth of {frame} of {scene}"))
-        best_first = ranked(asked)[::-1] or asked
-        places = np.linspace(0, len(best_first) - 1, min(ANSWERS, len(best_first)))
-        spread = [best_first[int(k)] for k in places.round()]
-        title = "Asked in words: from the best answer to the worst" if scored else "Asked in words"
-        cards = [Prose(f"**{title}**", ""), ANSWER_TERMS]
-        cards.append(
-            Cards(
-                [
-                    answer_card(row, images, ANSWER, lost_by.get(key_of(row), ""), False)
-                    for row in spread
-                ]
-            )
+        strip.append(
+            Picture.of(images[f"photo/{frame}"], ANSWER, caption, f"{caption}, {scene.name}")
         )
+        strip.append(Picture.of(images[f"render/{frame}"], ANSWER, "the same view, rendered"))
+    cards: list[Block] = []
+    if answers:
+        ground = images.get(f"photo/{frame}", images[f"render/{frame}"])
+        masks, truth = scene.masks(), scene.truth().get(frame, {})
+        named = {row["query"]: row for row in answers[:NAMED_OBJECTS]}
+        is_scored = answers[0]["iou"] is not None
+        texts = {q: f"{q} {row['iou']:.2f}" if is_scored else q for q, row in named.items()}
+        predicted = {q: masks.get((row["protocol"], frame, q)) for q, row in named.items()}
+        caption = f"found by its words in {frame}"
+        caption += ", each with its overlap with the truth (IoU)" if is_scored else ""
+        alt = f"everything found in {frame} of {scene.name}"
+        picture = _draw_named(ground, texts, predicted)
+        stage.append(Gallery([Picture.of(picture, LARGE, caption, alt)], "grid"))
+        if any(truth[q].any() for q in named if q in truth):
+            picture = _draw_named(ground, {q: q for q in named}, truth)
+            caption = "the truth: what labels say is there"
+            alt = f"truth of {frame} of {scene.name}"
+            strip.append(Picture.of(picture, ANSWER, caption, alt))
+        best_first = sort_worst_first(answers)[::-1] or answers
+        places = np.linspace(0, len(best_first) - 1, min(ANSWERS, len(best_first)))
+        title = "Asked in words" + ": from the best answer to the worst" * is_scored
+        chosen = [best_first[int(place)] for place in places.round()]
+        shown = [answer_card(r, images, ANSWER, lost_by.get(key_of(r), ""), False) for r in chosen]
+        cards = [Prose(f"**{title}**", ""), ANSWER_TERMS, Cards(shown)]
     if len(inputs) > 1:
-        stage.append(Gallery(_walk(scene, inputs, images), "walk"))
+        (start, start_image), (end, end_image) = list(inputs.items())[:2]
+        steps = {f"photograph {start}": start_image}
+        steps |= {f"rendered, {way}": image for way, image in _along_the_way(images).items()}
+        steps[f"photograph {end}"] = end_image
+        walk = [
+            Picture.of(image, WALK, name, f"{name} of {scene.name}")
+            for name, image in steps.items()
+        ]
+        stage.append(Gallery(walk, "walk"))
     blocks: list[Block] = [Columns(stage), Gallery(strip, "strip-of"), *cards]
-    return Section(scene, blocks, note=reason, style="look", only_html=True)
+    return Section(scene.name, blocks, note=reason, style="look", only_html=True)
 
 
-def _walk(scene: str, inputs: Images, images: Images) -> list[Picture]:
-    """Return what is seen from the first photograph to the second, rendered between them."""
-    (first, before), (second, after) = list(inputs.items())[:2]
-    steps = {f"photograph {first}": before}
-    steps |= {
-        f"rendered, {way}": images[f"render/{way}"]
-        for way in ALONG_THE_WAY
-        if f"render/{way}" in images
-    }
-    steps[f"photograph {second}"] = after
-    return [picture(image, SHOWN, name, f"{name} of {scene}") for name, image in steps.items()]
+def scene_section(scene: Scene, id: str, rows: Sequence[Row], images: Images) -> Section:
+    """Return all of a scene: photographs, objects, depth, new views and every query.
 
-
-def scene_section(
-    scene: str,
-    id: str,
-    rows: Sequence[Row],
-    metrics: Mapping[str, float],
-    images: Images,
-    exhibited: bool,
-) -> Section:
-    """Return all of a scene: photographs, objects, depth, new views, answers and every query.
-
-    Without ``images`` there are only tables. Of a scene that is ``exhibited`` at the top the
-    pictures there are not repeated.
+    Without ``images`` there is only the table.
     """
     blocks: list[Block] = []
     if images:
-        blocks += _depth_blocks(images, metrics)
-        blocks += [] if exhibited else _view_blocks(images)
+        blocks = _view_blocks(images, scene.metrics)
     elif rows:
         blocks.append(Prose("Answered better than the scenes that are drawn here."))
-    drawn = [row for row in rows if f"mask/{row['frame']}/{row['query']}" in images]
-    if drawn and not exhibited:
-        worst_first = ranked(drawn)
-        half = ANSWERS // 2
-        chosen = [*worst_first[:half], *worst_first[half:][-half:]] or drawn[:ANSWERS]
-        blocks.append(Cards([answer_card(row, images, SMALL) for row in chosen], "narrow"))
-        if len(chosen) < len(rows):
-            blocks.append(Prose(f"The worst and the best of {len(rows)} questions."))
     if rows:
         blocks.append(_queries_table(rows))
-    note = f"IoU {metrics['iou']:.3f}; " if "iou" in metrics else ""
+    note = f"IoU {scene.metrics['iou']:.3f}; " if "iou" in scene.metrics else ""
     note += f"objects, depth and {len(rows)} queries"
-    return Section(scene, blocks, id, note, is_folded=True, only_html=True)
+    return Section(scene.name, blocks, id, note, is_folded=True, only_html=True)
 
 
-def _depth_blocks(images: Images, metrics: Mapping[str, float]) -> list[Block]:
+def _view_blocks(images: Images, metrics: Mapping[str, float]) -> list[Block]:
+    """Return a row of pictures for each photograph, for each target, and for the views between."""
     terms = {
         "objects": "one colour and number an object, the same in all photographs, as "
         "`slgaussian objects` has them"
@@ -267,39 +252,34 @@ def _depth_blocks(images: Images, metrics: Mapping[str, float]) -> list[Block]:
     if _frames(images, "depth_error"):
         terms["depth error"] = f"relative, 0 (black) to {ERROR_TOP} and more (white)"
     kinds = {
-        "input": "",
+        "input": "given",
         "labels": "objects",
         "depth": "depth",
         "true_depth": "true depth",
         "depth_error": "depth error",
+        "photo": "photograph, never shown to the method",
+        "render": "rendered",
+        "ids": "objects, rendered",
     }
-    return [Terms(terms), *(_row(images, kinds, name) for name in _frames(images, "input"))]
-
-
-def _view_blocks(images: Images) -> list[Block]:
-    """Return new views: the photographs, which the method never saw, or those along the way."""
-    targets = _frames(images, "photo")
-    if targets:
-        kinds = {"photo": "photograph, never shown to the method", "render": "rendered",
-                 "ids": "objects, rendered"}  # fmt: skip
-        rows = [_row(images, kinds, name) for name in targets]
-    else:
-        path = [way for way in ALONG_THE_WAY if f"render/{way}" in images]
-        shown = [picture(images[f"render/{way}"], SMALL, way) for way in path]
-        rows = [Gallery(shown, "grid three")]
-    return [Prose("**Seen from new viewpoints**", ""), *rows]
-
-
-def _row(images: Images, kinds: Mapping[str, str], name: str) -> Gallery:
-    """Return what there is of a frame, a picture a kind."""
-    shown = [
-        picture(
-            images[f"{kind}/{name}"], SMALL, title or name, f"{title} of {name}" if title else name
-        )
-        for kind, title in kinds.items()
-        if f"{kind}/{name}" in images
+    frames = [*_frames(images, "input"), *_frames(images, "photo")]
+    rows = [
+        [
+            Picture.of(images[f"{kind}/{name}"], SMALL, f"{title} {name}", f"{title} of {name}")
+            for kind, title in kinds.items()
+            if f"{kind}/{name}" in images
+        ]
+        for name in frames
     ]
-    return Gallery(shown, "grid five" if len(shown) == 5 else "grid three")
+    rows.append([Picture.of(image, SMALL, way) for way, image in _along_the_way(images).items()])
+    return [
+        Terms(terms),
+        *(Gallery(row, "grid five" if len(row) == 5 else "grid three") for row in rows),
+    ]
+
+
+def _along_the_way(images: Images) -> dict[str, np.ndarray]:
+    """Return the views that were rendered between the first two cameras."""
+    return {way: images[f"render/{way}"] for way in ALONG_THE_WAY if f"render/{way}" in images}
 
 
 def _queries_table(rows: Sequence[Row]) -> Table:
@@ -325,30 +305,22 @@ def _frames(images: Images, kind: str) -> list[str]:
     return [name.split("/", 1)[1] for name in images if name.startswith(f"{kind}/")]
 
 
-def _most_asked(rows: Sequence[Row], images: Images) -> tuple[str, list[Row]]:
-    """Return the frame with the most answers that are scored, or the most at all, and its rows."""
-    by_frame: dict[str, list[Row]] = {}
-    for row in rows:
-        if f"mask/{row['frame']}/{row['query']}" in images:
-            by_frame.setdefault(row["frame"], []).append(row)
-    if not by_frame:
-        return "", []
-    scored = {
-        frame: [row for row in own if row["iou"] is not None] for frame, own in by_frame.items()
-    }
-    frame = max(by_frame, key=lambda name: (len(scored[name]), len(by_frame[name])))
-    return frame, scored[frame] or by_frame[frame]
+def _of_busiest_frame(rows: Sequence[Row], images: Images) -> list[Row]:
+    """Return the drawn answers in the frame with most scored ones, or most at all."""
+    drawn = [row for row in rows if f"mask/{row['frame']}/{row['query']}" in images]
+    scored = [row for row in drawn if row["iou"] is not None]
+    return max(grouped(scored or drawn, "frame").values(), key=len, default=[])
 
 
-def _named(
-    ground: np.ndarray, texts: Sequence[str], masks: Sequence[np.ndarray | None]
+def _draw_named(
+    ground: np.ndarray, texts: Mapping[str, str], masks: Mapping[str, np.ndarray | None]
 ) -> np.ndarray:
-    """Return the view, enlarged, with the mask of each text in its colour."""
+    """Return the view, enlarged, with the mask of each query in its colour, under its text."""
     size = LARGE, round(ground.shape[0] * LARGE / ground.shape[1])
     large = cv2.resize(ground, size, interpolation=cv2.INTER_CUBIC)
     named = [
-        Named(text, cv2.resize(mask.astype(np.float32), size) > 0.5, place)
-        for place, (text, mask) in enumerate(zip(texts, masks, strict=True), 1)
-        if mask is not None
+        pictures.Named(text, cv2.resize(mask.astype(np.float32), size) > 0.5, place)
+        for place, (query, text) in enumerate(texts.items(), 1)
+        if (mask := masks.get(query)) is not None
     ]
     return pictures.show_named(large, named, LETTERS)

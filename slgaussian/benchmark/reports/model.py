@@ -6,17 +6,21 @@ captions and titles is plain text. Pictures and plots are in the HTML alone.
 
 from __future__ import annotations
 
+import base64
 import io
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from itertools import groupby
 from typing import Any, ClassVar
 
+import cv2
 import jinja2
+import numpy as np
 from markdown_it import MarkdownIt
 from markupsafe import Markup
+from PIL import Image
 from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text as RichText
@@ -25,6 +29,9 @@ NO_VALUE = "–"
 
 WIDE = 100
 """Characters of a line that fit a terminal."""
+
+QUALITY = 75
+"""Of WebP: a third of the bytes of a JPEG in which thin outlines are as clear."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +90,10 @@ class Cell:
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a table: ``about`` explains its first cell, ``style`` is ``mean`` or ``ours``."""
+    """A line of a table; ``description`` explains its first cell, style is ``mean`` or ``ours``."""
 
     cells: tuple[Cell, ...]
-    about: str = ""
+    description: str = ""
     style: str = ""
 
 
@@ -103,64 +110,61 @@ class Table:
     @staticmethod
     def of(
         columns: Sequence[Any],
-        rows: Sequence[Sequence[Any]],
+        rows: Sequence[Any],
         title: str = "",
         notes: Sequence[str] = (),
     ) -> Table:
         """Return a table of plain values; the first column is text.
 
-        ``columns`` are texts or :class:`Column`; values are texts, :class:`Cell`, or None where
-        there is none.
+        ``columns`` are texts or :class:`Column`; rows are :class:`Line` or sequences of texts,
+        :class:`Cell`, or None where there is none.
         """
         heads = [
             column if isinstance(column, Column) else Column(column, is_text=k == 0)
             for k, column in enumerate(columns)
         ]
-        return Table(tuple(heads), tuple(map(line_of, rows)), title, tuple(notes))
-
-    @property
-    def untitled(self) -> Table:
-        """The table without its title, for where something else says it."""
-        return replace(self, title="")
+        lines = (row if isinstance(row, Line) else line_of(row) for row in rows)
+        return Table(tuple(heads), tuple(lines), title, tuple(notes))
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """The headings above the columns, and of how many; empty where no column has one."""
-        spans = [(name, len(list(own))) for name, own in groupby(c.group for c in self.columns)]
+        """The headings above the columns with their widths; empty where no column has one."""
+        spans = [
+            (name, len(list(columns))) for name, columns in groupby(c.group for c in self.columns)
+        ]
         return spans if any(name for name, _ in spans) else []
 
     def as_text(self) -> str:
         """Return the table as text for a terminal, cells two spaces apart.
 
-        One that is too wide, of few lines, is turned around: a line a column.
+        A table that is too wide and of few lines is transposed.
         """
-        text = self._drawn()
+        titles = [column.title for column in self.columns]
+        rows = [titles, *([cell.text for cell in line.cells] for line in self.lines)]
+        sides: list[Any] = ["left" if column.is_text else "right" for column in self.columns]
+        text = _draw(rows, sides)
         if len(text.partition("\n")[0]) > WIDE and len(self.lines) < len(self.columns):
-            heads = [self.columns[0].title, *(line.cells[0].text for line in self.lines)]
-            rows = [
-                [column.title, *(line.cells[place].text for line in self.lines)]
-                for place, column in enumerate(self.columns)
-            ]
-            return Table.of(heads, rows[1:])._drawn()
+            columns = [list(column) for column in zip(*rows, strict=True)]
+            return _draw(columns, ["left", *["right"] * len(self.lines)])
         return text
 
-    def _drawn(self) -> str:
-        table = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0), show_header=True)
-        for column in self.columns:
-            side: Any = "left" if column.is_text else "right"
-            table.add_column(RichText(column.title), justify=side, no_wrap=True)
-        for line in self.lines:
-            table.add_row(*(RichText(cell.text) for cell in line.cells))
-        out = io.StringIO()
-        Console(file=out, width=10_000, color_system=None).print(table)
-        return "\n".join(row.rstrip() for row in out.getvalue().splitlines())
+
+def _draw(rows: Sequence[Sequence[str]], sides: Sequence[Any]) -> str:
+    """Draw rows of cells, the first of which is the header, in aligned columns."""
+    table = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for title, side in zip(rows[0], sides, strict=True):
+        table.add_column(RichText(title), justify=side, no_wrap=True)
+    for row in rows[1:]:
+        table.add_row(*map(RichText, row))
+    out = io.StringIO()
+    Console(file=out, width=10_000, color_system=None).print(table)
+    return "\n".join(row.rstrip() for row in out.getvalue().splitlines())
 
 
-def line_of(cells: Sequence[Cell | str | None], about: str = "", style: str = "") -> Line:
+def line_of(cells: Sequence[Cell | str | None], style: str = "") -> Line:
     """Return a line of plain values, None where there is none."""
     values = (NO_VALUE if cell is None else cell for cell in cells)
-    made = (value if isinstance(value, Cell) else Cell(value) for value in values)
-    return Line(tuple(made), about, style)
+    return Line(tuple(v if isinstance(v, Cell) else Cell(v) for v in values), style=style)
 
 
 def number(value: float | None, digits: int, unit: float = 1) -> str | None:
@@ -194,6 +198,21 @@ class Picture:
     caption: str
     alt: str
 
+    @staticmethod
+    def of(image: np.ndarray, width: int, caption: str, alt: str = "") -> Picture:
+        """Encode an image uint8 [H, W, 3], reduced to ``width`` pixels if it is wider, as WebP."""
+        if image.shape[1] > width:
+            height = round(image.shape[0] * width / image.shape[1])
+            image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        out = io.BytesIO()
+        Image.fromarray(image).save(out, "WEBP", quality=QUALITY)
+        return Picture(data_uri(out.getvalue(), "webp"), caption, alt or caption)
+
+
+def data_uri(data: bytes, kind: str) -> str:
+    """Return the address that holds the bytes of a file of ``image/<kind>``."""
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
 
 @dataclass(frozen=True)
 class Gallery:
@@ -224,14 +243,6 @@ class Cards:
 
 
 @dataclass(frozen=True)
-class Plots:
-    """Plots as SVG text, by caption."""
-
-    plots: Mapping[str, str]
-    kind: ClassVar[str] = "plots"
-
-
-@dataclass(frozen=True)
 class Columns:
     """Blocks side by side."""
 
@@ -251,21 +262,25 @@ class Fold:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Key numbers by title: lines of data set, value, interval and number of another method."""
+    """Key numbers by title: lines of data set, value, interval and number of another method.
 
-    numbers: Mapping[str, Sequence[tuple[str, str | Slot, str, str]]]
+    ``slot`` is a place for more of them, see :class:`Slot`.
+    """
+
+    numbers: Mapping[str, Sequence[tuple[str, str, str, str]]]
+    slot: str = ""
     kind: ClassVar[str] = "numbers"
 
 
 @dataclass(frozen=True)
 class Slot:
-    """A place that is filled after rendering, such as the section of times."""
+    """A comment in place of what is filled in after rendering."""
 
     text: str
     kind: ClassVar[str] = "slot"
 
 
-Block = Table | Prose | Terms | Gallery | Cards | Plots | Columns | Fold | Numbers | Slot
+Block = Table | Prose | Terms | Gallery | Cards | Columns | Fold | Numbers | Slot
 
 
 @dataclass(frozen=True)
@@ -301,10 +316,10 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """A report: what it opens with, and its sections; the same model gives the same bytes."""
+    """A report: its summary and its sections; the same model gives the same bytes."""
 
     title: str
-    opening: Sequence[Block]
+    summary: Sequence[Block]
     sections: Sequence[Section]
 
     def as_html(self) -> str:
@@ -317,7 +332,7 @@ class Report:
 
     def as_text(self) -> str:
         """Return sentences and tables of the report as text for a terminal."""
-        parts = [plain(block.text) for block in self.opening if isinstance(block, Prose)]
+        parts = [plain(block.text) for block in self.summary if isinstance(block, Prose)]
         for section in self.sections:
             tables = [block for block in section.blocks if isinstance(block, Table)]
             texts = ["\n".join(filter(None, (table.title, table.as_text()))) for table in tables]

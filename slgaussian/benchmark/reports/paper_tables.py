@@ -111,8 +111,8 @@ def _table(table: Mapping[str, Any], run: _Run, protocol: str, notes: Sequence[s
             best = (min if seconds else max)(alike) == paper
             text = f"{paper:g}" if seconds else f"{paper:.2f}"
             cells.append(Cell(text, below, "best" if best else ""))
-        about = run.name(line.get("method", ""))
-        lines.append(Line(tuple(cells), about, "mean" if line["title"] == "overall" else ""))
+        name = run.name(line.get("method", ""))
+        lines.append(Line(tuple(cells), name, "mean" if line["title"] == "overall" else ""))
     heads = [
         Column(column["title"], "", column.get("group", ""), run.name(column.get("method", "")))
         for column in columns

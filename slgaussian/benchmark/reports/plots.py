@@ -1,18 +1,18 @@
-"""Plots of scores as SVG text that may stand in a page: same numbers, same bytes."""
+"""Plots as SVG pictures: same numbers, same bytes."""
 
 from __future__ import annotations
 
 import io
-import math
 import re
 from collections.abc import Callable, Sequence
 
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
-from matplotlib.transforms import Bbox
 
-NOTES = ("Date", "Creator", "Format", "Type")
+from slgaussian.benchmark.reports.model import Picture, data_uri
+
+METADATA = ("Date", "Creator", "Format", "Type")
 """What Matplotlib would write about itself into a picture."""
 
 INK, SOFT, LINE, ACCENT = "#1d2330", "#667085", "#d5dae2", "#0072B2"
@@ -32,67 +32,49 @@ STYLE = {
     "grid.color": "#eef0f4",
 }
 
-NAMED = 6
-"""Methods up to which all are named in a plot; of more, ours and those on the front."""
+MARKERS = "osD^vP*X<>pH"
+"""Shapes of the methods' points, in their order."""
 
 
-def as_svg(draw: Callable[[], Figure]) -> str:
-    """The figure that ``draw`` makes as an ``svg`` element for HTML, which needs no namespaces."""
+def plot(draw: Callable[[], Figure], caption: str) -> Picture:
+    """Return the figure that ``draw`` makes as an SVG picture."""
     out = io.StringIO()
     with matplotlib.rc_context(STYLE):
-        draw().savefig(out, format="svg", metadata=dict.fromkeys(NOTES))
-    text = out.getvalue()
-    return re.sub(r' xmlns(:xlink)?="[^"]*"', "", text[text.index("<svg") :])
+        draw().savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
+    text = re.sub(r"<!DOCTYPE[^>]*>\s*", "", out.getvalue(), flags=re.DOTALL)
+    return Picture(data_uri(text.encode(), "svg+xml"), caption, caption)
 
 
-def plot_worth(
+def plot_pareto(
     points: Sequence[tuple[str, float, float]], ours: str, label: str, score: str = "IoU"
-) -> str:
-    """Draw a score over its cost, the best of each price joined: the Pareto front.
+) -> Picture:
+    """Draw a score over its cost; a line joins the Pareto front, the best score at each cost.
 
-    ``points`` are (method, score, cost); those on the front are named, and all where they are few,
-    but none whose name would lie on another.
+    ``points`` are (method, score, cost), named by a legend.
     """
 
     def draw() -> Figure:
-        figure = Figure((5.6, 4.2), layout="constrained")
+        figure = Figure((5.6, 4.2 + 0.1 * len(points)), layout="constrained")
         axes = figure.subplots()
-        best, front = -math.inf, []
+        front: list[tuple[float, float]] = []
         for _, value, cost in sorted(points, key=lambda point: (point[2], -point[1])):
-            if value > best:
-                best = value
+            if not front or value > front[-1][1]:
                 front.append((cost, value))
         axes.plot(*zip(*front, strict=True), color=SOFT, lw=0.8, drawstyle="steps-post", zorder=1)
+        others = 0
         for method, value, cost in points:
-            color, size = (ACCENT, 8) if method == ours else (SOFT, 5.5)
-            axes.plot(cost, value, "o", color=color, ms=size, mec="white")
+            style = {"marker": "o", "ms": 9, "color": ACCENT}
+            if method != ours:
+                others += 1
+                style = {"marker": MARKERS[others % len(MARKERS)], "ms": 6.5, "color": f"C{others}"}
+            axes.plot(cost, value, ls="", mec="white", label=method, **style)
         axes.set(xscale="log", xlabel=label, ylabel=score)
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.margins(0.12, 0.14)
+        axes.margins(0.08, 0.1)
         axes.grid()
-        named = [
-            point
-            for point in sorted(points, key=lambda point: (point[0] != ours, -point[1]))
-            if len(points) <= NAMED or point[0] == ours or (point[2], point[1]) in front
-        ]
-        _name_points(figure, named)
+        figure.legend(loc="outside lower center", ncols=2, frameon=False)
         return figure
 
-    return as_svg(draw)
-
-
-def _name_points(figure: Figure, points: Sequence[tuple[str, float, float]]) -> None:
-    """Write names beside their points, the first ones first; one without room is left out."""
-    axes, taken = figure.axes[0], list[Bbox]()
-    figure.draw_without_rendering()  # so that places on the page are known
-    room = axes.get_window_extent()
-    for name, value, cost in points:
-        for side, x, y in (("left", 6, 5), ("left", 6, -13), ("right", -6, 5), ("right", -6, -13)):
-            text = axes.annotate(name, (cost, value), (x, y), textcoords="offset points", ha=side)
-            box = text.get_window_extent()
-            if room.x0 <= box.x0 and box.x1 <= room.x1 and not box.count_overlaps(taken):
-                taken.append(box)
-                break
-            text.remove()
+    return plot(draw, f"{score} over {label}; the line is the front")

@@ -6,11 +6,9 @@ by :func:`with_times`: a section, and the seconds beside the first numbers.
 
 from __future__ import annotations
 
-import re
 import shlex
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,19 +36,18 @@ from slgaussian.benchmark.reports.model import (
     number,
 )
 from slgaussian.benchmark.reports.paper_tables import paper_section
-from slgaussian.benchmark.reports.scenes import Scene, metrics_table
 from slgaussian.benchmark.reports.score_tables import (
-    MAIN,
-    MORE,
     conditions,
-    gain_cell,
     method_tables,
+    metrics_table,
+    scores_of,
 )
 from slgaussian.benchmark.reports.speed import speed_blocks
-from slgaussian.benchmark.reports.summary import summarize
+from slgaussian.benchmark.reports.summary import COSTS, cost_numbers, summarize
 from slgaussian.benchmark.scores import (
     GOOD,
     differences,
+    grouped,
     key_of,
     of_first_protocol,
     score_table,
@@ -58,23 +55,19 @@ from slgaussian.benchmark.scores import (
 from slgaussian.datasets.published import Standing
 
 Row = Mapping[str, Any]
-Images = Mapping[str, np.ndarray]
 
-MOST = 24
+PICTURED = 24
 """Scenes that get pictures: of more, those answered worst. All are in the tables."""
 
 LEFT_OUT = 3
 """Scenes left out for one reason that are named."""
-
-FIRST_SCORES = ("iou", "miou", "hit_mask", "hit_peak", "accuracy")
-"""Metrics of the first table, in the order of its columns."""
 
 TIMES = "<!-- times -->"
 """Where :func:`with_times` puts its section."""
 
 
 def run_report(
-    scenes: Sequence[Scene],
+    scenes: Sequence[look.Scene],
     manifest: Mapping[str, Any],
     failures: Sequence[Mapping[str, str]] = (),
     attribution: Sequence[Row] = (),
@@ -83,7 +76,7 @@ def run_report(
 
     Parameters
     ----------
-    scenes : sequence of Scene
+    scenes : sequence of slgaussian.benchmark.reports.look.Scene
     manifest : mapping
         Versions, settings and data, nested mappings allowed. Of ``data``, by scene, ``published``
         says which published scene it is (the fields of
@@ -93,33 +86,33 @@ def run_report(
     attribution : sequence of mapping
         Rows of the spec ``attribution``: what lost each miss of our method.
     """
-    by_method: dict[str, list[Row]] = {}
-    for scene in scenes:
-        for row in scene.rows:
-            by_method.setdefault(row["method"], []).append(row)
-    ours, our_rows = next(iter(by_method.items()), ("", []))
-    asked = of_first_protocol(our_rows)
-    scores = [score for rows in by_method.values() for score in score_table(rows).to_pylist()]
-    leading = [score for score in scores if asked and score["protocol"] == asked[0]["protocol"]]
+    rows = [row for scene in scenes for row in scene.rows]
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    ours = next(iter(methods), "")
+    leading = of_first_protocol(rows)
+    answers = [row for row in leading if row["method"] == ours]
+    scores = score_table(rows).to_pylist()
+    leading_scores = [s for s in scores if s["protocol"] == leading[0]["protocol"]]
     lost_by = {key_of(row): row["lost"] or "" for row in attribution}
-    drawn = _draw(scenes, asked, lost_by)
-    sections = [*drawn.looks, *map(_next_section, scenes[:1])]
-    sections += _score_sections(by_method, scores, leading)
+    sections, worst, scene_sections = _draw(scenes, answers, lost_by)
+    sections += map(_next_section, scenes[:1])
+    if leading_scores:
+        sections += _score_sections(leading, leading_scores, scores, methods)
     if failures:
         sections.append(_failures_section(failures))
     sections.append(Section("Speed against error", [Slot(TIMES)], "times", link="Speed"))
-    if drawn.worst:
-        sections.append(_worst_section(asked, drawn, attribution))
-    entries = manifest.get("data", {}).items()
-    standing = {name: Standing(**of["published"]) for name, of in entries if of.get("published")}
-    every = [row for rows in by_method.values() for row in rows]
-    if (paper := paper_section(every, standing, ours)) is not None:
+    if worst:
+        sections.append(_worst_section(answers, worst, attribution))
+    data = manifest.get("data", {})
+    standing = {n: Standing(**of["published"]) for n, of in data.items() if of.get("published")}
+    if (paper := paper_section(rows, standing, ours)) is not None:
         sections.append(paper)
     if scenes:
-        sections.append(_scenes_section(scenes, leading, ours, manifest))
-    sections += [*drawn.scenes, _manifest_section(manifest)]
-    opening = summarize(scenes, by_method, asked, leading, manifest, len(failures))
-    return Report("SLGaussian report", opening, sections)
+        our_scores = [score for score in leading_scores if score["method"] == ours]
+        sections.append(_scenes_section(scenes, our_scores, data))
+    sections += [*scene_sections, _manifest_section(manifest)]
+    summary = summarize(scenes, methods, answers, leading_scores, manifest, len(failures))
+    return Report("SLGaussian report", summary, sections)
 
 
 def with_times(
@@ -138,114 +131,75 @@ def with_times(
         As :func:`slgaussian.benchmark.reports.speed.speed_blocks` takes them.
     """
     blocks = speed_blocks(times, rows, novel)
-    costs = {(cost.dataset, cost.method): cost for cost in times.costs}
-
-    def filled(match: re.Match[str]) -> str:
-        dataset, method = (bytes.fromhex(match[k]).decode() for k in (2, 3))
-        value = getattr(costs.get((dataset, method)), match[1], None)
-        text = "–" if value is None else f"{value:,.0f}" if value >= 10 else f"{value:.2g}"
-        return f'<span class="took">{text}</span>'
-
-    html = re.sub(r"<!-- (\w+) ((?:[0-9a-f]{2})*) ((?:[0-9a-f]{2})*) -->", filled, pages["html"])
+    costs = COSTS + blocks_as("html", [cost_numbers(times.costs)]) + COSTS
     return {
-        "html": html.replace(TIMES, blocks_as("html", blocks)),
+        "html": pages["html"].replace(COSTS, costs).replace(TIMES, blocks_as("html", blocks)),
         "markdown": pages["markdown"].replace(TIMES, blocks_as("md", blocks)),
     }
 
 
-@dataclass
-class _Drawn:
-    """The sections of pictures: scenes that open the page, the worst answers, and all scenes."""
+def _draw(
+    scenes: Sequence[look.Scene], answers: Sequence[Row], lost_by: Mapping[look.Key, str]
+) -> tuple[list[Section], list[tuple[Row, Card]], list[Section]]:
+    """Draw the scenes at the top, the worst answers, and all scenes.
 
-    looks: list[Section]
-    worst: list[tuple[Row, Card]]
-    scenes: list[Section]
-
-
-def _draw(scenes: Sequence[Scene], asked: Sequence[Row], lost_by: Mapping[look.Key, str]) -> _Drawn:
-    """Draw the pictures of all scenes, of which one is in memory at a time."""
-    worst = look.few_a_scene(look.ranked(asked), look.WORST)
+    The pictures of one scene are in memory at a time.
+    """
+    worst = look.limit_per_scene(look.sort_worst_first(answers), look.WORST)
     cards: dict[look.Key, Card] = {}
-    opens = look.choose_scenes((one.name, one.dataset, one.metrics) for one in scenes)
+    reasons = look.choose_scenes((one.name, one.dataset, one.metrics) for one in scenes)
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
-    pictured = {scene.name for scene in worst_first[:MOST]}
-    drawn = _Drawn([], [], [])
+    pictured = {scene.name for scene in worst_first[:PICTURED]}
+    looks, sections = [], []
     for place, scene in enumerate(scenes):
-        rows = [row for row in asked if row["scene"] == scene.name]
+        rows = [row for row in answers if row["scene"] == scene.name]
         chosen = [row for row in worst if row["scene"] == scene.name]
-        shown = scene.name in pictured | opens.keys() or chosen
-        images = scene.pictures() if shown else {}
-        if scene.name in opens:
-            reason = opens[scene.name]
-            truth, masks = scene.truth(), scene.masks()
-            drawn.looks.append(
-                look.look_section(scene.name, reason, rows, images, truth, masks, lost_by)
-            )
+        is_drawn = scene.name in pictured | reasons.keys() or chosen
+        images = scene.pictures() if is_drawn else {}
+        if scene.name in reasons:
+            looks.append(look.look_section(scene, reasons[scene.name], rows, images, lost_by))
         for row in chosen:
             lost = lost_by.get(key_of(row), "")
             cards[key_of(row)] = look.answer_card(row, images, look.ANSWER, lost)
-        id = f"scene-{place}"
         images = images if scene.name in pictured else {}
-        drawn.scenes.append(
-            look.scene_section(scene.name, id, rows, scene.metrics, images, scene.name in opens)
-        )
-    if drawn.looks:
-        drawn.looks[0] = replace(drawn.looks[0], id="look", link="Look")
-    drawn.worst = [(row, cards[key_of(row)]) for row in worst]
-    return drawn
+        sections.append(look.scene_section(scene, f"scene-{place}", rows, images))
+    if looks:
+        looks[0] = replace(looks[0], id="look", link="Look")
+    return looks, [(row, cards[key_of(row)]) for row in worst], sections
 
 
 def _score_sections(
-    by_method: Mapping[str, Sequence[Row]], scores: Sequence[Row], leading: Sequence[Row]
+    leading: Sequence[Row],
+    leading_scores: Sequence[Row],
+    scores: Sequence[Row],
+    methods: Sequence[str],
 ) -> Iterator[Section]:
-    """Return one table a data set, and all scores folded up below."""
-    if not leading:
-        return
-    ours, *others = by_method
-    protocol = leading[0]["protocol"]
-    shown = [
-        score
-        for metric in FIRST_SCORES
-        for score in (*MAIN, *MORE)
-        if score.metric == metric and score.protocol == protocol.partition("@")[0]
-    ]
-    first = {m: [r for r in rows if r["protocol"] == protocol] for m, rows in by_method.items()}
+    """Return a table a data set by the first protocol, and by all others folded up below."""
+    ours, *rivals = methods
+    columns = scores_of(leading[0]["protocol"])
+    by_method = {method: rows for (method,), rows in grouped(leading, "method").items()}
     gains = {
         (difference.dataset, method): difference
-        for method in others
-        for difference in differences(first[ours], first[method])
-        if difference.metric == shown[0].metric
+        for method in rivals
+        for difference in differences(by_method[ours], by_method.get(method, []))
+        if difference.metric == columns[0].metric
     }
-    gain = Column(f"{ours} minus it", f"{shown[0].title}, on the queries and scenes that both have")
-    blocks: list[Block] = []
-    for table in method_tables(leading, shown):
-        lines = []
-        for line in sorted(table.lines, key=lambda line: line.cells[1].value, reverse=True):
-            method = line.cells[0].value
-            cells, style = list(line.cells), "ours" if others and method == ours else ""
-            if gains:
-                cells.append(gain_cell(gains.get((table.title, method)), shown[0], is_worded=True))
-            lines.append(replace(line, cells=tuple(cells), style=style))
-        columns = (*table.columns, gain) if gains else table.columns
-        blocks.append(replace(table, columns=columns, lines=tuple(lines)))
-    terms = {score.title: score.help for score in shown} | {
+    tables = method_tables(leading_scores, gains, ours if rivals else "")
+    blocks: list[Block] = [*tables]
+    terms = {score.title: score.help for score in columns} | {
         "near-best": "all objects that lead the canonical phrases by the given share of the best "
         "one's lead"
     }
     blocks.append(Terms(terms))
-    if others:
+    if rivals:
         note = "Best IoU first; the best of each column is bold. What is called “like” is not the "
         note += "original, but what it is known for on the same photographs, Gaussians and encoder."
         blocks.append(Prose(note))
-    title = "How good, by method" if others else "How good"
+    title = "How good, by method" if rivals else "How good"
     yield Section(title, blocks, "scores", link="Scores")
-    second = {table.title: table for table in method_tables(scores, MORE)}
-    every: list[Block] = []
-    for table in method_tables(scores):
-        every.append(table)
-        if table.title in second:
-            every.append(replace(second[table.title], title="By other protocols, and calibration"))
-    yield Section("Every score", every, note="by every protocol", is_folded=True)
+    others = [score for score in scores if score["protocol"] != leading[0]["protocol"]]
+    if others:
+        yield Section("By other protocols", method_tables(others), is_folded=True)
 
 
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
@@ -262,20 +216,21 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
     return Section("Left out", [Table.of(heads, rows)], "left-out", link="Left out", style="failed")
 
 
-def _worst_section(asked: Sequence[Row], drawn: _Drawn, attribution: Sequence[Row]) -> Section:
+def _worst_section(
+    answers: Sequence[Row], worst: Sequence[tuple[Row, Card]], attribution: Sequence[Row]
+) -> Section:
     """Show the answers that scored least, and what lost them."""
     blocks: list[Block] = []
-    for dataset in dict.fromkeys(row["dataset"] for row in asked):
-        scored = [r for r in asked if r["dataset"] == dataset and r["iou"] is not None]
-        low = {key_of(row) for row in scored if row["iou"] < GOOD}
-        beside = {key_of(row) for row in scored if not row["hit_mask"]}
-        if scored:
-            text = f"**{escape(dataset)}**: {len(low | beside)} of {len(scored)} queries are "
-            text += f"missed, {len(low)} with an IoU below {GOOD} and {len(beside)} with a point "
-            blocks.append(Prose(f"{text}beside the object."))
-    by = f"{escape(asked[0]['protocol'])} ({escape(conditions(asked[0]))})"
-    blocks.append(Prose(f"Here are the lowest, a few of a scene, by {by}."))
-    blocks += [look.ANSWER_TERMS, Cards([card for _, card in drawn.worst])]
+    scored = [row for row in answers if row["iou"] is not None]
+    for (dataset,), rows in grouped(scored, "dataset").items():
+        low = {key_of(row) for row in rows if row["iou"] < GOOD}
+        beside = {key_of(row) for row in rows if not row["hit_mask"]}
+        text = f"**{escape(dataset)}**: {len(low | beside)} of {len(rows)} queries are "
+        text += f"missed, {len(low)} with an IoU below {GOOD} and {len(beside)} with a point "
+        blocks.append(Prose(f"{text}beside the object."))
+    protocol = f"{escape(answers[0]['protocol'])} ({escape(conditions(answers[0]))})"
+    blocks.append(Prose(f"Here are the lowest, a few of a scene, by {protocol}."))
+    blocks += [look.ANSWER_TERMS, Cards([card for _, card in worst])]
     rows = [
         [
             row["query"],
@@ -283,7 +238,7 @@ def _worst_section(asked: Sequence[Row], drawn: _Drawn, attribution: Sequence[Ro
             number(row["iou"], 3),
             f"predictions/{mask_place(row).as_posix()}",
         ]
-        for row, _ in drawn.worst
+        for row, _ in worst
     ]
     place, mask = (Column(name, is_text=True) for name in ("Scene and frame", "Mask"))
     blocks.append(Fold("Where their masks are", [Table.of(["Query", place, "IoU", mask], rows)]))
@@ -303,25 +258,21 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
     ]
     columns = [Column("lost by", is_text=True), Column("Queries")]
     columns += [Column(title, help) for title, help in STAND_INS.values()]
-    for dataset in dict.fromkeys(row["dataset"] for row in attribution):
-        queries = [row for row in attribution if row["dataset"] == dataset]
-        counts = Counter(row["lost"] or "no miss" for row in queries)
+    for (dataset,), queries in grouped(attribution, "dataset").items():
+        by_stage = {stage or "no miss": rows for (stage,), rows in grouped(queries, "lost").items()}
+        order = sorted(by_stage, key=lambda stage: (stage == "no miss", -len(by_stage[stage])))
         lines = []
-        for lost in [
-            *sorted(counts, key=lambda stage: (stage == "no miss", -counts[stage])),
-            "all",
-        ]:
-            rows = [row for row in queries if lost in (row["lost"] or "no miss", "all")]
+        for stage in [*order, "all"]:
+            rows = by_stage.get(stage, queries)
             ious = ([row[n] for row in rows if row[n] is not None] for n in STAND_INS)
             means = [number(float(np.mean(values)), 3) if values else None for values in ious]
-            style = "mean" if lost == "all" else ""
-            lines.append(line_of([lost, str(len(rows)), *means], style=style))
-        blocks.append(Table(tuple(columns), tuple(lines), f"Which stage lost them, {dataset}"))
+            lines.append(line_of([stage, str(len(rows)), *means], "mean" * (stage == "all")))
+        blocks.append(Table.of(columns, lines, f"Which stage lost them, {dataset}"))
     blocks.append(Terms({title: help for title, help in STAND_INS.values() if help}))
     return blocks
 
 
-def _next_section(scene: Scene) -> Section:
+def _next_section(scene: look.Scene) -> Section:
     """Name the commands that look at a scene and make one of the reader's photographs."""
     field = shlex.quote(f"fields/{file_name(scene.name)}")
     text = (
@@ -333,9 +284,9 @@ def _next_section(scene: Scene) -> Section:
 
 
 def _scenes_section(
-    scenes: Sequence[Scene], leading: Sequence[Row], ours: str, manifest: Mapping[str, Any]
+    scenes: Sequence[look.Scene], scores: Sequence[Row], data: Mapping[str, Any]
 ) -> Section:
-    """List the metrics of every scene."""
+    """List the metrics of every scene; ``scores`` are ours by the first protocol."""
     blocks: list[Block] = [
         Prose(
             "Each scene's field is a folder below `fields/`, by the name that `fields.csv` has; "
@@ -344,7 +295,7 @@ def _scenes_section(
         )
     ]
     estimated = []
-    for name, of in manifest.get("data", {}).items():
+    for name, of in data.items():
         if (cameras := of.get("cameras", "given")) != "given":
             left_out = ", ".join(of.get("left_out", {}))
             aside = f"; without {left_out}, which cannot be placed" if left_out else ""
@@ -355,8 +306,8 @@ def _scenes_section(
     tables = []
     for dataset in dict.fromkeys(scene.dataset for scene in scenes):
         metrics = {scene.name: scene.metrics for scene in scenes if scene.dataset == dataset}
-        scores = [s for s in leading if (s["dataset"], s["method"]) == (dataset, ours)]
-        tables.append(metrics_table(metrics, scores, dataset, links))
+        of_set = [score for score in scores if score["dataset"] == dataset]
+        tables.append(metrics_table(metrics, of_set, dataset, links))
     terms = {c.title: c.help for table in tables for c in table.columns if c.help}
     return Section(
         "Scene by scene", [*blocks, *tables, Terms(terms)], "scenes", link="Scene by scene"

@@ -1,4 +1,4 @@
-"""Tables of scores: a row a method, best in bold, and the conditions that each number goes by."""
+"""Tables of scores with their intervals, and the conditions that each number goes by."""
 
 from __future__ import annotations
 
@@ -7,13 +7,23 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from slgaussian.benchmark.baselines import ROWS
-from slgaussian.benchmark.reports.model import NO_VALUE, Cell, Column, Line, Table, escape
-from slgaussian.benchmark.scores import SCORE_CALIBRATION, Difference, differences
-from slgaussian.benchmark.statistics import LEAST, LEVEL
+from slgaussian.benchmark.reports.model import (
+    NO_VALUE,
+    Cell,
+    Column,
+    Line,
+    Table,
+    escape,
+    line_of,
+    number,
+)
+from slgaussian.benchmark.scores import SCORE_CALIBRATION, Difference, differences, grouped
+from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison
 
 Row = Mapping[str, Any]
-Pairs = Mapping[str, tuple[Sequence[Row], Sequence[Row]]]
 
 
 @dataclass(frozen=True)
@@ -31,28 +41,18 @@ class Score:
     sign: int = 1
 
     @property
-    def key(self) -> tuple[str, str]:
-        """Protocol and metric."""
-        return self.protocol, self.metric
-
-    def column(self, group: str = "", note: str = "") -> Column:
-        """Return the column of the score in a table."""
-        return Column(self.title + (" ↓" if self.sign < 0 else ""), self.help, group, note)
+    def column(self) -> Column:
+        """The column of the score in a table."""
+        return Column(self.title + (" ↓" if self.sign < 0 else ""), self.help)
 
 
-MAIN = (
+SCORES = (
     Score("slgaussian", "iou", "IoU", 3, "mask against label"),
-    Score("slgaussian", "boundary_iou", "Boundary IoU", 3, "their rims"),
     Score("slgaussian", "miou", "mIoU", 3, "all texts compete for each pixel"),
     Score("slgaussian", "hit_mask", "Point in mask", 2, "one point lies on the object"),
     Score("slgaussian", "hit_box", "Point in box", 2, "the same, in its box"),
-    Score("threshold-free", "average_precision", "AP", 3, "average precision of the relevancy"),
-    Score("threshold-free", "auc", "AUC", 3, "area under the curve of true and false positives"),
-    Score("threshold-free", "best_iou", "Best IoU", 3, "with the best threshold of each query"),
-)
-"""The scores that are looked at first."""
-
-MORE = (
+    Score("slgaussian", "boundary_iou", "Boundary IoU", 3, "their rims"),
+    Score("slgaussian", SCORE_CALIBRATION, "ECE, point", 3, "relevancy as a chance to hit", -1),
     Score("langsplat", "iou", "IoU", 3, "smoothed, stretched relevancy above 0.4"),
     Score("langsplat", "boundary_iou", "Boundary IoU", 3, "their rims"),
     Score("langsplat", "hit_peak", "Peak in box", 2, "any of the most relevant pixels"),
@@ -63,13 +63,15 @@ MORE = (
     Score("langsplat-rescaled", "hit_box", "Point in box", 2, "the same"),
     Score("3d-ovs", "miou", "mIoU", 3, "all texts compete for each pixel"),
     Score("3d-ovs", "accuracy", "Accuracy", 3, "pixels with the right class and no other"),
-    Score("slgaussian", SCORE_CALIBRATION, "ECE, point", 3, "relevancy as a chance to hit", -1),
+    Score("threshold-free", "average_precision", "AP", 3, "average precision of the relevancy"),
+    Score("threshold-free", "auc", "AUC", 3, "area under the curve of true and false positives"),
+    Score("threshold-free", "best_iou", "Best IoU", 3, "with the best threshold of each query"),
     Score("threshold-free", "calibration_error", "ECE, pixels", 3, "as a chance of a pixel", -1),
 )
-"""The scores that follow."""
+"""The scores in the order of tables and columns; of each protocol the first one leads."""
 
 SELECTIONS = {"none": "no mask", "given": "masks as given"}
-"""What some selections are called in place of their names."""
+"""Descriptions of some selections in place of their names."""
 
 VERDICTS = {
     "better": "ahead",
@@ -80,107 +82,140 @@ VERDICTS = {
 """Words by the mark of a difference, see :func:`gain_cell`."""
 
 
-def method_tables(scores: Sequence[Row], shown: Sequence[Score] = MAIN) -> list[Table]:
-    """Return a table for each data set of the rows of a table of the spec ``scores``.
+METRICS = (
+    Score("", "iou", "IoU", 3, "mean over queries of one mask each against the labelled mask"),
+    Score("", "hit_mask", "Point in mask", 2, "share of queries whose point lies on the object"),
+    Score("", "hit_box", "Point in box", 2, "the same against the object's box, as LERF counts"),
+    Score("", "hit_peak", "Peak in box", 2, "any of the most relevant pixels, as LangSplat counts"),
+    Score("", "miou", "mIoU", 3, "all queries compete for each pixel; mean class IoU, whole image"),
+    Score("", "psnr", "PSNR", 1, "dB, rendered novel view against the photograph"),
+    Score("", "ssim", "SSIM", 3, "rendered novel view against the photograph"),
+    Score("", "abs_rel", "Depth abs-rel", 3, "context views, all pixels with true depth", -1),
+    Score("", "delta125", "δ < 1.25", 3, "share of pixels whose depth is within 25 %"),
+    Score("", "bad2", "bad-2.0", 3, "rectified pairs: share of pixels over 2 px off", -1),
+    Score("", "target_abs_rel", "Novel abs-rel", 3, "depth rendered at the novel view", -1),
+)
+"""Metrics of a scene by its first protocol, and of its views; they have no protocol here."""
 
-    A score that no method has is left out. Where a method goes by other conditions than most, or
+
+def scores_of(protocol: str) -> list[Score]:
+    """Return the scores of a protocol, given as ``name`` or ``name@version``."""
+    return [score for score in SCORES if score.protocol == protocol.partition("@")[0]]
+
+
+def method_tables(
+    scores: Sequence[Row], gains: Mapping[tuple[str, str], Difference] | None = None, ours: str = ""
+) -> list[Table]:
+    """Return a table for each data set and protocol: a line a method, best first.
+
+    Scores that no method has are left out. Where a method goes by other conditions than most, or
     has other samples, its line and cells say so. Of one method alone nothing is best.
+
+    Parameters
+    ----------
+    scores : rows of the spec ``scores``
+    gains : {(data set, method): Difference}, optional
+        By how much ``ours`` leads in the first score: the last column.
+    ours : str
+        The method whose line is highlighted.
     """
+    order = list(dict.fromkeys(score.protocol for score in SCORES))
     tables = []
-    for dataset in dict.fromkeys(row["dataset"] for row in scores):
-        by_method: dict[str, dict[tuple[str, str], Row]] = {}
-        for row in scores:
-            if row["dataset"] == dataset and not is_of_curve(row):
-                key = row["protocol"].partition("@")[0], row["metric"]
-                by_method.setdefault(row["method"], {})[key] = row
-        columns = [Column("Method", is_text=True)]
-        cells = {method: [Cell(method)] for method in by_method}
-        differing_conditions: dict[str, dict[str, None]] = {method: {} for method in by_method}
-        common: dict[str, str] = {}
-        for score in shown:
-            present = [s[score.key] for s in by_method.values() if score.key in s]
-            if not present:
-                continue
-            label, count = (_most(texts) for texts in zip(*map(_labels, present), strict=True))
-            common.setdefault(label, _most(conditions(row) for row in present))
-            columns.append(score.column(label, count))
-            best = max(round(row["value"], score.digits) * score.sign for row in present)
-            for method, by_score in by_method.items():
-                cell = score_cell(by_score.get(score.key), score.digits)
-                if score.key in by_score:
-                    row = by_score[score.key]
-                    is_best = round(row["value"], score.digits) * score.sign == best
-                    samples = _labels(row)[1]
-                    cell_notes = filter(None, [row["note"], "" if samples == count else samples])
-                    mark = "best" if is_best and len(by_method) > 1 else ""
-                    cell = replace(cell, mark=mark, note="; ".join(cell_notes))
-                    usual = common[label].split(", ")
-                    unusual = (c for c in conditions(row).split(", ") if c not in usual)
-                    differing_conditions[method] |= dict.fromkeys(unusual)
-                cells[method].append(cell)
-        if len(columns) == 1:
+    groups = grouped((row for row in scores if not is_of_curve(row)), "dataset", "protocol")
+    for (dataset, protocol), rows in sorted(
+        groups.items(), key=lambda item: order.index(item[0][1].partition("@")[0])
+    ):
+        by_method = {
+            method: {row["metric"]: row for row in method_rows}
+            for (method,), method_rows in grouped(rows, "method").items()
+        }
+        columns = [s for s in scores_of(protocol) if any(s.metric in r for r in by_method.values())]
+        if not columns:
             continue
-        lines = [
-            Line(
-                tuple(line),
-                "; ".join(filter(None, (about(method), ", ".join(differing_conditions[method])))),
+        usual = _commonest(conditions(row) for row in rows).split(", ")
+        counts, best = {}, {}
+        for score in columns:
+            present = [r[score.metric] for r in by_method.values() if score.metric in r]
+            counts[score] = _commonest(row["samples"] for row in present)
+            best[score] = max(score.sign * round(row["value"], score.digits) for row in present)
+        lines = []
+        for method, by_metric in by_method.items():
+            cells = [Cell(method)]
+            for score in columns:
+                row = by_metric.get(score.metric)
+                cell = score_cell(row, score.digits)
+                if row is not None:
+                    is_best = score.sign * round(row["value"], score.digits) == best[score]
+                    samples = f"n {row['samples']}" if row["samples"] != counts[score] else ""
+                    note = "; ".join(filter(None, (row["note"], samples)))
+                    cell = replace(
+                        cell, mark="best" if is_best and len(by_method) > 1 else "", note=note
+                    )
+                cells.append(cell)
+            if gains:
+                cells.append(gain_cell(gains.get((dataset, method)), columns[0], is_worded=True))
+            unusual = dict.fromkeys(
+                part
+                for row in by_metric.values()
+                for part in conditions(row).split(", ")
+                if part not in usual
             )
-            for method, line in cells.items()
-        ]
-        every = [row for by_score in by_method.values() for row in by_score.values()]
-        notes = [f"{escape(label)}: {escape(text)}." for label, text in common.items()]
-        notes.append(
-            _described(*(max(row[unit] for row in every) for unit in ("scenes", "places")))
+            text = "; ".join(filter(None, (describe(method), ", ".join(unusual))))
+            lines.append(Line(tuple(cells), text, "ours" if method == ours else ""))
+        lines.sort(key=lambda line: line.cells[1].value.replace(NO_VALUE, ""), reverse=True)
+        heads = [Column("Method", is_text=True)]
+        heads += [replace(score.column, note=f"n {counts[score]}") for score in columns]
+        if gains:
+            text = f"{columns[0].title}, on the queries and scenes that both have"
+            heads.append(Column(f"{ours} minus it", text))
+        scenes, places = (max(row[unit] for row in rows) for unit in ("scenes", "places"))
+        notes = (
+            f"{escape(protocol)}: {escape(', '.join(usual))}.",
+            _describe_means(scenes, places),
         )
-        tables.append(Table(tuple(columns), tuple(lines), dataset, tuple(notes)))
+        tables.append(Table(tuple(heads), tuple(lines), f"{dataset} by {protocol}", notes))
     return tables
 
 
-def _labels(row: Row) -> tuple[str, str]:
-    return row["protocol"], f"n {row['samples']}"
-
-
-def _described(scenes: int, places: int) -> str:
-    """Return what a mean is over, and what its interval is."""
+def _describe_means(scenes: int, places: int) -> str:
+    """Describe what a mean is over, and what its interval is."""
     text = f"Mean over {scenes} scene{'s' if scenes > 1 else ''} of each scene's mean"
     if scenes == 1:
         text += "; one scene has no interval"
     elif places == 1:
         text += "; scenes of one place have no interval"
     else:
-        drawn = "scenes"
+        units = "scenes"
         if places < scenes:
-            drawn = f"{places} places that they show, and of scenes within these,"
-        text += f"; with it where {LEVEL:.0%} of the resamplings of the {drawn} lie"
+            units = f"{places} places that they show, and of scenes within these,"
+        text += f"; with it where {LEVEL:.0%} of the resamplings of the {units} lie"
         text += ", rough with so few" if places < LEAST else ""
     return f"{text}. n are queries, each in one frame."
 
 
 def difference_tables(
-    pairs: Pairs, shown: Sequence[Score] = MAIN, head: str = "Minus"
+    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]], head: str = "Minus"
 ) -> list[Table]:
-    """Return a table for each data set: a line a pair of samples, the one minus the other."""
-    by_dataset: dict[str, dict[str, dict[tuple[str, str], Difference]]] = {}
+    """Return a table for each data set and protocol: a line a pair of samples, first minus second.
+
+    ``pairs`` are rows of the spec ``samples`` by the name of the line.
+    """
+    groups: dict[tuple[str, str], dict[str, dict[str, Difference]]] = {}
     for name, (rows, baseline) in pairs.items():
         for difference in differences(rows, baseline):
             if difference.threshold is None:
-                key = difference.protocol.partition("@")[0], difference.metric
-                by_score = by_dataset.setdefault(difference.dataset, {}).setdefault(name, {})
-                by_score[key] = difference
+                by_name = groups.setdefault((difference.dataset, difference.protocol), {})
+                by_name.setdefault(name, {})[difference.metric] = difference
     tables = []
-    for dataset, by_name in by_dataset.items():
-        present = [
-            score for score in shown if any(score.key in by_score for by_score in by_name.values())
-        ]
-        if not present:
+    for (dataset, protocol), by_name in groups.items():
+        columns = [s for s in scores_of(protocol) if any(s.metric in d for d in by_name.values())]
+        if not columns:
             continue
-        labels = {key: d.protocol for by_score in by_name.values() for key, d in by_score.items()}
-        columns = [Column(head, is_text=True), *(s.column(labels[s.key]) for s in present)]
         lines = [
-            Line((Cell(name), *(gain_cell(by_score.get(score.key), score) for score in present)))
-            for name, by_score in by_name.items()
+            line_of([name, *(gain_cell(by_metric.get(s.metric), s) for s in columns)])
+            for name, by_metric in by_name.items()
         ]
-        gains = [d.gain for by_score in by_name.values() for d in by_score.values()]
+        gains = [d.gain for by_metric in by_name.values() for d in by_metric.values()]
         scenes, places = max(g.samples for g in gains), max(g.drawn for g in gains)
         unit = "places that they show" if places < scenes else "scenes"
         note = (
@@ -193,34 +228,81 @@ def difference_tables(
             else "Green is better beyond noise, red is worse; of so many comparisons one in twenty "
             "is so by chance."
         )
-        tables.append(Table(tuple(columns), tuple(lines), dataset, (note,)))
+        heads = [head, *(score.column for score in columns)]
+        tables.append(Table.of(heads, lines, f"{dataset} by {protocol}", [note]))
     return tables
 
 
-def gain_cell(difference: Difference | None, score: Score, is_worded: bool = False) -> Cell:
-    """Return a difference as it is printed; if ``is_worded`` with what it bears out.
+def metrics_table(
+    metrics: Mapping[str, Mapping[str, float]],
+    scores: Sequence[Row] = (),
+    title: str = "",
+    links: Mapping[str, str] | None = None,
+) -> Table:
+    """Return a line a scene and one of means, below which are the intervals of ``scores``.
 
-    It is beyond noise if the interval is, as it is printed: one that ends at 0.000 is not. Of
-    fewer than :data:`LEAST` places it is not, whatever its interval.
+    The mean is over the scenes that have the number, each counting once.
+
+    Parameters
+    ----------
+    metrics : {scene: {metric: float}}
+    scores : rows of the spec ``scores``
+        Of the scenes by the protocol of the metrics; other numbers have no interval.
+    title : str
+    links : {scene: str}, optional
+        Ids of the parts of the page that show them.
     """
+    columns = [m for m in METRICS if any(m.metric in values for values in metrics.values())]
+    lines = [
+        line_of(
+            [
+                Cell(scene, link=(links or {}).get(scene, "")),
+                *(number(values.get(m.metric), m.digits) for m in columns),
+            ]
+        )
+        for scene, values in metrics.items()
+    ]
+    by_metric = {score["metric"]: score for score in scores if not is_of_curve(score)}
+    means = [Cell("mean")]
+    for m in columns:
+        mean = float(
+            np.mean([values[m.metric] for values in metrics.values() if m.metric in values])
+        )
+        below = score_cell(by_metric.get(m.metric), m.digits).below
+        means.append(Cell(f"{mean:.{m.digits}f}", below))
+    heads = ["scene", *(m.column for m in columns)]
+    return Table.of(heads, [*lines, line_of(means, "mean")], title)
+
+
+def gain_cell(difference: Difference | None, score: Score, is_worded: bool = False) -> Cell:
+    """Return a difference as it is printed, with its verdict in words if ``is_worded``."""
     if difference is None:
         return Cell(NO_VALUE)
-    gain, digits = difference.gain, score.digits
-    value, start, end = (
-        round(number, digits) + 0.0  # and not -0.000
-        for number in (gain.difference, gain.low, gain.high)
-    )
+    gain = difference.gain
+    cell = comparison_cell(gain, score.digits, score.sign)
     note = f"{difference.samples} samples of {gain.samples} scene{'s' if gain.samples > 1 else ''}"
-    low, high = sorted((score.sign * start, score.sign * end))
+    below = [cell.below] * (gain.drawn > 1) + [VERDICTS[cell.mark]] * is_worded
+    return replace(cell, below=", ".join(below), note=note)
+
+
+def comparison_cell(gain: Comparison, digits: int, sign: int = 1) -> Cell:
+    """Return a gain with its interval and mark; ``sign`` is -1 where less is better.
+
+    A gain is beyond noise if its interval is, as it is printed: one that ends at 0.000 is not. Of
+    fewer than :data:`LEAST` places none is, whatever its interval.
+    """
+    value, start, end = (
+        round(end, digits) + 0.0  # and not -0.000
+        for end in (gain.difference, gain.low, gain.high)
+    )
+    low, high = sorted((sign * start, sign * end))
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
     if gain.drawn < 2 or (gain.drawn < LEAST and mark != "noise"):
         mark = "few"
-    below = [f"{start:+.{digits}f} to {end:+.{digits}f}"] * (gain.drawn > 1)
-    below += [VERDICTS[mark]] * is_worded
-    return Cell(f"{value:+.{digits}f}", ", ".join(below), mark, note)
+    return Cell(f"{value:+.{digits}f}", f"{start:+.{digits}f} to {end:+.{digits}f}", mark)
 
 
-def about(method: str) -> str:
+def describe(method: str) -> str:
     """Describe a method, and of what is not the original that it is not; empty if not known."""
     return ROWS[method].about if method in ROWS else ""
 
@@ -247,11 +329,11 @@ def score_cell(row: Row | None, digits: int) -> Cell:
     return Cell(f"{row['value']:.{digits}f}", below)
 
 
-def is_of_curve(row: Row) -> bool:
-    """Tell whether a score is of a threshold that was tried."""
-    return row["protocol"].startswith("threshold-free") and row["threshold"] is not None
+def is_of_curve(score: Row) -> bool:
+    """Tell whether a score is of one of the thresholds that the protocol threshold-free tries."""
+    return score["protocol"].startswith("threshold-free") and score["threshold"] is not None
 
 
-def _most(texts: Iterable[str]) -> str:
-    """Return the commonest, the first of several."""
-    return Counter(texts).most_common(1)[0][0]
+def _commonest(values: Iterable[Any]) -> Any:
+    """Return the commonest value, the first of several."""
+    return Counter(values).most_common(1)[0][0]

@@ -13,9 +13,9 @@ for (const picture of document.querySelectorAll("figure img")) {
     copy.removeAttribute("class");
     copy.removeAttribute("role");
     const caption = document.createElement("p");
-    const told = picture.closest(".card")?.querySelector("header b")?.textContent;
-    const said = picture.parentElement.querySelector("figcaption")?.textContent ?? picture.alt;
-    caption.textContent = [told, said].filter(Boolean).join(": ") + " (Esc or a click closes)";
+    const title = picture.closest(".card")?.querySelector("header b")?.textContent;
+    const text = picture.parentElement.querySelector("figcaption")?.textContent ?? picture.alt;
+    caption.textContent = [title, text].filter(Boolean).join(": ") + " (Esc or a click closes)";
     large.replaceChildren(copy, caption);
     large.showModal();
   };

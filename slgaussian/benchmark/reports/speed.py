@@ -13,14 +13,14 @@ from slgaussian.benchmark.reports.model import (
     Cell,
     Column,
     Fold,
-    Plots,
+    Gallery,
     Prose,
     Table,
     escape,
     flatten,
     number,
 )
-from slgaussian.benchmark.reports.plots import plot_worth
+from slgaussian.benchmark.reports.plots import plot_pareto
 from slgaussian.benchmark.reports.score_tables import score_cell
 from slgaussian.benchmark.scores import of_first_protocol, score_table
 
@@ -41,6 +41,11 @@ STAGES = (
     "worked on at the same time count each."
 )
 
+HARD_CASES = (
+    "The greatest difference of what is computed in float32 from the same in float64, or longer "
+    "numbers."
+)
+
 
 def speed_blocks(
     times: Times, rows: Sequence[Row], novel: Sequence[tuple[str, str, float]]
@@ -55,25 +60,21 @@ def speed_blocks(
     novel : sequence of (data set, method, float)
         PSNR of new views, dB, a scene at a time.
     """
-    first = of_first_protocol(rows)
-    scores: dict[tuple[str, str], Row] = {}
-    for method in dict.fromkeys(row["method"] for row in first):
-        table = score_table([row for row in first if row["method"] == method])
-        scores |= {
-            (score["dataset"], method): score
-            for score in table.to_pylist()
-            if score["metric"] == "iou" and score["threshold"] is None
-        }
-    blocks: list[Block] = [
-        Prose("Two runs on the same input differ in this section and in the seconds above alone.")
-    ]
+    leading = of_first_protocol(rows)
+    ious = {
+        (score["dataset"], score["method"]): score
+        for score in score_table(leading).to_pylist()
+        if score["metric"] == "iou"
+    }
+    text = "Two runs on the same input differ in this section and in the seconds above alone."
+    blocks: list[Block] = [Prose(text)]
     for dataset in dict.fromkeys(cost.dataset for cost in times.costs):
         sizes = dict.fromkeys(
-            f"{row['height']} x {row['width']}" for row in first if row["dataset"] == dataset
+            f"{row['height']} x {row['width']}" for row in leading if row["dataset"] == dataset
         )
         title = f"{dataset}, judged at {', '.join(sizes)} pixels (height x width)"
         costs = [cost for cost in times.costs if cost.dataset == dataset]
-        blocks += _tradeoff(title, costs, scores, novel)
+        blocks += _tradeoff(title, costs, ious, novel)
     if len(blocks) > 1:
         blocks.append(Prose(FRONT))
     blocks += _paper_costs(times)
@@ -93,56 +94,60 @@ def speed_blocks(
 def _tradeoff(
     title: str,
     costs: Sequence[Cost],
-    scores: Mapping[tuple[str, str], Row],
+    ious: Mapping[tuple[str, str], Row],
     novel: Sequence[tuple[str, str, float]],
 ) -> list[Block]:
     """Set the scores of the methods of a data set against their costs, best first."""
     psnr = {
         cost.method: fmean(values)
         for cost in costs
-        if (values := [v for *by, v in novel if by == [cost.dataset, cost.method]])
+        if (values := [v for *name, v in novel if name == [cost.dataset, cost.method]])
     }
-    ious = {cost.method: scores.get((cost.dataset, cost.method)) for cost in costs}
-    scored = any(ious.values())
-    merits = {name: iou["value"] for name, iou in ious.items() if iou} if scored else psnr
-    shown = [cost for cost in costs if cost.method in merits and cost.view_query]
-    shown.sort(key=lambda cost: -merits[cost.method])
-    if not shown:
+    by_method = {c.method: row for c in costs if (row := ious.get((c.dataset, c.method)))}
+    merits = {method: row["value"] for method, row in by_method.items()} or psnr
+    score = "IoU" if by_method else "PSNR of new views, dB"
+    ranked = [cost for cost in costs if cost.method in merits and cost.view_query]
+    ranked.sort(key=lambda cost: -merits[cost.method])
+    if not ranked:
         return []
-    built = any(is_swept(cost.method) for cost in shown)
-    values = [merits[cost.method] for cost in shown]
-    seconds = [cost.whole if built else cost.view_query for cost in shown]
-    memory = [None if cost.grown is None else cost.grown / 1e6 for cost in shown]
-    fronts = {"time": front(seconds, values), "memory": front(memory, values)}
-    columns: dict[str, list[Cell | str | None]] = {
-        "Method": [cost.method for cost in shown],
-        "IoU": [score_cell(ious[cost.method], 3) for cost in shown],
-        "New view, PSNR": [number(psnr.get(cost.method), 1) for cost in shown],
-        "To build, s": [number(cost.build, 2) for cost in shown],
-        "To prepare, s": [number(cost.prepare, 3) for cost in shown],
-        "Query in a new view, s": [number(cost.view_query, 4) for cost in shown],
-        "Memory, MB": [number(value, 0) for value in memory],
-        "Front": [
-            ", ".join(name for name, on in fronts.items() if on[place])
-            for place in range(len(shown))
-        ],
-    }
-    score = "IoU" if scored else "PSNR of new views, dB"
-    whole = "seconds from photographs to an answer" if built else "seconds of a query in a new view"
-    plots = {}
-    for label, prices in ((whole, seconds), ("memory beyond the scene, MB", memory)):
+    has_fields = any(is_swept(cost.method) for cost in ranked)
+    label = "seconds of a query in a new view"
+    if has_fields:
+        label = "seconds from photographs to an answer"
+    values = [merits[cost.method] for cost in ranked]
+    seconds = [cost.whole if has_fields else cost.view_query for cost in ranked]
+    memory = [None if cost.grown is None else cost.grown / 1e6 for cost in ranked]
+    fronts = {"time": pareto_front(seconds, values), "memory": pareto_front(memory, values)}
+    rows = [
+        [
+            cost.method,
+            score_cell(by_method.get(cost.method), 3),
+            number(psnr.get(cost.method), 1),
+            number(cost.build, 2),
+            number(cost.prepare, 3),
+            number(cost.view_query, 4),
+            number(cost.grown, 0, 1e6),
+            ", ".join(name for name, members in fronts.items() if members[k]),
+        ]
+        for k, cost in enumerate(ranked)
+    ]
+    heads = ["Method", "IoU", "New view, PSNR", "To build, s", "To prepare, s",
+             "Query in a new view, s", "Memory, MB", Column("Front", is_text=True)]  # fmt: skip
+    plots = []
+    for name, prices in ((label, seconds), ("memory beyond the scene, MB", memory)):
         points = [
             (cost.method, value, price)
-            for cost, value, price in zip(shown, values, prices, strict=True)
+            for cost, value, price in zip(ranked, values, prices, strict=True)
             if price
         ]
         if points:
-            caption = f"{score} over {label}; the line is the front"
-            plots[caption] = plot_worth(points, costs[0].method, label, score)
-    heads = [Column(head, is_text=head in ("Method", "Front")) for head in columns]
-    table = Table.of(heads, list(zip(*columns.values(), strict=True)), title)
+            plots.append(plot_pareto(points, costs[0].method, name, score))
     sentence = claim(costs)
-    return [table, Plots(plots), *[Prose(f"**{sentence}**", "")] * bool(sentence)]
+    return [
+        Table.of(heads, rows, title),
+        Gallery(plots, "grid plots"),
+        *[Prose(f"**{sentence}**", "")] * bool(sentence),
+    ]
 
 
 def _paper_costs(times: Times) -> list[Block]:
@@ -173,32 +178,33 @@ def _paper_costs(times: Times) -> list[Block]:
     return tables
 
 
-def front(costs: Sequence[float | None], values: Sequence[float]) -> list[bool]:
-    """Say which have no other that costs no more, is worth no less, and is better in one of both.
+def pareto_front(costs: Sequence[float | None], values: Sequence[float]) -> list[bool]:
+    """Tell which points no other beats: none costs no more, is worth no less, and differs.
 
     A cost of None is on no front.
     """
+    points = list(zip(costs, values, strict=True))
     return [
         cost is not None
         and not any(
-            other is not None
-            and other <= cost
+            price is not None
+            and price <= cost
             and worth >= value
-            and (other < cost or worth > value)
-            for other, worth in zip(costs, values, strict=True)
+            and (price, worth) != (cost, value)
+            for price, worth in points
         )
-        for cost, value in zip(costs, values, strict=True)
+        for cost, value in points
     ]
 
 
 def _stages_table(times: Times) -> Table:
-    whole = sum(cost.seconds for cost in times.stages.values()) or 1.0
+    total = sum(cost.seconds for cost in times.stages.values()) or 1.0
     rows = [
         [
             stage,
             number(cost.middle, 2),
             number(cost.seconds, 2),
-            f"{100 * cost.seconds / whole:.0f} %",
+            f"{100 * cost.seconds / total:.0f} %",
             number(cost.grown, 0, 1e6),
         ]
         for stage, cost in times.stages.items()
@@ -214,8 +220,7 @@ def _stages_table(times: Times) -> Table:
 
 
 def _hard_cases(times: Times) -> list[Block]:
-    cases = times.hard_cases
-    beyond = [f"{case.case} ({case.part})" for case in cases if not case.good]
+    beyond = [f"{case.case} ({case.part})" for case in times.hard_cases if not case.good]
     processor = escape(times.host.get("processor") or "this machine")
     verdict = "all are within their bounds."
     if beyond:
@@ -228,12 +233,10 @@ def _hard_cases(times: Times) -> list[Block]:
             f"{case.bound:.0e}",
             Cell("ok", mark="yes") if case.good else Cell("beyond", mark="no"),
         ]
-        for case in cases
+        for case in times.hard_cases
     ]
-    note = (
-        "The greatest difference of what is computed in float32 from the same in float64, or "
-        "longer numbers."
-    )
     heads = ["Hard case", Column("Computed by", is_text=True), "Error", "Bound", ""]
-    fold = Fold("Each case, its error and its bound", [Table.of(heads, rows, notes=[note])])
-    return [Prose(f"Of {len(cases)} hard cases on {processor}, {verdict}", ""), fold]
+    return [
+        Prose(f"Of {len(rows)} hard cases on {processor}, {verdict}", ""),
+        Fold("Each case, its error and its bound", [Table.of(heads, rows, notes=[HARD_CASES])]),
+    ]

@@ -11,24 +11,24 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from slgaussian.benchmark.pictures import encode_png, paint_labels
-from slgaussian.benchmark.reports.encoding import data_uri
 from slgaussian.benchmark.reports.model import (
     Block,
     Cell,
     Column,
     Gallery,
     Picture,
-    Plots,
     Prose,
     Report,
     Section,
     Table,
+    data_uri,
     escape,
     flatten,
 )
-from slgaussian.benchmark.reports.plots import as_svg
+from slgaussian.benchmark.reports.plots import plot
+from slgaussian.benchmark.reports.score_tables import comparison_cell
 from slgaussian.benchmark.significance import clip_scores, gain
-from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison
+from slgaussian.benchmark.statistics import LEAST, LEVEL
 
 ABOUT = {
     "hard": "each Gaussian has the object of its own pixel; no network",
@@ -46,15 +46,15 @@ SMOOTH = 0.02
 class Example:
     """One target view of a held-out lesson, all pictures int32 [H, W] object ids.
 
-    ``shown`` is the first context view as the liftings saw it, ``truth`` the target labels, and
-    ``found`` by lifting the answers, with the IoU of the lesson under ``ious``.
+    ``context`` is the first context view as the liftings saw it, ``truth`` the target labels, and
+    ``predicted`` the answers by lifting, with the IoU of the lesson under ``ious``.
     """
 
     sample: str
     labels: str
-    shown: np.ndarray
+    context: np.ndarray
     truth: np.ndarray
-    found: Mapping[str, np.ndarray]
+    predicted: Mapping[str, np.ndarray]
     ious: Mapping[str, float]
 
 
@@ -76,21 +76,21 @@ def training_report(
     course = "Loss of every step and its running mean; grey: learning rate"
     sections = [
         Section("Scores", [scores_table(judgements)]),
-        Section("Course", [Plots({course: as_svg(lambda: _loss_curve(metrics))})]),
+        Section("Course", [Gallery([plot(lambda: _loss_curve(metrics), course)], "grid plots")]),
     ]
     if examples:
         note = (
             "Where the branch gains most, in the middle, and where it gains least, labels "
             "corrupted. IoU is of all target views of the lesson."
         )
-        shown: list[Block] = [Prose(note)]
+        blocks: list[Block] = [Prose(note)]
         for example in examples:
-            shown += [Prose(escape(example.sample)), Gallery(_pictures(example), "labels")]
-        sections.append(Section("Held-out lessons", shown))
+            blocks += [Prose(escape(example.sample)), Gallery(_pictures(example), "labels")]
+        sections.append(Section("Held-out lessons", blocks))
     manifest_table = Table.of(["", Column("", is_text=True)], flatten(manifest))
     sections.append(Section("What ran", [manifest_table]))
-    opening = "Judged by the objects seen in new views of clips that it was not trained on."
-    return Report("Training of the semantic branch", [Prose(opening)], sections)
+    summary = "Judged by the objects seen in new views of clips that it was not trained on."
+    return Report("Training of the semantic branch", [Prose(summary)], sections)
 
 
 def scores_table(judgements: pa.Table) -> Table:
@@ -101,9 +101,7 @@ def scores_table(judgements: pa.Table) -> Table:
     for name in dict.fromkeys(judgements["lifting"].to_pylist()):
         row: list[Cell | str | None] = [name]
         for kind in kinds:
-            found = gain(judgements, name, kind)
-            ends = f"{found.low:+.4f} to {found.high:+.4f}"
-            cell = Cell(f"{found.difference:+.4f}", ends, _mark(found), f"{found.samples} clips")
+            cell = comparison_cell(gain(judgements, name, kind), 4)
             row += [f"{np.mean(scores[kind][name]):.4f}", None if name == "branch" else cell]
         rows.append([*row, ABOUT[name]])
     heads = [head for kind in kinds for head in (f"IoU, labels {kind}", "branch minus it")]
@@ -114,24 +112,18 @@ def scores_table(judgements: pa.Table) -> Table:
     return Table.of(["lifting", *heads, Column("", is_text=True)], rows, notes=[note])
 
 
-def _mark(found: Comparison) -> str:
-    if found.samples < LEAST:
-        return "few"
-    return "better" if found.low > 0 else "worse" if found.high < 0 else "noise"
-
-
 def _loss_curve(metrics: pa.Table) -> Figure:
     steps, loss = metrics["step"].to_numpy(), metrics["loss"].to_numpy()
     figure = Figure((7.4, 3.0), layout="constrained")
     axes = figure.subplots()
     width = max(1, round(SMOOTH * len(steps)))
     for corrupted, colour, name in ((False, "#12833f", "as found"), (True, "#3b5bdb", "corrupted")):
-        mine = metrics["corrupted"].to_numpy() == corrupted
-        if not mine.any():
+        chosen = metrics["corrupted"].to_numpy() == corrupted
+        if not chosen.any():
             continue
-        axes.plot(steps[mine], loss[mine], ".", ms=2, alpha=0.25, color=colour)
-        smooth = np.convolve(loss[mine], np.ones(width) / width, "valid")
-        axes.plot(steps[mine][width - 1 :], smooth, color=colour, label=f"labels {name}")
+        axes.plot(steps[chosen], loss[chosen], ".", ms=2, alpha=0.25, color=colour)
+        smooth = np.convolve(loss[chosen], np.ones(width) / width, "valid")
+        axes.plot(steps[chosen][width - 1 :], smooth, color=colour, label=f"labels {name}")
     if (loss > 0).any():
         axes.set_yscale("log")
     axes.set(xlabel="step", ylabel="loss")
@@ -144,12 +136,15 @@ def _loss_curve(metrics: pa.Table) -> Figure:
 
 
 def _pictures(example: Example) -> list[Picture]:
-    def picture(ids: np.ndarray, caption: str) -> Picture:
-        flat = np.full((*ids.shape, 3), 170, np.uint8)
-        return Picture(data_uri(encode_png(paint_labels(ids, flat)), "png"), caption, caption)
-
-    found = [
-        picture(ids, f"{name}, IoU {example.ious[name]:.3f}") for name, ids in example.found.items()
+    images = {
+        f"a context view, labels {example.labels}": example.context,
+        "a target view": example.truth,
+    }
+    images |= {
+        f"{name}, IoU {example.ious[name]:.3f}": ids for name, ids in example.predicted.items()
+    }
+    flat = np.full((*example.truth.shape, 3), 170, np.uint8)
+    return [
+        Picture(data_uri(encode_png(paint_labels(ids, flat)), "png"), caption, caption)
+        for caption, ids in images.items()
     ]
-    shown = picture(example.shown, f"a context view, labels {example.labels}")
-    return [shown, picture(example.truth, "a target view"), *found]
