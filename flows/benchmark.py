@@ -83,7 +83,7 @@ LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run leaves.
+    """Results of a run.
 
     Attributes
     ----------
@@ -138,8 +138,11 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
 def check(config: Settings, store: ArtifactStore) -> None:
     """Raise InputError if a run cannot begin: as :func:`score_scenes`, without the work."""
     scenes, _ = scenes_of(config)
-    for one in (config.built_by, *(variant.settings.built_by for variant in combinations(config))):
-        one.check()
+    for method in (
+        config.built_by,
+        *(variant.settings.built_by for variant in combinations(config)),
+    ):
+        method.check()
     Rules(**config.rules())
     chosen_baselines(config.against)
     stages_to_refresh(config, REFRESHABLE)
@@ -182,12 +185,12 @@ def _compute(
             [scene_task(config, method, scene) for scene in scenes], workers, progress
         )
     tasks = baseline_tasks(config, method, scenes, ours.refs)
-    others = map_shown(tasks, workers, 1, "answers", verbose)
+    baseline_outcome = map_shown(tasks, workers, 1, "answers", verbose)
     complete = [scene for scene in scenes if scene.name in ours.refs]
     by_names, refused = sweep_tasks(variants, complete)
     swept = map_shown(list(by_names.values()), workers, SWEPT, "settings", verbose)
     swept.failures += refused
-    refs = _gather(config, scenes, variants, ours, others, swept)
+    refs = _gather(config, scenes, variants, ours, baseline_outcome, swept)
     if refs.scored:
         failures = [asdict(failure) for failure in refs.failures]
         arguments = refs.scored, refs.manifest, failures
@@ -195,11 +198,11 @@ def _compute(
             SceneTask("all scenes", report, arguments, first="report"),
             SceneTask("this machine", check_numerics, (), "numerics"),
         ]
-        made = map_shown(last, workers, 1, "last tasks", verbose)
-        refs.outcomes.append(made)
-        refs.failures += made.failures
-        refs.report = made.refs.get("all scenes", {}).get("report")
-        refs.hard_cases = made.refs.get("this machine", {}).get("numerics")
+        outcome = map_shown(last, workers, 1, "last tasks", verbose)
+        refs.outcomes.append(outcome)
+        refs.failures += outcome.failures
+        refs.report = outcome.refs.get("all scenes", {}).get("report")
+        refs.hard_cases = outcome.refs.get("this machine", {}).get("numerics")
     return refs
 
 
@@ -209,7 +212,7 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     And what is to be said of them.
     """
     labelled = any((settings.data, settings.pairs, settings.labels))
-    scenes, said = labelled_scenes(settings) if labelled else ([], [])
+    scenes, notes = labelled_scenes(settings) if labelled else ([], [])
     if settings.rooms is not None:
         swept = any(text.partition("=")[0].strip() == VIEWS for text in settings.sweep)
         thirds = THIRDS if swept else 1
@@ -221,25 +224,29 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"two scenes are called {name!r}; names must be unique")
-    return scenes, said
+    return scenes, notes
 
 
 def _write(
-    settings: Settings, store: ArtifactStore, made: _Refs, tell: Callable[[str], None]
+    settings: Settings, store: ArtifactStore, refs: _Refs, tell: Callable[[str], None]
 ) -> list[SceneResult]:
     """Write what people get; the results, without images, as there may be thousands."""
     out = settings.out
-    write_failures(out, made.failures)
-    write_artifacts(out, store, made.outcomes)
+    write_failures(out, refs.failures)
+    write_artifacts(out, store, refs.outcomes)
     results, costs = [], []
-    scored = [(one.scene, ref) for one in made.scored for ref in (one.answer, *one.others.values())]
+    scored = [
+        (scene_refs.scene, ref)
+        for scene_refs in refs.scored
+        for ref in (scene_refs.answer, *scene_refs.others.values())
+    ]
     for scene, ref in scored:
         arrays = store.get(ref)
         result = result_from_arrays(arrays, with_images=False)
         write_predictions(result.rows, predictions_of(arrays), out / "predictions")
         results.append(result)
-        shared = made.build_seconds[scene, ""]
-        build = {"build_seconds": made.build_seconds.get((scene, result.method), shared)}
+        shared = refs.build_seconds[scene, ""]
+        build = {"build_seconds": refs.build_seconds.get((scene, result.method), shared)}
         # Results that a store has from an earlier version say nothing of it.
         costs += [{**row, **build} for row in ref.meta.get("costs", ())]
     rows = [row for result in results for row in result.rows]
@@ -248,24 +255,24 @@ def _write(
     write_costs(costs, out)
     lost = [
         load_spec("attribution").schema.empty_table(),
-        *(store.get(one.attribution) for one in made.scored),
+        *(store.get(scene_refs.attribution) for scene_refs in refs.scored),
     ]
     write_table("attribution", pa.concat_tables(lost), out)
-    files = {"manifest.json": _json(made.manifest)}
+    files = {"manifest.json": _json(refs.manifest)}
     if settings.pairs is not None:
         files["pairs.json"] = settings.pairs.read_bytes()
-    if made.report is not None:
+    if refs.report is not None:
         host = {
             "machine": platform.platform(),
             "processor": threads.processor(),
             "processors": str(os.cpu_count()),
             "workers": str(settings.workers),
         }
-        hard = [] if made.hard_cases is None else store.get(made.hard_cases).to_pylist()
+        hard = [] if refs.hard_cases is None else store.get(refs.hard_cases).to_pylist()
         cases = [HardCase(**row) for row in hard]
         paper = settings.method if settings.preset == "paper" else ""
-        took = Times(made.stages, host, made.machines, costs_of(costs), cases, paper)
-        stored = store.get(made.report)
+        took = Times(refs.stages, host, refs.machines, costs_of(costs), cases, paper)
+        stored = store.get(refs.report)
         forms = {form: stored[form].tobytes().decode() for form in ("html", "markdown")}
         novel = [(r.dataset, r.method, r.scene_metrics["psnr"])
                  for r in results if "psnr" in r.scene_metrics]  # fmt: skip
@@ -278,24 +285,24 @@ def _write(
         else:
             # That of an earlier run is not about these scenes.
             (out / name).unlink(missing_ok=True)
-    write_fields(store, made.fields, settings.built_by.encoder.places(), out, tell)
+    write_fields(store, refs.fields, settings.built_by.encoder.places(), out, tell)
     return results
 
 
-def _example(made: _Refs, out: Path) -> str:
+def _example(refs: _Refs, out: Path) -> str:
     """A command that asks a field something, as it can be pasted.
 
     Of the first scene that has an answer, real ones before made-up ones, and those whose answer is
     known to be right before others. A field without is drawn.
     """
-    asked = {one.scene: one.answer.meta["example"] for one in made.scored}
-    examples = {scene: example for scene, example in asked.items() if example is not None}
-    data = made.manifest["data"]
+    by_scene = {scored.scene: scored.answer.meta["example"] for scored in refs.scored}
+    examples = {scene: example for scene, example in by_scene.items() if example is not None}
+    data = refs.manifest["data"]
     best = sorted(
         examples,
         key=lambda scene: (data[scene]["dataset"] == DATASET, examples[scene]["iou"] is None),
     )
-    scene = next(iter([*best, *made.fields]), None)
+    scene = next(iter([*best, *refs.fields]), None)
     if scene is None:
         return ""
     folder = field_place(scene, out)
@@ -313,7 +320,7 @@ def _json(content: dict[str, Any]) -> bytes:
 
 @dataclass
 class _Refs:
-    """What the pipelines of a run made.
+    """Artifacts of the pipelines of a run.
 
     ``scored`` are the scenes that went through, with other methods and settings; ``fields``, by
     scene, those of all that came so far. ``build_seconds`` are what a field took, by scene and the
@@ -340,7 +347,7 @@ def _gather(
     scenes: Sequence[SceneSettings],
     variants: Sequence[Combination],
     ours: Outcome,
-    others: Outcome,
+    baseline_outcome: Outcome,
     swept: Outcome,
 ) -> _Refs:
     rows = chosen_baselines(settings.against)
@@ -349,14 +356,14 @@ def _gather(
         refs, results = ours.refs[scene], {}
         build_seconds[scene, ""] = _seconds_to_build(refs)
         for method in rows:
-            if made := others.refs.get(method_task_name(scene, method)):
-                results[method] = made[baselines.name]
-        for one in variants:
-            if made := swept.refs.get(method_task_name(scene, one.name)):
-                results[one.name] = made["benchmark"]
-                build_seconds[scene, one.name] = _seconds_to_build(made)
-        own = refs["benchmark"], refs["truth"], refs["attribution"]
-        scored.append(Scored(scene, *own, results))
+            if method_refs := baseline_outcome.refs.get(method_task_name(scene, method)):
+                results[method] = method_refs[baselines.name]
+        for variant in variants:
+            if method_refs := swept.refs.get(method_task_name(scene, variant.name)):
+                results[variant.name] = method_refs["benchmark"]
+                build_seconds[scene, variant.name] = _seconds_to_build(method_refs)
+        artifacts = refs["benchmark"], refs["truth"], refs["attribution"]
+        scored.append(Scored(scene, *artifacts, results))
     costs = {
         stage.name: StageCost.of(refs[stage.name].meta for refs in ours.refs.values())
         for stage in STAGES
@@ -364,10 +371,10 @@ def _gather(
     stages = [*STAGES, report]
     if rows:
         costs[baselines.name] = StageCost.of(
-            refs[baselines.name].meta for refs in others.refs.values()
+            refs[baselines.name].meta for refs in baseline_outcome.refs.values()
         )
         stages.append(baselines)
-    started, outcomes = ours.partial | ours.refs, [ours, others, swept]
+    started, outcomes = ours.partial | ours.refs, [ours, baseline_outcome, swept]
     made_on = Counter(
         ref.meta.get("processor", "an unknown processor")
         for outcome in outcomes

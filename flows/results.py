@@ -13,7 +13,7 @@ import pyarrow as pa
 from flows.config import TABLES, Method, SceneSettings, Settings
 from flows.runners.batches import Outcome
 from slgaussian import __version__, datasets
-from slgaussian.benchmark.annotations import categories_of, frame_names
+from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.baselines import Row
 from slgaussian.benchmark.outputs import file_name, write_table
 from slgaussian.benchmark.protocols import PROTOCOLS
@@ -266,16 +266,17 @@ def published_as(scene: SceneSettings) -> dict[str, str]:
         return {}
     asked, sizes = {}, {}
     try:
+        frames = labelled_frames(scene.labels)
         for target in scene.targets:
             frame = Path(target).stem
-            asked[frame] = categories_of(scene.labels, target)
+            nested = Path(target).with_suffix("").as_posix()
+            asked[frame] = frames[nested if nested in frames else frame]
             files, _ = datasets.inputs(scene.format, scene.path, [target], **scene.options)
             for file in files:
                 if file.stem == frame and (size := stored_size(file)):
                     sizes[frame] = size
-        frames = frame_names(scene.labels)
-    except (InputError, OSError):  # results that are there outlive their data
+    except (InputError, OSError, KeyError):  # results that are there outlive their data
         return {}
     name = str(scene.options.get("scene") or scene.labels.name)
-    known = standing(LabelledFrames(scene.format, name, asked, frames, sizes))
+    known = standing(LabelledFrames(scene.format, name, asked, list(frames), sizes))
     return {} if known is None else asdict(known)

@@ -44,7 +44,7 @@ def train(
 
     from flows.cli.tables import table_text
     from flows.training import FILES
-    from slgaussian.benchmark.significance import clip_scores, verdict
+    from slgaussian.benchmark.significance import clip_scores, gate
 
     kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
     scores = {kind: clip_scores(judgements, kind) for kind in kinds}
@@ -52,9 +52,9 @@ def train(
     rows = [["lifting", *(f"IoU, labels {kind}" for kind in kinds)]]
     rows += [[name, *(f"{np.mean(scores[k][name]):.4f}" for k in kinds)] for name in liftings]
     typer.echo(table_text(rows))
-    for other in liftings:
-        if other in ("hard", "filled", "before"):
-            typer.echo(verdict(judgements, other, other).why)
+    for rival in liftings:
+        if rival in ("hard", "filled", "before"):
+            typer.echo(gate(judgements, {rival: rival}).why)
     typer.echo(f"weights  {out / FILES['weights']}")
     typer.echo(f"report   {out / FILES['report']}")
 

@@ -56,7 +56,7 @@ class Truth:
 
 
 def read_labels(
-    folder: str | Path, view_name: str, width: int, height: int, shown: Window | None = None
+    folder: str | Path, view_name: str, width: int, height: int, window: Window | None = None
 ) -> dict[str, np.ndarray]:
     """Read the class masks of one view, bool [height, width] by category.
 
@@ -67,7 +67,7 @@ def read_labels(
 
     Parameters
     ----------
-    shown : Window, optional
+    window : Window, optional
         Part of the photograph that the view shows; by default the part that is left when the
         labelled frame is scaled to cover the view and cropped about the centre.
 
@@ -77,7 +77,7 @@ def read_labels(
         If the labels of the view are missing, damaged, were drawn on another frame or have another
         shape than its photograph.
     """
-    return _read_frame(Path(folder), view_name, width, height, shown)[0]
+    return _read_frame(Path(folder), view_name, width, height, window)[0]
 
 
 def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[View]) -> Truth:
@@ -126,29 +126,10 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     if class_masks.are_in(folder):
         names = class_masks.classes(folder)
         return dict.fromkeys(class_masks.frames(folder), names)
-    return {n: _read_record(folder / f"{n}.json").categories for n in frame_names(folder)}
-
-
-def frame_names(folder: str | Path) -> list[str]:
-    """The frames that have labels in a folder, as :func:`labelled_frames` names them."""
-    folder = Path(folder)
-    if class_masks.are_in(folder):
-        return class_masks.frames(folder)
-    files = sorted(folder.rglob("*.json"))
-    return [file.relative_to(folder).with_suffix("").as_posix() for file in files]
-
-
-def categories_of(folder: str | Path, view_name: str) -> tuple[str, ...]:
-    """List the categories of one frame, as :func:`labelled_frames` does it of all.
-
-    Raises
-    ------
-    InputError
-        If its label file is missing or damaged.
-    """
-    if class_masks.are_in(folder):
-        return class_masks.classes(folder)
-    return _read_record(_label_file(Path(folder), view_name)).categories
+    return {
+        file.relative_to(folder).with_suffix("").as_posix(): _read_record(file).categories
+        for file in sorted(folder.rglob("*.json"))
+    }
 
 
 def label_files(folder: str | Path, view_name: str) -> list[Path]:
@@ -165,29 +146,29 @@ def _label_file(folder: Path, view_name: str) -> Path:
 
 
 def _read_frame(
-    folder: Path, view_name: str, width: int, height: int, shown: Window | None
+    folder: Path, view_name: str, width: int, height: int, window: Window | None
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray] | None]:
     """Read masks and boxes of a frame; class masks have no boxes."""
     if class_masks.are_in(folder):
-        return class_masks.read(folder, view_name, width, height, shown), None
+        return class_masks.read(folder, view_name, width, height, window), None
     path = _label_file(folder, view_name)
     record = _read_record(path)
     name, full_w, full_h = record.info.name, record.info.width, record.info.height
     if Path(name).stem != Path(view_name).stem:
         # A labels folder shifted by one frame still scores, only wrongly.
         raise InputError(f"{path}: was drawn on {name!r}, expected labels of {view_name!r}")
-    part = shown or Window.covering(full_w, full_h, width, height)
+    part = window or Window.covering(full_w, full_h, width, height)
     part.check_shape(path, full_w, full_h)
     masks, boxes = {}, {}
     for category in record.categories:  # one whole frame in memory at a time
         drawn = np.zeros((full_h, full_w), np.uint8)
         corners = []
-        for one in record.objects:
-            if one.category == category:
-                polygons = [one.segmentation, *one.holes]
+        for labelled in record.objects:
+            if labelled.category == category:
+                polygons = [labelled.segmentation, *labelled.holes]
                 # Pixels within an even number of the polygons are left as they are.
                 cv2.fillPoly(drawn, [np.array(p, np.float64).astype(np.int32) for p in polygons], 1)
-                two = np.array(one.bbox, np.float64).reshape(2, 2)  # corners in any order
+                two = np.array(labelled.bbox, np.float64).reshape(2, 2)  # corners in any order
                 corners.append(np.concatenate([two.min(0), two.max(0)]))
         masks[category] = part.mask(drawn, height, width)
         boxes[category] = part.boxes(np.stack(corners), (full_h, full_w), (height, width))
@@ -227,7 +208,7 @@ class _Record(BaseModel):
 
     @property
     def categories(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(one.category for one in self.objects))
+        return tuple(dict.fromkeys(item.category for item in self.objects))
 
 
 def _read_record(path: Path) -> _Record:

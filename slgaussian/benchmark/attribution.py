@@ -102,31 +102,31 @@ def attribute_errors(
     rules = replace(settings.rules, protocol="slgaussian")
     common = {"dataset": settings.dataset, "scene": sample.scene, "method": settings.method}
     depths = source_depths(gaussians, [view.camera for view in sample.context])
-    placed = {"masks": gaussians}
+    by_stage = {"masks": gaussians}
     if true_depths(sample).any():
-        placed["geometry"] = moved(gaussians, sample, depths)
+        by_stage["geometry"] = moved(gaussians, sample, depths)
     rows = []
     for target in sample.targets:
         masks = {q: mask for q, mask in truth.masks.get(target.name, {}).items() if mask.any()}
         if not masks:
             continue
-        seen = ObjectMap(field.render(target.camera).ids, field.bank.ids)
+        objects = ObjectMap(field.render(target.camera).ids, field.bank.ids)
         context = context_truth(sample, target, list(masks.values()), depths)
         labels = context.labels.ravel()[gaussians.source.numpy()]
         drawn = {
-            stage: context.members[elect(own, labels, target.camera)]
-            for stage, own in placed.items()
+            stage: context.members[elect(stage_gaussians, labels, target.camera)]
+            for stage, stage_gaussians in by_stage.items()
         }
         for column, (query, mask) in enumerate(masks.items()):
             hit = None
             if understands(field.reader, query):
-                hit = ask([query], seen, field.reader, rules)[0]
-            found, point = (np.zeros_like(mask), None) if hit is None else (hit.mask, hit.point)
+                hit = ask([query], objects, field.reader, rules)[0]
+            predicted, point = (np.zeros_like(mask), None) if hit is None else (hit.mask, hit.point)
             row: dict[str, Any] = common | {"frame": target.name, "query": query}
-            row |= {"iou": metrics.iou(found, mask), "hit": metrics.point_in_mask(point, mask)}
+            row |= {"iou": metrics.iou(predicted, mask), "hit": metrics.point_in_mask(point, mask)}
             judged = {
-                "threshold": _cut(hit, seen, mask),
-                "language": _judge(seen.spread(best_objects(seen, field.bank, mask)), mask),
+                "threshold": _cut(hit, objects, mask),
+                "language": _judge(objects.spread(best_objects(objects, field.bank, mask)), mask),
                 **{stage: _judge(image[..., column], mask) for stage, image in drawn.items()},
             }
             for stage in STAGES:
@@ -153,7 +153,7 @@ def _judge(mask: np.ndarray, truth: np.ndarray) -> tuple[float, bool]:
     return metrics.iou(mask, truth), inside
 
 
-def _cut(hit: QueryResult | None, seen: ObjectMap, truth: np.ndarray) -> tuple[float, bool]:
+def _cut(hit: QueryResult | None, objects: ObjectMap, truth: np.ndarray) -> tuple[float, bool]:
     """Return the IoU with the best threshold, and whether the point, or the best one's, is right.
 
     No threshold gives another thing the best score.
@@ -161,10 +161,10 @@ def _cut(hit: QueryResult | None, seen: ObjectMap, truth: np.ndarray) -> tuple[f
     if hit is None or not hit.score:
         return 0.0, False
     total = int(np.count_nonzero(truth))
-    chosen = best_prefix(hit.scores, seen.areas_within(truth), seen.areas, total)
-    best = int(np.where(seen.areas > 0, hit.scores, -1).argmax())
-    right = any(metrics.point_in_mask(point, truth) for point in (hit.point, seen.point(best)))
-    return metrics.iou(seen.spread(chosen), truth), right
+    chosen = best_prefix(hit.scores, objects.areas_within(truth), objects.areas, total)
+    best = int(np.where(objects.areas > 0, hit.scores, -1).argmax())
+    right = any(metrics.point_in_mask(point, truth) for point in (hit.point, objects.point(best)))
+    return metrics.iou(objects.spread(chosen), truth), right
 
 
 def best_prefix(
@@ -188,8 +188,8 @@ def best_prefix(
         The fewest objects among equally good prefixes; none if no object touches the mask.
     """
     chosen = np.zeros(len(scores), bool)
-    seen = np.flatnonzero(areas > 0)
-    order = seen[np.argsort(-scores[seen], kind="stable")]
+    visible = np.flatnonzero(areas > 0)
+    order = visible[np.argsort(-scores[visible], kind="stable")]
     hits, sizes = np.cumsum(inside[order]), np.cumsum(areas[order])
     ious = hits / np.maximum(total + sizes - hits, 1)
     ious[:-1][scores[order][1:] == scores[order][:-1]] = 0
@@ -198,13 +198,13 @@ def best_prefix(
     return chosen
 
 
-def best_objects(seen: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.ndarray:
+def best_objects(objects: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.ndarray:
     """Choose what perfect words would name of an image: bool [N].
 
     That is an object, or a group of the bank, as many as the truth bool [H, W] has connected parts
     that are no crumbs of it (:data:`CRUMB`); the one that helps the IoU most goes first.
     """
-    inside, total = seen.areas_within(truth), np.count_nonzero(truth)
+    inside, total = objects.areas_within(truth), np.count_nonzero(truth)
     members = np.eye(len(bank), dtype=bool)
     if bank.levels is not None and bank.group_features is not None:
         groups = np.arange(len(bank), len(bank) + len(bank.group_features))
@@ -214,7 +214,7 @@ def best_objects(seen: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.nda
     chosen, best = np.zeros(len(bank), bool), 0.0
     for _ in range(parts):
         tried = members | chosen
-        ious = tried @ inside / (total + tried @ (seen.areas - inside))
+        ious = tried @ inside / (total + tried @ (objects.areas - inside))
         if ious.max(initial=0) <= best:
             break
         best, chosen = ious.max(), tried[ious.argmax()]
@@ -268,12 +268,12 @@ def context_truth(
         members[np.unique(sets[mask]), column] = True
     true = true_depths(sample)
     place = carried_back(sample, target, np.where(true > 0, true, predicted))
-    for own in place:
+    for pixels in place:
         # Depth that is a little off hides single pixels of a surface.
-        known = own >= 0
-        if known.any():
-            near = cv2.dilate(known.astype(np.uint8), np.ones((SPECK, SPECK), np.uint8)) > 0
-            own[:] = np.where(near, own[nearest_pixel(known)], -1)
+        is_known = pixels >= 0
+        if is_known.any():
+            near = cv2.dilate(is_known.astype(np.uint8), np.ones((SPECK, SPECK), np.uint8)) > 0
+            pixels[:] = np.where(near, pixels[nearest_pixel(is_known)], -1)
     labels = np.where(place >= 0, sets.ravel()[place], 1).astype(np.int32)
     counts = np.bincount(labels.ravel(), minlength=len(members))
     certain = np.bincount(labels[true > 0], minlength=len(members))
@@ -331,8 +331,8 @@ def moved(gaussians: Gaussians, sample: Sample, predicted: np.ndarray) -> Gaussi
     Those of pixels whose true or ``predicted`` depth [V, H, W] is not known stay as they are.
     """
     true = true_depths(sample).ravel()
-    known = (true > 0) & (predicted.ravel() > 0)
-    ratio = np.where(known, true / np.where(known, predicted.ravel(), 1), 1)
+    is_known = (true > 0) & (predicted.ravel() > 0)
+    ratio = np.where(is_known, true / np.where(is_known, predicted.ravel(), 1), 1)
     source = gaussians.source.numpy()
     centers = np.stack([view.camera.center for view in sample.context])
     center = torch.from_numpy(centers[source // sample.context[0].image[..., 0].size])
@@ -340,7 +340,7 @@ def moved(gaussians: Gaussians, sample: Sample, predicted: np.ndarray) -> Gaussi
     order = np.arange(len(source))
     first = np.empty(len(true), np.int64)
     first[source[::-1]] = order[::-1]
-    certain = torch.from_numpy(known[source] & (first[source] == order))
+    certain = torch.from_numpy(is_known[source] & (first[source] == order))
     return replace(
         gaussians,
         means=(center + (gaussians.means.double() - center) * step).float(),

@@ -49,16 +49,16 @@ def frames(folder: str | Path) -> list[str]:
 
 def files(folder: str | Path, view_name: str) -> list[Path]:
     """The files that the masks of a frame are read from."""
-    own = Path(folder) / Path(view_name).stem
-    return [Path(folder) / FILE, *(own / f"{name}.png" for name in classes(folder))]
+    frame_folder = Path(folder) / Path(view_name).stem
+    return [Path(folder) / FILE, *(frame_folder / f"{name}.png" for name in classes(folder))]
 
 
 def read(
-    folder: str | Path, view_name: str, width: int, height: int, shown: Window | None = None
+    folder: str | Path, view_name: str, width: int, height: int, window: Window | None = None
 ) -> dict[str, np.ndarray]:
     """Read the masks of a view, bool [height, width] by class.
 
-    They are brought to its size, and to the part ``shown`` of the photograph, as
+    They are brought to its size, and to the part ``window`` of the photograph, as
     :func:`slgaussian.benchmark.annotations.read_labels` does. A class that is cropped away, or not
     in the frame, has an empty mask.
 
@@ -78,7 +78,7 @@ def read(
             )
         mask = read_mask(file, INSIDE)
         full_h, full_w = mask.shape
-        part = shown or Window.covering(full_w, full_h, width, height)
+        part = window or Window.covering(full_w, full_h, width, height)
         part.check_shape(file, full_w, full_h)
         masks[name] = part.mask(mask, height, width)
     return masks

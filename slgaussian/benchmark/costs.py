@@ -46,7 +46,7 @@ class Cost:
     peak: int | None = None
 
     @property
-    def whole(self) -> float | None:
+    def total(self) -> float | None:
         """Seconds from photographs to an answer in a new view."""
         if self.build is None or self.view_query is None:
             return None
@@ -61,13 +61,13 @@ def costs_of(rows: Iterable[Row]) -> list[Cost]:
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         groups.setdefault((row["dataset"], row["method"]), []).append(row)
-    return [_cost(*names, own) for names, own in groups.items()]
+    return [_cost(*names, members) for names, members in groups.items()]
 
 
 def _cost(dataset: str, method: str, rows: Sequence[Row]) -> Cost:
     frames = list({(row["scene"], row["frame"]): row for row in rows}.values())
     scenes = list({row["scene"]: row for row in rows}.values())
-    held = [
+    memory = [
         (row["peak_bytes"] - row["held_bytes"], row["peak_bytes"])
         for row in scenes
         if None not in (row.get("peak_bytes"), row.get("held_bytes"))
@@ -80,14 +80,14 @@ def _cost(dataset: str, method: str, rows: Sequence[Row]) -> Cost:
         further_query=_median(row.get("query_seconds") for row in rows),
         prepare=_median(row.get("prepare_seconds") for row in scenes),
         build=_median(row.get("build_seconds") for row in scenes),
-        grown=max((grown for grown, _ in held), default=None),
-        peak=max((peak for _, peak in held), default=None),
+        grown=max((grown for grown, _ in memory), default=None),
+        peak=max((peak for _, peak in memory), default=None),
     )
 
 
 def _median(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return median(known) if known else None
+    measured = [value for value in values if value is not None]
+    return median(measured) if measured else None
 
 
 @dataclass(frozen=True)
@@ -114,14 +114,14 @@ class StageCost:
     @staticmethod
     def of(metas: Iterable[Row]) -> StageCost:
         """Sum up the metadata of artifacts; earlier versions wrote only ``seconds``."""
-        known = list(metas)
-        seconds = [meta["seconds"] for meta in known]
-        grown = [meta["grown"] for meta in known if meta.get("grown") is not None]
+        artifacts = list(metas)
+        seconds = [meta["seconds"] for meta in artifacts]
+        grown = [meta["grown"] for meta in artifacts if meta.get("grown") is not None]
         return StageCost(
             sum(seconds),
             median(seconds) if seconds else 0.0,
             max(grown, default=None),
-            sum(meta.get("compiling", 0.0) for meta in known),
+            sum(meta.get("compiling", 0.0) for meta in artifacts),
         )
 
 
@@ -156,8 +156,8 @@ class Times:
         """Return plain data, for a file; those of answers are in the table ``times``."""
         return {
             "spec": load_spec("run_times").label,
-            "seconds_by_stage": {name: one.seconds for name, one in self.stages.items()},
-            "memory_by_stage": {name: one.grown for name, one in self.stages.items()},
+            "seconds_by_stage": {name: cost.seconds for name, cost in self.stages.items()},
+            "memory_by_stage": {name: cost.grown for name, cost in self.stages.items()},
             "seconds_of_compiling": self.compiling,
             "host": dict(self.host),
             "artifacts_by_machine": dict(self.machines),
@@ -167,7 +167,7 @@ class Times:
     @property
     def compiling(self) -> float:
         """Seconds of compiling kernels, once an installation, that no other number here has."""
-        return sum(one.compiling for one in self.stages.values())
+        return sum(cost.compiling for cost in self.stages.values())
 
 
 def claim(costs: Iterable[Cost]) -> str:
@@ -175,11 +175,11 @@ def claim(costs: Iterable[Cost]) -> str:
 
     ``costs`` are those on one data set.
     """
-    known = {cost.method: cost.view_query for cost in costs if cost.method in PAPER_SECONDS}
+    seconds = {cost.method: cost.view_query for cost in costs if cost.method in PAPER_SECONDS}
     (slow, slow_paper), (fast, fast_paper) = sorted(
-        PAPER_SECONDS.items(), key=lambda one: one[1], reverse=True
+        PAPER_SECONDS.items(), key=lambda pair: pair[1], reverse=True
     )
-    slow_query, fast_query = known.get(slow), known.get(fast)
+    slow_query, fast_query = seconds.get(slow), seconds.get(fast)
     if not slow_query or not fast_query:
         return ""
     return (

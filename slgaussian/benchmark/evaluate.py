@@ -142,9 +142,9 @@ def truth_from_instances(sample: Sample) -> Truth:
         if view.instances is None:
             continue
         for instance, phrase in sample.phrases.items():
-            seen = view.instances == instance
-            if seen.any():
-                masks[phrase] = masks[phrase] | seen if phrase in masks else seen
+            mask = view.instances == instance
+            if mask.any():
+                masks[phrase] = masks.get(phrase, mask) | mask
     return Truth(masks=truth)
 
 
@@ -198,9 +198,9 @@ def evaluate(
     for target in sample.targets:
         with recorder.timed():
             view = field.render(target.camera)
-        masks, boxes = (known.get(target.name, {}) for known in (truth.masks, truth.boxes))
+        masks, boxes = (of.get(target.name, {}) for of in (truth.masks, truth.boxes))
         recorder.ask(view, target.name, target.image, masks, boxes)
-        recorder.ask_again(partial(field.render, target.camera))
+        recorder.time_warm(partial(field.render, target.camera))
         recorder.measure("psnr", metrics.psnr(view.rgb, target.image))
         recorder.measure("ssim", metrics.ssim(view.rgb, target.image))
         if view.depth.any():
@@ -223,7 +223,7 @@ def evaluate(
             recorder.ask(
                 view, frame, view.rgb, dict.fromkeys(queries, nothing), {}, has_truth=False
             )
-            recorder.ask_again(partial(field.render, camera))
+            recorder.time_warm(partial(field.render, camera))
 
     if gaussians is not None:
         recorder.look_at_depths(sample, gaussians)
@@ -241,7 +241,7 @@ class _Recorder:
     def __init__(self, scene: str, settings: EvaluationSettings, peak: Peak):
         self.peak = peak
         rules, self.drawn = settings.rules, settings.drawn
-        self._named = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
+        self._names = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
         # Of a method its own masks and points are wanted; LangSplat's are made of relevancies.
         self.rules = replace(rules, protocol="slgaussian")
         self.query_rules = asdict(self.rules)
@@ -250,11 +250,11 @@ class _Recorder:
         self.predictions: dict[tuple[str, str, str], np.ndarray] = {}
         self.pictures: dict[str, np.ndarray] = {}
         self.latest = 0.0
-        self._frames: list[_FrameTimes] = []
+        self.costs: list[dict[str, Any]] = []
         self._measured: dict[str, list[float]] = {}
         self._constants: dict[str, float] = {}
         self._common = {
-            **self._named,
+            **self._names,
             "place": settings.place,
             "temperature": rules.temperature,
             "canonical": "encoder's" if rules.phrases is None else ", ".join(rules.phrases),
@@ -317,44 +317,54 @@ class _Recorder:
             for (text, mask), score in zip(masks.items(), scored, strict=True):
                 if not leads and not mask.any():
                     continue
-                named = {"frame": frame, "query": text, "protocol": protocol.label}
-                named |= dict(zip(("height", "width"), mask.shape, strict=True))
+                names = {"frame": frame, "query": text, "protocol": protocol.label}
+                names |= dict(zip(("height", "width"), mask.shape, strict=True))
                 note = _note(hits.get(text), absent=has_truth and not mask.any())
-                self._add_row(named | asdict(mask_settings), score, hits.get(text), note)
+                self._add_row(names | asdict(mask_settings), score, hits.get(text), note)
                 if score.mask is not None:
                     self.predictions[protocol.label, frame, text] = score.mask
                 if leads and self.drawn:
                     self._draw_query(f"{frame}/{text}", hits.get(text), score, mask, ground)
 
     def _query(
-        self, view: AnsweringView, frame: str, asked: Sequence[str], texts: Sequence[str]
+        self, view: AnsweringView, frame: str, queries: Sequence[str], texts: Sequence[str]
     ) -> dict[str, Result]:
-        """Ask the view ``texts``, those of ``asked`` that it understands."""
-        if not texts:
-            self._frames.append(_FrameTimes(frame, asked, texts))
-            return {}
-        rendered = self.latest
-        with self.timed():
-            self._answers(view, texts[:1])
-        first = rendered + self.latest
-        # Asked again with the others: answers must not depend on what is timed.
-        with self.timed():
-            hits = self._answers(view, texts)
-        self._frames.append(_FrameTimes(frame, asked, texts, first, self.latest / len(texts)))
+        """Ask the view ``texts``, those of ``queries`` that it understands, and time it."""
+        seconds: dict[str, float | None] = {
+            "view_seconds": None,
+            "query_seconds": None,
+            "cold_seconds": None,
+        }
+        hits: Sequence[Result] = []
+        if texts:
+            rendered = self.latest
+            with self.timed():
+                self._answers(view, texts[:1])
+            seconds["view_seconds"] = rendered + self.latest
+            # Asked again with the others: answers must not depend on what is timed.
+            with self.timed():
+                hits = self._answers(view, texts)
+            seconds["query_seconds"] = self.latest / len(texts)
+        for query in queries:
+            row = {**self._names, "frame": frame, "query": query, **seconds}
+            self.costs.append(row if query in texts else row | {"query_seconds": None})
         return dict(zip(texts, hits, strict=True))
 
-    def ask_again(self, render: Callable[[], AnsweringView]) -> None:
-        """If it was the first of the scene, time the last view's first answer again, drawn anew.
+    def time_warm(self, render: Callable[[], AnsweringView]) -> None:
+        """Time the last view's first answer again, drawn anew, if it was the first of the scene.
 
         Then what is made once a scene, or once a process, is there.
         """
-        *before, last = self._frames
-        if last.seconds is None or any(one.seconds is not None for one in before):
+        timed = [row for row in self.costs if row["view_seconds"] is not None]
+        rows = [row for row in timed if row["frame"] == self.costs[-1]["frame"]]
+        if not rows or len(rows) < len(timed):
             return
         start = compiling.clock()
-        self._answers(render(), last.texts[:1])
+        text = next(row["query"] for row in rows if row["query_seconds"] is not None)
+        self._answers(render(), [text])
         warm = compiling.clock() - start
-        self._frames[-1] = replace(last, cold=last.seconds, seconds=warm)
+        for row in rows:
+            row |= {"cold_seconds": row["view_seconds"], "view_seconds": warm}
 
     def _answers(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:
         hits = view.query_all(texts, **self.query_rules)
@@ -382,8 +392,8 @@ class _Recorder:
         x, y = (None, None) if scored.point is None else map(float, scored.point)
         score = None if hit is None else float(hit.score)
         rest = {"score": score, "point_x": x, "point_y": y, "note": note}
-        known = {**self._common, **row, **scored.scores, **rest}
-        self.rows.append({name: known.get(name) for name in load_spec("samples").columns})
+        columns = {**self._common, **row, **scored.scores, **rest}
+        self.rows.append({name: columns.get(name) for name in load_spec("samples").columns})
 
     def draw_view(self, view: AnsweringView, frame: str) -> None:
         self.pictures[f"render/{frame}"] = view.rgb
@@ -393,9 +403,10 @@ class _Recorder:
         self, name: str, hit: Result | None, scored: Scored, mask: np.ndarray, ground: np.ndarray
     ) -> None:
         heat = np.zeros(mask.shape, np.float32) if hit is None else hit.relevancy
-        found = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
+        predicted = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
         painted = pictures.paint_stretched(heat, ground)
-        answer = pictures.draw_outline(pictures.spotlight(ground, found), found, pictures.PREDICTED)
+        answer = pictures.spotlight(ground, predicted)
+        answer = pictures.draw_outline(answer, predicted, pictures.PREDICTED)
         if mask.any():
             painted = pictures.draw_outline(painted, mask, pictures.TRUE)
             answer = pictures.draw_outline(answer, mask, pictures.TRUE)
@@ -405,42 +416,15 @@ class _Recorder:
     def result(self) -> SceneResult:
         leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]
         means = {name: float(np.mean(values)) for name, values in self._measured.items()}
-        held = {"held_bytes": self.peak.before, "peak_bytes": self.peak.most}
+        memory = {"held_bytes": self.peak.before, "peak_bytes": self.peak.most}
         return SceneResult(
-            **self._named,
+            **self._names,
             rows=self.rows,
             scene_metrics=scene_means(leading) | means | self._constants,
             predictions=self.predictions,
             pictures=self.pictures,
-            costs=[{**self._named, **row, **held} for one in self._frames for row in one.rows()],
+            costs=[row | memory for row in self.costs],
         )
-
-
-@dataclass(frozen=True)
-class _FrameTimes:
-    """Seconds of the answers in one view: ``texts`` are those of ``asked`` that were understood.
-
-    ``seconds`` are those of the first with drawing the view, ``cold`` the same if it was the first
-    of the scene, and ``further`` those of one more.
-    """
-
-    frame: str
-    asked: Sequence[str]
-    texts: Sequence[str]
-    seconds: float | None = None
-    further: float | None = None
-    cold: float | None = None
-
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """A row a text, by columns of the data spec ``times``."""
-        for text in self.asked:
-            yield {
-                "frame": self.frame,
-                "query": text,
-                "query_seconds": self.further if text in self.texts else None,
-                "view_seconds": self.seconds,
-                "cold_seconds": self.cold,
-            }
 
 
 def _depth_pictures(
@@ -448,11 +432,11 @@ def _depth_pictures(
 ) -> dict[str, np.ndarray]:
     drawn = {f"depth/{view.name}": pictures.paint_depth(depth, near, far)}
     if view.depth is not None:
-        known = view.depth > 0
-        truth = np.where(known, view.depth, 1).astype(np.float64)
+        is_known = view.depth > 0
+        truth = np.where(is_known, view.depth, 1).astype(np.float64)
         drawn[f"true_depth/{view.name}"] = pictures.paint_depth(view.depth, near, far)
         drawn[f"depth_error/{view.name}"] = pictures.paint_error(
-            np.abs(depth - truth) / truth, known, ERROR_TOP
+            np.abs(depth - truth) / truth, is_known, ERROR_TOP
         )
     return drawn
 

@@ -43,7 +43,7 @@ from slgaussian.storage.specs import load_spec
 NOT_GIVEN = "no mask was given"
 """Note of a row that is scored as an empty mask, because there is none."""
 
-SCORABLE = tuple(name for name, one in PROTOCOLS.items() if one.scores_masks)
+SCORABLE = tuple(name for name, protocol in PROTOCOLS.items() if protocol.scores_masks)
 """The protocols by which masks can be scored."""
 
 Key = tuple[str, str, str, str, str]
@@ -201,9 +201,9 @@ def score_predictions(
     """
     for judged in scenes:
         for method, present in predictions.methods.items():
-            own = [one for one in protocols if not present or one.name in present]
-            if own:
-                yield _score_scene(predictions, judged, method, own, tally)
+            scored = [protocol for protocol in protocols if not present or protocol.name in present]
+            if scored:
+                yield _score_scene(predictions, judged, method, scored, tally)
 
 
 def _score_scene(
@@ -238,7 +238,7 @@ def _score_scene(
                 )
                 for prediction, mask in looked_up[protocol.name]
             ]
-            asked = Frame(
+            queried = Frame(
                 answers,
                 list(truths.values()),
                 [boxes_of(mask, boxes.get(text)) for text, mask in truths.items()],
@@ -247,7 +247,7 @@ def _score_scene(
             )
             for (text, truth), scored, (prediction, mask) in zip(
                 truths.items(),
-                protocol.score(asked, mask_settings),
+                protocol.score(queried, mask_settings),
                 looked_up[protocol.name],
                 strict=True,
             ):
@@ -255,7 +255,7 @@ def _score_scene(
                 if absent and protocol is not protocols[0]:
                     continue
                 x, y = scored.point or (None, None)
-                own = {
+                columns_of_row = {
                     "frame": frame,
                     "query": text,
                     "protocol": protocol.label,
@@ -266,7 +266,7 @@ def _score_scene(
                     "point_y": y,
                     "note": ABSENT if absent else NOT_GIVEN if prediction is None else "",
                 }
-                rows.append(columns | common | own | dict(scored.scores))
+                rows.append(columns | common | columns_of_row | dict(scored.scores))
                 if prediction is not None:
                     masks[protocol.label, frame, text] = mask
     means = scene_means(of_first_protocol(rows))
@@ -299,17 +299,17 @@ def _look_up(
 
 
 def _winners(
-    given: Sequence[tuple[Prediction | None, np.ndarray]], texts: Sequence[str]
+    predictions: Sequence[tuple[Prediction | None, np.ndarray]], texts: Sequence[str]
 ) -> np.ndarray:
     """Return which of the texts wins, int32 [H, W], k + 1; InputError if two do."""
-    labels = np.zeros(given[0][1].shape, np.int32)
-    for k, (one, mask) in enumerate(given):
-        if one is not None and (taken := labels[mask]).any():
-            other = texts[int(taken[taken > 0][0]) - 1]
+    labels = np.zeros(predictions[0][1].shape, np.int32)
+    for k, (prediction, mask) in enumerate(predictions):
+        if prediction is not None and (rivals := labels[mask]).any():
+            rival = texts[int(rivals[rivals > 0][0]) - 1]
             raise InputError(
-                f"{one.where}: overlaps the mask of {other!r}, but by the protocol 3d-ovs texts "
-                "compete, and each pixel is of one at most; give masks that do not overlap, or "
-                "choose --protocol slgaussian"
+                f"{prediction.where}: overlaps the mask of {rival!r}, but by the protocol 3d-ovs "
+                "texts compete, and each pixel is of one at most; give masks that do not overlap, "
+                "or choose --protocol slgaussian"
             )
         labels[mask] = k + 1
     return labels
@@ -319,16 +319,16 @@ def _read_folder(place: Path, protocols: Sequence[str]) -> Predictions:
     root = place / "predictions" if (place / "predictions").is_dir() else place
     methods = {file_name(name): name for name in ROWS}
     masks: dict[Key, Prediction] = {}
-    others: dict[str, None] = {}
+    unread: dict[str, None] = {}
     for file in sorted(root.glob("*/*/*/*/*.png")):
         folder, protocol, scene, frame, _ = file.relative_to(root).parts
         if protocol in protocols:
             key = methods.get(folder, folder), protocol, scene, frame, file.stem
             masks[key] = Prediction(str(file), partial(_read_png, file))
         else:
-            others[protocol] = None
+            unread[protocol] = None
     if not masks:
-        but = f", but of {', '.join(list(others)[:5])}" if others else ""
+        but = f", but of {', '.join(list(unread)[:5])}" if unread else ""
         raise InputError(
             f"{root}: holds no mask of {' or '.join(protocols)}{but}; expected "
             "<method>/<protocol>/<scene>/<frame>/<query>.png, or a JSON file of masks"
@@ -385,14 +385,14 @@ def _read_file(place: Path) -> Predictions:
     masks: dict[Key, Prediction] = {}
     for number, entry in enumerate(content):
         where = f"{place}: [{number}]"
-        one = check_document(_Entry, entry, where)
-        key = one.method or place.stem, "", one.scene, one.frame, one.query
+        mask = check_document(_Entry, entry, where)
+        key = mask.method or place.stem, "", mask.scene, mask.frame, mask.query
         where = f"{where}, {_called(*key[2:])}"
         if key in masks:
             raise InputError(f"{where} is there twice")
-        x, y = one.point or (None, None)
+        x, y = mask.point or (None, None)
         point = None if x is None or y is None else (x, y)
-        masks[key] = Prediction(where, partial(one.read, where), point, one.score, one.seconds)
+        masks[key] = Prediction(where, partial(mask.read, where), point, mask.score, mask.seconds)
     return Predictions(place, masks)
 
 

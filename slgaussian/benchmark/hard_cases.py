@@ -28,6 +28,9 @@ PIXELS = 1e-4
 EXACT = {"long list": 2e-5}
 """Bounds of what is drawn with nothing cut, where float32 sums are longer than in most cases."""
 
+FAR = np.array([1e6, -1e6, 1e6])
+"""A place where float32 coordinates are .06 units apart."""
+
 EPS = float(np.finfo(np.float32).eps)
 
 
@@ -60,17 +63,17 @@ class HardCase:
         return self.error < self.bound
 
 
-def measured() -> list[HardCase]:
-    """All cases, in a few seconds where kernels are compiled."""
+def measure_hard_cases() -> list[HardCase]:
+    """Measure all cases, in a few seconds where kernels are compiled."""
     return [*_drawings(), *_places(), *_relevancies(), *_codes()]
 
 
 def _drawings() -> Iterator[HardCase]:
     """Draw clouds on which rasterisers break, and compare with the float64 reference.
 
-    The errors are the greatest of any value, of alpha, and of the depth relative to itself where
+    The error is the greatest of any value, of alpha, and of the depth relative to itself where
     alpha is above one half: with little light, the mean depth is decided by whatever a cut-off
-    drops. The greatest is returned.
+    drops.
     """
     rng = np.random.default_rng(0)
     n, f, width, height = 80, 30.0, 32, 24
@@ -84,51 +87,25 @@ def _drawings() -> Iterator[HardCase]:
         "opacities": rng.uniform(size=n),
     }
     layers = {name: np.resize(array, (50 * n, *array.shape[1:])) for name, array in cloud.items()}
+    layers |= {"scales": np.full((50 * n, 3), 9.0), "opacities": np.full(50 * n, 0.0015)}
     half, angle = rng.uniform(size=n) < 0.5, rng.uniform(0, math.pi, n)
     on_edge = np.column_stack([np.cos(angle), 0 * angle, 0 * angle, np.sin(angle)])
-    away = np.array([1e6, -1e6, 1e6])
-    for case, about, arrays, centre in (
-        ("ordinary cloud", "Gaussians of every shape and opacity; the control", {}, 0),
+    discs = {"means": 3 * means / z[:, None], "scales": [[1, 1e-6, 1]] * n, "quats": on_edge}
+    decades = {"scales": 10 ** rng.uniform(-6, 3, (n, 3))}
+    opaque = {"opacities": np.where(half, 1 - 1e-7, cloud["opacities"])}
+    far = {"means": means * 4 + FAR, "scales": cloud["scales"] * 4}
+    for case, text, changes, centre in (
         ("needles", "a million times as long as wide", {"scales": [[1, 1e-6, 1e-6]] * n}, 0),
-        (
-            "discs on edge",
-            "large, without thickness, seen from the side",
-            {"means": (means / z[:, None]) * 3, "scales": [[1, 1e-6, 1]] * n, "quats": on_edge},
-            0,
-        ),
-        (
-            "scales of nine decades",
-            "axes from a millionth to a thousand units, mixed in one Gaussian",
-            {"scales": 10 ** rng.uniform(-6, 3, (n, 3))},
-            0,
-        ),
-        (
-            "opacity almost 1",
-            "half of the Gaussians have opacity 1 - 1e-7",
-            {"opacities": np.where(half, 1 - 1e-7, cloud["opacities"])},
-            0,
-        ),
-        (
-            "long list",
-            "four thousand faint layers on every pixel",
-            layers | {"scales": np.full((50 * n, 3), 9.0), "opacities": np.full(50 * n, 0.0015)},
-            0,
-        ),
-        ("equal depths", "the order of the input decides", {"means": means * 3 / z[:, None]}, 0),
-        (
-            "a million units away",
-            "camera and scene where float32 places are .06 units apart",
-            {"means": means * 4 + away, "scales": cloud["scales"] * 4},
-            away,
-        ),
+        ("discs on edge", "large, without thickness, seen from the side", discs, 0),
+        ("scales of nine decades", "a millionth to a thousand units in one Gaussian", decades, 0),
+        ("opacity almost 1", "half of the Gaussians have opacity 1 - 1e-7", opaque, 0),
+        ("long list", "four thousand faint layers on every pixel", layers, 0),
+        ("a million units away", "where float32 places are .06 units apart", far, FAR),
     ):
-        tensors = {k: torch.tensor(np.asarray(v, np.float32)) for k, v in (cloud | arrays).items()}
-        count = len(tensors["means"])
-        gaussians = Gaussians(
-            **tensors,
-            sh=torch.zeros(count, 1, 3),
-            source=torch.arange(count, dtype=torch.int32),
-        )
+        arrays = {k: torch.tensor(np.asarray(v, np.float32)) for k, v in (cloud | changes).items()}
+        count = len(arrays["means"])
+        source = torch.arange(count, dtype=torch.int32)
+        gaussians = Gaussians(**arrays, sh=torch.zeros(count, 1, 3), source=source)
         values = torch.tensor(rng.uniform(size=(count, 3)), dtype=torch.float32)
         c2w = np.eye(4)
         c2w[:3, 3] = centre
@@ -151,49 +128,50 @@ def _drawings() -> Iterator[HardCase]:
             # NaN stays NaN, so that it passes no bound.
             errors = {of: float(d.abs().max()) for of, d in differences.items() if d.numel()}
             worst = max(errors, key=lambda of: math.inf if math.isnan(errors[of]) else errors[of])
-            yield HardCase(f"rasteriser, {name}", case, about, worst, errors[worst], bound)
+            yield HardCase(f"rasteriser, {name}", case, text, worst, errors[worst], bound)
 
 
 def _places() -> Iterator[HardCase]:
     """Depths become Gaussians, and these are seen again at their pixels."""
-    for case, about, depths, centre in (
+    for case, text, depths, centre in (
         ("near and far", "depths from .02 to 100,000 side by side", (0.02, 1e5), 0.0),
         ("a million units away", "where float32 places are .06 units apart", (20.0, 2000.0), 1e6),
     ):
         pose = np.eye(4)
         pose[:3, :3] = Rotation.random(rng=3).as_matrix()
         pose[:3, 3] = centre, -centre, centre
-        seen = Camera(np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]), pose, 32, 24)
+        camera = Camera(np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]]), pose, 32, 24)
         z = np.geomspace(*depths, 32 * 24).reshape(24, 32)
         flat = np.zeros((24, 32, 3), np.float32), np.ones((24, 32), np.float32)
         inverse = (1 / z).astype(np.float32)
-        made = unproject([seen], [flat[0]], [inverse], [flat[1]])
-        pixels, _ = seen.project(made.means.double().numpy())
+        gaussians = unproject([camera], [flat[0]], [inverse], [flat[1]])
+        pixels, _ = camera.project(gaussians.means.double().numpy())
         u, v = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
         off = np.abs(pixels - np.stack([u, v], -1).reshape(-1, 2)).max()
         # Half a float32 step of each world coordinate, seen from the least depth.
-        step = float(np.sqrt(3) * EPS / 2 * centre * seen.K[0, 0] / depths[0])
-        yield HardCase("depth to Gaussians", case, about, "pixels", float(off), PIXELS + step)
+        step = float(np.sqrt(3) * EPS / 2 * centre * camera.K[0, 0] / depths[0])
+        yield HardCase("depth to Gaussians", case, text, "pixels", float(off), PIXELS + step)
 
 
 def _relevancies() -> Iterator[HardCase]:
     """Against the formula as it is printed, in the longest numbers there are."""
     rng = np.random.default_rng(0)
     base = rng.normal(size=16)
-    for case, about, apart, temperature in (
+    for case, text, distance, temperature in (
         ("very sharp", "a temperature of 10,000, whose exponentials overflow float64", 1e-2, 1e4),
         ("almost the same", "objects and texts that differ in the seventh digit", 1e-7, 10.0),
     ):
-        vectors = base + apart * rng.normal(size=(12, 16))
+        vectors = base + distance * rng.normal(size=(12, 16))
         unit = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
         objects, queries, canonical = unit[:6], unit[6:9], unit[9:]
-        found = relevancy(objects[:, None], np.ones((6, 1), bool), queries, canonical, temperature)
+        present = np.ones((6, 1), bool)
+        computed = relevancy(objects[:, None], present, queries, canonical, temperature)
         wide = [a.astype(np.longdouble) for a in (objects, queries, canonical)]
         wide = [a / np.sqrt((a * a).sum(1, keepdims=True)) for a in wide]
         query, rival = wide[1] @ wide[0].T, wide[2] @ wide[0].T
         true = 1 / (1 + np.exp(temperature * (rival[:, None] - query)))
-        error = float(np.abs(found - true.min(0)).max())
-        yield HardCase("relevancy", case, about, "of relevancy 0 to 1", error, 1e-11)
+        error = float(np.abs(computed - true.min(0)).max())
+        yield HardCase("relevancy", case, text, "of relevancy 0 to 1", error, 1e-11)
 
 
 def _codes() -> Iterator[HardCase]:
@@ -201,11 +179,11 @@ def _codes() -> Iterator[HardCase]:
     rng = np.random.default_rng(1)
     grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 6)] * 3, indexing="ij"), -1).reshape(-1, 3)
     halfway = (grid[rng.integers(len(grid), size=4000)] + grid[rng.integers(216, size=4000)]) / 2
-    for case, about, values in (
+    for case, text, values in (
         ("halfway between codes", "ties, which the first code wins", halfway),
         ("outside the cube", "codes that rounding or noise moved out", 3 * halfway - 1),
     ):
-        found = nearest_code(values, grid)
+        nearest = nearest_code(values, grid)
         plain = np.abs(values[:, None] - grid).sum(2).argmin(1)
-        wrong = float((found != plain).mean())
-        yield HardCase("nearest code", case, about, "share of other codes", wrong, 1e-9)
+        wrong = float((nearest != plain).mean())
+        yield HardCase("nearest code", case, text, "share of other codes", wrong, 1e-9)

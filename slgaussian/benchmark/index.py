@@ -119,9 +119,9 @@ def read_index(path: str | Path) -> Index:
             f"{path}: is of version {content['version']}, this program reads up to {VERSION}; make "
             "it again with `slgaussian benchmark`, or install a newer slgaussian"
         )
-    known = check_document(_Document, content, str(path))
-    pairs = tuple(_pair(path, name, entry) for name, entry in known.scenes.items())
-    return Index(pairs, known.format, known.rule, known.left_out)
+    document = check_document(_Document, content, str(path))
+    pairs = tuple(_pair(path, name, entry) for name, entry in document.scenes.items())
+    return Index(pairs, document.format, document.rule, document.left_out)
 
 
 def write_index(path: str | Path, index: Index) -> None:
@@ -196,8 +196,8 @@ class _Scene(BaseModel):
 
     @model_validator(mode="after")
     def _check_targets(self) -> _Scene:
-        if seen := sorted({*self.context} & {*self.target}):
-            raise ValueError(f"{seen[0]!r} is both context and target; a target must be held out")
+        if shared := sorted({*self.context} & {*self.target}):
+            raise ValueError(f"{shared[0]!r} is both context and target; a target must be held out")
         return self
 
 
@@ -211,13 +211,13 @@ class _Document(BaseModel):
 
 
 def _pair(path: Path, scene: str, entry: Any) -> ScenePair:
-    one = check_document(_Scene, entry, f"{path}: scene {scene!r}")
+    pair = check_document(_Scene, entry, f"{path}: scene {scene!r}")
     return ScenePair(
         scene,
-        one.context,
-        one.target,
-        one.categories or (),
-        one.labels,
-        one.options,
-        one.measured,
+        pair.context,
+        pair.target,
+        pair.categories or (),
+        pair.labels,
+        pair.options,
+        pair.measured,
     )

@@ -142,20 +142,20 @@ def depth_errors(
         with a disparity scale, ``bad2`` fraction whose disparity is more than 2 px off, the measure
         of the Middlebury stereo benchmark. Empty if no true depth is known.
     """
-    known = truth > 0
-    if not known.any():
+    is_known = truth > 0
+    if not is_known.any():
         return {}
-    d = predicted[known].astype(np.float64)
-    t = truth[known].astype(np.float64)
-    found = d > 0
-    safe = np.where(found, d, 1.0)
-    ratio = np.where(found, np.maximum(safe / t, t / safe), np.inf)
+    d = predicted[is_known].astype(np.float64)
+    t = truth[is_known].astype(np.float64)
+    is_predicted = d > 0
+    safe = np.where(is_predicted, d, 1.0)
+    ratio = np.where(is_predicted, np.maximum(safe / t, t / safe), np.inf)
     errors = {
         "abs_rel": float(np.mean(np.abs(d - t) / t)),
         "delta125": float(np.mean(ratio < 1.25)),
     }
     if disparity_scale is not None:
-        shift = np.where(found, np.abs(disparity_scale / safe - disparity_scale / t), np.inf)
+        shift = np.where(is_predicted, np.abs(disparity_scale / safe - disparity_scale / t), np.inf)
         errors["bad2"] = float(np.mean(shift > 2.0))
     return errors
 

@@ -53,8 +53,8 @@ def write_costs(rows: Sequence[Row], out: str | Path) -> None:
     Columns are those of the data spec ``times``; what a row does not have is empty.
     """
     schema = load_spec("times").schema
-    known = [{name: row.get(name) for name in schema.names} for row in rows]
-    write_table("times", pa.Table.from_pylist(known, schema=schema), out)
+    complete = [{name: row.get(name) for name in schema.names} for row in rows]
+    write_table("times", pa.Table.from_pylist(complete, schema=schema), out)
 
 
 def write_table(name: str, table: pa.Table, out: str | Path) -> None:

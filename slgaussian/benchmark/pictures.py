@@ -52,27 +52,27 @@ def paint_labels(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 def depth_range(*depths: np.ndarray) -> tuple[float, float]:
     """Nearest and farthest depth worth a colour (1st and 99th percentile); (1, 1) if none known."""
-    known = np.concatenate([depth[depth > 0].ravel() for depth in depths])
-    if not known.size:
+    positive = np.concatenate([depth[depth > 0].ravel() for depth in depths])
+    if not positive.size:
         return 1.0, 1.0
-    near, far = np.percentile(known.astype(np.float64), [1, 99])
+    near, far = np.percentile(positive.astype(np.float64), [1, 99])
     return float(near), float(far)
 
 
 def paint_depth(depth: np.ndarray, near: float, far: float) -> np.ndarray:
     """z-depth [H, W] in turbo colours, even in inverse depth: red near, blue far, dark unknown."""
-    known = depth > 0
-    inverse = 1 / np.where(known, depth, far).astype(np.float64)
+    is_known = depth > 0
+    inverse = 1 / np.where(is_known, depth, far).astype(np.float64)
     span = max(1 / near - 1 / far, 1e-12)
     painted = _colormap((inverse - 1 / far) / span, cv2.COLORMAP_TURBO)
-    painted[~known] = 28
+    painted[~is_known] = 28
     return painted
 
 
-def paint_error(error: np.ndarray, known: np.ndarray, top: float) -> np.ndarray:
+def paint_error(error: np.ndarray, is_known: np.ndarray, top: float) -> np.ndarray:
     """Errors [H, W] from 0 (black) to ``top`` and above (white); slate where nothing is known."""
     painted = _colormap(error / top, cv2.COLORMAP_INFERNO)
-    painted[~known] = (54, 62, 74)
+    painted[~is_known] = (54, 62, 74)
     return painted
 
 
@@ -93,8 +93,8 @@ def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
     Where it fits alike everywhere, all is grey. Pixels of 0, where nothing is drawn, do not count.
     """
     grey = np.repeat(0.8 * _grey(image)[..., None], 3, -1)
-    known = relevancy[relevancy > 0].astype(np.float64)
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    positive = relevancy[relevancy > 0].astype(np.float64)
+    low, high = (float(positive.min()), float(positive.max())) if positive.size else (0.0, 0.0)
     if high - low < 1e-6:
         return grey.astype(np.uint8)
     share = np.clip((relevancy.astype(np.float64) - low) / (high - low), 0, 1)
@@ -165,20 +165,20 @@ def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarr
     font = ImageFont.load_default(size=size)
     height, width = image.shape[:2]
     free = np.ones((height, width), bool)
-    for one in sorted(named, key=lambda one: int(one.mask.sum())):
-        if not one.mask.any():
+    for item in sorted(named, key=lambda item: int(item.mask.sum())):
+        if not item.mask.any():
             continue
-        tall, wide = size * 1.5, font.getlength(one.text) + size
-        open_ = one.mask & free
-        inside = open_ if open_.any() else one.mask
+        tall, wide = size * 1.5, font.getlength(item.text) + size
+        open_ = item.mask & free
+        inside = open_ if open_.any() else item.mask
         deep = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)
         row, column = np.unravel_index(int(deep[1:-1, 1:-1].argmax()), inside.shape)
         x = min(max(float(column), wide / 2), max(width - wide / 2, wide / 2))
         y = min(max(float(row), tall / 2), max(height - tall / 2, tall / 2))
         box = x - wide / 2, y - tall / 2, x + wide / 2, y + tall / 2
-        color = tuple(int(level) for level in label_colors(np.array(one.id)))
+        color = tuple(int(level) for level in label_colors(np.array(item.id)))
         draw.rounded_rectangle(box, tall / 4, fill=(20, 22, 28), outline=color, width=2)
-        draw.text((x, y), one.text, fill=(255, 255, 255), font=font, anchor="mm")
+        draw.text((x, y), item.text, fill=(255, 255, 255), font=font, anchor="mm")
         # Names of other things keep their distance: their middles would be in this box.
         grown = box[0] - wide / 2, box[1] - 1.2 * tall, box[2] + wide / 2, box[3] + 1.2 * tall
         left, top, right, bottom = (max(0, round(end)) for end in grown)
@@ -189,13 +189,13 @@ def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarr
 def show_named(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarray:
     """Draw what has a name in its colours, outlined and named; everything else grey and dim."""
     union = np.zeros(image.shape[:2], bool)
-    for one in named:
-        union |= one.mask
+    for item in named:
+        union |= item.mask
     out = spotlight(image, union)
-    for one in sorted(named, key=lambda one: -int(one.mask.sum())):
-        color = label_colors(np.array(one.id))
-        out[one.mask] = (0.78 * image[one.mask] + 0.22 * color).astype(np.uint8)
-        out = draw_outline(out, one.mask, (int(color[0]), int(color[1]), int(color[2])))
+    for item in sorted(named, key=lambda item: -int(item.mask.sum())):
+        color = label_colors(np.array(item.id))
+        out[item.mask] = (0.78 * image[item.mask] + 0.22 * color).astype(np.uint8)
+        out = draw_outline(out, item.mask, (int(color[0]), int(color[1]), int(color[2])))
     return draw_names(out, named, size)
 
 
@@ -229,8 +229,8 @@ def draw_dashed(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]
     dash = max(4, round(image.shape[1] / 80))
     for contour in contours:
         on = np.arange(len(contour)) // dash % 2 == 0
-        for shown, paint in ((on, color), (~on, (0, 0, 0))):
-            column, row = contour[shown, 0].T
+        for chosen, paint in ((on, color), (~on, (0, 0, 0))):
+            column, row = contour[chosen, 0].T
             out[row, column] = paint
     return out
 
@@ -261,8 +261,8 @@ def cut_out(
     """
     views = (boxes[..., 2:] - boxes[..., :2]).prod(-1).argmax(1)
     cuts = []
-    for number, own, view in zip(ids, boxes, views, strict=True):
-        x0, y0, x1, y1 = own[view]
+    for number, object_boxes, view in zip(ids, boxes, views, strict=True):
+        x0, y0, x1, y1 = object_boxes[view]
         cut, inside = images[view][y0:y1, x0:x1], labels[view][y0:y1, x0:x1] == number
         cuts.append(np.where(inside[..., None], cut, 255 - (255 - cut) // 4))
     return cuts

@@ -152,15 +152,15 @@ class ScoringProtocol:
         InputError if masks were made elsewhere and say nothing by this protocol.
         """
         if frame.external and not self.scores_masks:
-            able = ", ".join(name for name, one in PROTOCOLS.items() if one.scores_masks)
+            able = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scores_masks)
             raise InputError(
                 f"protocol: {self.name!r} scores relevancies, of which masks say nothing; expected "
                 f"one of {able}"
             )
         scored = [self.score_query(frame, k, settings) for k in range(len(frame.masks))]
         return [
-            one if truth.any() else replace(one, scores={})
-            for one, truth in zip(scored, frame.masks, strict=True)
+            score if truth.any() else replace(score, scores={})
+            for score, truth in zip(scored, frame.masks, strict=True)
         ]
 
 
@@ -187,10 +187,10 @@ def _langsplat(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     relevancy = answer.relevancy
     side = langsplat.FILTER if settings.filter is None else settings.filter
     mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
-    known = relevancy > 0
-    if known.any():
+    is_known = relevancy > 0
+    if is_known.any():
         # A hole must not stretch the range that the threshold is a fraction of.
-        image = np.where(known, relevancy, relevancy.min(where=known, initial=np.inf))
+        image = np.where(is_known, relevancy, relevancy.min(where=is_known, initial=np.inf))
         mask = langsplat.find_mask(image, side)
         point, peak = langsplat.find_point(image, side)
     scores = _overlap(mask, truth) | {

@@ -87,10 +87,10 @@ def best_iou(ranking: Ranking) -> float:
 
 def ious_above(ranking: Ranking, thresholds: Sequence[float]) -> list[float]:
     """IoU of the pixels whose relevancy is above each threshold; 1 if neither has a pixel."""
-    taken = np.searchsorted(-ranking.values, -np.asarray(thresholds, np.float64))
-    found = np.concatenate([[0], ranking.found])[taken]
-    true = np.concatenate([[0], ranking.true])[taken]
-    union = found + ranking.positives - true
+    counts = np.searchsorted(-ranking.values, -np.asarray(thresholds, np.float64))
+    predicted = np.concatenate([[0], ranking.found])[counts]
+    true = np.concatenate([[0], ranking.true])[counts]
+    union = predicted + ranking.positives - true
     return np.where(union > 0, true / np.maximum(union, 1), 1.0).tolist()
 
 

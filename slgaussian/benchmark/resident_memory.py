@@ -38,8 +38,8 @@ class Peak:
     @contextmanager
     def watched(self) -> Iterator[None]:
         """A block of which the most counts."""
-        for one in tuple(_watching):
-            one._note()
+        for peak in tuple(_watching):
+            peak._note()
         with suppress(OSError):
             forget_peak()
         _watching.append(self)
@@ -47,8 +47,8 @@ class Peak:
             yield
         finally:
             _watching.remove(self)
-            for one in (self, *_watching):
-                one._note()
+            for peak in (self, *_watching):
+                peak._note()
 
     @property
     def grown(self) -> int | None:

@@ -129,7 +129,7 @@ def scene_means(rows: Iterable[Row]) -> dict[str, float]:
     return {name: mean for name, mean in means.items() if mean is not None}
 
 
-def score_table(rows: Iterable[Row], seed: int = 0) -> pa.Table:
+def score_table(rows: Iterable[Row]) -> pa.Table:
     """All scores of samples as a table of the spec ``scores``: by data set, method and protocol.
 
     Raises
@@ -143,18 +143,18 @@ def score_table(rows: Iterable[Row], seed: int = 0) -> pa.Table:
         scenes = list(grouped(group, "scene").values())
         for metric in (*METRICS, *CURVE):
             means = [(_scene_mean(scene, metric), scene) for scene in scenes]
-            known = [(mean, scene) for mean, scene in means if mean is not None]
-            if not known:
+            scored = [(mean, scene) for mean, scene in means if mean is not None]
+            if not scored:
                 continue
-            values = np.array([mean for mean, _ in known])
-            places = [place_of(scene[0]) for _, scene in known]
-            samples = sum(metric.of(row) is not None for _, scene in known for row in scene)
+            values = np.array([mean for mean, _ in scored])
+            places = [place_of(scene[0]) for _, scene in scored]
+            samples = sum(metric.of(row) is not None for _, scene in scored for row in scene)
             row = common | {"metric": metric.name, "value": float(values.mean())}
             if metric.threshold is not None:
                 row["threshold"] = metric.threshold
-            ends = interval_of_mean(values, seed, places) if len(set(places)) > 1 else None
+            ends = interval_of_mean(values, places) if len(set(places)) > 1 else None
             table.append(row | _trust(ends, places, samples))
-        table += [common | row for row in _score_calibration(scenes, seed)]
+        table += [common | row for row in _score_calibration(scenes)]
     return pa.Table.from_pylist(table, schema=load_spec("scores").schema)
 
 
@@ -181,8 +181,8 @@ class Difference:
     samples: int
 
 
-def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> list[Difference]:
-    """Paired differences of two methods, or of one in two runs: ``rows`` minus ``others``.
+def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference]:
+    """Paired differences of two methods, or of one in two runs: ``rows`` minus ``baseline``.
 
     Only what both were asked counts, the same query of the same frame by the same version of a
     protocol, judged at one size; settings may differ, as one may be what is compared. Scenes are
@@ -193,12 +193,12 @@ def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> li
     InputError
         If one of them holds a sample twice, such as samples of two methods.
     """
-    mine, theirs = (_by_sample(each) for each in (rows, others))
+    mine, theirs = (_by_sample(each) for each in (rows, baseline))
     pairs = [(mine[key], theirs[key]) for key in mine if key in theirs]
-    found = []
+    gains = []
     groups = grouped(pairs, "dataset", "protocol", row_of=lambda pair: pair[0])
-    for (dataset, protocol), own in groups.items():
-        scenes = grouped(own, "scene", row_of=lambda pair: pair[0]).values()
+    for (dataset, protocol), group in groups.items():
+        scenes = grouped(group, "scene", row_of=lambda pair: pair[0]).values()
         for metric in (*METRICS, *CURVE):
             shared = [
                 [p for p in scene if None not in (metric.of(p[0]), metric.of(p[1]))]
@@ -207,7 +207,7 @@ def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> li
             shared = [scene for scene in shared if scene]
             if not shared:
                 continue
-            one, other = (
+            first, second = (
                 [
                     mean
                     for scene in shared
@@ -215,12 +215,12 @@ def differences(rows: Iterable[Row], others: Iterable[Row], seed: int = 0) -> li
                 ]
                 for side in (0, 1)
             )
-            gain = compare(one, other, seed, [place_of(scene[0][0]) for scene in shared])
+            gain = compare(first, second, [place_of(scene[0][0]) for scene in shared])
             samples = sum(map(len, shared))
-            found.append(
+            gains.append(
                 Difference(dataset, protocol, metric.name, metric.threshold, gain, samples)
             )
-    return found
+    return gains
 
 
 @dataclass(frozen=True)
@@ -246,9 +246,9 @@ class Reliability:
 
 def reliability(rows: Iterable[Row]) -> Reliability:
     """Bin the samples of a method that have a score and ``hit_mask``, those of one protocol."""
-    known = [row for row in rows if row["score"] is not None and row["hit_mask"] is not None]
-    scores = np.array([row["score"] for row in known], np.float64)
-    hits = np.array([row["hit_mask"] for row in known], bool)
+    scored = [row for row in rows if row["score"] is not None and row["hit_mask"] is not None]
+    scores = np.array([row["score"] for row in scored], np.float64)
+    hits = np.array([row["hit_mask"] for row in scored], bool)
     bins = ranking.bin_of(scores)
     return Reliability(
         np.bincount(bins, minlength=ranking.BINS),
@@ -257,22 +257,22 @@ def reliability(rows: Iterable[Row]) -> Reliability:
     )
 
 
-def _score_calibration(scenes: Sequence[Sequence[Row]], seed: int) -> list[dict[str, Any]]:
+def _score_calibration(scenes: Sequence[Sequence[Row]]) -> list[dict[str, Any]]:
     """The row of :data:`SCORE_CALIBRATION`, if there is a sample of it."""
-    known = [(reliability(scene), place_of(scene[0])) for scene in scenes]
-    known = [(one, place) for one, place in known if one.counts.any()]
-    if not known:
+    scored = [(reliability(scene), place_of(scene[0])) for scene in scenes]
+    scored = [(bins, place) for bins, place in scored if bins.counts.any()]
+    if not scored:
         return []
-    places = [place for _, place in known]
-    gaps = np.stack([one.scores - one.hits for one, _ in known])
-    counts = np.array([one.counts.sum() for one, _ in known], float)
+    places = [place for _, place in scored]
+    gaps = np.stack([bins.scores - bins.hits for bins, _ in scored])
+    counts = np.array([bins.counts.sum() for bins, _ in scored], float)
     value = float(np.abs(gaps.sum(0)).sum() / counts.sum())
     ends = None
     if len(set(places)) > 1:
-        times = drawn(tuple(places), seed)
+        times = drawn(tuple(places))
         # Not by @: its last digits differ with the number of threads.
-        total, asked = np.einsum("dn,nb->db", times, gaps), np.einsum("dn,n->d", times, counts)
-        ends = interval(np.abs(total).sum(1) / asked)
+        total, weight = np.einsum("dn,nb->db", times, gaps), np.einsum("dn,n->d", times, counts)
+        ends = interval(np.abs(total).sum(1) / weight)
     trust = _trust(ends, places, int(counts.sum()))
     return [{"metric": SCORE_CALIBRATION, "value": value, **trust}]
 
@@ -285,10 +285,10 @@ def place_of(row: Row) -> str:
 def _trust(ends: tuple[float, float] | None, places: Sequence[str], samples: int) -> dict[str, Any]:
     """Return what says how far a score can be trusted; ``places`` are those of its scenes."""
     low, high = ends or (None, None)
-    scenes, own = len(places), len(set(places))
-    one, few = (ONE_SCENE, FEW_SCENES) if own == scenes else (ONE_PLACE, FEW_PLACES)
-    note = one if ends is None else few if own < LEAST else ""
-    counts = {"scenes": scenes, "places": own, "samples": samples}
+    scenes, distinct = len(places), len(set(places))
+    single, rough = (ONE_SCENE, FEW_SCENES) if distinct == scenes else (ONE_PLACE, FEW_PLACES)
+    note = single if ends is None else rough if distinct < LEAST else ""
+    counts = {"scenes": scenes, "places": distinct, "samples": samples}
     return {"low": low, "high": high, **counts, "note": note}
 
 
@@ -299,7 +299,7 @@ def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:
     else:
         frames = grouped(rows, "frame").values()
         once = Metric(metric.name, metric.column)
-        values = [mean for own in frames if (mean := _scene_mean(own, once)) is not None]
+        values = [mean for members in frames if (mean := _scene_mean(members, once)) is not None]
     return float(np.mean(values)) if values else None
 
 

@@ -37,93 +37,85 @@ def clip_scores(judgements: pa.Table, labels: str | None = None) -> dict[str, li
     {lifting: list of float}
         In the order of the table. Clips without any object are left out.
     """
-    found: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    by_clip: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for row in judgements.to_pylist():
         if row["iou"] is not None and labels in (None, row["labels"]):
-            found[row["lifting"]][row["clip"]].append(row["iou"])
+            by_clip[row["lifting"]][row["clip"]].append(row["iou"])
     return {
-        lifting: [float(np.mean(own[clip])) for clip in sorted(own)]
-        for lifting, own in found.items()
+        lifting: [float(np.mean(scores[clip])) for clip in sorted(scores)]
+        for lifting, scores in by_clip.items()
     }
 
 
 def gain(
-    judgements: pa.Table, other: str, labels: str | None = None, of: str = "branch"
+    judgements: pa.Table, rival: str, labels: str | None = None, of: str = "branch"
 ) -> Comparison:
-    """Compare the lifting ``of`` with ``other``; InputError without a clip."""
+    """Compare the lifting ``of`` with ``rival``; InputError without a clip."""
     scores = clip_scores(judgements, labels)
-    return compare(scores.get(of, []), scores.get(other, []))
-
-
-def verdict(judgements: pa.Table, other: str, called: str) -> Verdict:
-    """Judge whether the lifting ``branch`` is better than ``other``, in a sentence ``called`` so.
-
-    It is if the whole interval of the paired bootstrap is above 0, of :data:`LEAST` clips or more;
-    labels as found and corrupted ones count alike.
-    """
-    return _verdict(gain(judgements, other), called)
+    return compare(scores.get(of, []), scores.get(rival, []))
 
 
 def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
     """Judge whether ``branch`` is better than the best of several liftings, beyond noise.
 
-    It must be better than each of them as :func:`verdict` has it. To claim that of all at some
-    level, each is asked at that same level (an intersection-union test, Berger 1982). The sentence
-    is about the one that it comes nearest to losing against.
+    The whole interval of the paired bootstrap against each of them must be above 0, of
+    :data:`LEAST` clips or more; labels as found and corrupted ones count alike. To claim that of
+    all at some level, each is asked at that same level (an intersection-union test, Berger 1982).
+    The sentence is about the one that it comes nearest to losing against.
 
     Parameters
     ----------
     judgements : table of spec ``judgements``
-    rivals : {lifting: what it is called}
+    rivals : {lifting: its name in the sentence}
         Those that were not judged are passed over; InputError if none was.
     """
-    judged = set(judgements["lifting"].to_pylist())
-    gains = {called: gain(judgements, name) for name, called in rivals.items() if name in judged}
+    gains = _gains(judgements, rivals, "branch")
     if not gains:
-        raise InputError(f"judgements: found {sorted(judged)}, expected one of {list(rivals)}")
-    hardest = min(gains, key=lambda called: (gains[called].low, gains[called].difference))
-    found = _verdict(gains[hardest], hardest)
-    if found.better and len(gains) > 1:
-        *others, last = [called for called in gains if called != hardest]
-        also = f"{', '.join(others)} and {last}" if others else last
-        return Verdict(True, f"{found.why}; and than {also}")
-    return found
+        judged = sorted(set(judgements["lifting"].to_pylist()))
+        raise InputError(f"judgements: found {judged}, expected one of {list(rivals)}")
+    hardest = min(gains, key=lambda name: (gains[name].low, gains[name].difference))
+    comparison = gains[hardest]
+    numbers = _describe(comparison)
+    if comparison.samples < LEAST:
+        needed = f"{numbers}, {LEAST} needed"
+        return Verdict(False, f"too few clips to tell it from {hardest}: {needed}")
+    if comparison.high < 0:
+        return Verdict(False, f"worse than {hardest}: {numbers}")
+    if comparison.low <= 0:
+        return Verdict(False, f"no gain over {hardest} beyond noise: {numbers}")
+    rest = " and ".join(name for name in gains if name != hardest)
+    rest = f"; and than {rest}" if rest else ""
+    return Verdict(True, f"better than {hardest}: {numbers}{rest}")
 
 
-def regression(judgements: pa.Table, rivals: Mapping[str, str], called: str) -> str:
+def regression(judgements: pa.Table, rivals: Mapping[str, str], name: str) -> str:
     """Return a sentence if what is in use is worse than any of ``rivals`` beyond noise, else "".
 
-    That is, the lifting ``before``, ``called`` so: clips that arrived since may show what those it
-    was put to use by did not.
+    That is, the lifting ``before``, called ``name``: clips that arrived since may show what those
+    it was put to use by did not.
     """
-    judged = set(judgements["lifting"].to_pylist())
-    if "before" not in judged:
+    if "before" not in judgements["lifting"].to_pylist():
         return ""
-    gains = {
-        rival: gain(judgements, name, of="before")
-        for name, rival in rivals.items()
-        if name in judged
-    }
-    worse = [rival for rival, found in gains.items() if found.samples >= LEAST and found.high < 0]
+    gains = _gains(judgements, rivals, "before")
+    worse = [rival for rival, gain in gains.items() if gain.samples >= LEAST and gain.high < 0]
     if not worse:
         return ""
     worst = min(worse, key=lambda rival: gains[rival].difference)
-    return f"{called}, in use, is worse than {worst}: {_numbers(gains[worst])}"
+    return f"{name}, in use, is worse than {worst}: {_describe(gains[worst])}"
 
 
-def _numbers(found: Comparison) -> str:
+def _gains(judgements: pa.Table, rivals: Mapping[str, str], lifting: str) -> dict[str, Comparison]:
+    """Compare a lifting with each of the rivals that were judged, by their names."""
+    judged = set(judgements["lifting"].to_pylist())
+    return {
+        name: gain(judgements, rival, of=lifting)
+        for rival, name in rivals.items()
+        if rival in judged
+    }
+
+
+def _describe(comparison: Comparison) -> str:
     return (
-        f"{found.difference:+.4f} IoU ({found.low:+.4f} to {found.high:+.4f} in "
-        f"{100 * LEVEL:.0f} % of the resamplings) on {found.samples} held-out clips"
+        f"{comparison.difference:+.4f} IoU ({comparison.low:+.4f} to {comparison.high:+.4f} in "
+        f"{100 * LEVEL:.0f} % of the resamplings) on {comparison.samples} held-out clips"
     )
-
-
-def _verdict(found: Comparison, called: str) -> Verdict:
-    numbers = _numbers(found)
-    if found.samples < LEAST:
-        return Verdict(False, f"too few clips to tell it from {called}: {numbers}, {LEAST} needed")
-    if found.low > 0:
-        return Verdict(True, f"better than {called}: {numbers}")
-    if found.high < 0:
-        return Verdict(False, f"worse than {called}: {numbers}")
-    return Verdict(False, f"no gain over {called} beyond noise: {numbers}")

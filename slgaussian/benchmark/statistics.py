@@ -1,6 +1,6 @@
 """Confidence intervals of means: the bootstrap (Efron 1979) over independent samples.
 
-Percentile intervals, of resamplings that are the same for the same number of samples and seed.
+Percentile intervals, of resamplings that are the same for the same number of samples.
 Where samples come in groups, such as pairs of views of one place, groups are drawn, and then
 samples within each: both are a choice of what was measured.
 """
@@ -52,19 +52,17 @@ class Comparison:
 
 def compare(
     scores: Sequence[float],
-    others: Sequence[float],
-    seed: int = 0,
+    baseline: Sequence[float],
     groups: Sequence[Hashable] | None = None,
 ) -> Comparison:
     """Paired bootstrap over samples: they are drawn with replacement, in pairs.
 
     Parameters
     ----------
-    scores, others : sequence of float
+    scores, baseline : sequence of float
         Of the two on the same samples, in one order. Samples without a score (NaN) are left out.
         Samples of one scene are no independent ones: without ``groups`` the interval is then too
         narrow.
-    seed : int
     groups : sequence, optional
         What each sample is of, see :func:`drawn`.
 
@@ -73,21 +71,21 @@ def compare(
     InputError
         If the lengths differ or no sample has both scores.
     """
-    if len(scores) != len(others):
-        raise InputError(f"compare: found {len(scores)} and {len(others)} scores, expected pairs")
-    gains = np.asarray(scores, np.float64) - np.asarray(others, np.float64)
-    known = np.isfinite(gains)
-    if not known.any():
+    if len(scores) != len(baseline):
+        raise InputError(f"compare: found {len(scores)} and {len(baseline)} scores, expected pairs")
+    gains = np.asarray(scores, np.float64) - np.asarray(baseline, np.float64)
+    finite = np.isfinite(gains)
+    if not finite.any():
         raise InputError("compare: found no sample that both were judged on, expected at least one")
     of = range(len(gains)) if groups is None else groups
-    of = [group for group, counts in zip(of, known, strict=True) if counts]
-    gains = gains[known]
-    ends = interval_of_mean(gains, seed, of)
+    of = [group for group, counts in zip(of, finite, strict=True) if counts]
+    gains = gains[finite]
+    ends = interval_of_mean(gains, of)
     return Comparison(float(gains.mean()), *ends, len(gains), len(set(of)))
 
 
 def interval_of_mean(
-    values: np.ndarray, seed: int = 0, groups: Sequence[Hashable] | None = None
+    values: np.ndarray, groups: Sequence[Hashable] | None = None
 ) -> tuple[float, float]:
     """Return where the mean of float [n], n > 0, lies for :data:`LEVEL` of the resamplings.
 
@@ -96,8 +94,8 @@ def interval_of_mean(
     interval says nothing of others: leave it out where it is printed.
     """
     if groups is None:
-        return interval(values[resamplings(len(values), seed)].mean(1))
-    times = drawn(tuple(groups), seed)
+        return interval(values[resamplings(len(values))].mean(1))
+    times = drawn(tuple(groups))
     return interval(np.einsum("dn,n->d", times, values) / times.sum(1))
 
 
@@ -108,7 +106,7 @@ def interval(statistics: np.ndarray) -> tuple[float, float]:
 
 
 @lru_cache(4)
-def drawn(groups: tuple[Hashable, ...], seed: int = 0) -> np.ndarray:
+def drawn(groups: tuple[Hashable, ...]) -> np.ndarray:
     """Count how often each resampling holds each sample: int32 [DRAWS, n], not to be changed.
 
     The hierarchical bootstrap (Davison and Hinkley 1997, section 3.8, with replacement twice): as
@@ -118,22 +116,23 @@ def drawn(groups: tuple[Hashable, ...], seed: int = 0) -> np.ndarray:
     members: dict[Hashable, list[int]] = {}
     for sample, group in enumerate(groups):
         members.setdefault(group, []).append(sample)
-    chosen = resamplings(len(members), seed)
-    rng = rng_for(seed, "", "bootstrap within groups")
+    chosen = resamplings(len(members))
+    rng = rng_for(0, "", "bootstrap within groups")
     times = np.zeros((DRAWS, len(groups)), np.int32)
-    for number, own in enumerate(members.values()):
+    for number, places in enumerate(members.values()):
         often = (chosen == number).sum(1)
-        if len(own) == 1:
-            times[:, own[0]] = often
+        if len(places) == 1:
+            times[:, places[0]] = often
         else:
-            times[:, own] = rng.multinomial(often * len(own), np.full(len(own), 1 / len(own)))
+            chances = np.full(len(places), 1 / len(places))
+            times[:, places] = rng.multinomial(often * len(places), chances)
     times.flags.writeable = False
     return times
 
 
 @lru_cache(4)
-def resamplings(count: int, seed: int = 0) -> np.ndarray:
+def resamplings(count: int) -> np.ndarray:
     """Draw the samples of each resampling: int32 [DRAWS, count] below ``count``, read-only."""
-    drawn = rng_for(seed, "", "bootstrap").integers(count, size=(DRAWS, count)).astype(np.int32)
+    drawn = rng_for(0, "", "bootstrap").integers(count, size=(DRAWS, count)).astype(np.int32)
     drawn.flags.writeable = False
     return drawn

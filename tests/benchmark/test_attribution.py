@@ -304,12 +304,6 @@ def test_the_best_threshold_is_the_best_of_all_thresholds(objects, data):
     assert not chosen.any() or (chosen == (scores >= scores[chosen].min())).all()
 
 
-def test_nothing_is_chosen_where_nothing_fits():
-    nothing = np.zeros(3, int)
-    assert not attribution.best_prefix(np.ones(3), nothing, np.array([4, 0, 2]), 5).any()
-    assert not attribution.best_prefix(np.ones(0), nothing[:0], nothing[:0], 5).any()
-
-
 def test_whole_things_are_as_many_as_the_truth_has_parts():
     """Three cushions make a sofa; a chair of one piece stands apart."""
     ids = np.zeros((20, 40), np.int32)

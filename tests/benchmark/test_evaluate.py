@@ -58,12 +58,6 @@ def test_scores_are_those_of_the_predicted_masks_and_points(room, result):
         assert row["hit_box"] or not row["hit_mask"]
 
 
-def test_the_field_of_a_known_room_answers_most_of_its_phrases(result):
-    # True labels and predicted depth: only the words and the geometry can be wrong.
-    assert result.scene_metrics["hit_mask"] > 0.5
-    assert result.scene_metrics["psnr"] > 18
-
-
 def test_an_unknown_word_scores_zero_by_every_protocol_and_stays_in_the_means(room, result):
     zeros = {
         "slgaussian": ("iou", "boundary_iou", "class_iou", "hit_mask", "hit_box"),

@@ -77,31 +77,6 @@ class TestHoles:
             assert both[11:14, 12:17].all()
             assert both.sum() == cut.sum() + 15
 
-    def test_a_slit_makes_a_hole_for_readers_of_one_polygon(self, tmp_path):
-        outer, hole = self.RING
-        slit = [*outer, outer[0], hole[0], *hole[:0:-1], hole[0], outer[0]]
-        mask = self.mask(tmp_path, thing(segmentation=slit))
-        assert not mask[11:14, 12:19].any()
-        assert mask[5:8, 5:25].all()
-        assert mask[17:20, 5:25].all()
-
-    def test_where_a_polygon_crosses_itself_the_twice_covered_is_outside(self, tmp_path):
-        twice = [
-            [2, 2],
-            [20, 2],
-            [20, 14],
-            [2, 14],
-            [2, 2],
-            [8, 5],
-            [14, 5],
-            [14, 11],
-            [8, 11],
-            [8, 5],
-        ]
-        mask = self.mask(tmp_path, thing(segmentation=twice))
-        assert mask[12, 10]
-        assert not mask[8, 11]
-
     @pytest.mark.parametrize("holes", [3, [3], [[[1, 2], [3, 4]]], [[[0, 0], [1, np.nan], [2, 2]]]])
     def test_a_hole_that_is_no_polygon_is_refused(self, tmp_path, holes):
         with pytest.raises(InputError, match=r"frame_1\.json: objects\.0"):

@@ -78,16 +78,6 @@ def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
         assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
 
 
-def test_same_results_give_the_same_files(tmp_path, result):
-    for folder in (tmp_path / "a", tmp_path / "b"):
-        write_samples(result.rows, folder)
-        write_predictions(result.rows, masks_of(result), folder)
-    for path in (tmp_path / "a").rglob("*"):
-        if path.is_file():
-            twin = tmp_path / "b" / path.relative_to(tmp_path / "a")
-            assert path.read_bytes() == twin.read_bytes()
-
-
 def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
     other = [row | {"method": "other"} for row in result.rows]
     for rows in (result.rows, other):

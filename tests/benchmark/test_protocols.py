@@ -130,21 +130,6 @@ def test_scores_of_real_polygons_are_the_plain_ones(real_data):
         check(frame_of([*read_labels(file.parent, name, 576, 416).values()], seed=number))
 
 
-def test_real_polygons_are_what_the_even_odd_rule_fills(real_data):
-    """At the size they were labelled in, but for the outline."""
-    for file in sorted((real_data / "office" / "labels").glob("*.json"))[::3]:
-        record = json.loads(file.read_text())
-        height, width = record["info"]["height"], record["info"]["width"]
-        masks = read_labels(file.parent, record["info"]["name"], width, height)
-        for category, mask in masks.items():
-            own = [o for o in record["objects"] if o["category"] == category]
-            inside, rim = (np.zeros((height, width), bool) for _ in range(2))
-            for polygon in (np.trunc(np.array(o["segmentation"], float)) for o in own):
-                inside |= plain.filled(polygon, height, width)
-                rim |= plain.near_edges(polygon, height, width, 1.0)
-            assert not ((mask != inside) & ~rim).any()
-
-
 def single(relevancy, truth, boxes=None, mask=None, point=None, understood=True):
     mask = relevancy > 0.5 if mask is None else mask
     boxes = box_of(truth) if boxes is None else boxes
@@ -161,58 +146,6 @@ def square(value=0.9, rest=0.1):
     relevancy = np.full((200, 260), rest, np.float32)
     relevancy[60:120, 100:170] = value
     return relevancy, relevancy == np.float32(value)
-
-
-def test_langsplat_cuts_at_seven_tenths_of_the_range():
-    relevancy = np.full((300, 300), 0.2, np.float32)
-    relevancy[10:90, 10:90] = 0.8
-    relevancy[110:190, 110:190] = 0.2 + 0.69 * 0.6
-    relevancy[210:290, 210:290] = 0.2 + 0.71 * 0.6
-    mask = one("langsplat", single(relevancy, relevancy > 0.7)).mask
-    assert mask[50, 50] and mask[250, 250] and not mask[150, 150]
-
-
-def test_langsplats_threshold_is_of_the_stretched_range_and_so_free_of_scale():
-    relevancy, truth = square()
-    faint = (0.4 + relevancy / 1000).astype(np.float32)
-    frames = single(relevancy, truth), single(faint, truth)
-    a, b = (one("langsplat", frame) for frame in frames)
-    assert np.array_equal(a.mask, b.mask) and a.scores["iou"] == b.scores["iou"] > 0.9
-
-
-def test_langsplat_hits_with_any_tied_pixel_where_one_point_misses():
-    """A plateau as wide as the image holds any box; its middle lies in few."""
-    relevancy = np.full((200, 260), 0.1, np.float32)
-    relevancy[:90] = 0.9
-    truth = np.zeros((200, 260), bool)
-    truth[10:20, 3:12] = True
-    found = one("langsplat", single(relevancy, truth)).scores
-    assert found["hit_peak"] is True and found["hit_box"] is False
-
-
-@pytest.mark.parametrize(
-    ("box", "hit"),
-    [((140, 89, 200, 150), False), ((90, 60, 134, 89), False), ((134, 89, 135, 90), True)],
-)
-def test_box_bounds_are_included(box, hit):
-    """The peak of the square: full windows fit at rows 75 to 105 and columns 115 to 155."""
-    relevancy, truth = square()
-    frame = single(relevancy, truth, np.array([box], float))
-    found = one("langsplat", frame)
-    assert found.point == (135, 90)
-    assert found.scores["hit_box"] is hit and found.scores["hit_peak"] is True
-
-
-def test_a_box_on_the_border_of_the_image():
-    relevancy = np.full((60, 80), 0.1, np.float32)
-    relevancy[:, -1] = 0.9
-    truth = relevancy > 0.5
-    frame = single(relevancy, truth, np.array([[79.0, 0, 79, 59]]), point=(79, 59))
-    assert one("slgaussian", frame).scores["hit_box"] is True
-    # All windows that hold the column tie, and the middle of the plateau is 7 columns inside.
-    found = one("langsplat", frame)
-    assert found.scores["hit_peak"] is True
-    assert found.point[0] == 72 and found.scores["hit_box"] is False
 
 
 def test_the_filter_is_30_pixels_or_its_share_of_the_width():
@@ -319,27 +252,8 @@ def test_a_text_that_is_not_understood_scores_zero():
         assert not any(found.scores.values()) and curve == [0.0] * 19
 
 
-def test_no_boxes_no_hit():
-    relevancy, truth = square()
-    frame = single(relevancy, truth, np.zeros((0, 4)), point=(135, 90))
-    assert one("slgaussian", frame).scores["hit_mask"] is True
-    assert one("slgaussian", frame).scores["hit_box"] is False
-    assert one("langsplat", frame).scores["hit_peak"] is False
-
-
 def test_names_and_versions():
     names = "slgaussian", "langsplat", "langsplat-rescaled", "3d-ovs", "threshold-free"
     assert [p.label for p in PROTOCOLS.values()] == [*(f"{n}@2" for n in names), "highest-pixel@1"]
     with pytest.raises(InputError, match="protocol: found 'miou', expected one of slgaussian, "):
         load_protocol("miou")
-
-
-def test_labels_cropped_away_are_no_sample(tmp_path):
-    """A category at the left edge of a wide frame, seen in a square image."""
-    edge = {"category": "edge", "segmentation": [[0, 0], [1, 0], [1, 23], [0, 23]]}
-    info = {"name": "f.png", "width": 40, "height": 24}
-    record = {"info": info, "objects": [edge | {"bbox": [0, 0, 1, 23]}]}
-    (tmp_path / "f.json").write_text(json.dumps(record))
-    truth = read_labels(tmp_path, "f.png", 24, 24)["edge"]
-    for name in PROTOCOLS:
-        assert one(name, single(np.full((24, 24), 0.7, np.float32), truth)).scores == {}

@@ -3,7 +3,7 @@
 import pyarrow as pa
 import pytest
 
-from slgaussian.benchmark.significance import clip_scores, gain, gate, regression, verdict
+from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.benchmark.statistics import LEAST
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
@@ -38,7 +38,7 @@ def test_lessons_without_objects_do_not_count_and_kinds_can_be_told_apart():
 def test_only_a_gain_beyond_noise_is_one(step):
     noise = [0.01, -0.01, 0.008, -0.008, 0.011, -0.011, 0.003, -0.003]
     scores = {"branch": [0.5 + step + n for n in noise], "hard": [0.5] * 8}
-    found = verdict(judged(scores, list("abcdefgh")), "hard", "no branch")
+    found = gate(judged(scores, list("abcdefgh")), {"hard": "no branch"})
     assert found.better == (step > 0)
     begins = {0.02: "better than", 0.0: "no gain over", -0.02: "worse than"}
     assert found.why.startswith(f"{begins[step]} no branch")
@@ -52,7 +52,7 @@ def test_a_gain_within_noise_is_none():
     for step in (0.005, 0.01, 0.03):
         scores = {"branch": [0.5 + step + n for n in noise], "hard": [0.5] * 8}
         table = judged(scores, list("abcdefgh"))
-        told, by = verdict(table, "hard", "no branch"), gain(table, "hard")
+        told, by = gate(table, {"hard": "no branch"}), gain(table, "hard")
         assert by.difference > 0 and told.better == (by.low > 0)
         found[step] = told
     assert [told.better for told in found.values()] == [False, False, True]
@@ -62,10 +62,10 @@ def test_a_gain_within_noise_is_none():
 def test_few_clips_never_are_enough():
     clips = list("abcdefgh")[: LEAST - 1]
     scores = {"branch": [0.9] * len(clips), "hard": [0.1] * len(clips)}
-    found = verdict(judged(scores, clips), "hard", "no branch")
+    found = gate(judged(scores, clips), {"hard": "no branch"})
     assert not found.better and found.why.startswith("too few clips to tell it from no branch")
     more = {name: [*own, own[0]] for name, own in scores.items()}
-    assert verdict(judged(more, [*clips, "z"]), "hard", "no branch").better
+    assert gate(judged(more, [*clips, "z"]), {"hard": "no branch"}).better
 
 
 NOISE = [0.01, -0.01, 0.008, -0.008, 0.011, -0.011, 0.003, -0.003]
@@ -84,7 +84,7 @@ def with_means(**means: float) -> pa.Table:
 def test_the_gate_asks_for_more_than_the_best_of_all():
     """What once went through: better than the version in use, which was worse than no network."""
     table = with_means(branch=0.58, before=0.55, hard=0.55, filled=0.60)
-    assert verdict(table, "before", "version 1").better
+    assert gate(table, {"before": "version 1"}).better
     found = gate(table, RIVALS)
     assert not found.better and found.why.startswith("worse than filled: -0.02")
     found = gate(with_means(branch=0.58, before=0.55, hard=0.55, filled=0.579), RIVALS)

@@ -66,8 +66,8 @@ def train_autoencoder(vectors: np.ndarray, seed: int, steps: int = 1000) -> Auto
         wanted = torch.from_numpy(vectors)
         for _ in range(steps):
             decoded = F.normalize(up(F.normalize(down(wanted), dim=1)), dim=1)
-            alike = F.cosine_similarity(decoded, wanted, dim=1).mean()
-            loss = F.mse_loss(decoded, wanted) + COSINE * (1 - alike)
+            similarity = F.cosine_similarity(decoded, wanted, dim=1).mean()
+            loss = F.mse_loss(decoded, wanted) + COSINE * (1 - similarity)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

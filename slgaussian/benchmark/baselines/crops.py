@@ -135,8 +135,8 @@ class LiftedVectors:
         picture = draw_picture(gaussians, camera)
         small = reduced(camera, self.width * len(self.scales))
         vectors = draw_vectors(gaussians, small, self.scales, self.width)
-        seen = picture.alpha >= VISIBLE
-        return DenseView(picture.rgb, picture.depth, reader, seen, vectors, self.classes)
+        visible = picture.alpha >= VISIBLE
+        return DenseView(picture.rgb, picture.depth, reader, visible, vectors, self.classes)
 
 
 def choose_scales(inputs: Inputs, levels: Sequence[Level], classes: Sequence[str]) -> np.ndarray:
@@ -257,10 +257,10 @@ def _masks(squares: Sequence[tuple[int, int, int]], size: tuple[int, int]) -> np
 
 
 @kernel
-def _sample(counter, values, low_y, share_y, low_x, share_x, pixels, found):
+def _sample(counter, values, low_y, share_y, low_x, share_x, pixels, sampled):
     height, width = len(low_y), len(low_x)
     rows, columns = values.shape[1], values.shape[2]
-    one = np.float32(1)
+    unit = np.float32(1)
     n = take(counter)
     while n < len(pixels):
         line, x = divmod(pixels[n], width)
@@ -268,9 +268,9 @@ def _sample(counter, values, low_y, share_y, low_x, share_x, pixels, found):
         grid, down, right = values[view], share_y[y], share_x[x]
         top, left = low_y[y], low_x[x]
         bottom, after = min(top + 1, rows - 1), min(left + 1, columns - 1)
-        a, b = (one - down) * (one - right), (one - down) * right
-        c, d = down * (one - right), down * right
+        a, b = (unit - down) * (unit - right), (unit - down) * right
+        c, d = down * (unit - right), down * right
         for k in range(values.shape[3]):
             upper = a * grid[top, left, k] + b * grid[top, after, k]
-            found[n, k] = upper + (c * grid[bottom, left, k] + d * grid[bottom, after, k])
+            sampled[n, k] = upper + (c * grid[bottom, left, k] + d * grid[bottom, after, k])
         n = take(counter)

@@ -73,15 +73,15 @@ class DenseView:
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[DenseResult]:
         """See :class:`slgaussian.benchmark.answering.AnsweringView`."""
-        asked, reader = Rules(**rules), self.reader
+        query_rules, reader = Rules(**rules), self.reader
         reader.vectors(texts)  # refuses before there is work
         return [
             DenseResult(
                 text,
                 reader.unknown_words(text),
-                self.gap(text, asked),
+                self.gap(text, query_rules),
                 self.seen,
-                asked,
+                query_rules,
                 bool(self.classes),
             )
             for text in texts
@@ -89,11 +89,11 @@ class DenseView:
 
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
         """See :class:`slgaussian.benchmark.answering.AnsweringView`; ties go to the first text."""
-        asked = Rules(**rules)
+        query_rules = Rules(**rules)
         self.reader.vectors(texts)
         best, winner = np.full(self.seen.shape, -np.inf), np.zeros(self.seen.shape, np.int32)
         for number, text in enumerate(texts, start=1):
-            gap = self.gap(text, asked)
+            gap = self.gap(text, query_rules)
             better = gap > best
             best[better], winner[better] = gap[better], number
         return np.where(self.seen, winner, 0).astype(np.int32)
@@ -105,19 +105,19 @@ class DenseView:
         """
         size = self.vectors.shape[1:3]
         gaps = self._cosines((text,))[0] - self._rival(text, rules)
-        whole = self.seen.shape[::-1]
-        seen = Window.whole(*whole).mask(self.seen, *size)
-        best = gaps.max(1, where=seen.ravel(), initial=-np.inf).argmax()
-        return cv2.resize(gaps[best].reshape(size), whole, interpolation=cv2.INTER_LINEAR)
+        full_size = self.seen.shape[::-1]
+        visible = Window.whole(*full_size).mask(self.seen, *size)
+        best = gaps.max(1, where=visible.ravel(), initial=-np.inf).argmax()
+        return cv2.resize(gaps[best].reshape(size), full_size, interpolation=cv2.INTER_LINEAR)
 
     def _rival(self, text: str, rules: Rules) -> np.ndarray:
         """Return the cosine with the best rival of a text, float64 [S, h * w]."""
-        others = [k for k, name in enumerate(self.classes) if name != text]
-        rivals = self.classes if others else self.reader.phrases(rules)
-        known = self._cosines_of_rivals
-        if rivals not in known:
-            known[rivals] = self._cosines(rivals)
-        return known[rivals][others or slice(None)].max(0)
+        rival_places = [k for k, name in enumerate(self.classes) if name != text]
+        rivals = self.classes if rival_places else self.reader.phrases(rules)
+        cache = self._cosines_of_rivals
+        if rivals not in cache:
+            cache[rivals] = self._cosines(rivals)
+        return cache[rivals][rival_places or slice(None)].max(0)
 
     @cached_property
     def _cosines_of_rivals(self) -> dict[tuple[str, ...], np.ndarray]:
@@ -127,12 +127,12 @@ class DenseView:
     def _cosines(self, texts: Sequence[str]) -> np.ndarray:
         """Return the cosines with some texts, float64 [Q, S, h * w]."""
         scales, h, w, width = self.vectors.shape
-        asked = self.reader.vectors(texts).astype(np.float64)
-        asked /= np.linalg.norm(asked, axis=1, keepdims=True)
+        queries = self.reader.vectors(texts).astype(np.float64)
+        queries /= np.linalg.norm(queries, axis=1, keepdims=True)
         flat = self.vectors.reshape(-1, width)
-        found = np.empty((len(asked), len(flat)))
-        share(cosines, len(flat), flat, asked, found)
-        return found.reshape(len(asked), scales, h * w)
+        similarity = np.empty((len(queries), len(flat)))
+        share(cosines, len(flat), flat, queries, similarity)
+        return similarity.reshape(len(queries), scales, h * w)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +194,9 @@ class DenseResult:
 
 
 @kernel
-def cosines(counter: np.ndarray, vectors: np.ndarray, texts: np.ndarray, found: np.ndarray) -> None:
+def cosines(
+    counter: np.ndarray, vectors: np.ndarray, texts: np.ndarray, similarity: np.ndarray
+) -> None:
     """Write the cosines [Q, P] of vectors float32 [P, C] with unit texts float64 [Q, C].
 
     A vector a portion; 0 for a zero vector. Sums run in one order, whatever the number of threads.
@@ -210,5 +212,5 @@ def cosines(counter: np.ndarray, vectors: np.ndarray, texts: np.ndarray, found: 
             total = 0.0
             for c in range(vectors.shape[1]):
                 total += np.float64(vector[c]) * texts[q, c]
-            found[q, p] = total * scale
+            similarity[q, p] = total * scale
         p = take(counter)

@@ -80,8 +80,8 @@ class Inputs:
     def own_labels(self) -> LabelMaps:
         """Label maps of each context view on its own: no id is in two views."""
         maps, count = [], 0
-        for seen in self.geometry.frames:
-            ids = without_crumbs(flatten(self.proposer.propose(seen)))
+        for view in self.geometry.frames:
+            ids = without_crumbs(flatten(self.proposer.propose(view)))
             maps.append(np.where(ids > 0, ids + count, 0).astype(np.int32))
             count += int(ids.max(initial=0))
         labels = np.stack(maps)
@@ -94,7 +94,7 @@ class Inputs:
 
     def look_at(
         self,
-        seen: Sequence[SeenView],
+        views: Sequence[SeenView],
         label_maps: LabelMaps,
         surroundings: Sequence[Surroundings] | None,
         grouped: bool = False,
@@ -107,9 +107,9 @@ class Inputs:
         ids, groups, wholes = label_maps.ids, None, None
         codes = np.zeros((len(ids), 0), np.float32)
         if len(ids) == 0:
-            nothing = np.zeros((0, len(seen), self.bank.features.shape[2]), np.float32)
-            return MemoryBank(ids, codes, nothing, np.zeros((0, len(seen)), bool))
+            nothing = np.zeros((0, len(views), self.bank.features.shape[2]), np.float32)
+            return MemoryBank(ids, codes, nothing, np.zeros((0, len(views)), bool))
         if grouped and self.bank.levels is not None:
-            groups, wholes = group_objects(seen, label_maps)
-        views = [one.view for one in seen]
-        return build_bank(views, label_maps, self.encoder, codes, surroundings, groups, wholes)
+            groups, wholes = group_objects(views, label_maps)
+        images = [view.view for view in views]
+        return build_bank(images, label_maps, self.encoder, codes, surroundings, groups, wholes)

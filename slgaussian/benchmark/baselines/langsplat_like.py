@@ -76,6 +76,6 @@ class _Codes:
         codes = np.divide(codes, weight, out=np.zeros_like(codes), where=weight > 0)
         vectors = self.network.decode(codes.reshape(-1, 3)).reshape(1, *codes.shape[:2], -1)
         # Where most is without a mask, no code says anything.
-        whole = camera.width, camera.height
-        seen = cv2.resize(drawn[..., 3], whole, interpolation=cv2.INTER_LINEAR) >= VISIBLE
-        return DenseView(picture.rgb, picture.depth, self.inputs.reader, seen, vectors)
+        full_size = camera.width, camera.height
+        visible = cv2.resize(drawn[..., 3], full_size, interpolation=cv2.INTER_LINEAR) >= VISIBLE
+        return DenseView(picture.rgb, picture.depth, self.inputs.reader, visible, vectors)

@@ -85,12 +85,12 @@ class PictureView:
     def _view(self) -> FieldView:
         inputs, with_depth = self.scene.inputs, self.scene.with_depth
         alpha, depth = self.picture.alpha, self.depth
-        there = alpha >= VISIBLE
-        seen = SeenView(View("rendered", self.camera, self.rgb), depth if with_depth else None)
-        proposals = inputs.proposer.propose(seen, None if there.all() else there)
-        ids = np.where(there, flatten(proposals), 0).astype(np.int32)
+        visible = alpha >= VISIBLE
+        view = SeenView(View("rendered", self.camera, self.rgb), depth if with_depth else None)
+        proposals = inputs.proposer.propose(view, None if visible.all() else visible)
+        ids = np.where(visible, flatten(proposals), 0).astype(np.int32)
         label_maps = LabelMaps(ids[None], np.ones((1, *ids.shape), np.float32))
         around = [inputs.geometry.room.place(self.camera, depth)] if with_depth else None
-        bank = inputs.look_at([seen], label_maps, around, with_depth)
+        bank = inputs.look_at([view], label_maps, around, with_depth)
         sure = (ids > 0).astype(np.float32)
         return FieldView(self.rgb, ids, sure, alpha, depth, inputs.field.changed(bank=bank))

@@ -136,14 +136,14 @@ def compare_runs(runs: Sequence[Run]) -> Report:
     sections.append(Section("How they were made", [block]))
     if tables := rank_methods(named):
         sections.append(Section("Methods ranked", _fold_protocols(tables)))
-    (letter, first), *later = named.items()
+    (base, first), *later = named.items()
     pairs = {
-        f"{name}, {other}" if later[1:] else name: (rows, baseline)
-        for other, run in later
+        f"{name}, {letter}" if later[1:] else name: (rows, baseline)
+        for letter, run in later
         for name, baseline, rows in _pair_methods(first, run)
     }
     if tables := difference_tables(pairs, "Method"):
-        title = f"{'Each' if later[1:] else later[0][0]} minus {letter}"
+        title = f"{'Each' if later[1:] else later[0][0]} minus {base}"
         sections.append(Section(title, _fold_protocols(tables)))
     if all(run.times for run in runs):
         sections.append(Section("What they cost", [_costs_table(runs)]))
@@ -156,8 +156,8 @@ def _fold_protocols(tables: Sequence[Table]) -> list[Block]:
     """Return the tables by the first protocol, and those by others folded up."""
     protocol = tables[0].title.rpartition(" by ")[2]
     first = [table for table in tables if table.title.endswith(f" by {protocol}")]
-    others = [table for table in tables if table not in first]
-    return [*first, *([Fold("By other protocols", others)] if others else [])]
+    rest = [table for table in tables if table not in first]
+    return [*first, *([Fold("By other protocols", rest)] if rest else [])]
 
 
 def _runs_table(named: Mapping[str, Run]) -> Table:
@@ -187,9 +187,9 @@ def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], lis
         yield f"{rival} − {name}", rows, rival_rows
 
 
-def _align(rows: Sequence[Row], others: Sequence[Row]) -> list[tuple[Row, Row]]:
+def _align(rows: Sequence[Row], baseline: Sequence[Row]) -> list[tuple[Row, Row]]:
     """Return the pairs of samples that both have."""
-    theirs = {sample_key(row): row for row in others}
+    theirs = {sample_key(row): row for row in baseline}
     return [(row, theirs[sample_key(row)]) for row in rows if sample_key(row) in theirs]
 
 
@@ -238,7 +238,9 @@ def rank_methods(named: Mapping[str, Run]) -> list[Table]:
         for letter in by_run:
             for scene, data in named[letter].manifest.get("data", {}).items():
                 truths.setdefault(scene, set()).update(filter(None, [data.get("truth")]))
-        shared = set.intersection(*({sample_key(row) for row in own} for own in by_run.values()))
+        shared = set.intersection(
+            *({sample_key(row) for row in run_rows} for run_rows in by_run.values())
+        )
         rows += [
             {**row, "method": f"{row['method']}, {letter}"}
             for letter, run_rows in by_run.items()

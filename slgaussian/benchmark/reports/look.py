@@ -208,8 +208,8 @@ def look_section(
         places = np.linspace(0, len(best_first) - 1, min(ANSWERS, len(best_first)))
         title = "Asked in words" + ": from the best answer to the worst" * is_scored
         chosen = [best_first[int(place)] for place in places.round()]
-        shown = [answer_card(r, images, ANSWER, lost_by.get(key_of(r), ""), False) for r in chosen]
-        cards = [Prose(f"**{title}**", ""), ANSWER_TERMS, Cards(shown)]
+        drawn = [answer_card(r, images, ANSWER, lost_by.get(key_of(r), ""), False) for r in chosen]
+        cards = [Prose(f"**{title}**", ""), ANSWER_TERMS, Cards(drawn)]
     if len(inputs) > 1:
         (start, start_image), (end, end_image) = list(inputs.items())[:2]
         steps = {f"photograph {start}": start_image}

@@ -32,7 +32,7 @@ STYLE = {
     "grid.color": "#eef0f4",
 }
 
-MARKERS = "osD^vP*X<>pH"
+MARKERS = "sD^v<>pPXhd8"
 """Shapes of the methods' points, in their order."""
 
 
@@ -61,12 +61,12 @@ def plot_pareto(
             if not front or value > front[-1][1]:
                 front.append((cost, value))
         axes.plot(*zip(*front, strict=True), color=SOFT, lw=0.8, drawstyle="steps-post", zorder=1)
-        others = 0
+        rivals = 0
         for method, value, cost in points:
             style = {"marker": "o", "ms": 9, "color": ACCENT}
             if method != ours:
-                others += 1
-                style = {"marker": MARKERS[others % len(MARKERS)], "ms": 6.5, "color": f"C{others}"}
+                rivals += 1
+                style = {"marker": MARKERS[rivals % len(MARKERS)], "ms": 7.5, "color": f"C{rivals}"}
             axes.plot(cost, value, ls="", mec="white", label=method, **style)
         axes.set(xscale="log", xlabel=label, ylabel=score)
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))

@@ -147,7 +147,7 @@ def _draw(
     """
     worst = look.limit_per_scene(look.sort_worst_first(answers), look.WORST)
     cards: dict[look.Key, Card] = {}
-    reasons = look.choose_scenes((one.name, one.dataset, one.metrics) for one in scenes)
+    reasons = look.choose_scenes((scene.name, scene.dataset, scene.metrics) for scene in scenes)
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
     pictured = {scene.name for scene in worst_first[:PICTURED]}
     looks, sections = [], []
@@ -197,9 +197,9 @@ def _score_sections(
         blocks.append(Prose(note))
     title = "How good, by method" if rivals else "How good"
     yield Section(title, blocks, "scores", link="Scores")
-    others = [score for score in scores if score["protocol"] != leading[0]["protocol"]]
-    if others:
-        yield Section("By other protocols", method_tables(others), is_folded=True)
+    rest = [score for score in scores if score["protocol"] != leading[0]["protocol"]]
+    if rest:
+        yield Section("By other protocols", method_tables(rest), is_folded=True)
 
 
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:

@@ -115,7 +115,7 @@ def _tradeoff(
     if has_fields:
         label = "seconds from photographs to an answer"
     values = [merits[cost.method] for cost in ranked]
-    seconds = [cost.whole if has_fields else cost.view_query for cost in ranked]
+    seconds = [cost.total if has_fields else cost.view_query for cost in ranked]
     memory = [None if cost.grown is None else cost.grown / 1e6 for cost in ranked]
     fronts = {"time": pareto_front(seconds, values), "memory": pareto_front(memory, values)}
     rows = [

@@ -1,23 +1,20 @@
 """What every method of the table must do, and what each of them is."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from slgaussian.benchmark import metrics
-from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.answering import Answering, AnsweringView, Reader, Result
 from slgaussian.benchmark.baselines import METHODS, ROWS, Method, load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.baselines.ours import pooled
-from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
 from slgaussian.components import method as parts_method
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.query import Rules
 from slgaussian.masks import load_proposer
 from slgaussian.predict import load_predictor
 from tests.known import known_field
@@ -144,26 +141,6 @@ def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
     assert again.segment(texts).tobytes() == once.segment(texts).tobytes()
 
 
-@pytest.mark.parametrize("name", ["lerf-like", "query-2d"])
-def test_methods_are_evaluated_as_the_field_is(name, answering, room):
-    asked = EvaluationSettings(method=name)
-    result = evaluate(answering(name), room.sample, room.label_maps, Truth(room.truth), asked)
-    assert {row["method"] for row in result.rows} == {name}
-    assert {row["query"] for row in result.rows} == set(room.truth["view_01"])
-    leading = [row for row in result.rows if row["protocol"].startswith("slgaussian@")]
-    assert 0.2 < np.mean([row["iou"] for row in leading]) < 1
-
-
-def test_every_row_loads_with_its_settings():
-    for name in ROWS:
-        assert ROWS[name].load() == load_method(ROWS[name].method, **ROWS[name].settings)
-
-
-def test_rules_of_a_row_are_rules_of_a_query():
-    for row in ROWS.values():
-        assert asdict(Rules(**row.rules)).items() >= row.rules.items()
-
-
 def test_the_table_is_complete_and_described():
     assert {row.method for row in ROWS.values()} == set(METHODS)
     text = DOCS.read_text()
@@ -260,16 +237,6 @@ def test_the_2d_query_of_an_empty_picture_finds_nothing(answering, room):
         assert hit.point is None and hit.score == 0
         assert not hit.mask.any() and not hit.relevancy.any()
         assert not view.segment([PLAIN, "wooden floor"]).any()
-
-
-def test_association_alone_changes_the_masks_of_the_codes(view_of, room):
-    # Truth is what the labels of this room are: with them, borders follow objects.
-    scores = []
-    for name in ("langsplat-like", "langsplat-like, association"):
-        hits = view_of(name).query_all(["red carpet", PLAIN])
-        masks = [room.truth["view_01"][hit.text] for hit in hits]
-        scores.append(np.mean([metrics.iou(h.mask, m) for h, m in zip(hits, masks, strict=True)]))
-    assert scores[1] > scores[0]
 
 
 def test_codes_say_nothing_where_there_was_no_mask(fresh, room):
