@@ -157,8 +157,8 @@ def _paper_costs(times: Times) -> list[Block]:
     for cost in times.costs:
         if cost.method != times.paper:
             continue
-        pairs = [other for other in times.costs if other.dataset == cost.dataset]
-        flat = next((other.view_query for other in pairs if other.method == "query-2d"), None)
+        of_set = [rival for rival in times.costs if rival.dataset == cost.dataset]
+        flat = next((rival.view_query for rival in of_set if rival.method == "query-2d"), None)
         view, further = cost.view_query, cost.further_query
         draw = None if view is None or further is None else view - further
         peak = None if cost.peak is None else cost.peak / 1e9
@@ -171,7 +171,7 @@ def _paper_costs(times: Times) -> list[Block]:
             ("memory on each of two GPUs, GB", "9", peak, "most that the process held, no GPU"),
             ("memory on one GPU, GB", "6", peak, "the same"),
         ]
-        lines = [(name, paper, number(ours, 4), about) for name, paper, ours, about in rows]
+        lines = [(name, paper, number(ours, 4), text) for name, paper, ours, text in rows]
         heads = ["", "The paper, RTX 3090", "Here", Column("Measured here", is_text=True)]
         title = f"{cost.dataset}: the paper's costs at 416 x 576"
         tables.append(Table.of([Column("", is_text=True), *heads[1:]], lines, title))
