@@ -22,7 +22,7 @@ from tasks.context import StageEvent
 REMIND = 30.0
 """Seconds between lines with counts, in the log and without a terminal."""
 
-PATIENCE = 15.0
+PATIENCE = 60.0
 """Seconds between messages of :class:`Waiting` without a terminal."""
 
 
