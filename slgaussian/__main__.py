@@ -11,7 +11,7 @@ if __name__ == "__main__":
     from importlib.metadata import entry_points
 
     # Found by its name: the library does not know what is built upon it.
-    found = entry_points(group="console_scripts", name="slgaussian")
-    if not found:
+    scripts = entry_points(group="console_scripts", name="slgaussian")
+    if not scripts:
         raise SystemExit("error: slgaussian is not installed here; give `pip install` its folder")
-    sys.exit(next(iter(found)).load()())
+    sys.exit(next(iter(scripts)).load()())

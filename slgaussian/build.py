@@ -32,7 +32,7 @@ from slgaussian.storage.statistics import FieldStatistics
 
 
 class Predicted(NamedTuple):
-    """What a predictor made of the context views.
+    """Output of a predictor for the context views.
 
     Attributes
     ----------
@@ -103,8 +103,8 @@ def build_field(
         masking = method.proposer, method.tracker, method.replicas, method.votes
         label_maps = label_views(geometry, *masking)
     with _timed("supervision", took):
-        made = method.encoder, method.codes, method.seed, method.bank
-        bank = remember(sample, geometry, label_maps, *made)
+        components = method.encoder, method.codes, method.seed, method.bank
+        bank = remember(sample, geometry, label_maps, *components)
     with _timed("field", took):
         return lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
 
@@ -209,12 +209,12 @@ def lift_field(
         depths_tried=None if depths is None else depths.tried,
         depths_possible=None if depths is None else depths.possible,
     )
-    said = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
-    said["verdict"] = quality.verdict()._asdict()
-    said["account"] = statistics.as_json()
+    settings = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
+    settings["verdict"] = quality.verdict()._asdict()
+    settings["account"] = statistics.as_json()
     if sample.found:
-        said["cameras"] = dict(sample.found)
-    return SemanticField(lifted, bank, cameras, said, method.encoder.places())
+        settings["cameras"] = dict(sample.found)
+    return SemanticField(lifted, bank, cameras, settings, method.encoder.places())
 
 
 @contextmanager
@@ -229,7 +229,7 @@ def _size(arrays: Mapping[str, np.ndarray]) -> int:
 
 
 def _opaque(views: Sequence[View]) -> np.ndarray | None:
-    """Which pixels of the views show something, bool [V, H, W]; None if all do."""
+    """Find the pixels of the views that show something, bool [V, H, W]; None if all do."""
     masks = [view.opaque for view in views]
     if all(mask is None for mask in masks):
         return None

@@ -1,4 +1,4 @@
-"""What a user changed in a field, beside it in its folder: taught words, names, removed objects.
+"""Changes of a user to a field, beside it in its folder: taught words, names, removed objects.
 
 Two files that a field may have or not, and that no other file knows of: ``words.npz``, which fields
 of other scenes can take too (:mod:`slgaussian.language.taught`), and ``edits.npz``. The Gaussians
@@ -25,9 +25,9 @@ REPAIR = f"remove {EDITS} to have the field as it was built"
 
 def files(taught: TaughtWords, names: Mapping[int, str], removed: Set[int]) -> dict[str, bytes]:
     """The files by name; none for what is not changed."""
-    made = {}
+    files = {}
     if len(taught.words):
-        made[WORDS] = taught.packed()
+        files[WORDS] = taught.packed()
     if names or removed:
         ids = sorted(names)
         arrays = {
@@ -35,19 +35,19 @@ def files(taught: TaughtWords, names: Mapping[int, str], removed: Set[int]) -> d
             "names": np.array([names[id_] for id_ in ids], np.str_),
             "removed": np.array(sorted(removed), np.int32),
         }
-        made[EDITS] = packed("edits", arrays, EDITS)[1]
-    return made
+        files[EDITS] = packed("edits", arrays, EDITS)[1]
+    return files
 
 
-def write(folder: Path, made: Mapping[str, bytes]) -> None:
+def write(folder: Path, files: Mapping[str, bytes]) -> None:
     """Put :func:`files` into the folder of a field, and take away those that are not among them.
 
     InputError if the folder cannot be written.
     """
     try:
         for name in (WORDS, EDITS):
-            if name in made:
-                write_atomic(folder / name, made[name])
+            if name in files:
+                write_atomic(folder / name, files[name])
             else:
                 (folder / name).unlink(missing_ok=True)
     except OSError as error:
@@ -60,7 +60,7 @@ def write(folder: Path, made: Mapping[str, bytes]) -> None:
 def read(
     folder: Path, encoder: str, ids: np.ndarray
 ) -> tuple[TaughtWords, dict[int, str], frozenset[int]]:
-    """What was changed in the field of a folder; nothing if there are no such files.
+    """Read what was changed in the field of a folder; nothing if there are no such files.
 
     Parameters
     ----------

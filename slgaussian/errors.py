@@ -41,26 +41,26 @@ def check_type(value: object, expected: type, expectation: str) -> None:
         raise InputError(f"{expectation}; found a {type(value).__name__}")
 
 
-def did_you_mean(found: object, known: Iterable[str]) -> str:
+def did_you_mean(text: object, options: Iterable[str]) -> str:
     """The end of a sentence about a name that is none: the known name that is nearest to it.
 
     ``"; did you mean 'field'?"`` for ``"feild"``, and ``""`` if no known name is near. Case counts
     for nothing, and neither does the difference between a hyphen and an underscore.
     """
-    plain = {_plain(name): name for name in known}
-    near = difflib.get_close_matches(_plain(str(found)), plain, n=1)
+    plain = {_plain(name): name for name in options}
+    near = difflib.get_close_matches(_plain(str(text)), plain, n=1)
     return f"; did you mean {plain[near[0]]!r}?" if near else ""
 
 
 def listed(pieces: Iterable[Iterable[str]]) -> str:
     """Names of each piece of something that falls apart, not too many, as a message says them."""
     sorted_pieces = [sorted(names) for names in pieces]
-    told = []
+    parts = []
     for names in sorted_pieces[:_NAMED]:
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-        told.append(", ".join(map(repr, names[:_NAMED])) + more)
+        parts.append(", ".join(map(repr, names[:_NAMED])) + more)
     rest = sum(map(len, sorted_pieces[_NAMED:]))
-    return "; ".join([*told, f"{rest} more"] if rest else told)
+    return "; ".join([*parts, f"{rest} more"] if rest else parts)
 
 
 def _plain(name: str) -> str:

@@ -1,4 +1,4 @@
-"""What the optional parts need, as the installed package itself declares it."""
+"""Packages that optional parts need, as the installed package itself declares them."""
 
 from importlib.metadata import PackageNotFoundError, requires
 
@@ -8,7 +8,7 @@ PACKAGE = "slgaussian"
 
 
 def requirements(extra: str | None = None) -> list[Requirement]:
-    """What is always needed, or what an extra needs besides.
+    """Return the packages that are always needed, or that an extra needs besides.
 
     Raises
     ------

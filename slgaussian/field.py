@@ -90,7 +90,7 @@ class FieldView:
 
     @property
     def reader(self) -> BankReader:
-        """What turns texts into scores; the encoder is loaded when it is first asked."""
+        """Reader that turns texts into scores; the encoder is loaded when it is first asked."""
         return self.field.reader
 
     @property
@@ -107,7 +107,7 @@ class FieldView:
         return ObjectMap(self.ids, self.field.bank.ids)
 
     def query(self, text: str, **rules: Any) -> QueryResult:
-        """Where ``text`` is in this view.
+        """Find ``text`` in this view.
 
         ``rules``, such as ``threshold`` or ``protocol``, are those of
         :class:`slgaussian.language.query.Rules`.
@@ -116,7 +116,7 @@ class FieldView:
         return self.query_all([text], **rules)[0]
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:
-        """Where each of ``texts`` is in this view, all asked at once; as :meth:`query`."""
+        """Find each of ``texts`` in this view, all asked at once; as :meth:`query`."""
         return ask(texts, self._objects, self.reader, Rules(**rules))
 
     def like(self, image: np.ndarray, mask: np.ndarray | None = None, **rules: Any) -> QueryResult:
@@ -128,7 +128,7 @@ class FieldView:
         return self._likest(*self.field.picture_words(image, mask), rules)
 
     def like_object(self, object_id: int, **rules: Any) -> QueryResult:
-        """What in this view is like an object of the field, itself first; as :meth:`query`."""
+        """Find what in this view is like an object of the field, itself first; as :meth:`query`."""
         return self._likest(*self.field.object_words(object_id), rules)
 
     def _likest(self, text: str, words: TaughtWords, rules: Mapping[str, Any]) -> QueryResult:
@@ -222,7 +222,7 @@ class SemanticField:
         return self.render(camera or next(iter(self.cameras.values()))).query(text, **rules)
 
     def describe(self, texts: Sequence[str], **rules: Any) -> list[Description]:
-        """What is in the scene: every object with the best of ``texts``, whatever the view."""
+        """Describe the scene: every object with the best of ``texts``, whatever the view."""
         found = describe(texts, self.reader, Rules(**rules))
         return [one for one in found if one.id not in self.removed]
 
@@ -235,7 +235,7 @@ class SemanticField:
         return find(text, self.reader, Rules(**rules), there)
 
     def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[SceneObject]:
-        """What there is: every object with its best words, place and size, by id.
+        """List every object with its best words, place and size, by id.
 
         Parameters
         ----------
@@ -415,14 +415,14 @@ class SemanticField:
         return self.changed(gaussians=self.gaussians[chosen])
 
     def like(self, image: np.ndarray) -> tuple[tuple[int, float], ...]:
-        """What is like a picture uint8 [H, W, 3] of a thing: (id, relevancy) of all, best first.
+        """Rank objects by likeness to a picture uint8 [H, W, 3]: (id, relevancy), best first.
 
         From whatever view; :meth:`FieldView.like` says where. Above 0.5 it rather is the thing.
         """
         return self._ranked(*self.picture_words(image))
 
     def like_object(self, object_id: int) -> tuple[tuple[int, float], ...]:
-        """What is like an object: (id, relevancy) of all others, best first; as :meth:`like`."""
+        """Rank all other objects by likeness to an object: (id, relevancy), as :meth:`like`."""
         found = self._ranked(*self.object_words(object_id))
         return tuple(one for one in found if one[0] != object_id)
 
@@ -568,7 +568,7 @@ class SemanticField:
         return pa.table(columns, schema=load_spec("objects").schema)
 
     def contents(self) -> dict[str, Arrays | pa.Table]:
-        """What the files of a field hold, by the data spec of each."""
+        """Contents of the files of a field, by the data spec of each."""
         return {
             "gaussians": self.gaussians.to_arrays(),
             "bank": self.bank.to_arrays(),
@@ -576,13 +576,13 @@ class SemanticField:
         }
 
     def made(self) -> Provenance:
-        """What made the field, as its files say it where no stage of a run does."""
+        """Statement of what made the field, for its files where no stage of a run makes one."""
         results = ("account", "quality", "verdict")
         said = {name: own for name, own in self.settings.items() if name not in results}
         return Provenance("build_field", settings=json.loads(json.dumps(said, sort_keys=True)))
 
     def about(self, digests: Mapping[str, str]) -> About:
-        """What the field says of itself, given the digests of its contents by spec."""
+        """Statement of the field about itself, given the digests of its contents by spec."""
         return About(self.settings, self.cameras, digests)
 
     def save(self, path: str | Path, beside: Mapping[str, bytes] | None = None) -> None:

@@ -47,12 +47,12 @@ class _Tensor(Generic[Held]):
             if self.optional:
                 return None
             raise AttributeError(self.name)
-        held = _held(of)
-        value = held.get(self.name)
+        stored = _held(of)
+        value = stored.get(self.name)
         if isinstance(value, np.ndarray):
             import torch
 
-            value = held[self.name] = torch.from_numpy(value)
+            value = stored[self.name] = torch.from_numpy(value)
         return value
 
     def __set__(self, of: object, value: Held) -> None:
@@ -60,13 +60,13 @@ class _Tensor(Generic[Held]):
 
 
 def _held(of: object) -> dict[str, Any]:
-    """What Gaussians hold by name of the field: tensors and arrays."""
-    held = of.__dict__
-    if "_read" in held:
-        whole = Gaussians.from_arrays(held["_read"]())
-        held.clear()
-        held.update(whole.__dict__)
-    return held
+    """Return the tensors and arrays of Gaussians by name of the field."""
+    stored = of.__dict__
+    if "_read" in stored:
+        loaded = Gaussians.from_arrays(stored["_read"]())
+        stored.clear()
+        stored.update(loaded.__dict__)
+    return stored
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,12 +143,12 @@ class Gaussians:
 
     def _present(self) -> list[tuple[str, Any]]:
         """The (name, tensor or array) pairs that are held, as they are."""
-        held = _held(self)
-        return [(f.name, held[f.name]) for f in fields(self) if held.get(f.name) is not None]
+        stored = _held(self)
+        return [(f.name, stored[f.name]) for f in fields(self) if stored.get(f.name) is not None]
 
     @property
     def is_cuda(self) -> bool:
-        """Whether they lie on a GPU; of arrays no."""
+        """True if they lie on a GPU; False of arrays."""
         return bool(getattr(_held(self)["means"], "is_cuda", False))
 
     def items(self) -> list[tuple[str, torch.Tensor]]:
@@ -180,8 +180,8 @@ class Gaussians:
         for name, (bad, expected) in rules.items():
             if bad.any():
                 index = int(np.flatnonzero(bad)[0])
-                found = arrays[name][index].tolist()
-                raise InputError(f"gaussians {name}[{index}]: found {found}, {expected}")
+                entry = arrays[name][index].tolist()
+                raise InputError(f"gaussians {name}[{index}]: found {entry}, {expected}")
 
     def colors(self) -> torch.Tensor:
         """View-independent RGB, float [N, 3]: the degree-0 part of ``sh``."""
@@ -200,13 +200,13 @@ class Gaussians:
 
         Both share memory with them, if they may be written to.
         """
-        held: Any = {n: a if a.flags.writeable else a.copy() for n, a in arrays.items()}
-        return Gaussians(**held)
+        stored: Any = {n: a if a.flags.writeable else a.copy() for n, a in arrays.items()}
+        return Gaussians(**stored)
 
     def with_arrays(self, **arrays: np.ndarray) -> Gaussians:
         """These with other fields; the others are shared, whatever they are."""
-        held: Any = {**dict(self._present()), **arrays}
-        return Gaussians(**held)
+        stored: Any = {**dict(self._present()), **arrays}
+        return Gaussians(**stored)
 
     @staticmethod
     def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
@@ -224,9 +224,9 @@ class Gaussians:
     @staticmethod
     def later(read: Callable[[], Mapping[str, np.ndarray]]) -> Gaussians:
         """As :meth:`from_arrays` of what ``read`` returns, which is called when it is needed."""
-        made = object.__new__(Gaussians)
-        made.__dict__["_read"] = read
-        return made
+        instance = object.__new__(Gaussians)
+        instance.__dict__["_read"] = read
+        return instance
 
 
 def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:

@@ -129,8 +129,8 @@ class KnownFile:
     def at(place: str | Path, digest_of: Digest) -> KnownFile:
         """Return what is at a place now; raises as ``digest_of``."""
         path = Path(place)
-        known = str(path.resolve() if path.exists() else path)
-        return KnownFile(known, digest_of(known))
+        resolved = str(path.resolve() if path.exists() else path)
+        return KnownFile(resolved, digest_of(resolved))
 
     def checked(self, name: str, digest_of: Digest, otherwise: str = CHANGED) -> str:
         """Return the place, at which there still is the same content.
@@ -200,8 +200,8 @@ def short_repr(self: Any) -> str:
     LabelMaps(labels=int32 [2, 3, 4], margin=float32 [2, 3, 4])
     """
     values = ((f, getattr(self, f.name)) for f in fields(self) if f.repr)
-    shown = [f"{f.name}={short(value)}" for f, value in values if value is not None or f.default]
-    return f"{type(self).__name__}({', '.join(shown)})"
+    entries = [f"{f.name}={short(value)}" for f, value in values if value is not None or f.default]
+    return f"{type(self).__name__}({', '.join(entries)})"
 
 
 def short(value: Any) -> str:
@@ -219,5 +219,5 @@ def short(value: Any) -> str:
 
 
 def _listed(texts: Iterable[str], count: int) -> str:
-    shown = [text for text, _ in zip(texts, range(FEW), strict=False)]
-    return ", ".join([*shown, f"and {count - FEW} more"] if count > FEW else shown)
+    entries = [text for text, _ in zip(texts, range(FEW), strict=False)]
+    return ", ".join([*entries, f"and {count - FEW} more"] if count > FEW else entries)

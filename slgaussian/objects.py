@@ -103,15 +103,15 @@ def list_objects(
     estimated = any(camera.estimated for camera in cameras)
     objects = []
     for row, id_ in enumerate(bank.ids.tolist()):
-        own = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
+        pixels = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
         objects.append(
             SceneObject(
                 id=id_,
                 name=names.get(id_),
                 words=words[row],
                 confidence=float(sums[row] / max(areas[row], 1)),
-                gaussians=len(own),
-                box=upright_box(means[own], up) if len(own) else None,
+                gaussians=len(pixels),
+                box=upright_box(means[pixels], up) if len(pixels) else None,
                 metres=False if estimated else None,
                 views=tuple(views[view] for view in np.flatnonzero(bank.present[row]).tolist()),
             )
@@ -126,8 +126,8 @@ def words_for(encoder: Encoder) -> tuple[str, ...]:
     """
     if not isinstance(encoder, Lexicon):
         return COMMON_OBJECTS
-    known = load_vocabulary()
-    return tuple(sorted([*known.colours, *known.naming]))
+    vocabulary = load_vocabulary()
+    return tuple(sorted([*vocabulary.colours, *vocabulary.naming]))
 
 
 def small(camera: Camera) -> Camera:

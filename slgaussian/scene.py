@@ -36,7 +36,7 @@ Size = tuple[int, int] | str
 
 @dataclass(frozen=True)
 class Estimated:
-    """How a camera was found that nobody gave.
+    """Estimate of a camera that was not given.
 
     Attributes
     ----------
@@ -282,7 +282,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What a predictor sees (context views) and what it is judged on (target views).
+    """Context views, which a predictor sees, and target views, which it is judged on.
 
     Attributes
     ----------
@@ -334,7 +334,7 @@ class Sample:
 
     @cached_property
     def content(self) -> str:
-        """What the context views show, in their order, whatever they are called.
+        """Content of the context views, in their order, whatever their names.
 
         SHA-256, hexadecimal. Randomness is seeded by it (:mod:`slgaussian.kernels.seeding`).
         Cameras are no part of it: the last digits of those that are found depend on the processor,
@@ -546,7 +546,7 @@ def _check_views(scene: str, views: Sequence[View]) -> None:
 
 
 def _may_overlap(a: Camera, b: Camera, baseline: float) -> bool:
-    """Whether two cameras see a common point at a depth that a two-view method could resolve."""
+    """Test whether two cameras see a common point at a depth that two views can resolve."""
     return any(
         min(shared_view(a, b, depth), shared_view(b, a, depth)) > 0
         for depth in baseline * np.geomspace(0.5, 1e4, 40)

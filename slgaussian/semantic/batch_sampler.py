@@ -55,7 +55,7 @@ class Draw:
 
 def draw_batch(lessons: Sequence[Lesson], settings: TrainingSettings, step: int) -> list[Draw]:
     """Draw the lessons of a step, from 0 on: each once before any again."""
-    made = []
+    batch = []
     for number in range(step * settings.batch, (step + 1) * settings.batch):
         epoch, place = divmod(number, len(lessons))
         order = rng_for(settings.seed, "", f"order {epoch}").permutation(len(lessons))
@@ -64,5 +64,5 @@ def draw_batch(lessons: Sequence[Lesson], settings: TrainingSettings, step: int)
         corrupted = bool(rng.random() < settings.corrupted)
         labels = corrupt(lesson.labels, rng, HARMED, LEARNT) if corrupted else lesson.labels
         views = sorted(rng.permutation(len(lesson.cameras))[: settings.targets].tolist())
-        made.append(Draw(lesson, labels, corrupted, views, epoch, rng))
-    return made
+        batch.append(Draw(lesson, labels, corrupted, views, epoch, rng))
+    return batch

@@ -50,18 +50,18 @@ def boundary_gaussians(
     masks : V of bool [H, W]
         Where they show the object.
     """
-    found = np.zeros(len(means), bool)
-    others = np.flatnonzero(~gone)
+    flagged = np.zeros(len(means), bool)
+    rest = np.flatnonzero(~gone)
     for camera, depth, mask in zip(cameras, depths, masks, strict=True):
         if not mask.any():
             continue
         near, far = _depth_range(depth, mask)
-        pixels, z = camera.project(means[others])
+        pixels, z = camera.project(means[rest])
         u, v = np.floor(pixels).astype(np.int64).T
         inside = (z > 0) & (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
-        u, v, z, seen = u[inside], v[inside], z[inside], others[inside]
-        found[seen[(z >= near[v, u]) & (z <= far[v, u])]] = True
-    return found
+        u, v, z, rows = u[inside], v[inside], z[inside], rest[inside]
+        flagged[rows[(z >= near[v, u]) & (z <= far[v, u])]] = True
+    return flagged
 
 
 def _depth_range(depth: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -69,10 +69,10 @@ def _depth_range(depth: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nd
 
     Both float32 [H, W]; from > to elsewhere.
     """
-    own = np.where(mask, depth, 0).astype(np.float32)
+    object_depth = np.where(mask, depth, 0).astype(np.float32)
     window = _square(BESIDE + 1)
-    far = cv2.dilate(own, window)
-    near = cv2.erode(np.where(own > 0, own, np.inf).astype(np.float32), window)
+    far = cv2.dilate(object_depth, window)
+    near = cv2.erode(np.where(object_depth > 0, object_depth, np.inf).astype(np.float32), window)
     outside = _grown(mask, AROUND) & ~_grown(mask, 2 * BESIDE) & (depth > 0)
     around = (2 * AROUND + 11, 2 * AROUND + 11)
     total = cv2.blur(np.where(outside, depth, 0).astype(np.float32), around)
@@ -82,10 +82,10 @@ def _depth_range(depth: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.nd
     return np.where(edge, near * (1 - ALIKE), np.inf), np.where(edge, far * (1 + ALIKE), 0)
 
 
-def _grown(mask: np.ndarray, by: int) -> np.ndarray:
-    grown: np.ndarray = cv2.dilate(mask.astype(np.uint8), _square(by)) > 0
+def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
+    grown: np.ndarray = cv2.dilate(mask.astype(np.uint8), _square(radius)) > 0
     return grown
 
 
-def _square(by: int) -> np.ndarray:
-    return np.ones((2 * by + 1, 2 * by + 1), np.uint8)
+def _square(radius: int) -> np.ndarray:
+    return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)

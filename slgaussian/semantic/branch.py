@@ -43,7 +43,7 @@ Name = Literal["several", "paper"]
 
 @dataclass(frozen=True)
 class Architecture:
-    """What a branch is made of; weights of one do not fit another.
+    """Layers of a branch; weights of one architecture do not fit another.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Architecture:
 
     @property
     def others(self) -> bool:
-        """Whether it sees what other views say (:mod:`slgaussian.semantic.cross_view_labels`)."""
+        """True if it sees what other views say (:mod:`slgaussian.semantic.cross_view_labels`)."""
         return self.name == "several"
 
     @property
@@ -135,9 +135,11 @@ class SeveralViewsBranch(Branch):
         mixed = stacked + self.convolutions(stacked)
         change = self.last(F.relu(self.first(mixed)))
         # Copying is a product, which sums of half-planes are slow to learn: codes change.
-        more, taken = change[:, OWN : OWN + 1], change[:, OWN + 1 :]
+        weight_change, code_change = change[:, OWN : OWN + 1], change[:, OWN + 1 :]
         features = mixed[:, :OWN] + change[:, :OWN]
-        features = features + more * stacked[:, :OWN] + taken * stacked[:, OWN : 2 * OWN]
+        features = (
+            features + weight_change * stacked[:, :OWN] + code_change * stacked[:, OWN : 2 * OWN]
+        )
         return features.permute(0, 2, 3, 1)
 
 
@@ -227,7 +229,7 @@ def load_branch_lifting(weights: str | Path | None = None) -> BranchLifting:
 def input_images(
     labels: np.ndarray, ids: np.ndarray, codes: np.ndarray, others: CrossViewLabels | None
 ) -> torch.Tensor:
-    """What a branch looks at.
+    """Make the input images of a branch.
 
     Parameters
     ----------
@@ -254,9 +256,9 @@ def input_images(
         )
     if others is None:
         return torch.from_numpy(code_images(labels, ids, codes))
-    own = code_images(others.fill(labels), ids, codes)
-    said = others.images(code_images(labels, ids, codes))
-    return torch.from_numpy(np.concatenate([own, said], -1))
+    filled = code_images(others.fill(labels), ids, codes)
+    carried = others.images(code_images(labels, ids, codes))
+    return torch.from_numpy(np.concatenate([filled, carried], -1))
 
 
 def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> torch.Tensor:
@@ -274,8 +276,8 @@ def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> byt
     ``trained`` is plain data that says where the weights come from.
     """
     tensors = {name: t.detach().contiguous() for name, t in branch.state_dict().items()}
-    told = {} if trained is None else {"trained": dict(trained)}
-    return encode_tensors(tensors, {"architecture": asdict(branch.architecture), **told})
+    metadata = {} if trained is None else {"trained": dict(trained)}
+    return encode_tensors(tensors, {"architecture": asdict(branch.architecture), **metadata})
 
 
 def load_branch(path: str | Path) -> Branch:
@@ -290,11 +292,11 @@ def load_branch(path: str | Path) -> Branch:
 
 
 def branch_of(
-    tensors: Mapping[str, torch.Tensor], about: Mapping[str, Any], path: str | Path
+    tensors: Mapping[str, torch.Tensor], statement: Mapping[str, Any], path: str | Path
 ) -> Branch:
     """Return the branch of named tensors; see :func:`load_branch`."""
     try:
-        values = {**about["architecture"], "widths": tuple(about["architecture"]["widths"])}
+        values = {**statement["architecture"], "widths": tuple(statement["architecture"]["widths"])}
         if values.pop("others", True) is False:
             raise InputError(
                 f"weights {path}: are of a network that saw one view and was called 'paper', which "
@@ -322,10 +324,10 @@ def branch_of(
     return branch.eval()
 
 
-def encode_tensors(tensors: Mapping[str, torch.Tensor], about: Mapping[str, Any]) -> bytes:
+def encode_tensors(tensors: Mapping[str, torch.Tensor], statement: Mapping[str, Any]) -> bytes:
     """A safetensors file; ``about`` is plain data that is kept with it."""
     # One entry only: several are written in an order that differs from run to run.
-    note = {"slgaussian": json.dumps(about, sort_keys=True)}
+    note = {"slgaussian": json.dumps(statement, sort_keys=True)}
     return safetensors.torch.save(dict(sorted(tensors.items())), note)
 
 
@@ -339,10 +341,10 @@ def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, A
     """
     try:
         with safetensors.safe_open(path, "pt") as file:
-            about = strict_json.parse((file.metadata() or {}).get("slgaussian", "{}"))
-            if not isinstance(about, dict):
+            statement = strict_json.parse((file.metadata() or {}).get("slgaussian", "{}"))
+            if not isinstance(statement, dict):
                 raise ValueError("its note is no table")
-            return {name: file.get_tensor(name) for name in file.keys()}, about  # noqa: SIM118
+            return {name: file.get_tensor(name) for name in file.keys()}, statement  # noqa: SIM118
     except Exception as error:  # a damaged file raises almost anything
         raise InputError(
             f"weights {path}: cannot be read ({error}); expected a safetensors file that "

@@ -1,4 +1,4 @@
-"""Where a training is, on disk: all that the rest of it depends on, and nothing that runs code."""
+"""Checkpoints of a training on disk: all that the rest of it depends on, nothing that runs code."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CHECKPOINT, METRICS = "checkpoint.safetensors", "metrics.parquet"
 
 @dataclass(frozen=True)
 class Place:
-    """Where a training continues: ``step`` steps are done, ``rows`` are their metrics."""
+    """The place where a training continues: ``step`` steps are done, ``rows`` are their metrics."""
 
     step: int
     rows: list[dict[str, Any]]
@@ -54,10 +54,10 @@ def save_checkpoint(
     tensors = {f"branch.{name}": t.detach() for name, t in branch.state_dict().items()}
     for index, state in optimiser.state_dict()["state"].items():
         tensors |= {f"optimiser.{index}.{name}": t.detach() for name, t in state.items()}
-    about = {"step": len(rows), "run": run}
+    statement = {"step": len(rows), "run": run}
     try:
         write_atomic(folder / METRICS, encode_table(table_of(rows), load_spec("metrics")))
-        write_atomic(folder / CHECKPOINT, encode_tensors(tensors, about))
+        write_atomic(folder / CHECKPOINT, encode_tensors(tensors, statement))
     except OSError as error:
         raise InputError(
             f"checkpoint in {folder}: cannot be written ({error.strerror}); make room, or choose "
@@ -80,14 +80,14 @@ def load_checkpoint(
     file = folder / CHECKPOINT
     if not file.is_file():
         return Place(0, [])
-    tensors, about = read_tensors(file)
-    found = about.get("run")
-    if found != dict(run):
+    tensors, statement = read_tensors(file)
+    stored = statement.get("run")
+    if stored != dict(run):
         raise InputError(
-            f"checkpoint {file}: is of another training ({_difference(found, run)}); choose an "
+            f"checkpoint {file}: is of another training ({_difference(stored, run)}); choose an "
             "empty folder, or go on with what it was begun with"
         )
-    step = about.get("step")
+    step = statement.get("step")
     parts: dict[str, dict[str, torch.Tensor]] = {"branch": {}, "optimiser": {}}
     state: dict[int, dict[str, torch.Tensor]] = {}
     try:
@@ -122,8 +122,8 @@ def _check_state(
     state: Mapping[int, Mapping[str, torch.Tensor]], parameters: Sequence[torch.Tensor]
 ) -> None:
     """ValueError unless it is that of an AdamW of the parameters."""
-    for index, own in state.items():
-        shapes = {name: tuple(tensor.shape) for name, tensor in own.items()}
+    for index, moments in state.items():
+        shapes = {name: tuple(tensor.shape) for name, tensor in moments.items()}
         shape = tuple(parameters[index].shape) if 0 <= index < len(parameters) else None
         if shapes != {"step": (), "exp_avg": shape, "exp_avg_sq": shape}:
             raise ValueError(f"optimiser.{index} is of no parameter")
@@ -134,8 +134,8 @@ def table_of(rows: list[dict[str, Any]]) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=load_spec("metrics").schema)
 
 
-def _difference(found: Any, run: Mapping[str, Any]) -> str:
-    if not isinstance(found, Mapping):
+def _difference(stored: Any, run: Mapping[str, Any]) -> str:
+    if not isinstance(stored, Mapping):
         return "it does not say of which"
-    names = [name for name in run if found.get(name) != run[name]]
-    return ", ".join(f"{name} {found.get(name)} instead of {run[name]}" for name in names)
+    names = [name for name in run if stored.get(name) != run[name]]
+    return ", ".join(f"{name} {stored.get(name)} instead of {run[name]}" for name in names)

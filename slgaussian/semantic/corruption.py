@@ -34,18 +34,18 @@ def eroded(labels: np.ndarray, view: int, ident: int, rng: np.random.Generator) 
     reach = max(1, round(ERODED * min(mask.shape)))
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
     # What lies beyond the image is more of the object, so there is no rim at the border.
-    kept = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=1)
-    labels[view][(mask > 0) & (kept == 0)] = 0
+    remains = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=1)
+    labels[view][(mask > 0) & (remains == 0)] = 0
 
 
 def merged(labels: np.ndarray, view: int, ident: int, rng: np.random.Generator) -> None:
     """The object was taken for a part of a neighbour in the view, with which it shares a border."""
     mask = labels[view] == ident
     near = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    others = np.unique(labels[view][near & ~mask])
-    others = others[others > 0]
-    if len(others):
-        labels[view][mask] = rng.choice(others)
+    neighbours = np.unique(labels[view][near & ~mask])
+    neighbours = neighbours[neighbours > 0]
+    if len(neighbours):
+        labels[view][mask] = rng.choice(neighbours)
 
 
 KINDS: dict[str, Callable[[np.ndarray, int, int, np.random.Generator], None]] = {
@@ -77,12 +77,12 @@ def corrupt(
     """
     labels = labels.copy()
     ids = np.unique(labels)
-    least = LEAST * labels[0].size
-    shown = {
-        ident: [v for v, view in enumerate(labels) if np.count_nonzero(view == ident) >= least]
+    smallest = LEAST * labels[0].size
+    views_of = {
+        ident: [v for v, view in enumerate(labels) if np.count_nonzero(view == ident) >= smallest]
         for ident in ids[ids > 0].tolist()
     }
-    for ident, views in shown.items():
+    for ident, views in views_of.items():
         # The same numbers are drawn whatever comes of them, so that objects do not share a fate.
         hit, which, kind = rng.random(), rng.random(), rng.integers(len(kinds))
         if hit < fraction and views:

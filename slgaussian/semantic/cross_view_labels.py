@@ -39,16 +39,16 @@ class CrossViewLabels:
         return np.where((labels == 0) & (self.near > 0), labels.ravel()[self.pixels], labels)
 
     def images(self, images: np.ndarray) -> np.ndarray:
-        """What the others carry, float32 [V, H, W, C + 2] of code images [V, H, W, C].
+        """Gather what other views carry, float32 [V, H, W, C + 2] of code images [V, H, W, C].
 
         Then how near it is, and 1 where it is another object than one's own, 0 elsewhere.
         """
-        found = images.reshape(-1, images.shape[-1])[self.pixels]
-        found[self.near == 0] = 0
-        labelled = (images[..., -1] > 0) & (found[..., -1] > 0)
-        differ = labelled & (found != images).any(-1)
+        carried = images.reshape(-1, images.shape[-1])[self.pixels]
+        carried[self.near == 0] = 0
+        labelled = (images[..., -1] > 0) & (carried[..., -1] > 0)
+        differ = labelled & (carried != images).any(-1)
         return np.concatenate(
-            [found, self.near[..., None], differ[..., None]], -1, dtype=np.float32
+            [carried, self.near[..., None], differ[..., None]], -1, dtype=np.float32
         )
 
 
@@ -68,9 +68,9 @@ def match_across_views(gaussians: Gaussians, shape: tuple[int, int, int]) -> Cro
             continue
         reach = np.maximum(REACH * widths[firsts[mine]], 1e-12)
         tree = cKDTree(means[firsts[theirs]])
-        asked = means[firsts[mine]]
-        far, which = tree.query(asked, distance_upper_bound=reach.max(), workers=allotted())
-        known = which < len(theirs)
-        pixels.ravel()[owners[mine]] = owners[theirs[np.where(known, which, 0)]]
-        near.ravel()[owners[mine]] = np.where(known, np.maximum(1 - far / reach, 0), 0)
+        queries = means[firsts[mine]]
+        far, which = tree.query(queries, distance_upper_bound=reach.max(), workers=allotted())
+        matched = which < len(theirs)
+        pixels.ravel()[owners[mine]] = owners[theirs[np.where(matched, which, 0)]]
+        near.ravel()[owners[mine]] = np.where(matched, np.maximum(1 - far / reach, 0), 0)
     return CrossViewLabels(pixels, near)

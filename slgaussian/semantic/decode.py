@@ -127,8 +127,8 @@ class NearestCode:
 
 def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | NearestCode:
     """The decoder of a field, as the settings that it was built by have it."""
-    own = settings.get(str(settings.get("codes")), {})
-    return NearestCode(bank) if own.get("decode") == "nearest" else Decoder(bank)
+    options = settings.get(str(settings.get("codes")), {})
+    return NearestCode(bank) if options.get("decode") == "nearest" else Decoder(bank)
 
 
 def elected_ids(
@@ -139,10 +139,10 @@ def elected_ids(
     ``label`` and ``weights`` are the picture's ``label`` and ``label_weights``, as arrays. The
     confidence is the lead of the object over the next one itself.
     """
-    best, second, whole = np.moveaxis(weights, -1, 0)
-    visible = whole >= VISIBLE
-    found = np.append(np.int32(0), ids)[label * visible]
-    return found, np.where(visible, np.minimum(best - second, np.float32(1)), np.float32(0))
+    best, second, total = np.moveaxis(weights, -1, 0)
+    visible = total >= VISIBLE
+    decoded = np.append(np.int32(0), ids)[label * visible]
+    return decoded, np.where(visible, np.minimum(best - second, np.float32(1)), np.float32(0))
 
 
 def _gaps(codes: np.ndarray) -> np.ndarray:
@@ -151,9 +151,9 @@ def _gaps(codes: np.ndarray) -> np.ndarray:
         return np.zeros(0)
     gaps = np.full(len(codes), np.inf)
     for row, code in enumerate(codes):  # a tree would be as fast, and takes long to import
-        apart = np.abs(codes - code).sum(1)
-        apart[row] = np.inf
-        gaps[row] = apart.min()
+        distances = np.abs(codes - code).sum(1)
+        distances[row] = np.inf
+        gaps[row] = distances.min()
     return gaps
 
 
@@ -169,16 +169,16 @@ def _decode(features, lookup, gaps, table, ids, confidence):
     rows, lead = np.empty((height, width), np.int32), np.empty((height, width), np.float32)
     # With a margin, so that what looks around need not ask whether it is still in the image.
     close = np.full((height + 2, width + 2), -1, np.int32)
-    settled = np.full((height + 2 * REACH, width + 2 * REACH), -1, np.int32)
+    agreed = np.full((height + 2 * REACH, width + 2 * REACH), -1, np.int32)
     for v in range(height):
         bad[v] = _nearest(
             features[v], codes, across, down, deep, starts, members, gaps, rows[v], close[v + 1],
             lead[v],
         )  # fmt: skip
     for v in range(height):
-        _settle(close[v], close[v + 1], close[v + 2], settled[v + REACH])
+        _settle(close[v], close[v + 1], close[v + 2], agreed[v + REACH])
     for v in range(height):
-        around = settled[v : v + 2 * REACH + 1]
+        around = agreed[v : v + 2 * REACH + 1]
         _answer(features[v], codes, rows[v], lead[v], around, table, ids[v], confidence[v])
     return bad
 
@@ -223,18 +223,18 @@ def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, c
 
 
 @kernel
-def _settle(above, close, below, settled):
+def _settle(above, close, below, agreed):
     """Copy those of ``close`` that enough pixels around agree with."""
     for u in range(1, len(close) - 1):
         row = close[u]
         agree = (above[u - 1] == row) + (above[u] == row) + (above[u + 1] == row)
         agree += (close[u - 1] == row) + (close[u + 1] == row)
         agree += (below[u - 1] == row) + (below[u] == row) + (below[u + 1] == row)
-        settled[u - 1 + REACH] = row if agree + 1 >= AGREE else -1
+        agreed[u - 1 + REACH] = row if agree + 1 >= AGREE else -1
 
 
 @kernel
-def _answer(features, codes, rows, leads, settled, table, ids, confidence):
+def _answer(features, codes, rows, leads, agreed, table, ids, confidence):
     """Ids and confidence of an image row; ``settled`` has :data:`REACH` more on every side."""
     channels = features.shape[1]
     x, y, z = 0.0, 0.0, 0.0
@@ -243,19 +243,19 @@ def _answer(features, codes, rows, leads, settled, table, ids, confidence):
         if row < 0:
             continue
         weight, lead = features[u, channels - 1], leads[u]
-        if settled[REACH, u + REACH] < 0:
+        if agreed[REACH, u + REACH] < 0:
             x = np.float64(features[u, 0] / weight)
             if channels > 2:
                 y = np.float64(features[u, 1] / weight)
             if channels > 3:
                 z = np.float64(features[u, 2] / weight)
-            row, lead = _choose(x, y, z, codes, settled[:, u : u + 2 * REACH + 1], row, lead)
+            row, lead = _choose(x, y, z, codes, agreed[:, u : u + 2 * REACH + 1], row, lead)
         ids[u] = table[row]
         confidence[u] = min(weight, np.float32(1)) * lead
 
 
 @kernel
-def _choose(x, y, z, codes, settled, row, lead):
+def _choose(x, y, z, codes, agreed, row, lead):
     """The nearest code of settled pixels, and its lead; ties go to the lowest row.
 
     Without a settled pixel it is ``row``, with its ``lead``.
@@ -263,13 +263,13 @@ def _choose(x, y, z, codes, settled, row, lead):
     best, second, chosen, last = np.inf, np.inf, np.int32(-1), np.int32(-1)
     for v in range(2 * REACH + 1):
         for u in range(2 * REACH + 1):
-            other = settled[v, u]
-            if other in (last, chosen) or other < 0:
+            rival = agreed[v, u]
+            if rival in (last, chosen) or rival < 0:
                 continue
-            last = other
-            d = distance(x, y, z, codes, other)
-            if d < best or (d == best and other < chosen):
-                best, second, chosen = d, best, other
+            last = rival
+            d = distance(x, y, z, codes, rival)
+            if d < best or (d == best and rival < chosen):
+                best, second, chosen = d, best, rival
             elif d < second:
                 second = d
     if chosen < 0:

@@ -34,14 +34,14 @@ def label_iou(
     {name: float}
         In [0, 1]: the mean over target views and the objects in each. NaN if there is none.
     """
-    asked = np.unique(lesson.labels)
-    asked = asked[asked > 0]
+    object_ids = np.unique(lesson.labels)
+    object_ids = object_ids[object_ids > 0]
     scores = {}
     for name, views in novel_labels(lesson, liftings, labels, codes, seed, decoder).items():
-        own: list[float] = []
-        for found, target in zip(views, lesson.targets, strict=True):
-            own += _ious(np.where(target > 0, found, 0), target, asked)
-        scores[name] = float(np.mean(own)) if own else float("nan")
+        ious: list[float] = []
+        for predicted, target in zip(views, lesson.targets, strict=True):
+            ious += _ious(np.where(target > 0, predicted, 0), target, object_ids)
+        scores[name] = float(np.mean(ious)) if ious else float("nan")
     return scores
 
 
@@ -87,23 +87,23 @@ def novel_labels(
         name: lift(lesson.gaussians, maps, bank).require_features()
         for name, lift in liftings.items()
     }
-    found: dict[str, list[np.ndarray]] = {name: [] for name in liftings}
+    predicted: dict[str, list[np.ndarray]] = {name: [] for name in liftings}
     for camera in lesson.cameras:
         planned = plan(lesson.gaussians, camera)
         for name, features in lifted.items():
-            found[name].append(decode(planned.render(features).numpy())[0])
-    return {name: np.stack(views) for name, views in found.items()}
+            predicted[name].append(decode(planned.render(features).numpy())[0])
+    return {name: np.stack(views) for name, views in predicted.items()}
 
 
-def _ious(found: np.ndarray, target: np.ndarray, asked: np.ndarray) -> list[float]:
+def _ious(predicted: np.ndarray, target: np.ndarray, object_ids: np.ndarray) -> list[float]:
     """Intersection over union of each of the ``asked`` ids that the target shows."""
     # Rows of the table are the asked ids, from 1; whatever else there is, is 0.
     rows, columns = (
-        np.where(np.isin(image, asked), np.searchsorted(asked, image) + 1, 0)
-        for image in (target, found)
+        np.where(np.isin(image, object_ids), np.searchsorted(object_ids, image) + 1, 0)
+        for image in (target, predicted)
     )
-    size = len(asked) + 1
+    size = len(object_ids) + 1
     table = np.bincount((rows * size + columns).ravel(), minlength=size**2).reshape(size, size)
-    shared, shown = table.diagonal()[1:], table.sum(1)[1:]
-    union = shown + table.sum(0)[1:] - shared
-    return (shared[shown > 0] / union[shown > 0]).tolist()
+    shared, sizes = table.diagonal()[1:], table.sum(1)[1:]
+    union = sizes + table.sum(0)[1:] - shared
+    return (shared[sizes > 0] / union[sizes > 0]).tolist()

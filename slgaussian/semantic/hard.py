@@ -70,5 +70,5 @@ def code_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> np.nd
     table[1:, :-1] = codes
     table[1:, -1] = 1
     rows = np.searchsorted(ids, labels)
-    known = np.append(ids, 0)[rows] == labels
-    return table[np.where(known & (labels > 0), rows + 1, 0)]
+    in_bank = np.append(ids, 0)[rows] == labels
+    return table[np.where(in_bank & (labels > 0), rows + 1, 0)]

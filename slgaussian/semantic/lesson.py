@@ -84,7 +84,7 @@ class Lesson:
 
     @cached_property
     def content(self) -> str:
-        """What random draws are seeded by, whatever the sample is called: labels and cameras."""
+        """Content that random draws are seeded by: labels and cameras, not the sample's name."""
         cameras = [np.stack([camera.K for camera in self.cameras])]
         cameras.append(np.stack([camera.c2w for camera in self.cameras]))
         return content_of(self.labels, self.targets, *cameras)
@@ -127,5 +127,5 @@ class Lesson:
             arrays["targets"],
         )
 
-    def _wrong(self, found: str, expected: str) -> InputError:
-        return InputError(f"lesson {self.sample!r}: found {found}, expected {expected}")
+    def _wrong(self, actual: str, expected: str) -> InputError:
+        return InputError(f"lesson {self.sample!r}: found {actual}, expected {expected}")

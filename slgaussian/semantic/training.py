@@ -63,7 +63,7 @@ WARM_UP = 0.05
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """What a training is, besides its lessons.
+    """Settings of a training, besides its lessons.
 
     Attributes
     ----------
@@ -118,17 +118,17 @@ class TrainingSettings:
             "decay": (0, math.inf),
             "corrupted": (0, 1),
         }
-        for name, (least, most) in bounds.items():
+        for name, (low, high) in bounds.items():
             value = getattr(self, name)
-            if not least <= value <= most or value == math.inf:
+            if not low <= value <= high or value == math.inf:
                 raise InputError(
-                    f"training {name}: found {value}, expected a number from {least} to {most}"
+                    f"training {name}: found {value}, expected a number from {low} to {high}"
                 )
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a training is: ``rate`` in steps a second since it was begun or resumed."""
+    """Progress of a training: ``rate`` in steps a second since it was begun or resumed."""
 
     step: int
     steps: int
@@ -143,7 +143,7 @@ class Progress:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """What a training made: the branch, and its course as a table of spec ``metrics``."""
+    """Result of a training: the branch, and its course as a table of spec ``metrics``."""
 
     branch: Branch
     metrics: pa.Table
@@ -273,8 +273,8 @@ def loss_of(
     if len(maps.ids) == 0:
         return torch.zeros(())
     drawn = load_codes(codes)(maps, rng)
-    others = lesson.matches if branch.architecture.others else None
-    images = input_images(labels, maps.ids, drawn, others)
+    matches = lesson.matches if branch.architecture.others else None
+    images = input_images(labels, maps.ids, drawn, matches)
     features = features_of(branch, images, lesson.gaussians.source)
     total, counted = torch.zeros(()), 0
     for view in views:
@@ -283,12 +283,12 @@ def loss_of(
         rendered = planned.render(features)
         if paper:
             error = (rendered - wanted)[..., :DIMENSION]
-            known = torch.ones_like(wanted[..., -1:])
+            weight = torch.ones_like(wanted[..., -1:])
         else:
             error = rendered - planned.alpha[..., None] * wanted
-            known = wanted[..., -1:]
-        total = total + (known * error.square()).sum()
-        counted += int(known.sum()) * error.shape[-1]
+            weight = wanted[..., -1:]
+        total = total + (weight * error.square()).sum()
+        counted += int(weight.sum()) * error.shape[-1]
     return total / counted if counted else torch.zeros(())
 
 
@@ -302,8 +302,8 @@ def _step(
     optimiser.zero_grad()
     losses = []
     for draw in drawn:
-        asked = draw.lesson, draw.labels, draw.views, settings.codes, draw.rng
-        loss = loss_of(branch, *asked) / len(drawn)
+        arguments = draw.lesson, draw.labels, draw.views, settings.codes, draw.rng
+        loss = loss_of(branch, *arguments) / len(drawn)
         if loss.requires_grad:
             loss.backward()
         losses.append(float(loss.detach()))

@@ -36,7 +36,7 @@ POINTER = "current.json"
 
 @dataclass(frozen=True)
 class Version:
-    """What is known of some weights.
+    """Statement about some weights.
 
     Attributes
     ----------
@@ -264,9 +264,9 @@ class Versions:
             return  # nothing changes, so there is nothing to tell
         when = datetime.now(UTC).isoformat(timespec="seconds")
         history.append(Change(when, number, before, by, why))
-        told = {"version": number, "history": [asdict(change) for change in history]}
+        statement = {"version": number, "history": [asdict(change) for change in history]}
         try:
-            write_atomic(self.folder / POINTER, json.dumps(told, indent=1).encode())
+            write_atomic(self.folder / POINTER, json.dumps(statement, indent=1).encode())
         except OSError as error:
             raise InputError(
                 f"{self.folder}: cannot be written ({error.strerror or error}); {called(before)} "
@@ -299,8 +299,8 @@ class Versions:
 
     def _claim(self) -> int:
         """The next number, taken by making an empty file that nobody else can make."""
-        taken = [int(f.stem) for f in (self.folder / "versions").iterdir() if f.stem.isdigit()]
-        number = max(taken, default=0) + 1
+        numbers = [int(f.stem) for f in (self.folder / "versions").iterdir() if f.stem.isdigit()]
+        number = max(numbers, default=0) + 1
         while True:
             try:
                 claim = self.folder / "versions" / f"{number:06d}.claim"
@@ -322,7 +322,7 @@ def called(number: int) -> str:
 
 
 def somebody() -> str:
-    """Who runs this, and on which machine."""
+    """Name the user and the machine."""
     return f"{user()}@{socket.gethostname()}"
 
 
