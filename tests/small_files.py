@@ -39,7 +39,7 @@ from slgaussian.storage.encoding import decode_arrays, decode_table, encode_arra
 from slgaussian.storage.specs import load_spec
 from tests.damaged_bytes import damaged
 
-W, H = 24, 16
+W, H = 48, 32
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
             if not min(image.size):
                 raise ValueError("it has no pixel")
             yield image
-    except TooLargeError:
+    except (InputError, TooLargeError):
         raise
     except Image.DecompressionBombError:
         raise TooLargeError(
