@@ -29,7 +29,7 @@ class Source:
 
     Attributes
     ----------
-    given : str
+    location : str
         As it was named.
     holds : PosedFolder, Room or str
         A scene, or the file or fsspec URL of a chunk.
@@ -37,13 +37,13 @@ class Source:
         What place its clips show, if that was said.
     """
 
-    given: str
+    location: str
     holds: PosedFolder | Room | str
     place: str = ""
 
     @property
     def name(self) -> str:
-        """What it is called in tables: a scene as its clip, a chunk by its file."""
+        """Name in tables: a scene as its clip, a chunk by its file."""
         return self.holds if isinstance(self.holds, str) else self.holds.name
 
 
@@ -64,8 +64,8 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
             "views": settings.views, "baseline": settings.baseline, "height": height,
             "width": width,
         }  # fmt: skip
-        asked = seeds(source.removeprefix(ROOMS), source)
-        return [Room(f"procedural_{seed}", {"seed": seed, **options}) for seed in asked]
+        seed_range = seeds(source.removeprefix(ROOMS), source)
+        return [Room(f"procedural_{seed}", {"seed": seed, **options}) for seed in seed_range]
     path = Path(source)
     if path.is_dir():
         texts = sorted(file for file in path.glob("*.txt") if re10k_text.is_camera_file(file))
@@ -78,7 +78,7 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
     return [PosedFolder(folder.name, path)]
 
 
-def sources_of(given: Sequence[str], settings: PackSettings) -> list[Source]:
+def sources_of(sources: Sequence[str], settings: PackSettings) -> list[Source]:
     """All that was named, each scene and chunk by itself, in this order.
 
     ``PLACE=SOURCE`` says what place the clips of a source show.
@@ -89,20 +89,20 @@ def sources_of(given: Sequence[str], settings: PackSettings) -> list[Source]:
         If a source is not there, a folder of chunks cannot be listed, or two scenes or chunks have
         one name.
     """
-    found: dict[str, Source] = {}
-    for source in _all(given, settings):
-        if source.name in found:
+    by_name: dict[str, Source] = {}
+    for source in _all(sources, settings):
+        if source.name in by_name:
             raise InputError(
-                f"{source.given}: its clip would be called {source.name!r}, as that of "
-                f"{found[source.name].given} is; rename the folder, or leave one out"
+                f"{source.location}: its clip would be called {source.name!r}, as that of "
+                f"{by_name[source.name].location} is; rename the folder, or leave one out"
             )
-        found[source.name] = source
-    return list(found.values())
+        by_name[source.name] = source
+    return list(by_name.values())
 
 
-def check_there(given: Sequence[str]) -> None:
+def check_there(sources: Sequence[str]) -> None:
     """InputError if a source that would be a file or folder here is not there."""
-    for words in given:
+    for words in sources:
         source = _parted(words)[1]
         if not (is_chunks(source) or source.startswith(ROOMS) or Path(source).exists()):
             raise InputError(
@@ -117,9 +117,9 @@ def _parted(words: str) -> tuple[str, str]:
     return (placed[1], placed[2]) if placed else ("", words)
 
 
-def _all(given: Sequence[str], settings: PackSettings) -> Iterator[Source]:
-    check_there(given)
-    for words in given:
+def _all(sources: Sequence[str], settings: PackSettings) -> Iterator[Source]:
+    check_there(sources)
+    for words in sources:
         place, source = _parted(words)
         if is_chunks(source):
             folder = source.rstrip("/")
@@ -176,8 +176,10 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
     InputError
         If a source has no such form, two have one name, or the folder cannot be written.
     """
-    there = re10k.read_index(out) if (out / re10k.INDEX).exists() else {}
-    scenes = [one.holds for one in sources_of(sources, settings) if one.name not in there]
+    existing = re10k.read_index(out) if (out / re10k.INDEX).exists() else {}
+    scenes = [
+        source.holds for source in sources_of(sources, settings) if source.name not in existing
+    ]
     packed = Packed()
     if not scenes:
         return packed

@@ -69,11 +69,11 @@ def _parse_size(value: Any) -> tuple[int, int] | str:
         return value
     bound = isinstance(value, str) and value.startswith(AT_MOST)
     try:
-        found = _parse_sides(value.removeprefix(AT_MOST) if bound else value)
+        sides = _parse_sides(value.removeprefix(AT_MOST) if bound else value)
     except PydanticCustomError as error:
         message = f"{error.message()}, 'at most 416x576', 'auto' or 'original'"
         raise PydanticCustomError("size", message) from None
-    return "{}{}x{}".format(AT_MOST, *found) if bound else found
+    return "{}{}x{}".format(AT_MOST, *sides) if bound else sides
 
 
 Sides = Annotated[tuple[int, int], BeforeValidator(_parse_sides)]
@@ -90,8 +90,10 @@ CLUSTERS = ("dask", "ray")
 def _parse_runner(value: Any) -> str:
     kind, _, address = str(value).partition("://")
     host, _, port = address.rpartition(":")
-    given = "://" in str(value)
-    if kind in (CLUSTERS if given else RUNNERS) and (not given or (host and port.isdecimal())):
+    has_scheme = "://" in str(value)
+    if kind in (CLUSTERS if has_scheme else RUNNERS) and (
+        not has_scheme or (host and port.isdecimal())
+    ):
         return str(value)
     raise PydanticCustomError(
         "runner",
@@ -115,7 +117,7 @@ def table_of(component: str) -> str:
 
 
 class QueryRules(Config):
-    """How queries are answered."""
+    """Rules of answering queries."""
 
     protocol: str = Field(
         "slgaussian",
@@ -227,7 +229,7 @@ class MethodSettings(QueryRules):
         }
 
     def rules(self) -> dict[str, Any]:
-        """How queries are answered, as :class:`slgaussian.language.query.Rules` takes it."""
+        """Return the fields of :class:`slgaussian.language.query.Rules`."""
         return self.model_dump(include=RULES)
 
     def part(self, kind: str) -> Component:
@@ -237,13 +239,13 @@ class MethodSettings(QueryRules):
 
     @cached_property
     def built_by(self) -> BuildMethod:
-        """How a field is built, as the library takes it; InputError if files cannot be read."""
+        """Method of building a field; InputError if files cannot be read."""
         parts: dict[str, Any] = {kind: self.part(kind) for kind in KINDS}
         return BuildMethod(**parts, **self.model_dump(include=set(OWN)))
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What a field depends on besides the sample, as cache keys and artifacts hold it.
+        """Identity of a field besides the sample, as cache keys and artifacts hold it.
 
         The chosen parts, their settings with files by content, replicas, seed and what is kept.
         """
@@ -252,8 +254,8 @@ class MethodSettings(QueryRules):
 
 def _brought() -> Iterator[tuple[str, Any]]:
     """Yield table and default config of each component that another package brings."""
-    for kind, known in KINDS.items():
-        for name in brought(known.group):
+    for kind, registered in KINDS.items():
+        for name in brought(registered.group):
             # What is wrong with one is said when it is asked for.
             with suppress(InputError):
                 config = find_config(kind, name)
@@ -293,7 +295,7 @@ class SceneSettings(Config):
 
 
 class Engine(Config):
-    """Who does the work, and where it is kept."""
+    """Runner, workers and store of a flow."""
 
     store: str = Field(
         "./slg-data", description="Folder or fsspec URL that keeps the results of every stage."
@@ -357,7 +359,7 @@ class Settings(Engine, Method):
 
 
 class PackSettings(Config):
-    """How made-up rooms are photographed, and how large chunks are."""
+    """Views of procedural rooms, and size of chunks."""
 
     views: int = Field(12, ge=2, description="Views of each made-up room, evenly on an arc.")
     baseline: float = Field(
@@ -370,7 +372,7 @@ class PackSettings(Config):
 
 
 class PairSettings(Config):
-    """What is asked of two context views."""
+    """Requirements on two context views."""
 
     min_overlap: float = Field(
         0.6, ge=0, le=1, description="Least share that context views see in common."
@@ -434,7 +436,7 @@ class IndexSettings(PairSettings):
 
 
 class Withdrawal(Config):
-    """What must not be used any more."""
+    """Clips that may not be used any more."""
 
     withdrawn: Path | None = Field(
         None,
@@ -456,7 +458,7 @@ class Withdrawal(Config):
 
 
 class CorpusSettings(Withdrawal, PairSettings, Engine, Method):
-    """What views, samples and lessons depend on, and where they go."""
+    """Settings of views, samples and lessons, and their output folder."""
 
     size: Sides = Field(
         (256, 256), description="Height and width of the views of a lesson, as 256x256."
@@ -467,7 +469,7 @@ class CorpusSettings(Withdrawal, PairSettings, Engine, Method):
 
 
 class SetSettings(Config):
-    """What samples hold, which are good enough, and how they are written."""
+    """Content, quality thresholds and format of the samples of a training set."""
 
     size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
     targets: int = Field(3, ge=1, description="Target views of a sample, between its two contexts.")
@@ -503,19 +505,19 @@ class DatasetSettings(SetSettings, Withdrawal, PairSettings, Engine, Method):
 def _parse_widths(value: Any) -> tuple[int, ...]:
     """Channels of a list, or of text with commas between."""
     try:
-        found = tuple(map(int, value.split(",") if isinstance(value, str) else value))
+        widths = tuple(map(int, value.split(",") if isinstance(value, str) else value))
     except (TypeError, ValueError):
-        found = ()
-    if not found or min(found) < 1:
+        widths = ()
+    if not widths or min(widths) < 1:
         raise PydanticCustomError("widths", "expected numbers from 1, as 8,16,24,32")
-    return found
+    return widths
 
 
 Widths = Annotated[tuple[int, ...], BeforeValidator(_parse_widths)]
 
 
 class Training(Config):
-    """What a training is besides its lessons, codes and seed."""
+    """Hyperparameters of a training, without lessons, codes and seed."""
 
     steps: int = Field(1500, ge=1, description="Steps of training.")
     batch: int = Field(1, ge=1, description="Lessons of a step.")

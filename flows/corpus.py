@@ -17,7 +17,7 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import CorpusSettings
-from flows.read_config import settled
+from flows.read_config import resolve_encoder
 from flows.results import write_artifacts
 from flows.runners.batches import Failure, Outcome, SceneTask, map_shown, write_failures
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
@@ -44,7 +44,7 @@ FILES = {"views": "views.parquet", "pairs": "pairs.parquet", "lessons": "lessons
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a run leaves: how many rows each table has, what failed, and all that was made."""
+    """Result of a run: the number of rows of each table, what failed, and all that was made."""
 
     rows: dict[str, int]
     failures: list[Failure]
@@ -86,7 +86,7 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
     InputError
         As :func:`ingest_corpus`, and if a component of the method is unknown.
     """
-    config = settled(config)
+    config = resolve_encoder(config)
     prepared = run_session(
         "supervise", config, verbose, lambda store: supervise(config, store, verbose)
     )
@@ -131,18 +131,18 @@ def _prepare(
     store: ArtifactStore,
     stages: Sequence[str],
     pipeline: Callable[..., object],
-    more: tuple[Any, ...],
+    arguments: tuple[Any, ...],
     verbose: bool,
 ) -> Prepared:
     """Take all chunks through a pipeline, which has these stages, and write their tables.
 
-    It is called with the place of a chunk, the bounds of its samples, and ``more``.
+    It is called with the place of a chunk, the bounds of its samples, and ``arguments``.
     """
     check(config, store)
     chunks, withdrawn = re10k.chunk_names(config.chunks), config.withdrawn_clips()
     folder, bounds = config.chunks.rstrip("/"), Bounds(**config.bounds())
     tasks = [
-        SceneTask(chunk, pipeline, (f"{folder}/{chunk}", bounds, *more), first="views")
+        SceneTask(chunk, pipeline, (f"{folder}/{chunk}", bounds, *arguments), first="views")
         for chunk in chunks
     ]
     refresh = stages_to_refresh(config, stages)
@@ -157,9 +157,9 @@ def _write(
 ) -> Prepared:
     refs = {chunk: outcome.refs[chunk] for chunk in sorted(outcome.refs)}
     failures = [*outcome.failures]
-    for own in refs.values():
+    for stage_refs in refs.values():
         for stage in stages:
-            failures += [Failure(stage=stage, **bad) for bad in own[stage].meta["left_out"]]
+            failures += [Failure(stage=stage, **bad) for bad in stage_refs[stage].meta["left_out"]]
     # A clip belongs to the first chunk that has it; what is withdrawn belongs to none.
     owners = dict.fromkeys(withdrawn, "")
     rows = {}
@@ -183,10 +183,10 @@ def _write_sheets(
 ) -> None:
     """Write the contact sheet of each chunk, if it shows nothing withdrawn, and remove others."""
     sheets = {}
-    for chunk, own in refs.items():
-        sheet = own["lessons"].meta.get("sheet")
+    for chunk, stage_refs in refs.items():
+        sheet = stage_refs["lessons"].meta.get("sheet")
         # Most chunks are not read for this.
-        clips = store.get(own["views"])["clip"].to_pylist() if withdrawn and sheet else ()
+        clips = store.get(stage_refs["views"])["clip"].to_pylist() if withdrawn and sheet else ()
         if sheet is not None and withdrawn.isdisjoint(clips):
             sheets[f"{Path(chunk).stem}.png"] = ArtifactRef("sheet", **sheet)
     for file in folder.glob("*.png"):
@@ -213,8 +213,8 @@ def _join(
     count = 0
     schema = speaking(load_spec(stage).schema)
     with atomic_path(file) as name, pq.ParquetWriter(name, schema, compression="zstd") as writer:
-        for chunk, own in refs.items():
-            table = _own_rows(store.get(own[stage]), chunk, owners, failures)
+        for chunk, stage_refs in refs.items():
+            table = _own_rows(store.get(stage_refs[stage]), chunk, owners, failures)
             count += table.num_rows
             writer.write_table(table)
     return count

@@ -96,12 +96,12 @@ def _counts(out: Path, rows: pa.Table) -> dict[str, Any]:
     table = rows.to_pylist()
     splits = []
     for split in SPLITS:
-        own = [row for row in table if row["split"] == split]
-        if own:
-            shards = sorted({row["shard"] for row in own})
+        split_rows = [row for row in table if row["split"] == split]
+        if split_rows:
+            shards = sorted({row["shard"] for row in split_rows})
             size = sum((out / shard).stat().st_size for shard in shards)
-            counts = [len({row[name] for row in own}) for name in ("place", "clip")]
-            splits.append((split, *counts, len(own), len(shards), f"{size / 1e6:.1f}"))
+            counts = [len({row[name] for row in split_rows}) for name in ("place", "clip")]
+            splits.append((split, *counts, len(split_rows), len(shards), f"{size / 1e6:.1f}"))
     return {
         "splits": splits,
         "samples": len(table),
@@ -113,32 +113,32 @@ def _counts(out: Path, rows: pa.Table) -> dict[str, Any]:
 def _size_category(samples: int) -> str:
     """As the hub of Hugging Face calls it."""
     steps = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"))
-    return next((name for most, name in steps if samples < most), "100K<n<1M")
+    return next((name for limit, name in steps if samples < limit), "100K<n<1M")
 
 
 def _quantiles(rows: pa.Table) -> list[tuple[str, str, str, str, str]]:
     spec = load_spec("training_set")
-    found = []
+    lines = []
     for name in QUALITY:
         low, middle, high = np.quantile(rows[name].to_numpy(), (0.05, 0.5, 0.95))
-        found.append((name, f"{low:.3g}", f"{middle:.3g}", f"{high:.3g}", spec.columns[name].doc))
-    return found
+        lines.append((name, f"{low:.3g}", f"{middle:.3g}", f"{high:.3g}", spec.columns[name].doc))
+    return lines
 
 
 def _members(samples: TrainingSet) -> list[tuple[str, str, str]]:
-    """What the members of the first sample are, and their kilobytes."""
-    found = []
+    """Return the members of the first sample with their kilobytes."""
+    members = []
     for name, data in samples.members(0).items():
         stem, _, ending = name.partition(".")
         if ending == "npz":
             spec = load_spec(SPECS[stem])
-            what = f"{spec.doc} {', '.join(spec.fields)}"
+            text = f"{spec.doc} {', '.join(spec.fields)}"
         elif ending == "json":
-            what = "What the index says of it, and the address of its video if there is one."
+            text = "What the index says of it, and the address of its video if there is one."
         else:
-            what = "Photograph, undistorted, RGB."
-        found.append((name, f"{len(data) / 1e3:.0f}", what))
-    return found
+            text = "Photograph, undistorted, RGB."
+        members.append((name, f"{len(data) / 1e3:.0f}", text))
+    return members
 
 
 def _sources(rows: pa.Table, sources: Mapping[str, Source]) -> list[tuple[str, int, int, str, str]]:
@@ -147,18 +147,18 @@ def _sources(rows: pa.Table, sources: Mapping[str, Source]) -> list[tuple[str, i
     for row in rows.to_pylist():
         source = sources[row["sample"]]
         # Not where it is on this machine.
-        name = Path(source.given).name if "://" not in source.given else source.given
+        name = Path(source.location).name if "://" not in source.location else source.location
         by_source[name].append(row)
         stated[name] = _licence(source)
     return [
         (
             name,
-            len({row["clip"] for row in own}),
-            len(own),
-            "; ".join(sorted({row["cameras"] for row in own})),
+            len({row["clip"] for row in source_rows}),
+            len(source_rows),
+            "; ".join(sorted({row["cameras"] for row in source_rows})),
             stated[name],
         )
-        for name, own in sorted(by_source.items())
+        for name, source_rows in sorted(by_source.items())
     ]
 
 
@@ -187,10 +187,10 @@ def _refused(failures: Sequence[Failure]) -> list[tuple[str, str, int, list[str]
 
 def _asked(settings: DatasetSettings) -> dict[str, Any]:
     """The settings that the samples depend on, parts and files by content."""
-    own = {*SetSettings.model_fields, "near", "far", "trust_cameras"}
-    asked = settings.model_dump(mode="json", include=own)
+    fields = {*SetSettings.model_fields, "near", "far", "trust_cameras"}
+    values = settings.model_dump(mode="json", include=fields)
     identity = {key: value for key, value in settings.identity.items() if key != "lifting"}
-    return {**asked, **settings.bounds(), "method": identity}
+    return {**values, **settings.bounds(), "method": identity}
 
 
 def _sheet(samples: TrainingSet) -> np.ndarray:
@@ -203,10 +203,10 @@ def _sheet(samples: TrainingSet) -> np.ndarray:
         near, far = depth_range(*[depth[depth > 0] for depth in depths])
         caption = item["sample"]
         for role, depth in zip(("context", "target"), depths, strict=True):
-            own = item[role]
-            for number, image in enumerate(own["image"].numpy().transpose(0, 2, 3, 1)):
+            views = item[role]
+            for number, image in enumerate(views["image"].numpy().transpose(0, 2, 3, 1)):
                 image = np.ascontiguousarray(image)
-                labels = own["labels"][number].numpy().astype(np.int32)
+                labels = views["labels"][number].numpy().astype(np.int32)
                 unlabelled = f"{(labels == 0).mean():.0%} without an id"
                 tiles += [
                     (caption or f"{role} {number}", image),

@@ -18,7 +18,7 @@ from prefect.states import State
 from flows.clip_sources import Source, sources_of
 from flows.config import DatasetSettings, PackSettings, SetSettings
 from flows.data_card import write_card
-from flows.read_config import settled
+from flows.read_config import resolve_encoder
 from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import Workers, open_workers
@@ -47,7 +47,7 @@ FILTER = "filter"
 
 @dataclass(frozen=True)
 class TrainingSetResult:
-    """What a run leaves: how much is in the set, and what was refused."""
+    """Result of a run: the size of the set, and refused samples."""
 
     samples: int
     places: int
@@ -80,7 +80,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
         If a source is not there, a component is unknown, no sample is left, or the store or the
         folder cannot be written.
     """
-    config = settled(config)
+    config = resolve_encoder(config)
     result = run_session("dataset", config, verbose, lambda store: build(config, store, verbose))
     return completed(f"{result.samples} samples in {config.out}", result, result.failures)
 
@@ -106,7 +106,7 @@ def build(
     refresh = stages_to_refresh(config, [stage.name for stage in stages])
     with open_workers(config.runner, config.workers, store, refresh) as workers:
         chosen = _choose(config, workers, sources, places, failures, verbose)
-        chosen = [one for one in chosen if one.row["clip"] not in withdrawn]
+        chosen = [item for item in chosen if item.row["clip"] not in withdrawn]
         finished = _finish(config, workers, chosen, places, failures, verbose)
     failures.sort(key=lambda failure: (failure.scene, failure.stage, failure.reason))
     write_failures(config.out, failures)
@@ -118,9 +118,9 @@ def build(
     versions = {stage.name: stage.version for stage in stages}
     with writing(config.out):
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
-        of_sample = {one.row["sample"]: one.source for one in chosen}
+        of_sample = {item.row["sample"]: item.source for item in chosen}
         write_card(config.out, config, of_sample, failures, versions)
-    places_left = {one.place for one in finished}
+    places_left = {item.place for item in finished}
     return TrainingSetResult(len(finished), len(places_left), *written, failures)
 
 
@@ -161,11 +161,15 @@ def _choose(
     verbose: bool,
 ) -> list[Chosen]:
     """The samples of all sources; ``places`` gets to know the photographs of all clips."""
-    asked = Bounds(**settings.bounds()), settings.targets
+    arguments = Bounds(**settings.bounds()), settings.targets
     files = [source for source in sources if isinstance(source.holds, str)]
     scenes = [source for source in sources if not isinstance(source.holds, str)]
-    of_files = [SceneTask(s.name, choose_of_chunk, (s.holds, *asked), views.name) for s in files]
-    of_scenes = [SceneTask(s.name, choose_of_scene, (s.holds, *asked), packed.name) for s in scenes]
+    of_files = [
+        SceneTask(s.name, choose_of_chunk, (s.holds, *arguments), views.name) for s in files
+    ]
+    of_scenes = [
+        SceneTask(s.name, choose_of_scene, (s.holds, *arguments), packed.name) for s in scenes
+    ]
     refs: dict[str, dict[str, ArtifactRef]] = {}
     for tasks, stages, unit in ((of_files, 2, "chunks"), (of_scenes, 3, "scenes")):
         outcome = map_shown(tasks, workers, stages, unit, verbose)
@@ -174,21 +178,21 @@ def _choose(
     owners: dict[str, str] = {}
     chosen: list[Chosen] = []
     for source in sources:
-        own = refs.get(source.name)
-        if own is None:
+        stage_refs = refs.get(source.name)
+        if stage_refs is None:
             continue
         failures += [
             Failure(stage=stage, **bad)
-            for stage, ref in own.items()
+            for stage, ref in stage_refs.items()
             for bad in ref.meta.get("left_out", ())
         ]
-        chosen += _of_source(source, own, workers.store, places, owners, failures)
+        chosen += _of_source(source, stage_refs, workers.store, places, owners, failures)
     return chosen
 
 
 def _of_source(
     source: Source,
-    own: Mapping[str, ArtifactRef],
+    stage_refs: Mapping[str, ArtifactRef],
     store: ArtifactStore,
     places: Places,
     owners: dict[str, str],
@@ -199,18 +203,18 @@ def _of_source(
         chunk: KnownFile | ArtifactRef = known_chunk(store, source.holds)
         cameras = "given"
     else:
-        chunk = own[packed.name]
-        cameras = own[packed.name].meta["cameras"]
-    seen = store.get(own[views.name]).select(["clip", "digest"]).to_pylist()
-    for clip in dict.fromkeys(row["clip"] for row in seen):
+        chunk = stage_refs[packed.name]
+        cameras = stage_refs[packed.name].meta["cameras"]
+    view_rows = store.get(stage_refs[views.name]).select(["clip", "digest"]).to_pylist()
+    for clip in dict.fromkeys(row["clip"] for row in view_rows):
         if owners.setdefault(clip, source.name) != source.name:
             reason = (
                 f"clip {clip!r} of {source.name} is in {owners[clip]} too, which is the one used"
             )
             failures.append(Failure(clip, views.name, "InputError", reason))
             continue
-        places.add(clip, (row["digest"] for row in seen if row["clip"] == clip), source.place)
-    for row in store.get(own[choices.name]).to_pylist():
+        places.add(clip, (row["digest"] for row in view_rows if row["clip"] == clip), source.place)
+    for row in store.get(stage_refs[choices.name]).to_pylist():
         if owners[row["clip"]] == source.name:
             yield Chosen(source, chunk, cameras, row)
 
@@ -226,41 +230,50 @@ def _finish(
     """The samples that went down their road and are good enough, in the order of their names."""
     framing = Framing(settings.size, settings.near, settings.far)
     tasks = []
-    for one in chosen:
-        row = dict(one.row)
+    for choice in chosen:
+        row = dict(choice.row)
         frames = Frames(row["sample"], row["clip"], tuple(row["context"]), tuple(row["targets"]))
-        known = {**row, "cameras": one.cameras}
-        given = (one.chunk, frames, framing, settings.built_by, settings.trust_cameras, known)
+        properties = {**row, "cameras": choice.cameras}
+        arguments = (
+            choice.chunk,
+            frames,
+            framing,
+            settings.built_by,
+            settings.trust_cameras,
+            properties,
+        )
         stored = settings.images, settings.gaussians
-        tasks.append(SceneTask(row["sample"], make_example, (*given, *stored), framed.name))
+        tasks.append(SceneTask(row["sample"], make_example, (*arguments, *stored), framed.name))
     outcome = map_shown(tasks, workers, len(SAMPLES), "samples", verbose)
     failures += outcome.failures
-    abouts = {name: own[example.name].meta["about"] for name, own in outcome.refs.items()}
-    for about in abouts.values():
-        places.seen_in(about["clip"], about["url"])
+    descriptions = {
+        name: stage_refs[example.name].meta["about"] for name, stage_refs in outcome.refs.items()
+    }
+    for description in descriptions.values():
+        places.seen_in(description["clip"], description["url"])
     by_clip = places.by_clip()
     good = []
-    for name, about in sorted(abouts.items()):
-        why = refused(about, settings)
+    for name, description in sorted(descriptions.items()):
+        why = refused(description, settings)
         if why is not None:
             failures.append(Failure(name, FILTER, "Filtered", why))
             continue
-        good.append((outcome.refs[name][example.name], by_clip[about["clip"]]))
+        good.append((outcome.refs[name][example.name], by_clip[description["clip"]]))
     tested = hold_out({place for _, place in good}, settings.held_out)
     return [Finished(ref, place, SPLITS[place in tested]) for ref, place in good]
 
 
-def refused(about: Mapping[str, Any], settings: SetSettings) -> str | None:
-    """Why a sample is not good enough for the set, or None."""
-    unlabelled = max(about["unlabelled"], about["unlabelled_targets"])
+def refused(description: Mapping[str, Any], settings: SetSettings) -> str | None:
+    """Return the reason to refuse a sample, or None."""
+    unlabelled = max(description["unlabelled"], description["unlabelled_targets"])
     if unlabelled > settings.max_unlabelled:
         return (
             f"{unlabelled:.2f} of the pixels of its context views or targets are without an id, "
             f"above max_unlabelled {settings.max_unlabelled:g}"
         )
-    if about["confirmed"] < settings.min_confirmed:
+    if description["confirmed"] < settings.min_confirmed:
         return (
-            f"a second view confirms {about['confirmed']:.2f} of its depth, below min_confirmed "
-            f"{settings.min_confirmed:g}"
+            f"a second view confirms {description['confirmed']:.2f} of its depth, below "
+            f"min_confirmed {settings.min_confirmed:g}"
         )
     return None

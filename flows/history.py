@@ -87,7 +87,7 @@ class History:
                     file.unlink()
         publish_markdown(ARTIFACT, markdown_of(record), f"Retraining {number}")
 
-    def known(self) -> tuple[pa.Table, set[str]]:
+    def previous(self) -> tuple[pa.Table, set[str]]:
         """Return the clips of the last retraining that knew them, and names of what it left out.
 
         An empty table and none at first.
@@ -123,10 +123,13 @@ def markdown_of(record: Mapping[str, Any]) -> str:
         lines += [
             f"Left out: {_cell(f'{n}: {why}')}" for n, why in record["newly left out"].items()
         ]
-    for one in record.get("drift", ()):
-        low, _, high = one["known"]
-        verdict = "drifted" if one["drifted"] else "as before"
-        lines.append(f"{one['measure']}: {low:.3g} to {high:.3g}, now {one['come']:.3g}, {verdict}")
+    for measurement in record.get("drift", ()):
+        low, _, high = measurement["known"]
+        verdict = "drifted" if measurement["drifted"] else "as before"
+        lines.append(
+            f"{measurement['measure']}: {low:.3g} to {high:.3g}, now {measurement['come']:.3g}, "
+            f"{verdict}"
+        )
     if "seconds" in record:
         lines.append(f"{record['seconds']} s, begun {record['begun']}")
     return "\n\n".join(lines) + "\n"

@@ -37,12 +37,12 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
     left_out: dict[str, str] = {}
     for name, options, place in label_places(data, labels, settings.format):
         scene = datasets.load(settings.format, data, **options)
-        found = _surrounded(scene, name, labelled_frames((labels or data) / place), rule)
-        for called, one in found.items():
-            if isinstance(one, str):
-                left_out[called] = one
+        pairs_of_frame = _surrounded(scene, name, labelled_frames((labels or data) / place), rule)
+        for called, pair in pairs_of_frame.items():
+            if isinstance(pair, str):
+                left_out[called] = pair
             else:
-                pairs.append(ScenePair(called, *one[:3], place, options, one[3]))
+                pairs.append(ScenePair(called, *pair[:3], place, options, pair[3]))
     if not pairs:
         why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InputError(f"{labels or data}: no labelled frame has a pair ({why or 'no labels'})")
@@ -85,42 +85,42 @@ def _surrounded(
     scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, Chosen | str]:
     """The pair of every labelled frame, or why there is none; under the pair's name."""
-    known = SETS["lerf_ovs"][name].frames if name in SETS["lerf_ovs"] else ()
-    views, out = _views_of(scene, frames, known)
+    published_frames = SETS["lerf_ovs"][name].frames if name in SETS["lerf_ovs"] else ()
+    views, out = _views_of(scene, frames, published_frames)
     names, clip, unreadable = _look(scene)
     place = {view: i for i, view in enumerate(names)}
-    asked = {}
+    wanted = {}
     for frame, view in views.items():
         if view in unreadable:
             out[frame] = unreadable[view]
         elif frame not in out:
-            asked[frame] = place[view]
+            wanted[frame] = place[view]
     barred = {place[view] for view in views.values() if view in place}
-    around = surround(clip, list(asked.values()), barred, rule)
-    for frame, found in zip(asked, around, strict=True):
-        if (pair := found.pair) is None:
-            out[frame] = found.reason
+    around = surround(clip, list(wanted.values()), barred, rule)
+    for frame, contexts in zip(wanted, around, strict=True):
+        if (pair := contexts.pair) is None:
+            out[frame] = contexts.reason
             continue
         known_by = {
-            "overlap": pair, "baseline": pair, "cover": found, "aside": found, "score": pair,
+            "overlap": pair, "baseline": pair, "cover": contexts, "aside": contexts, "score": pair,
         }  # fmt: skip
         measured = {name: round(getattr(of, name), 4) for name, of in known_by.items()}
         context = tuple(names[i] for i in pair.context)
         out[frame] = context, (views[frame],), frames[frame], measured
-    order = [frame for frame in dict.fromkeys([*frames, *known]) if frame in out]
+    order = [frame for frame in dict.fromkeys([*frames, *published_frames]) if frame in out]
     return {f"{name}-{frame.replace('/', '-')}": out[frame] for frame in order}
 
 
 def _views_of(
-    scene: Scene, frames: Mapping[str, tuple[str, ...]], known: Iterable[str]
+    scene: Scene, frames: Mapping[str, tuple[str, ...]], published_frames: Iterable[str]
 ) -> tuple[dict[str, str], dict[str, Any]]:
     """The views of the labelled frames, and of those that cannot be asked why.
 
-    ``known`` are frames that the data set calls labelled, whether their labels are there or not:
-    they are no context views of others.
+    ``published_frames`` are frames that the data set calls labelled, even if their labels are
+    missing: they are no context views of others.
     """
     views, out = {}, {}
-    for frame in dict.fromkeys([*frames, *known]):
+    for frame in dict.fromkeys([*frames, *published_frames]):
         try:
             views[frame] = scene.find(frame)
         except InputError as error:
@@ -134,7 +134,7 @@ def _views_of(
 
 
 def _look(scene: Scene) -> tuple[list[str], Views, dict[str, str]]:
-    """What is known of the views of a scene that can be read, and of the others why not."""
+    """Measure the views of a scene that can be read, and of the others why not."""
     names, greys, unreadable = [], [], {}
     for name in scene.cameras:
         try:

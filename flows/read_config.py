@@ -69,7 +69,7 @@ def make_settings(values: dict[str, Any], source: str, model: Any = Settings) ->
     """Check ``values`` as :func:`checked`, all of which must have an effect; settle the encoder."""
     settings = checked(model, values, source)
     refuse_idle(values, settings, source)
-    return settled(settings)
+    return resolve_encoder(settings)
 
 
 def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
@@ -84,7 +84,7 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     """
     settings = checked(Settings, read_values(path, overrides), str(path))
     refuse_idle(overrides, settings, "run")
-    return settled(settings)
+    return resolve_encoder(settings)
 
 
 def read_retraining(config: Path | None, overrides: dict[str, Any]) -> RetrainSettings:
@@ -124,11 +124,11 @@ def preset_values(preset: Any, source: str, of: str = "") -> dict[str, Any]:
         If there is no such preset.
     """
     folder = Path(__file__).parent / "presets"
-    known = [name for name in PRESETS if (folder / f"{of}{name}.toml").is_file()]
-    if preset not in known:
+    available = [name for name in PRESETS if (folder / f"{of}{name}.toml").is_file()]
+    if preset not in available:
         raise InputError(
-            f"{source}: preset: found {preset!r}, expected one of {', '.join(known)}"
-            f"{did_you_mean(preset, known)}"
+            f"{source}: preset: found {preset!r}, expected one of {', '.join(available)}"
+            f"{did_you_mean(preset, available)}"
         )
     file = folder / f"{of}{preset}.toml"
     return tomllib.loads(file.read_text("utf-8"))
@@ -185,13 +185,13 @@ SAID = {
 """What Pydantic says in its own terms, said in those of a configuration, by its error type."""
 
 
-def _sentence(error: ValidationError, whole: type[BaseModel]) -> str:
+def _sentence(error: ValidationError, config_type: type[BaseModel]) -> str:
     # A misspelt key leaves another one missing; it is the cause, so it goes first.
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
     key = ".".join(place)
     if first["type"] == "extra_forbidden":
-        model = SceneSettings if place[0] == "scenes" else whole
+        model = SceneSettings if place[0] == "scenes" else config_type
         listed = ", ".join(model.model_fields)
         near = did_you_mean(place[-1], model.model_fields)
         return f"unknown key {key!r}{near or f'; the keys are {listed}'}"
@@ -206,13 +206,13 @@ def _sentence(error: ValidationError, whole: type[BaseModel]) -> str:
     return f"{key}: found {first['input']!r}; {message}"
 
 
-def refuse_idle(given: dict[str, Any], settings: MethodSettings, source: str) -> None:
-    """InputError if ``given`` has the table of a part that the settings do not choose."""
+def refuse_idle(values: dict[str, Any], settings: MethodSettings, source: str) -> None:
+    """InputError if ``values`` has the table of a part that the settings do not choose."""
     used = set(map(table_of, settings.component_values()))
     if settings.encoder == AUTO:
         used |= set(CANDIDATES)
     for name in TABLES:
-        if name in given and name not in used:
+        if name in values and name not in used:
             chosen = ", ".join(
                 f"{part} {name!r}" for part, name in settings.component_names().items()
             )
@@ -222,7 +222,7 @@ def refuse_idle(given: dict[str, Any], settings: MethodSettings, source: str) ->
             )
 
 
-def settled(settings: AnySettings) -> AnySettings:
+def resolve_encoder(settings: AnySettings) -> AnySettings:
     """Return settings whose encoder is a real one; tell it, and the reason, if it was ``auto``."""
     if settings.encoder != AUTO:
         return settings
@@ -246,17 +246,17 @@ def find_clip(config: ClipConfig) -> tuple[str | None, str]:
         return model, f"{model} is on this machine"
     if model != CLIP:
         return None, f"{model} is no whole CLIP with its tokenizer on this machine"
-    others = [name for name, folder in cached_models() if _usable(folder, tokenizer)]
-    if len(others) == 1:
-        return others[0], f"{others[0]} is the one CLIP in the hub's cache"
-    if others:
-        names = ", ".join(others)
+    cached = [name for name, folder in cached_models() if _usable(folder, tokenizer)]
+    if len(cached) == 1:
+        return cached[0], f"{cached[0]} is the one CLIP in the hub's cache"
+    if cached:
+        names = ", ".join(cached)
         return None, f"the hub's cache holds several of CLIP ({names}); name one as clip.model"
     return None, f"no CLIP is on this machine (`hf download {model}` brings one)"
 
 
 def _usable(place: str | Path, tokenizer: str | Path | None) -> bool:
-    """Whether a CLIP and its tokenizer are here with all their files, as far as names tell."""
+    """Return whether a CLIP and its tokenizer are installed, by the names of files."""
     from slgaussian.components.hub_cache import local_place
     from slgaussian.components.pretrained import CONFIG, find_model, find_tokenizer, read_json
 
@@ -264,13 +264,13 @@ def _usable(place: str | Path, tokenizer: str | Path | None) -> bool:
         here = Path(local_place(place))
         if not here.exists():
             return False
-        found = find_model(here)
-        words = Path(found.folder if tokenizer is None else local_place(tokenizer))
+        model = find_model(here)
+        words = Path(model.folder if tokenizer is None else local_place(tokenizer))
         if not words.is_dir():
             return False
         find_tokenizer(words)
-        if found.checkpoint is not None:
+        if model.checkpoint is not None:
             return True
-        return read_json(found.folder / CONFIG).get("model_type") == "clip"
+        return read_json(model.folder / CONFIG).get("model_type") == "clip"
     except InputError:
         return False

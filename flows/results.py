@@ -1,4 +1,4 @@
-"""What a run leaves beside scores: fields, the table of its artifacts, and its manifest."""
+"""Outputs of a run besides scores: fields, the table of its artifacts, and its manifest."""
 
 from __future__ import annotations
 
@@ -85,14 +85,18 @@ def write_fields(
     write_table(FIELDS, pa.Table.from_pylist(rows, schema=load_spec(FIELDS).schema), out)
 
     def look(scene: str) -> _FieldFolder | None:
-        about, parts = about_field(store, fields[scene])
-        one = _FieldFolder(field_place(scene, out), about.to_json(places), parts)
-        return None if one.is_there(store) else one
+        description, parts = about_field(store, fields[scene])
+        folder = _FieldFolder(field_place(scene, out), description.to_json(places), parts)
+        return None if folder.is_there(store) else folder
 
-    missing = [one for one in store.at_once(look, list(fields)) if one is not None]
+    missing = [
+        missing_folder
+        for missing_folder in store.at_once(look, list(fields))
+        if missing_folder is not None
+    ]
     if missing and not store.near:
         tell(f"copying {len(missing)} fields from {store.root}")
-    store.at_once(lambda one: one.write(store), missing, SIDE_BY_SIDE)
+    store.at_once(lambda missing_folder: missing_folder.write(store), missing, SIDE_BY_SIDE)
 
 
 def _earlier(out: Path) -> set[str]:
@@ -113,7 +117,7 @@ class _FieldFolder:
     parts: Mapping[str, ArtifactRef]
 
     def is_there(self, store: ArtifactStore) -> bool:
-        """Whether it is as :meth:`write` left it."""
+        """Return whether the folder is unchanged since :meth:`write`."""
         try:
             same = (self.folder / field_folder.ABOUT).read_text("utf-8") == self.text
         except (OSError, ValueError):
@@ -173,17 +177,17 @@ def _rows(outcome: Outcome, store: ArtifactStore) -> Iterator[dict[str, Any]]:
 
 def _digests(meta: Mapping[str, Any]) -> set[str]:
     """Of all artifacts that a stage was given, wherever they stand among its arguments."""
-    found = set(meta.get("inputs", {}).values())
+    digests = set(meta.get("inputs", {}).values())
     waiting = [meta.get("settings", {})]
     while waiting:
         value = waiting.pop()
         if isinstance(value, Mapping):
             if value.keys() == {"spec", "digest"}:
-                found.add(value["digest"])
+                digests.add(value["digest"])
             waiting += value.values()
         elif isinstance(value, list):
             waiting += value
-    return found
+    return digests
 
 
 def _size(store: ArtifactStore, uri: str) -> int | None:
@@ -196,26 +200,28 @@ def manifest(
     scenes: Sequence[SceneSettings],
     stages: Sequence[Stage],
     refs: Mapping[str, Mapping[str, ArtifactRef]],
-    others: Mapping[str, Row],
+    baselines: Mapping[str, Row],
 ) -> dict[str, Any]:
     """The manifest of a run, as plain data.
 
     ``refs`` are what the ``stages`` made by scene, of those scenes that went through, and
-    ``others`` the methods beside ours.
+    ``baselines`` the methods beside ours.
     """
-    shown = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
-    own = {name: shown[name] for name in shown if name not in TABLES} | settings.identity
+    values = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
+    method_values = {
+        name: values[name] for name in values if name not in TABLES
+    } | settings.identity
     weights = {
-        f"{part.name}.{key}": known.digest
+        f"{part.name}.{key}": file.digest
         for part in settings.built_by.components
-        for key, known in part.files.items()
+        for key, file in part.files.items()
     }
     return {
         "spec": load_spec("manifest").label,
         "slgaussian": __version__,
         "seed": settings.seed,
-        "settings": own,
-        "methods": {name: _described(row) for name, row in others.items()},
+        "settings": method_values,
+        "methods": {name: _described(row) for name, row in baselines.items()},
         "protocols": [protocol.label for protocol in PROTOCOLS.values()],
         "weights": weights,
         "index": {}
@@ -231,13 +237,13 @@ def manifest(
 
 
 def _described(row: Row) -> str:
-    own = ", ".join(f"{name} {value}" for name, value in {**row.settings, **row.rules}.items())
+    text = ", ".join(f"{name} {value}" for name, value in {**row.settings, **row.rules}.items())
     name = f"{row.method} of {row.brought_by}" if row.brought_by else row.method
-    return f"{name} ({own})" if own else name
+    return f"{name} ({text})" if text else name
 
 
 def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, Any]:
-    """What a scene is, and what was read of it: files, and the digests of what they amount to."""
+    """Describe the data of a scene: files, and the digests of what they amount to."""
     # Sorted: what comes from a record of the store has lost its order.
     files, labels = (
         dict(sorted(refs[stage].meta["settings"][of]["files"].items()))
@@ -261,16 +267,16 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
 
 
 def published_as(scene: SceneSettings) -> dict[str, str]:
-    """Which published scene its labels and photographs are of: fields of ``Standing``, or none."""
+    """Return the fields of ``Standing`` of the published scene of its data, if any."""
     if scene.labels is None or scene.path is None:
         return {}
-    asked, sizes = {}, {}
+    queries, sizes = {}, {}
     try:
         frames = labelled_frames(scene.labels)
         for target in scene.targets:
             frame = Path(target).stem
             nested = Path(target).with_suffix("").as_posix()
-            asked[frame] = frames[nested if nested in frames else frame]
+            queries[frame] = frames[nested if nested in frames else frame]
             files, _ = datasets.inputs(scene.format, scene.path, [target], **scene.options)
             for file in files:
                 if file.stem == frame and (size := stored_size(file)):
@@ -278,5 +284,5 @@ def published_as(scene: SceneSettings) -> dict[str, str]:
     except (InputError, OSError, KeyError):  # results that are there outlive their data
         return {}
     name = str(scene.options.get("scene") or scene.labels.name)
-    known = standing(LabelledFrames(scene.format, name, asked, list(frames), sizes))
-    return {} if known is None else asdict(known)
+    published = standing(LabelledFrames(scene.format, name, queries, list(frames), sizes))
+    return {} if published is None else asdict(published)

@@ -20,7 +20,7 @@ from prefect.states import State
 from flows import corpus
 from flows.config import RetrainSettings, Training
 from flows.history import History, first_names
-from flows.read_config import settled
+from flows.read_config import resolve_encoder
 from flows.runners.batches import Outcome
 from flows.runners.session import check_folder, completed, run_session
 from flows.training import Parted, parted, read_lessons, train_on
@@ -61,7 +61,7 @@ NO_NETWORK = {"hard": "no network (hard)", "filled": "no network (filled)"}
 
 @dataclass(frozen=True)
 class Retraining:
-    """What came of a retraining.
+    """Result of a retraining.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Retraining:
 
 @dataclass(frozen=True, eq=False)
 class Learnt:
-    """What came of learning.
+    """Result of learning.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
     InputError
         As :func:`flows.corpus.supervise` and :func:`learn`; record and artifact say so first.
     """
-    config = settled(config)
+    config = resolve_encoder(config)
     check_folder(config.out)
     try:
         with hold_lock(config.out / LOCK, "retrain"), hold_lock(config.models / LOCK, "retrain"):
@@ -159,16 +159,19 @@ def _learn_what_is_new(
 ) -> pa.Table:
     """Take the steps of a retraining, put down in its record; returns the clips that there are."""
     prepared = corpus.supervise(config, store, verbose)
-    before, left_out_before = history.known()
+    before, left_out_before = history.previous()
     clips = clips_of(read_table(config.out / corpus.FILES["views"]))
     left_out = {failure.scene: failure.reason for failure in prepared.failures}
-    found = changes(before, clips, left_out.keys())
-    record["changes"] = {kind: first_names(names) for kind, names in asdict(found).items()}
+    changed_clips = changes(before, clips, left_out.keys())
+    record["changes"] = {kind: first_names(names) for kind, names in asdict(changed_clips).items()}
     new = sorted(left_out.keys() - left_out_before)
     record["left out"] = sorted(left_out)
     record["newly left out"] = {name: left_out[name] for name in first_names(new)["first"]}
     record["drift"] = [
-        asdict(one) for one in drift(before, _clips_named(clips, {*found.arrived, *found.changed}))
+        asdict(measurement)
+        for measurement in drift(
+            before, _clips_named(clips, {*changed_clips.arrived, *changed_clips.changed})
+        )
     ]
 
     lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
@@ -189,12 +192,12 @@ def _learn_what_is_new(
     if used is not None and (gone := forgotten_by(versions, used, clips, left_out.keys())):
         messages.append(
             f"{called(used.number)}, in use, has learnt what was withdrawn or changed since: "
-            f"{few(gone)}; {end}"
+            f"{shorten(gone)}; {end}"
         )
     if new:
         name = new[0]
         messages.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
-    drifted = [one["measure"] for one in record["drift"] if one["drifted"]]
+    drifted = [measurement["measure"] for measurement in record["drift"] if measurement["drifted"]]
     if drifted:
         messages.append(f"what arrived differs from what there was in {', '.join(drifted)}")
     record |= {"outcome": _outcome(learnt, bool(new)), "messages": messages}
@@ -239,8 +242,8 @@ def learn(
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
     lessons = parted(table, settings.held_out)
-    about = _about(settings, lessons)
-    if history and about["asked"] == history[-1].facts.get("asked"):
+    description = _about(settings, lessons)
+    if history and description["asked"] == history[-1].facts.get("asked"):
         used = called(0 if incumbent is None else incumbent.number)
         return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
     start, rivals = None, dict(NO_NETWORK)
@@ -251,17 +254,17 @@ def learn(
         rivals = {"before": called(incumbent.number), **rivals}
         if clips is not None:
             forgotten = forgotten_by(versions, incumbent, clips, failed)
-    given = settings.codes, settings.seed, None if forgotten else start, store, verbose
-    trained = train_on(lessons, settings, *given, rival=start)
+    arguments = settings.codes, settings.seed, None if forgotten else start, store, verbose
+    trained = train_on(lessons, settings, *arguments, rival=start)
     trained.write(settings.out, store, before)
     judgements = trained.judgements
-    found = gate(judgements, rivals)
-    facts = {**about, "scores": _scores(judgements), "forgotten": list(forgotten)}
+    decision = gate(judgements, rivals)
+    facts = {**description, "scores": _scores(judgements), "forgotten": list(forgotten)}
     added = versions.add(
         trained.weights,
         facts,
-        found.better,
-        found.why,
+        decision.better,
+        decision.why,
         None if forgotten else incumbent,
         BY,
         rival=incumbent,
@@ -274,7 +277,7 @@ def learn(
     if incumbent is not None and forgotten:
         anew = (
             f"; trained anew, as {called(incumbent.number)} has learnt what was withdrawn or "
-            f"changed since: {few(forgotten)}"
+            f"changed since: {shorten(forgotten)}"
         )
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
     return Learnt(
@@ -291,15 +294,15 @@ def forgotten_by(
     """The clips that a version has learnt and that are no more, or are others now, sorted."""
     gone: set[str] = set()
     for learnt in versions.learnt(version):
-        found = changes(learnt, clips, failed)
-        gone.update(found.withdrawn, found.changed)
+        changed_clips = changes(learnt, clips, failed)
+        gone.update(changed_clips.withdrawn, changed_clips.changed)
     return tuple(sorted(gone))
 
 
-def few(names: Sequence[str]) -> str:
+def shorten(names: Sequence[str]) -> str:
     """Some names in words, and how many more there are."""
-    more = f" and {len(names) - FEW} more" if len(names) > FEW else ""
-    return f"{', '.join(names[:FEW])}{more}"
+    rest = f" and {len(names) - FEW} more" if len(names) > FEW else ""
+    return f"{', '.join(names[:FEW])}{rest}"
 
 
 def _clips_named(clips: pa.Table, names: Collection[str]) -> pa.Table:
@@ -307,9 +310,9 @@ def _clips_named(clips: pa.Table, names: Collection[str]) -> pa.Table:
 
 
 def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:
-    given = settings.model_dump(mode="json", include=set(ASKED))
+    values = settings.model_dump(mode="json", include=set(ASKED))
     digests = {name: table_digest(table) for name, table in vars(lessons).items()}
-    return {"asked": {**given, "lessons": digests}, "counts": lessons.counts()}
+    return {"asked": {**values, "lessons": digests}, "counts": lessons.counts()}
 
 
 def _check_share(settings: RetrainSettings, incumbent: Version) -> None:

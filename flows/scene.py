@@ -61,15 +61,15 @@ def answer_scene(
     Returns the refs of sample, truth, Gaussians, label maps and field.
     """
     sample = ingest(photographs)
-    known = truth(sample, labels.of_views(sample.meta["targets"]))
+    scene_truth = truth(sample, labels.of_views(sample.meta["targets"]))
     gaussians = geometry(sample, method.predictor, method.seed, trust_cameras)
     ids = masks(sample, gaussians, method.proposer, method.tracker, method.replicas, method.votes)
     bank = supervision(
         sample, gaussians, ids, method.encoder, method.codes, method.seed, method.bank
     )
     built = field(sample, gaussians, ids, bank, method)
-    benchmark(sample, known, gaussians, ids, built, method.encoder, settings)
-    return sample, known, gaussians, ids, built
+    benchmark(sample, scene_truth, gaussians, ids, built, method.encoder, settings)
+    return sample, scene_truth, gaussians, ids, built
 
 
 def score_baseline(
@@ -91,8 +91,8 @@ def score_baseline(
 
 def check_numerics() -> None:
     """Measure the hard cases of the machine that works, unless it or one of its kind has."""
-    known = {"processor_name": threads.processor(), "code": threads.kernel_folder().name}
-    numerics(threads.kernels() | known)
+    machine = {"processor_name": threads.processor(), "code": threads.kernel_folder().name}
+    numerics(threads.kernels() | machine)
 
 
 def scene_task(settings: Settings, method: Method, scene: SceneSettings) -> SceneTask:
@@ -171,10 +171,10 @@ def baseline_tasks(
     """Return a task for each baseline and scene that has ``refs`` of its stages."""
     scene_tasks = []
     for scene in (scene for scene in scenes if scene.name in refs):
-        asked = evaluation(settings, scene)
+        scene_settings = evaluation(settings, scene)
         for name, row in chosen_baselines(settings.against).items():
-            rules = replace(asked.rules, **row.rules)
-            changed = replace(asked, method=name, rules=rules, drawn=False)
+            rules = replace(scene_settings.rules, **row.rules)
+            changed = replace(scene_settings, method=name, rules=rules, drawn=False)
             baseline = row.method, dict(row.settings), row.brought_by
             arguments = dict(refs[scene.name]), method, changed, *baseline
             task_name = method_task_name(scene.name, name)

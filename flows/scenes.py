@@ -25,8 +25,8 @@ def seeds(text: str, source: str) -> range:
     InputError
         If it is neither, or there is none; the sentence begins with ``source``.
     """
-    found = _SEEDS.fullmatch(text)
-    first, last = (int(found[1]), int(found[2] or found[1])) if found else (1, 0)
+    match = _SEEDS.fullmatch(text)
+    first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
     if first > last:
         raise InputError(f"{source}: found no seeds in {text!r}; expected FIRST-LAST, as 0-39")
     return range(first, last + 1)
@@ -88,35 +88,39 @@ def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]
     if index.format is None and settings.labels is None:
         raise InputError(f"{settings.pairs}: does not say where its labels are; give their folder")
     format = index.format or settings.format or "nerfstudio"
-    said = []
+    messages = []
     if index.left_out:
         name, reason = next(iter(index.left_out.items()))
-        said.append(f"left out by the index: {len(index.left_out)}, such as {name}: {reason}")
+        messages.append(f"left out by the index: {len(index.left_out)}, such as {name}: {reason}")
     pairs = index.pairs
     if format == "re10k":
-        there = datasets.scenes(format, settings.data)
-        pairs = tuple(pair for pair in pairs if pair.options.get("key") in there)
+        available = datasets.scenes(format, settings.data)
+        pairs = tuple(pair for pair in pairs if pair.options.get("key") in available)
         if len(pairs) < len(index.pairs):
             gone = len(index.pairs) - len(pairs)
-            said.append(f"not in {settings.data}: {gone} of the {len(index.pairs)} clips")
+            messages.append(f"not in {settings.data}: {gone} of the {len(index.pairs)} clips")
     tried = (_scene(pair, format, settings.data, settings.labels) for pair in pairs)
     scenes = [scene for scene in tried if scene is not None]
     if len(scenes) < len(pairs):
-        said.append(f"without labels: {len(pairs) - len(scenes)} of the {len(pairs)} clips there")
+        messages.append(
+            f"without labels: {len(pairs) - len(scenes)} of the {len(pairs)} clips there"
+        )
     if not scenes:
-        raise InputError(f"{settings.pairs}: nothing of it can be scored ({'; '.join(said)})")
-    return scenes, said
+        raise InputError(f"{settings.pairs}: nothing of it can be scored ({'; '.join(messages)})")
+    return scenes, messages
 
 
-def _scene(pair: ScenePair, format: str, data: Path, own: Path | None) -> SceneSettings | None:
+def _scene(
+    pair: ScenePair, format: str, data: Path, label_folder: Path | None
+) -> SceneSettings | None:
     """The scene of a pair; None if labels are given, but none of what it asks is labelled."""
     targets, categories = list(pair.targets), list(pair.categories)
-    place = (own or data) / pair.labels
-    labels = place if categories or own is not None else None
-    if not categories and own is not None:
-        known = labelled_frames(place) if place.is_dir() else {}
-        targets = [name for name in targets if name in known]
-        categories = list(dict.fromkeys(c for name in targets for c in known[name]))
+    place = (label_folder or data) / pair.labels
+    labels = place if categories or label_folder is not None else None
+    if not categories and label_folder is not None:
+        frames = labelled_frames(place) if place.is_dir() else {}
+        targets = [name for name in targets if name in frames]
+        categories = list(dict.fromkeys(c for name in targets for c in frames[name]))
         if not categories:
             return None
     folder = data.resolve()

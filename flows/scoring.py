@@ -35,12 +35,12 @@ from slgaussian.errors import InputError
 
 @dataclass(frozen=True)
 class Scores:
-    """What was scored: results by scene and method, without masks, and what is to be said."""
+    """Results by scene and method, without masks, and messages for the user."""
 
     results: list[SceneResult]
     predictions: Predictions
     tally: Tally
-    said: list[str]
+    messages: list[str]
 
 
 def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) -> Scores:
@@ -70,44 +70,46 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
             f"{out}: holds what a run left, whose scores would be replaced; choose another folder "
             "with -o"
         )
-    given = read_predictions(place, protocols)
-    chosen = [load_protocol(name) for name in dict.fromkeys(protocols or given.protocols)]
+    predictions = read_predictions(place, protocols)
+    chosen = [load_protocol(name) for name in dict.fromkeys(protocols or predictions.protocols)]
     by_labels = settings.data and settings.pairs is None and settings.rooms is None
-    scenes, said = ([], []) if by_labels else scenes_of(settings)
+    scenes, messages = ([], []) if by_labels else scenes_of(settings)
     judged = _by_labels(settings) if by_labels else _by_scenes(settings, scenes)
     tally, results, masks = Tally(), [], []
-    for result in score_predictions(given, judged, chosen, tally):
+    for result in score_predictions(predictions, judged, chosen, tally):
         masks.append({key: encode_png(mask) for key, mask in result.predictions.items()})
         results.append(replace(result, predictions={}))
     if not tally.used:
-        listed = ", ".join(tally.unused(given)[:3])
+        listed = ", ".join(tally.unused(predictions)[:3])
         raise InputError(
-            f"{given.place}: no mask is of what is asked (found {listed}); name scenes, frames and "
-            "queries as the data and labels do"
+            f"{predictions.place}: no mask is of what is asked (found {listed}); name scenes, "
+            "frames and queries as the data and labels do"
         )
     check_folder(out)
     rows = [row for result in results for row in result.rows]
-    kept = [
+    selected = [
         row
-        for result, own in zip(results, masks, strict=True)
+        for result, predicted in zip(results, masks, strict=True)
         for row in result.rows
-        if (row["protocol"], row["frame"], row["query"]) in own
+        if (row["protocol"], row["frame"], row["query"]) in predicted
     ]
-    clear_predictions(kept, out)
-    for result, own in zip(results, masks, strict=True):
-        write_predictions(result.rows, own, out / "predictions")
+    clear_predictions(selected, out)
+    for result, predicted in zip(results, masks, strict=True):
+        write_predictions(result.rows, predicted, out / "predictions")
     write_samples(rows, out)
     names = "scene", "frame", "query", "method"
-    asked = {tuple(row[name] for name in names): row for row in rows}
-    write_costs([{**asked[key], "query_seconds": s} for key, s in tally.seconds.items()], out)
-    return Scores(results, given, tally, said)
+    rows_by_query = {tuple(row[name] for name in names): row for row in rows}
+    write_costs(
+        [{**rows_by_query[key], "query_seconds": s} for key, s in tally.seconds.items()], out
+    )
+    return Scores(results, predictions, tally, messages)
 
 
 def _by_scenes(settings: Settings, scenes: Sequence[SceneSettings]) -> Iterator[JudgedScene]:
     for scene in scenes:
-        asked = evaluation(settings, scene)
+        scene_settings = evaluation(settings, scene)
         truth = labels(scene).read(photographs(settings, scene).read())
-        yield JudgedScene(scene.name, asked.dataset, asked.place, truth)
+        yield JudgedScene(scene.name, scene_settings.dataset, scene_settings.place, truth)
 
 
 def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
@@ -117,15 +119,17 @@ def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
         raise InputError("data is missing; give the folder of the photographs with --data")
     folder = data.resolve()
     dataset = (folder.parent if folder.is_file() else folder).name
-    found = list(label_places(data, settings.labels, format))
-    if not found:
+    places = list(label_places(data, settings.labels, format))
+    if not places:
         raise InputError(f"{settings.labels or data}: found no labels; give their folder")
-    for name, options, place in found:
+    for name, options, place in places:
         scene = datasets.load(format, data, **options)
-        known = labelled_frames((settings.labels or data) / place)
-        frames = [frame for frame, texts in known.items() if texts]
+        texts_of_frame = labelled_frames((settings.labels or data) / place)
+        frames = [frame for frame, texts in texts_of_frame.items() if texts]
         truth = Truth({}, {})
         for frame, view in zip(frames, scene.views(frames, judged_at(settings.size)), strict=True):
-            own = read_truth((settings.labels or data) / place, known[frame], [view])
-            truth = Truth({**truth.masks, **own.masks}, {**truth.boxes, **own.boxes})
+            view_truth = read_truth(
+                (settings.labels or data) / place, texts_of_frame[frame], [view]
+            )
+            truth = Truth({**truth.masks, **view_truth.masks}, {**truth.boxes, **view_truth.boxes})
         yield JudgedScene(name, dataset, None, truth)

@@ -54,26 +54,26 @@ def write_shards(
         If something cannot be written.
     """
     rows: dict[str, dict[str, Any]] = {}
-    wanted = {one.name: one for one in finished}
+    wanted = {item.name: item for item in finished}
     before = _index(out)
-    for shard, own in before.items():
-        if _is_kept(out / shard, own, wanted):
-            rows |= {row["sample"]: row for row in own}
-    kept = {row["shard"] for row in rows.values()}
+    for shard, shard_rows in before.items():
+        if _is_kept(out / shard, shard_rows, wanted):
+            rows |= {row["sample"]: row for row in shard_rows}
+    reused = {row["shard"] for row in rows.values()}
     new = 0
-    for split in sorted({one.split for one in finished}):
+    for split in sorted({item.split for item in finished}):
         numbers = [int(name[len(split) + 1 : -4]) for name in before if name.startswith(split)]
-        left = [one for one in finished if one.split == split and one.name not in rows]
+        left = [item for item in finished if item.split == split and item.name not in rows]
         for number, batch in enumerate(_batches(left, shard_bytes), max(numbers, default=-1) + 1):
             shard = f"{split}-{number:06d}.tar"
             rows |= {row["sample"]: row for row in _write(out / shard, batch, store)}
             new += 1
     spec = load_spec("training_set")
-    table = [_row(one, rows[one.name], spec.schema.names) for one in finished]
+    table = [_row(item, rows[item.name], spec.schema.names) for item in finished]
     table.sort(key=lambda row: (row["shard"], row["offset"]))
     data = encode_table(pa.Table.from_pylist(table, schema=spec.schema), spec)
     write_atomic(out / INDEX, data)
-    for shard in before.keys() - kept:
+    for shard in before.keys() - reused:
         with suppress(FileNotFoundError):
             (out / shard).unlink()
     shards = {row["shard"] for row in table}
@@ -87,14 +87,14 @@ def _index(out: Path) -> dict[str, list[dict[str, Any]]]:
         rows = decode_table(data, load_spec("training_set"), str(out / INDEX), ANEW).to_pylist()
     except (FileNotFoundError, SpecError):
         return {}
-    found: dict[str, list[dict[str, Any]]] = {}
+    rows_by_shard: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
-        found.setdefault(row["shard"], []).append(row)
-    return found
+        rows_by_shard.setdefault(row["shard"], []).append(row)
+    return rows_by_shard
 
 
 def _is_kept(file: Path, rows: Sequence[Mapping[str, Any]], wanted: Mapping[str, Finished]) -> bool:
-    """Whether all that is in a shard is wanted as it is, and is what the index says."""
+    """Return whether all samples of a shard are wanted unchanged, and is what the index says."""
     if not all(
         row["sample"] in wanted
         and row["split"] == wanted[row["sample"]].split
@@ -113,13 +113,13 @@ def _is_kept(file: Path, rows: Sequence[Mapping[str, Any]], wanted: Mapping[str,
         return False
 
 
-def _batches(finished: Sequence[Finished], most: int) -> Iterator[list[Finished]]:
+def _batches(finished: Sequence[Finished], limit: int) -> Iterator[list[Finished]]:
     batch: list[Finished] = []
     size = 0
-    for one in finished:
-        batch.append(one)
-        size += one.ref.meta["length"]
-        if size >= most:
+    for item in finished:
+        batch.append(item)
+        size += item.ref.meta["length"]
+        if size >= limit:
             yield batch
             batch, size = [], 0
     if batch:
@@ -130,18 +130,18 @@ def _write(file: Path, batch: Sequence[Finished], store: ArtifactStore) -> list[
     """Write a shard, one sample in memory at a time; return where in it each lies."""
     offset, places = 0, []
     with atomic_path(file) as name, open(name, "wb") as shard:
-        for one in batch:
-            shard.write(store.get(one.ref)["tar"].tobytes())
-            size, digest = one.ref.meta["length"], one.ref.meta["sha256"]
+        for item in batch:
+            shard.write(store.get(item.ref)["tar"].tobytes())
+            size, digest = item.ref.meta["length"], item.ref.meta["sha256"]
             place = {"shard": file.name, "offset": offset, "bytes": size, "digest": digest}
-            places.append({"sample": one.name, **place})
+            places.append({"sample": item.name, **place})
             offset += size
         shard.write(END)
     return places
 
 
-def _row(one: Finished, place: Mapping[str, Any], columns: Sequence[str]) -> dict[str, Any]:
+def _row(item: Finished, place: Mapping[str, Any], columns: Sequence[str]) -> dict[str, Any]:
     """A row of the index: where it lies, and what is known of it."""
-    known = {**one.ref.meta["about"], "place": one.place, "split": one.split}
-    known |= {name: place[name] for name in ("shard", "offset", "bytes", "digest")}
-    return {name: known[name] for name in columns}
+    values = {**item.ref.meta["about"], "place": item.place, "split": item.split}
+    values |= {name: place[name] for name in ("shard", "offset", "bytes", "digest")}
+    return {name: values[name] for name in columns}

@@ -65,8 +65,8 @@ class Combination:
         if not scene.targets:
             raise InputError(f"scene {scene.name!r}: has no targets to compare numbers of views at")
         paths = [] if scene.path is None else [scene.path]
-        known = datasets.load(scene.format, *paths, **scene.options)
-        context = context_views.context_of(known, scene.context, scene.targets, self.views)
+        scene_data = datasets.load(scene.format, *paths, **scene.options)
+        context = context_views.context_of(scene_data, scene.context, scene.targets, self.views)
         return scene.model_copy(update={"context": list(context)})
 
 
@@ -85,13 +85,13 @@ def combinations(settings: Settings) -> list[Combination]:
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"sweep: {name!r} is named twice; give all its values at once")
-    made = []
+    variants = []
     for values in product(*(values for _, values in axes)):
         fields = dict(zip(names, values, strict=True))
-        one = _combination(settings, fields)
-        if one.views is not None or _outcome(one.settings) != _outcome(settings):
-            made.append(one)
-    return made if axes else []
+        variant = _combination(settings, fields)
+        if variant.views is not None or _outcome(variant.settings) != _outcome(settings):
+            variants.append(variant)
+    return variants if axes else []
 
 
 def sweep_tasks(
@@ -99,18 +99,24 @@ def sweep_tasks(
 ) -> tuple[dict[tuple[str, str], SceneTask], list[Failure]]:
     """Return a task for each scene and combination, by both names, and what cannot be tried."""
     scene_tasks, failures = {}, []
-    for one in variants:
+    for variant in variants:
         for scene in scenes:
-            called = method_task_name(scene.name, one.name)
+            called = method_task_name(scene.name, variant.name)
             try:
-                changed = one.of(scene)
+                changed = variant.of(scene)
             except InputError as error:
                 failures.append(Failure(called, VIEWS, type(error).__name__, str(error)))
                 continue
-            asked = replace(evaluation(one.settings, scene), method=one.name, drawn=False)
-            read = photographs(one.settings, changed), labels(changed), one.settings.built_by
-            arguments = *read, one.settings.trust_cameras, asked
-            scene_tasks[scene.name, one.name] = SceneTask(called, answer_scene, arguments)
+            scene_settings = replace(
+                evaluation(variant.settings, scene), method=variant.name, drawn=False
+            )
+            read = (
+                photographs(variant.settings, changed),
+                labels(changed),
+                variant.settings.built_by,
+            )
+            arguments = *read, variant.settings.trust_cameras, scene_settings
+            scene_tasks[scene.name, variant.name] = SceneTask(called, answer_scene, arguments)
     return scene_tasks, failures
 
 
@@ -141,9 +147,9 @@ def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
         elif field in MethodSettings.model_fields:
             changes[field] = value
         else:
-            known = (VIEWS, PRESET, *MethodSettings.model_fields, *(f"{t}." for t in TABLES))
+            valid = (VIEWS, PRESET, *MethodSettings.model_fields, *(f"{t}." for t in TABLES))
             raise InputError(
-                f"sweep: found no setting {field!r}{did_you_mean(field, known)}; expected one of "
+                f"sweep: found no setting {field!r}{did_you_mean(field, valid)}; expected one of "
                 f"the method's, as in a configuration file, or views or preset"
             )
     base = settings.model_dump()

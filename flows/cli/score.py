@@ -43,7 +43,7 @@ def score(
 
     scores = scoring.score(settings, predictions, protocols or [], out)
     rows = [row for result in scores.results for row in result.rows]
-    notes, tally = [*scores.said], scores.tally
+    notes, tally = [*scores.messages], scores.tally
     if tally.missing:
         notes.append(
             f"missing: {len(tally.missing)} of {tally.asked} samples have no mask and count as an "

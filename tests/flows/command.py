@@ -103,11 +103,11 @@ def two_walls(folder: Path) -> Path:
     )
     image = np.rint(color.reshape(32, 48, 3) * 255).astype(np.uint8)
     masks = np.stack([is_red.reshape(32, 48), ~is_red.reshape(32, 48)])
-    seen = load_encoder("lexicon").encode_regions(image, masks)
+    view = load_encoder("lexicon").encode_regions(image, masks)
     bank = MemoryBank(
         np.array([1, 2], np.int32),
         codes,
-        np.stack([seen, seen], 1).astype(np.float32),
+        np.stack([view, view], 1).astype(np.float32),
         np.ones((2, 2), bool),
     )
     SemanticField(gaussians, bank, cameras, {"encoder": "lexicon"}).save(folder)
@@ -119,6 +119,6 @@ def transforms(folder, shift=0.0) -> Path:
     pose = np.diag([1.0, -1, -1, 1])  # OpenGL's axes
     pose[0, 3] = shift
     frame = {"file_path": "new/007.png", "transform_matrix": pose.tolist()}
-    about = {"fl_x": 80, "cx": 48, "cy": 32, "w": 96, "h": 64, "frames": [frame]}
-    (folder / "transforms.json").write_text(json.dumps(about))
+    info = {"fl_x": 80, "cx": 48, "cy": 32, "w": 96, "h": 64, "frames": [frame]}
+    (folder / "transforms.json").write_text(json.dumps(info))
     return folder / "transforms.json"

@@ -28,7 +28,9 @@ for pages_left in (0, 12, None):
     outcome = run_tiny(store, three_scenes(disk.parent / "log"), 1)
     told.append(
         {
-            "refs": {s: {k: r.digest for k, r in made.items()} for s, made in outcome.refs.items()},
+            "refs": {
+                s: {k: r.digest for k, r in output.items()} for s, output in outcome.refs.items()
+            },
             "failures": [failure.reason for failure in outcome.failures],
             "unfinished": [str(file) for file in disk.rglob("*.tmp")],
         }

@@ -16,8 +16,8 @@ def calls_of(scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch) -> dict[str
     def called(stage: Stage, *args, **kwargs) -> ArtifactRef:
         bound = stage.signature.bind(None, *args, **kwargs)
         bound.apply_defaults()
-        _, *given = bound.arguments.items()
-        calls[stage.name] = dict(given)
+        _, *inputs = bound.arguments.items()
+        calls[stage.name] = dict(inputs)
         return ArtifactRef(stage.name, f"{stage.name}/x", "x", {"targets": []})
 
     with monkeypatch.context() as patch:

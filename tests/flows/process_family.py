@@ -20,22 +20,22 @@ def below(process: int) -> dict[int, str]:
         if (fields := stat_of(number)) is not None:
             children[int(fields[1])].append(number)
             begun[number] = fields[19]
-    found, waiting = {}, [process]
+    result, waiting = {}, [process]
     while waiting:
         for child in children[waiting.pop()]:
-            found[child] = begun[child]
+            result[child] = begun[child]
             waiting.append(child)
-    return found
+    return result
 
 
 def living(processes: dict[int, str]) -> list[str]:
     """Those of :func:`below` that live still: their command lines."""
-    found = []
+    result = []
     for number, begun in processes.items():
         fields = stat_of(number)
         if fields is not None and fields[19] == begun and fields[0] not in "ZX":
-            found.append((PROC / f"{number}/cmdline").read_bytes().replace(b"\0", b" ").decode())
-    return found
+            result.append((PROC / f"{number}/cmdline").read_bytes().replace(b"\0", b" ").decode())
+    return result
 
 
 def listening(process: int) -> list[tuple[str, str]]:
@@ -43,16 +43,16 @@ def listening(process: int) -> list[tuple[str, str]]:
 
     All of it, and not only what was meant.
     """
-    own = set()
+    local = set()
     for entry in (PROC / f"{process}/fd").iterdir():
         with suppress(FileNotFoundError):  # closed meanwhile
-            found = re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry))
-            own |= {found[1]} if found else set()
+            result = re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry))
+            local |= {result[1]} if result else set()
     places = []
     for table in ("tcp", "tcp6", "udp", "udp6"):
         for line in (PROC / f"{process}/net/{table}").read_text().splitlines()[1:]:
             words = line.split()
-            if words[9] in own and (words[3] == LISTENING or table.startswith("udp")):
+            if words[9] in local and (words[3] == LISTENING or table.startswith("udp")):
                 places.append((table, words[1]))
     return places
 

@@ -157,11 +157,11 @@ def test_field_ends_in_one_sentence_and_writes_nothing(
     folder = rooms[damage]
     photos = [folder / "images/view_00.png", folder / LAST]
     status = build(monkeypatch, *photos, "--cameras", folder, "-o", tmp_path / "field")
-    said = [line for line in capsys.readouterr().err.splitlines() if "building" not in line]
+    message = [line for line in capsys.readouterr().err.splitlines() if "building" not in line]
     assert status == 2
-    assert len(said) == 1
-    assert said[0].startswith("error: ")
-    assert BAD[damage][1] in said[0]
+    assert len(message) == 1
+    assert message[0].startswith("error: ")
+    assert BAD[damage][1] in message[0]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -178,14 +178,14 @@ def test_in_a_batch_only_the_bad_scenes_are_lost(room, rooms, tmp_path, server):
     finished = score(make_settings(values, "test"), store)
     assert [result.scene for result in finished.results] == ["good"]
     rows = pq.read_table(tmp_path / "out" / "failures.parquet").to_pylist()
-    found = {row["scene"]: row for row in rows}
-    assert set(found) == {scene["name"] for scene in scenes} - {"good"}
+    results = {row["scene"]: row for row in rows}
+    assert set(results) == {scene["name"] for scene in scenes} - {"good"}
     for damage, (stage, sentence) in BAD.items():
-        assert found[damage.__name__]["stage"] == stage
-        assert sentence in found[damage.__name__]["reason"]
+        assert results[damage.__name__]["stage"] == stage
+        assert sentence in results[damage.__name__]["reason"]
     assert not any("unexpected" in row["reason"] for row in rows)
-    assert "missing a required argument: 'path'" in found["nowhere"]["reason"]
-    assert "it takes nothing" in found["strange"]["reason"]
+    assert "missing a required argument: 'path'" in results["nowhere"]["reason"]
+    assert "it takes nothing" in results["strange"]["reason"]
 
     # Once no scene is good any more, the page of the good one does not stay behind.
     values["scenes"] = scenes[-1:]
@@ -217,5 +217,5 @@ def test_photographs_of_one_name_are_told_apart_by_their_folders(room, tmp_path,
     monkeypatch.chdir(tmp_path)
     photos = [tmp_path / "left" / "ä 1.png", "right/ä 1.png"]
     assert build(monkeypatch, *photos, "--cameras", ".", "-o", "new/folder/field") == 0
-    about = json.loads((tmp_path / "new/folder/field/field.json").read_text())
-    assert list(about["cameras"]) == ["left/ä 1", "right/ä 1"]
+    info = json.loads((tmp_path / "new/folder/field/field.json").read_text())
+    assert list(info["cameras"]) == ["left/ä 1", "right/ä 1"]

@@ -23,11 +23,11 @@ class Runs:
     def __init__(self, store, folder):
         self.store, self.log = store, folder / "log"
 
-    def __call__(self, a=6, b=20, more=1):
+    def __call__(self, a=6, b=20, extra=1):
         self.log.write_text("")
         scenes = {
-            "a": tiny(a, more, self.log),
-            "b": tiny(b, more, self.log),
+            "a": tiny(a, extra, self.log),
+            "b": tiny(b, extra, self.log),
         }
         outcome = run_tiny(self.store, scenes)
         assert outcome.failures == []
@@ -42,8 +42,8 @@ def runs(store, tmp_path):
 def files_of(store: ArtifactStore) -> dict[str, bytes]:
     """The artifacts, without the records, which hold times, and Prefect's own."""
     root = Path(store.path)
-    kept = (p for p in sorted(root.rglob("*")) if p.is_file())
-    named = ((str(p.relative_to(root)), p) for p in kept)
+    stored = (p for p in sorted(root.rglob("*")) if p.is_file())
+    named = ((str(p.relative_to(root)), p) for p in stored)
     return {n: p.read_bytes() for n, p in named if not n.startswith(("keys/", ".prefect/"))}
 
 
@@ -60,8 +60,8 @@ def test_a_second_run_computes_nothing_and_gives_the_same_refs(runs):
 
 def test_a_setting_recomputes_only_what_depends_on_it(runs):
     runs()
-    assert runs(more=2)[1] == ["a add", "b add"]
-    assert runs(b=80, more=2)[1] == ["b add", "b halve", "b make"]
+    assert runs(extra=2)[1] == ["a add", "b add"]
+    assert runs(b=80, extra=2)[1] == ["b add", "b halve", "b make"]
 
 
 def test_an_unchanged_output_stops_the_recomputation_there(runs):
@@ -73,17 +73,17 @@ def test_an_unchanged_output_stops_the_recomputation_there(runs):
 def test_only_a_lost_or_damaged_artifact_is_made_again(runs, store, damage):
     outcome, _ = runs()
     path = Path(store.path) / outcome.refs["b"]["halve"].uri
-    whole = path.read_bytes()
+    full = path.read_bytes()
     if damage == "delete":
         path.unlink()
     elif damage == "cut":
-        path.write_bytes(whole[: len(whole) // 2])
+        path.write_bytes(full[: len(full) // 2])
     else:
-        path.write_bytes(whole[:100] + bytes([whole[100] ^ 1]) + whole[101:])
-    again, ran = runs()
+        path.write_bytes(full[:100] + bytes([full[100] ^ 1]) + full[101:])
+    rerun, ran = runs()
     assert ran == ["b halve"]
-    assert again.refs == outcome.refs
-    assert path.read_bytes() == whole
+    assert rerun.refs == outcome.refs
+    assert path.read_bytes() == full
 
 
 def test_a_raised_version_recomputes_the_stage(runs, monkeypatch):
@@ -98,8 +98,8 @@ def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
     log = tmp_path / "log"
     first = run_tiny(store, {"a": tiny(6, 1, log)})
     log.write_text("")
-    again = run_tiny(store, {"a": tiny(6, 1, log)}, refresh=("halve",))
-    assert log.read_text().splitlines() == ["a halve", "a add"] and again.refs == first.refs
+    rerun = run_tiny(store, {"a": tiny(6, 1, log)}, refresh=("halve",))
+    assert log.read_text().splitlines() == ["a halve", "a add"] and rerun.refs == first.refs
     log.write_text("")
     run_tiny(store, {"a": tiny(6, 1, log)})
     assert log.read_text() == ""
@@ -134,8 +134,8 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
         "unkeyable": ({1, 2}, 1, {}),
         "fine": tiny(6, 1, log),
     }
-    seen = io.StringIO()
-    outcome = run_tiny(store, scenes, stream=seen)
+    view = io.StringIO()
+    outcome = run_tiny(store, scenes, stream=view)
     assert sorted(outcome.refs) == ["fine", "good"]
     rows = {row["scene"]: row for row in failures_table(outcome.failures).to_pylist()}
     assert rows["bad"] == {
@@ -146,10 +146,10 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     }
     assert rows["defect"]["reason"] == "unexpected ZeroDivisionError: a defect"
     assert "value: set {1, 2} cannot be part of a cache key" in rows["unkeyable"]["reason"]
-    assert "bad  left out at make: value -1" in seen.getvalue()
-    assert "Traceback" not in seen.getvalue()
-    kept = store.put("failures", failures_table(outcome.failures))
-    assert table_digest(store.get(kept)) == kept.digest
+    assert "bad  left out at make: value -1" in view.getvalue()
+    assert "Traceback" not in view.getvalue()
+    stored = store.put("failures", failures_table(outcome.failures))
+    assert table_digest(store.get(stored)) == stored.digest
 
 
 def test_a_failed_stage_is_tried_again_next_time(store, tmp_path):
@@ -182,7 +182,7 @@ def test_prefect_is_told_which_stages_were_found_in_the_store(runs, monkeypatch)
         for name in ("make", "halve", "add")
     )
     states.clear()
-    runs(more=2)
+    runs(extra=2)
     assert sorted(states) == sorted(
         (name, f"{name} of {scene}", state)
         for scene in "ab"
@@ -198,19 +198,19 @@ def test_an_artifact_that_is_damaged_while_a_run_is_on_is_made_again_and_counted
     log, halved = tmp_path / "log", tiny_stages.halve.compute
     spoilt = []
 
-    def spoil(run, made, where):
+    def spoil(run, output, mask):
         if not spoilt:
-            spoilt.append(made.uri)
-            (Path(store.path) / made.uri).write_bytes(b"spoilt")
-        return halved(run, made, where)
+            spoilt.append(output.uri)
+            (Path(store.path) / output.uri).write_bytes(b"spoilt")
+        return halved(run, output, mask)
 
     monkeypatch.setattr(tiny_stages.halve, "compute", spoil)
-    told = Progress(1, 3, stream=io.StringIO())
-    outcome = run_tiny(store, {"a": tiny(6, 1, log)}, progress=told)
+    report = Progress(1, 3, stream=io.StringIO())
+    outcome = run_tiny(store, {"a": tiny(6, 1, log)}, progress=report)
     assert outcome.failures == [] and list(outcome.refs["a"]) == ["make", "halve", "add"]
     assert log.read_text().split("\n")[:-1] == ["a make", "a halve", "a make", "a halve", "a add"]
-    assert told.steps == told.total == 3
-    assert "a  make  again: its artifact was damaged" in told.console.file.getvalue()
+    assert report.steps == report.total == 3
+    assert "a  make  again: its artifact was damaged" in report.console.file.getvalue()
     assert store.get(outcome.refs["a"]["make"])["labels"].max() == 6
 
 
@@ -219,9 +219,9 @@ def test_what_is_damaged_again_and_again_fails_the_scene(store, tmp_path, monkey
 
     halved = tiny_stages.halve.compute
 
-    def spoil(run, made, where):
-        (Path(store.path) / made.uri).write_bytes(b"spoilt")
-        return halved(run, made, where)
+    def spoil(run, output, mask):
+        (Path(store.path) / output.uri).write_bytes(b"spoilt")
+        return halved(run, output, mask)
 
     monkeypatch.setattr(tiny_stages.halve, "compute", spoil)
     outcome = run_tiny(store, {"a": tiny(6, 1, tmp_path / "log")})

@@ -43,9 +43,9 @@ def test_several_texts_and_views_are_answered_in_turn(field, tmp_path, monkeypat
     words = ["query", field, "red", "blue", "--view", "0", "--view", "002"]
     assert run(monkeypatch, *words, "--json", "-o", tmp_path / "a.png") == 3
     answers = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    asked = [(a["text"], a["view"], a["objects"][0]["id"]) for a in answers]
+    calls = [(a["text"], a["view"], a["objects"][0]["id"]) for a in answers]
     first, second = "images/001.png", "images/002.png"
-    assert asked == [("red", first, 1), ("blue", first, 2), ("red", second, 1), ("blue", second, 2)]
+    assert calls == [("red", first, 1), ("blue", first, 2), ("red", second, 1), ("blue", second, 2)]
     assert run(monkeypatch, "query", field, "red", "-o", tmp_path / "b.png") == 3
     assert Image.open(tmp_path / "a.png").height == 4 * Image.open(tmp_path / "b.png").height
     capsys.readouterr()
@@ -58,7 +58,7 @@ def test_a_query_follows_its_rules(field, monkeypatch, capsys):
         status = run(monkeypatch, "query", field, "red", "--json", *words)
         answer = json.loads(capsys.readouterr().out)
         assert status == (0 if answer["found"] else 3)
-        return [one["id"] for one in answer["objects"]]
+        return [item["id"] for item in answer["objects"]]
 
     assert objects() == [1]
     assert objects("--threshold", "0.01") == [1, 2]
@@ -102,10 +102,10 @@ def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
 def test_a_bad_question_is_one_sentence(field, monkeypatch, capsys, tmp_path, words, sentence):
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, "query", field, *words) == 2
-    said = capsys.readouterr()
-    assert said.err.startswith("error: ")
-    assert sentence in said.err
-    assert said.err.count("\n") == 1
+    message = capsys.readouterr()
+    assert message.err.startswith("error: ")
+    assert sentence in message.err
+    assert message.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
@@ -120,8 +120,8 @@ def test_an_unknown_part_is_named_before_the_work(tmp_path, monkeypatch, capsys)
     config = toml(tmp_path, 'lifting = "soft"\n[[scenes]]\nname="a"\ncontext=["1","2"]')
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
     assert run(monkeypatch, "run", config) == 2
-    said = capsys.readouterr().err
-    assert said == "error: unknown lifting 'soft': expected one of branch, filled, hard\n"
+    message = capsys.readouterr().err
+    assert message == "error: unknown lifting 'soft': expected one of branch, filled, hard\n"
 
 
 def test_a_store_that_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys):
@@ -131,10 +131,10 @@ def test_a_store_that_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("PREFECT_HOME", raising=False)
     for store, sentence in [("foo://x", "store foo://x"), (tmp_path / "file", "file/.prefect")]:
         assert run(monkeypatch, "run", config, "--store", store) == 2
-        said = capsys.readouterr().err
-        assert said.startswith("error: ")
-        assert sentence in said
-        assert said.count("\n") == 1
+        message = capsys.readouterr().err
+        assert message.startswith("error: ")
+        assert sentence in message
+        assert message.count("\n") == 1
 
 
 def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
@@ -147,15 +147,15 @@ def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
     assert np.array_equal(np.asarray(Image.open(tmp_path / "seen.png")), view.rgb)
     assert np.array_equal(np.load(tmp_path / "depth.npy"), view.depth)
     assert np.array_equal(np.asarray(Image.open(tmp_path / "ids.png")), view.ids)
-    made, extra = load_ply(tmp_path / "scene.ply")
-    kept = SemanticField.load(field).gaussians
-    assert torch.equal(made.features, kept.features)
-    assert torch.equal(made.source, kept.source)
+    output, extra = load_ply(tmp_path / "scene.ply")
+    stored = SemanticField.load(field).gaussians
+    assert torch.equal(output.features, stored.features)
+    assert torch.equal(output.source, stored.source)
     is_red = (np.arange(32 * 48) % 48) < 24
     assert extra["label"].tolist() == np.where(is_red, 1, 2).tolist()
     assert run(monkeypatch, "export", field, "-o", tmp_path / "cloud.ply", "--points") == 0
     points = PlyData.read(tmp_path / "cloud.ply")["vertex"]
-    assert np.array_equal(points["x"], kept.means[:, 0]) and len(points) == len(kept)
+    assert np.array_equal(points["x"], stored.means[:, 0]) and len(points) == len(stored)
     assert np.array_equal(points["label"], extra["label"])
     assert (points["red"][is_red] > points["blue"][is_red]).all()
 
@@ -197,8 +197,8 @@ def test_codes_are_drawn_as_the_papers_feature_maps(field, tmp_path, monkeypatch
 
 
 def test_a_film_follows_a_camera_path_of_nerfstudio(field, tmp_path, monkeypatch):
-    own = SemanticField.load(field)
-    first = next(iter(own.cameras.values()))
+    local = SemanticField.load(field)
+    first = next(iter(local.cameras.values()))
     fov = np.degrees(2 * np.arctan(first.height / 2 / first.K[1, 1]))
     frames = [
         {"camera_to_world": (first.c2w * [1, -1, -1, 1]).ravel().tolist(), "fov": fov, "aspect": 1}
@@ -208,7 +208,7 @@ def test_a_film_follows_a_camera_path_of_nerfstudio(field, tmp_path, monkeypatch
     words = ["--path", tmp_path / "path.json", "-o", tmp_path / "a.mp4"]
     assert run(monkeypatch, "render", field, *words) == 0
     frame = cv2.VideoCapture(str(tmp_path / "a.mp4")).read()[1][..., ::-1].astype(int)
-    assert np.abs(frame - own.render(first).rgb).mean() < 12
+    assert np.abs(frame - local.render(first).rgb).mean() < 12
 
 
 def test_a_ply_is_rendered_from_cameras_that_are_given(field, tmp_path, monkeypatch, capsys):
@@ -217,18 +217,20 @@ def test_a_ply_is_rendered_from_cameras_that_are_given(field, tmp_path, monkeypa
     sh[:, :1] = loaded.sh
     sh[:, 3, 1] = -2.0  # greener to the right of the camera, by 0.49 * 2 * x of the direction
     save_ply(replace(loaded, sh=sh), tmp_path / "scene.ply")
-    given = ["--cameras", transforms(tmp_path), "--view", "007", "--panels"]
-    assert run(monkeypatch, "render", tmp_path / "scene.ply", *given, "-o", tmp_path / "a.png") == 0
-    said = capsys.readouterr()
-    assert (said.out.strip(), said.err) == (str(tmp_path / "a.png"), "")
+    inputs = ["--cameras", transforms(tmp_path), "--view", "007", "--panels"]
+    assert (
+        run(monkeypatch, "render", tmp_path / "scene.ply", *inputs, "-o", tmp_path / "a.png") == 0
+    )
+    message = capsys.readouterr()
+    assert (message.out.strip(), message.err) == (str(tmp_path / "a.png"), "")
     sheet = np.asarray(Image.open(tmp_path / "a.png")).astype(int)
-    seen, depth = sheet[12:76, 12:108], sheet[12:76, 120:216]
+    observed, depth = sheet[12:76, 12:108], sheet[12:76, 120:216]
     # There the wall is 0.8125 to the right at a depth of 2: x of the direction is 0.376.
-    assert np.abs(seen[32, 80] - np.array([0.05, 0.1 + 0.9772 * 0.376, 0.8]) * 255).max() <= 6
-    assert np.abs(seen[32, 16] - np.array([0.8, 0, 0.05]) * 255).max() <= 4  # clamped at 0
+    assert np.abs(observed[32, 80] - np.array([0.05, 0.1 + 0.9772 * 0.376, 0.8]) * 255).max() <= 6
+    assert np.abs(observed[32, 16] - np.array([0.8, 0, 0.05]) * 255).max() <= 4  # clamped at 0
     assert (depth[32, 16] != 28).any()
     # The same cameras serve a field, which has its objects too.
-    assert run(monkeypatch, "render", field, *given, "-o", tmp_path / "b.png") == 0
+    assert run(monkeypatch, "render", field, *inputs, "-o", tmp_path / "b.png") == 0
     assert Image.open(tmp_path / "b.png").width == sheet.shape[1] + 108
 
 
@@ -236,16 +238,16 @@ def test_a_ply_that_is_out_of_view_is_drawn_and_said(field, tmp_path, monkeypatc
     save_ply(SemanticField.load(field).gaussians, tmp_path / "scene.ply")
     words = ["--cameras", transforms(tmp_path, 50.0), "-o", tmp_path / "a.png"]
     assert run(monkeypatch, "render", tmp_path / "scene.ply", *words) == 0
-    said = capsys.readouterr().err
-    assert "hardly anything" in said
-    assert "the camera at (50, 0, 0)" in said
+    message = capsys.readouterr().err
+    assert "hardly anything" in message
+    assert "the camera at (50, 0, 0)" in message
     assert (tmp_path / "a.png").is_file()
 
 
 def test_a_ply_that_cannot_be_rendered_is_one_sentence(field, tmp_path, monkeypatch, capsys):
-    few = SemanticField.load(field).gaussians
-    save_ply(few, tmp_path / "scene.ply")
-    save_ply(few[:0], tmp_path / "empty.ply")
+    subset = SemanticField.load(field).gaussians
+    save_ply(subset, tmp_path / "scene.ply")
+    save_ply(subset[:0], tmp_path / "empty.ply")
     points = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
     (tmp_path / "points.ply").write_text(f"ply\nformat ascii 1.0\n{points}end_header\n1 2 3\n")
     cameras = ["--cameras", transforms(tmp_path)]
@@ -258,13 +260,13 @@ def test_a_ply_that_cannot_be_rendered_is_one_sentence(field, tmp_path, monkeypa
         (["empty.ply", *cameras], "empty.ply: holds no Gaussians"),
         (["scene", *cameras], "no field.json there"),
     ]:
-        file, *others = words
-        words = ["render", tmp_path / file, *others, "-o", tmp_path / "a.png"]
+        file, *rest = words
+        words = ["render", tmp_path / file, *rest, "-o", tmp_path / "a.png"]
         assert run(monkeypatch, *words) == 2, sentence
-        said = capsys.readouterr().err
-        assert said.startswith("error: ")
-        assert sentence in said
-        assert said.count("\n") == 1
+        message = capsys.readouterr().err
+        assert message.startswith("error: ")
+        assert sentence in message
+        assert message.count("\n") == 1
     assert not (tmp_path / "a.png").exists()
 
 
@@ -279,11 +281,11 @@ def test_a_field_that_is_not_there_or_damaged_is_one_sentence(field, tmp_path, m
             data = file.read_bytes()
             (copy / file.name).write_bytes(data[: len(data) // 2] if file.name == name else data)
         assert run(monkeypatch, "query", copy, "red") == 2
-        said = capsys.readouterr().err
-        assert said.startswith("error: ")
-        assert name in said
-        assert "build the field again" in said
-        assert said.count("\n") == 1
+        message = capsys.readouterr().err
+        assert message.startswith("error: ")
+        assert name in message
+        assert "build the field again" in message
+        assert message.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -298,10 +300,10 @@ def test_a_field_of_another_encoder_is_one_sentence(
     bank = MemoryBank(bank.ids, bank.codes, wider, bank.present)
     SemanticField(loaded.gaussians, bank, loaded.cameras, settings).save(tmp_path / "field")
     assert run(monkeypatch, "query", tmp_path / "field", "red") == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert "build the field again" in said
-    assert said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert message.startswith("error: ")
+    assert "build the field again" in message
+    assert message.count("\n") == 1
 
 
 def test_field_stops_before_the_work_when_it_cannot_end_well(tmp_path, monkeypatch, capsys):
@@ -446,6 +448,6 @@ def test_an_export_that_cannot_be_is_one_sentence(
 ):
     monkeypatch.chdir(tmp_path)
     assert run(monkeypatch, "export", field, *words) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ") and sentence in said and said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert message.startswith("error: ") and sentence in message and message.count("\n") == 1
     assert list(tmp_path.iterdir()) == []

@@ -42,14 +42,14 @@ def photos(tmp_path_factory) -> Path:
     return save_photographs(tmp_path_factory.mktemp("photos"))
 
 
-def settings_for(model: Path, out: Path, **own) -> Settings:
+def settings_for(model: Path, out: Path, **local) -> Settings:
     values = {"size": "64x64", "near": 0.8, "far": 12.0, "encoder": "clip", "replicas": 1}
-    table = {"model": str(model), **own}
+    table = {"model": str(model), **local}
     return make_settings({**values, "clip": table, "scenes": [ROOM], "out": out}, "test")
 
 
 @pytest.fixture(scope="module")
-def made(model, photos, tmp_path_factory) -> Path:
+def output(model, photos, tmp_path_factory) -> Path:
     """A field that ``slgaussian field`` built with CLIP."""
     folder = tmp_path_factory.mktemp("made") / "field"
     words = ["field", photos / "view_00.png", photos / "view_02.png", "--cameras", photos]
@@ -70,33 +70,33 @@ def made(model, photos, tmp_path_factory) -> Path:
     return folder
 
 
-def test_a_field_knows_its_model_by_content_and_where_it_was(made, model):
-    about = json.loads((made / "field.json").read_text())
-    assert about["settings"]["encoder"] == "clip"
-    assert about["settings"]["clip"] == {
+def test_a_field_knows_its_model_by_content_and_where_it_was(output, model):
+    info = json.loads((output / "field.json").read_text())
+    assert info["settings"]["encoder"] == "clip"
+    assert info["settings"]["clip"] == {
         "model": model_digest(model),
         "tokenizer": None,
         "crops": "context",
         "batch": 4,
         "precision": "float32",
     }
-    assert about["places"] == {"model": str(model.resolve())}
-    assert str(model) not in json.dumps(about["settings"])
-    bank = SemanticField.load(made).bank
+    assert info["places"] == {"model": str(model.resolve())}
+    assert str(model) not in json.dumps(info["settings"])
+    bank = SemanticField.load(output).bank
     assert bank.features.shape[1:] == (2, 24)
 
 
-def test_a_field_answers_with_the_same_model(made, model, monkeypatch, capsys, tmp_path):
-    assert run(monkeypatch, "query", made, "red basket", "--json") == 0
+def test_a_field_answers_with_the_same_model(output, model, monkeypatch, capsys, tmp_path):
+    assert run(monkeypatch, "query", output, "red basket", "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert 0 < answer["score"] < 1 and answer["unknown"] == [] and answer["point"] is not None
 
     # The model has moved: the field still draws, and is asked with the place.
     moved = shutil.copytree(model, tmp_path / "moved")
-    about = json.loads((made / "field.json").read_text())
-    about["places"] = {"model": str(tmp_path / "gone")}
-    field = shutil.copytree(made, tmp_path / "field")
-    (field / "field.json").write_text(json.dumps(about))
+    info = json.loads((output / "field.json").read_text())
+    info["places"] = {"model": str(tmp_path / "gone")}
+    field = shutil.copytree(output, tmp_path / "field")
+    (field / "field.json").write_text(json.dumps(info))
     assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png") == 0
     capsys.readouterr()
     assert run(monkeypatch, "query", field, "red basket") == 2
@@ -114,31 +114,31 @@ def test_a_field_answers_with_the_same_model(made, model, monkeypatch, capsys, t
     )
 
 
-def test_another_model_is_refused(made, model, tmp_path, monkeypatch, capsys):
-    other = shutil.copytree(model, tmp_path / "other")
-    config = json.loads((other / "config.json").read_text())
-    (other / "config.json").write_text(json.dumps({**config, "note": 1}))
-    assert run(monkeypatch, "query", made, "red", "--set", f"clip.model={other}") == 2
-    assert f"model {other}: is not what the field was built with" in said(capsys)
-    assert run(monkeypatch, "query", made, "red", "--set", "clip.model=no/such/place") == 2
+def test_another_model_is_refused(output, model, tmp_path, monkeypatch, capsys):
+    second = shutil.copytree(model, tmp_path / "other")
+    config = json.loads((second / "config.json").read_text())
+    (second / "config.json").write_text(json.dumps({**config, "note": 1}))
+    assert run(monkeypatch, "query", output, "red", "--set", f"clip.model={second}") == 2
+    assert f"model {second}: is not what the field was built with" in said(capsys)
+    assert run(monkeypatch, "query", output, "red", "--set", "clip.model=no/such/place") == 2
     assert "model no/such/place: there is no such folder" in said(capsys)
-    assert run(monkeypatch, "query", made, "word " * 100) == 2
+    assert run(monkeypatch, "query", output, "word " * 100) == 2
     assert "tokens, but the model reads at most 77" in said(capsys)
 
 
 def test_from_python_too(model, tmp_path, monkeypatch):
-    own = {"clip": {"model": model}}
-    field = build_field(room_sample(), Method(encoder="clip", replicas=1, settings=own))
+    local = {"clip": {"model": model}}
+    field = build_field(room_sample(), Method(encoder="clip", replicas=1, settings=local))
     camera = field.cameras["view_00"]
     hit = field.render(camera).query("red basket")
     field.save(tmp_path / "field")
     assert field.settings["clip"]["model"] == model_digest(model)
     moved = shutil.copytree(model, tmp_path / "moved")
-    about = json.loads((tmp_path / "field" / "field.json").read_text())
-    (tmp_path / "field" / "field.json").write_text(json.dumps({**about, "places": {}}))
+    info = json.loads((tmp_path / "field" / "field.json").read_text())
+    (tmp_path / "field" / "field.json").write_text(json.dumps({**info, "places": {}}))
     loaded = SemanticField.load(tmp_path / "field", encoder={"model": moved})
-    again = loaded.render(camera).query("red basket")
-    assert np.array_equal(again.scores, hit.scores)
+    rerun = loaded.render(camera).query("red basket")
+    assert np.array_equal(rerun.scores, hit.scores)
     silent = SemanticField.load(tmp_path / "field")
     with pytest.raises(InputError, match="needs its model, which is not stored with a field; say"):
         silent.render(camera).query("red basket")
@@ -190,10 +190,10 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stages(model, tmp_path, 
     settings = settings_for(model, tmp_path)
     scene = settings.scenes[0]
     steps = calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
-    own = {"model": model_digest(model), "tokenizer": None, "crops": "masked", "batch": 4}
-    own["precision"] = "float32"
-    assert keyed(steps["supervision"])["encoder"] == {"clip": own}
-    assert keyed(steps["field"])["method"]["clip"] == own
+    local = {"model": model_digest(model), "tokenizer": None, "crops": "masked", "batch": 4}
+    local["precision"] = "float32"
+    assert keyed(steps["supervision"])["encoder"] == {"clip": local}
+    assert keyed(steps["field"])["method"]["clip"] == local
     for stage in ("supervision", "benchmark"):
         assert steps[stage]["encoder"].places() == {"model": str(model.resolve())}
     plain = calls_of(scene_task(Settings(), Method(), scene), monkeypatch)
@@ -208,17 +208,19 @@ def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
     sample = store.put("sample", sample_to_arrays(room_sample()))
     base = geometry.compute(context, sample, method.predictor, 0)
     ids = masks.compute(context, sample, base, method.proposer, method.tracker, 1)
-    own = {"encoder": "clip", "clip": {"model": model_digest(model)}}
+    local = {"encoder": "clip", "clip": {"model": model_digest(model)}}
 
     def remembered(place):
-        encoder = Component.stored("encoder", own, {"model": str(place)})
+        encoder = Component.stored("encoder", local, {"model": str(place)})
         return supervision.compute(context, sample, base, ids, encoder, method.codes, 0, "groups")
 
     assert remembered(model).meta["objects"] >= 1
-    other = shutil.copytree(model, tmp_path / "other")
-    (other / "merges.txt").write_text((other / "merges.txt").read_text("utf-8") + "x y\n", "utf-8")
+    second = shutil.copytree(model, tmp_path / "other")
+    (second / "merges.txt").write_text(
+        (second / "merges.txt").read_text("utf-8") + "x y\n", "utf-8"
+    )
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        remembered(other)
+        remembered(second)
 
 
 @pytest.mark.parametrize(

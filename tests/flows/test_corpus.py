@@ -46,8 +46,8 @@ def aged(folder: Path) -> None:
         os.utime(file, (time.time() - 60,) * 2)
 
 
-def settings_for(folder: Path, **more):
-    values = {"chunks": str(folder / "chunks"), "out": folder / "out", "size": "72x96", **more}
+def settings_for(folder: Path, **extra):
+    values = {"chunks": str(folder / "chunks"), "out": folder / "out", "size": "72x96", **extra}
     return make_settings(values, "test", CorpusSettings)
 
 
@@ -93,15 +93,15 @@ def reads(monkeypatch):
     load = Component.load
 
     def loaded(part, *args):
-        made = load(part, *args)
-        return counted("predicted", made) if part.kind == "predictor" else made
+        output = load(part, *args)
+        return counted("predicted", output) if part.kind == "predictor" else output
 
     monkeypatch.setattr(Component, "load", loaded)
 
     def take():
-        taken = dict(counts)
+        picked = dict(counts)
         counts.update(dict.fromkeys(counts, 0))
-        return taken
+        return picked
 
     return take
 
@@ -121,7 +121,7 @@ def supervised(tmp_path_factory, clips, server):
 
 
 def test_every_view_and_sample_is_in_a_table(supervised, clips):
-    folder, _, made = supervised
+    folder, _, output = supervised
     views = table(folder, "views")
     assert [(v["chunk"], v["clip"], v["frame"]) for v in views] == [
         (f"00000{n}.torch", clip.key, frame)
@@ -137,8 +137,8 @@ def test_every_view_and_sample_is_in_a_table(supervised, clips):
         between = [sample[f"target_{i}"] for i in range(3)]
         assert sample["context_0"] < between[0] < between[1] < between[2] < sample["context_1"]
         assert sample["overlap"] >= 0.6 and sample["baseline"] >= 0.08
-    assert table(folder, "failures") == [] == made.failures
-    assert made.rows == {"views": 12, "pairs": len(samples), "lessons": len(samples)}
+    assert table(folder, "failures") == [] == output.failures
+    assert output.rows == {"views": 12, "pairs": len(samples), "lessons": len(samples)}
 
 
 def test_every_sample_has_a_lesson_and_every_chunk_a_sheet(supervised):
@@ -149,9 +149,9 @@ def test_every_sample_has_a_lesson_and_every_chunk_a_sheet(supervised):
         lesson = Lesson.from_arrays(store.get(ArtifactRef("lesson", row["uri"], row["digest"])))
         assert lesson.sample == row["sample"]
         assert lesson.labels.shape == (2, 72, 96) and lesson.targets.shape == (3, 72, 96)
-        known = set(np.unique(lesson.labels)) - {0}
-        assert row["objects"] == len(known) > 2
-        assert set(np.unique(lesson.targets)) - {0} <= known
+        valid = set(np.unique(lesson.labels)) - {0}
+        assert row["objects"] == len(valid) > 2
+        assert set(np.unique(lesson.targets)) - {0} <= valid
         assert row["unlabelled_context"] == (lesson.labels == 0).mean()
         assert row["unlabelled_target"] == (lesson.targets == 0).mean() < 0.2
     sheets = sorted((folder / "out" / "sheets").iterdir())
@@ -172,25 +172,25 @@ def test_what_is_unchanged_is_not_read_again_and_what_is_new_alone_is(
     aged(folder / "chunks")
     run_flow("ingest", settings_for(folder, out=tmp_path), store)
     assert reads() == {"hashed": 2, "opened": 0, "predicted": 0}
-    more = tmp_path / "corpus"
+    extra = tmp_path / "corpus"
     for file in (folder / "chunks").iterdir():
-        (more / "chunks").mkdir(parents=True, exist_ok=True)
-        (more / "chunks" / file.name).write_bytes(file.read_bytes())
-    re10k.write(more / "chunks", [clips[2]])
-    aged(more / "chunks")
-    run_flow("ingest", settings_for(more), store)
+        (extra / "chunks").mkdir(parents=True, exist_ok=True)
+        (extra / "chunks" / file.name).write_bytes(file.read_bytes())
+    re10k.write(extra / "chunks", [clips[2]])
+    aged(extra / "chunks")
+    run_flow("ingest", settings_for(extra), store)
     assert reads() == {"hashed": 3, "opened": 1, "predicted": 0}
-    assert len(table(more, "views")) == 18
+    assert len(table(extra, "views")) == 18
 
 
 def test_a_lost_lesson_is_made_again(supervised, reads):
     folder, store, _ = supervised
     row = table(folder, "lessons")[0]
     file = Path(store.path) / row["uri"]
-    whole = file.read_bytes()
+    complete = file.read_bytes()
     file.unlink()
     run_flow("supervise", settings_for(folder), store)
-    assert file.read_bytes() == whole
+    assert file.read_bytes() == complete
     assert reads() == {"hashed": 0, "opened": 1, "predicted": 0}
 
 
@@ -226,17 +226,19 @@ def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     twice.write_bytes((tmp_path / "chunks" / "000002.torch").read_bytes())
     cut = tmp_path / "chunks" / "000001.torch"
     cut.write_bytes(cut.read_bytes()[:5000])
-    made = run_flow("ingest", settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
-    said = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
+    output = run_flow("ingest", settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
+    message = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
     reasons = " ".join(row["reason"] for row in table(tmp_path, "failures"))
-    assert "000001.torch: cannot be read as a chunk" in said["000001.torch", "views"]
+    assert "000001.torch: cannot be read as a chunk" in message["000001.torch", "views"]
     assert "clip 'procedural_1', frame 1: camera c2w: its 3x3 part is not a rotation" in reasons
     assert "clip 'procedural_1', frame 5: its JPEG cannot be decoded" in reasons
-    assert "clip 'procedural_1': 4 of its 4 views are sharp" in said["procedural_1", "pairs"]
-    assert "clip 'procedural_9': 4 of its 4 views" in said["procedural_9", "pairs"]
+    assert "clip 'procedural_1': 4 of its 4 views are sharp" in message["procedural_1", "pairs"]
+    assert "clip 'procedural_9': 4 of its 4 views" in message["procedural_9", "pairs"]
     assert "clip 'dead': none of its 4 frames can be used" in reasons
-    assert "clip 'new' of 000009.torch is in 000002.torch too" in said["new", "views"]
-    assert len(made.failures) == 11  # three more of the four frames of "dead", and the last of all
+    assert "clip 'new' of 000009.torch is in 000002.torch too" in message["new", "views"]
+    assert (
+        len(output.failures) == 11
+    )  # three more of the four frames of "dead", and the last of all
     assert {sample["clip"] for sample in table(tmp_path, "pairs")} == {good.key, "new"}
     assert {view["frame"] for view in table(tmp_path, "views") if view["clip"] == bad.key} == {
         0, 2, 3, 4
@@ -277,11 +279,11 @@ def test_a_full_disk_is_one_sentence_and_nothing_is_half_written(supervised, tmp
     fresh = ArtifactStore(tmp_path / "store")
     with monkeypatch.context() as patched:
         patched.setattr("slgaussian.io.open", opened, raising=False)
-        made = run_flow("supervise", settings_for(tmp_path, chunks=chunks), fresh)
-    assert [(f.scene, f.stage) for f in made.failures] == [
+        output = run_flow("supervise", settings_for(tmp_path, chunks=chunks), fresh)
+    assert [(f.scene, f.stage) for f in output.failures] == [
         (f"00000{n}.torch", "lessons") for n in range(2)
     ]
-    assert "cannot write there (No space left on device)" in made.failures[0].reason
+    assert "cannot write there (No space left on device)" in output.failures[0].reason
     assert not files_below(tmp_path / "store" / "lesson")
     assert run_flow("supervise", settings_for(tmp_path, chunks=chunks), fresh).failures == []
     assert files_below(tmp_path / "out") == files_below(folder / "out")
@@ -315,14 +317,14 @@ def test_the_command_says_what_it_made_and_what_it_left_out(
         return stopped.value.code or 0
 
     assert status() == 0
-    said = capsys.readouterr()
-    assert f"12 views  {tmp_path / 'out' / 'views.parquet'}" in said.out
-    assert "left out" not in said.err
+    message = capsys.readouterr()
+    assert f"12 views  {tmp_path / 'out' / 'views.parquet'}" in message.out
+    assert "left out" not in message.err
     (tmp_path / "chunks" / "000000.torch").write_bytes(b"PK")
     assert status() == 1
-    said = capsys.readouterr()
-    assert "6 views" in said.out
-    assert "left out: 1, the first at views: " in said.err and "failures.parquet" in said.err
+    message = capsys.readouterr()
+    assert "6 views" in message.out
+    assert "left out: 1, the first at views: " in message.err and "failures.parquet" in message.err
 
 
 def test_what_is_asked_of_a_pair_is_the_same_from_everywhere(tmp_path):

@@ -49,26 +49,26 @@ def folder_of(scene, folder: Path) -> Path:
         Image.fromarray(view.image).save(folder / f"images/{number}.png")
         pose = view.camera.c2w @ np.diag([1.0, -1, -1, 1])
         K = view.camera.K
-        own = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
-        own |= {"w": view.camera.width, "h": view.camera.height}
+        refs = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+        refs |= {"w": view.camera.width, "h": view.camera.height}
         frames.append(
-            {"file_path": f"images/{number}.png", "transform_matrix": pose.tolist(), **own}
+            {"file_path": f"images/{number}.png", "transform_matrix": pose.tolist(), **refs}
         )
     (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
     (folder / "LICENSE.txt").write_text("\nTake it as you like\n")
     return folder
 
 
-def settings_for(folder: Path, *sources, **more):
-    given = [str(source) for source in sources]
+def settings_for(folder: Path, *sources, **extra):
+    inputs = [str(source) for source in sources]
     return make_settings(
-        {**SMALL, "out": folder / "set", "sources": given, **more}, "dataset", DatasetSettings
+        {**SMALL, "out": folder / "set", "sources": inputs, **extra}, "dataset", DatasetSettings
     )
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
-    kept = (p for p in sorted(folder.iterdir()) if not p.name.startswith("log"))
-    return {file.name: file.read_bytes() for file in kept}
+    stored = (p for p in sorted(folder.iterdir()) if not p.name.startswith("log"))
+    return {file.name: file.read_bytes() for file in stored}
 
 
 def made_set(settings, store: ArtifactStore) -> dataset.TrainingSetResult:
@@ -76,7 +76,7 @@ def made_set(settings, store: ArtifactStore) -> dataset.TrainingSetResult:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory, server):
+def output(tmp_path_factory, server):
     """Two chunks of a clip and a folder, as a set; the folder is of the place of the first."""
     folder = tmp_path_factory.mktemp("dataset")
     for seed in (0, 1):
@@ -89,20 +89,22 @@ def made(tmp_path_factory, server):
     return folder, store, settings, made_set(settings, store)
 
 
-def test_files_say_where_photographs_are_from_and_their_licence(made):
-    folder, *_ = made
+def test_files_say_where_photographs_are_from_and_their_licence(output):
+    folder, *_ = output
     for spec, expected in {
         "packed": {("", "LICENSE.txt: Take it as you like")},
         "sample": {("https://video/0", ""), ("https://video/1", ""), ("", "")},
     }.items():
-        said = [stated(file.read_bytes()) for file in (folder / "store" / spec).rglob("*.npz")]
-        assert {(one.get("source", ""), one.get("licence", "")) for one in said} == expected
+        message = [stated(file.read_bytes()) for file in (folder / "store" / spec).rglob("*.npz")]
+        assert {
+            (first.get("source", ""), first.get("licence", "")) for first in message
+        } == expected
 
 
-def test_every_sample_is_in_the_index_and_in_a_shard(made):
-    folder, _, _, said = made
+def test_every_sample_is_in_the_index_and_in_a_shard(output):
+    folder, _, _, message = output
     rows = pq.read_table(folder / "set/index.parquet").to_pylist()
-    assert (said.samples, said.places, said.failures) == (3, 3, [])
+    assert (message.samples, message.places, message.failures) == (3, 3, [])
     assert {row["place"] for row in rows} == {"https://video/0", "https://video/1", "here"}
     names = defaultdict(list)
     for shard in sorted((folder / "set").glob("*.tar")):
@@ -114,21 +116,21 @@ def test_every_sample_is_in_the_index_and_in_a_shard(made):
         assert row["overlap"] > 0.6 and row["baseline"] > 0.08 and 0 < row["confirmed"] <= 1
         assert (row["height"], row["width"]) == (72, 96)
         data = (folder / "set" / row["shard"]).read_bytes()
-        own = data[row["offset"] : row["offset"] + row["bytes"]]
-        assert hashlib.sha256(own).hexdigest() == row["digest"]
-    assert said.shards == len(names) and sum(len(set(own)) for own in names.values()) == 3
+        refs = data[row["offset"] : row["offset"] + row["bytes"]]
+        assert hashlib.sha256(refs).hexdigest() == row["digest"]
+    assert message.shards == len(names) and sum(len(set(refs)) for refs in names.values()) == 3
 
 
-def test_an_item_holds_what_the_scene_shows(made):
-    folder, *_ = made
+def test_an_item_holds_what_the_scene_shows(output):
+    folder, *_ = output
     samples = TrainingSet(folder / "set", where=pc.field("clip") == "kitchen")
     item = samples[0]
     assert (len(samples), item["place"]) == (1, "here")
     frames = samples.rows.to_pylist()[0]
     scene = room(2)
     names = list(scene.cameras)
-    for role, own in (("context", frames["context"]), ("target", frames["targets"])):
-        for view, frame in enumerate(own):
+    for role, refs in (("context", frames["context"]), ("target", frames["targets"])):
+        for view, frame in enumerate(refs):
             truth = scene.read(names[frame]).resized(72, 96)
             image = item[role]["image"][view].numpy().transpose(1, 2, 0)
             assert np.abs(image.astype(int) - truth.image).mean() < 4  # noise, JPEG twice
@@ -169,20 +171,20 @@ for workers, seed in ((0, 0), (2, 0), (0, 1), (0, 2), (0, 3), (0, 4), (0, 5)):
 """
 
 
-def test_workers_and_shuffling_change_no_byte(made):
-    folder, *_ = made
+def test_workers_and_shuffling_change_no_byte(output):
+    folder, *_ = output
     # In a process of its own, as a training is: this one has a server's threads, and workers fork.
     command = [sys.executable, "-c", READ, str(folder / "set")]
     lines = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
     alone, two, *shuffled = map(json.loads, lines)
     assert [len(batch["sample"]) for batch in alone] == [2, 1] and two == alone
-    orders = {tuple(name for batch in one for name in batch["sample"]) for one in shuffled}
+    orders = {tuple(name for batch in first for name in batch["sample"]) for first in shuffled}
     names = pq.read_table(folder / "set/index.parquet")["sample"].to_pylist()
     assert len(orders) > 1 and {frozenset(order) for order in orders} == {frozenset(names)}
 
 
-def test_objects_of_a_batch_are_filled_up_with_nothing(made):
-    folder, *_ = made
+def test_objects_of_a_batch_are_filled_up_with_nothing(output):
+    folder, *_ = output
     samples = TrainingSet(folder / "set")
     items = [samples[i] for i in range(3)]
     batch = default_collate(items)
@@ -194,19 +196,19 @@ def test_objects_of_a_batch_are_filled_up_with_nothing(made):
         assert not batch["objects"]["present"][row, count:].any()
 
 
-def test_the_same_again_writes_nothing_and_more_only_new_shards(made, tmp_path):
-    folder, store, settings, _ = made
+def test_the_same_again_writes_nothing_and_more_only_new_shards(output, tmp_path):
+    folder, store, settings, _ = output
     shutil.copytree(folder / "set", tmp_path / "set")
     before = files_of(tmp_path / "set")
-    again = settings_for(tmp_path, *settings.sources)
-    assert made_set(again, store).new_shards == 0
+    rerun = settings_for(tmp_path, *settings.sources)
+    assert made_set(rerun, store).new_shards == 0
     assert files_of(tmp_path / "set") == before
     afresh = settings_for(tmp_path / "other", *settings.sources)
     made_set(afresh, store)
     assert files_of(tmp_path / "other/set") == before
 
-    more = folder_of(room(6), tmp_path / "hall")
-    grown = made_set(settings_for(tmp_path, *settings.sources, more), store)
+    extra = folder_of(room(6), tmp_path / "hall")
+    grown = made_set(settings_for(tmp_path, *settings.sources, extra), store)
     after = files_of(tmp_path / "set")
     shards = {name for name in before if name.endswith(".tar")}
     assert grown.samples == 4 and grown.new_shards == 1
@@ -217,8 +219,8 @@ def test_the_same_again_writes_nothing_and_more_only_new_shards(made, tmp_path):
 @pytest.mark.parametrize(
     "harm", [lambda data: data[:-700], lambda data: data[:600] + b"\xff" + data[601:]]
 )
-def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(made, harm, tmp_path):
-    folder, store, settings, _ = made
+def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, harm, tmp_path):
+    folder, store, settings, _ = output
     shutil.copytree(folder / "set", tmp_path / "set")
     before = files_of(tmp_path / "set")
     row = next(
@@ -230,26 +232,24 @@ def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(made, har
     shard.write_bytes(harm(shard.read_bytes()))
     made_set(settings_for(tmp_path, settings.sources[0]), store)
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
-    assert "kitchen" not in {own["clip"] for own in rows} and len(rows) == 2
-    found = {own["sample"]: own for own in rows}[row["sample"]]
-    assert found["shard"] != row["shard"] and found["digest"] == row["digest"]
+    assert "kitchen" not in {refs["clip"] for refs in rows} and len(rows) == 2
+    result = {refs["sample"]: refs for refs in rows}[row["sample"]]
+    assert result["shard"] != row["shard"] and result["digest"] == row["digest"]
     assert not shard.exists()
     assert TrainingSet(tmp_path / "set").members(0)
-    whole = b"".join(
-        data for name, data in files_of(tmp_path / "set").items() if name[-3:] == "tar"
-    )
-    assert b"kitchen" not in whole and any(b"kitchen" in data for data in before.values())
+    full = b"".join(data for name, data in files_of(tmp_path / "set").items() if name[-3:] == "tar")
+    assert b"kitchen" not in full and any(b"kitchen" in data for data in before.values())
 
 
-def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(made, tmp_path):
-    _, store, settings, _ = made
+def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output, tmp_path):
+    _, store, settings, _ = output
     bad = tmp_path / "bad"
     bad.mkdir()
     (bad / "transforms.json").write_text("{")
-    few = folder_of(room(4, 2), tmp_path / "few")
+    subset = folder_of(room(4, 2), tmp_path / "few")
     picky = {"min_confirmed": 0.999}
-    said = made_set(settings_for(tmp_path, *settings.sources, bad, few), store)
-    assert said.samples == 3
+    message = made_set(settings_for(tmp_path, *settings.sources, bad, subset), store)
+    assert message.samples == 3
     table = {
         row["scene"]: row for row in pq.read_table(tmp_path / "set/failures.parquet").to_pylist()
     }
@@ -266,8 +266,8 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(made, t
     assert len(reasons) == 3 and all("below min_confirmed 0.999" in why for why in reasons)
 
 
-def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(made, tmp_path):
-    _, store, settings, _ = made
+def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(output, tmp_path):
+    _, store, settings, _ = output
     made_set(settings_for(tmp_path, *settings.sources, gaussians=True, images="png"), store)
     samples = TrainingSet(tmp_path / "set")
     batch = default_collate([samples[i] for i in range(3)])
@@ -278,31 +278,31 @@ def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(made
     assert {"context_0.png", "gaussians.npz"} <= set(samples.members(0))
 
 
-def test_the_branch_is_trained_on_a_set_and_its_weights_say_so(made, tmp_path):
-    _, store, settings, _ = made
+def test_the_branch_is_trained_on_a_set_and_its_weights_say_so(output, tmp_path):
+    _, store, settings, _ = output
     made_of = {"gaussians": True, "held_out": 0.1}  # which holds out both chunks
     made_set(settings_for(tmp_path, *settings.sources, **made_of), store)
-    given = {"lessons": tmp_path / "set", "out": tmp_path / "out", "steps": 2, "batch": 2}
-    given |= {"store": store.root, "widths": "4,8", "hidden": 8}
-    trained = training.train_branch(checked(TrainSettings, given, "test"))
-    told = read_tensors(tmp_path / "out/branch.safetensors")[1]["trained"]
+    inputs = {"lessons": tmp_path / "set", "out": tmp_path / "out", "steps": 2, "batch": 2}
+    inputs |= {"store": store.root, "widths": "4,8", "hidden": 8}
+    trained = training.train_branch(checked(TrainSettings, inputs, "test"))
+    report = read_tensors(tmp_path / "out/branch.safetensors")[1]["trained"]
     card = hashlib.sha256((tmp_path / "set/README.md").read_bytes()).hexdigest()
-    assert told["data"]["card"] == card
-    assert (told["learnt clips"], told["held_out clips"]) == (1, 2)
-    asked = told["settings"]
-    assert (asked["batch"], asked["architecture"]["widths"]) == (2, [4, 8])
-    found = told["metrics"]["held out iou"]["as found"]
-    assert set(found) == {"hard", "filled", "identity", "branch"}
+    assert report["data"]["card"] == card
+    assert (report["learnt clips"], report["held_out clips"]) == (1, 2)
+    calls = report["settings"]
+    assert (calls["batch"], calls["architecture"]["widths"]) == (2, [4, 8])
+    result = report["metrics"]["held out iou"]["as found"]
+    assert set(result) == {"hard", "filled", "identity", "branch"}
     rows = trained.judgements.to_pylist()
     assert {row["clip"] for row in rows} == {"https://video/0", "https://video/1"}
     ious = [r["iou"] for r in rows if (r["labels"], r["lifting"]) == ("as found", "filled")]
-    assert found["filled"] == pytest.approx(np.mean(ious))
+    assert result["filled"] == pytest.approx(np.mean(ious))
     with pytest.raises(InputError, match="which is split already"):
-        training.train_branch(checked(TrainSettings, {**given, "held_out": 0.3}, "test"))
+        training.train_branch(checked(TrainSettings, {**inputs, "held_out": 0.3}, "test"))
 
 
-def test_what_is_damaged_or_not_there_is_one_sentence(made, tmp_path):
-    folder, *_ = made
+def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path):
+    folder, *_ = output
     with pytest.raises(InputError, match=r"index\.parquet: cannot be read"):
         TrainingSet(tmp_path)
     with pytest.raises(InputError, match="split: found 'val', expected one of train, test"):
@@ -343,14 +343,14 @@ def test_what_cannot_be_is_one_sentence_before_any_work(
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2
-    told = capsys.readouterr().err
-    assert sentence in told and told.startswith("error: ") and told.count("\n") == 1
+    report = capsys.readouterr().err
+    assert sentence in report and report.startswith("error: ") and report.count("\n") == 1
     assert not list(tmp_path.glob("set/*.tar"))
 
 
-def test_other_loaders_read_the_same(made):
+def test_other_loaders_read_the_same(output):
     webdataset = pytest.importorskip("webdataset", reason="its loader is not installed")
-    folder, *_ = made
+    folder, *_ = output
     samples = TrainingSet(folder / "set")
     by_name = {row["sample"]: number for number, row in enumerate(samples.rows.to_pylist())}
     for shard in sorted((folder / "set").glob("*.tar")):
@@ -364,11 +364,11 @@ def test_other_loaders_read_the_same(made):
             np.testing.assert_array_equal(read["bank.npz"]["ids"], item["objects"]["ids"])
 
 
-def test_the_hub_of_hugging_face_reads_the_same(made, tmp_path):
+def test_the_hub_of_hugging_face_reads_the_same(output, tmp_path):
     hub = pytest.importorskip("datasets", reason="its loader is not installed")
     if not hasattr(hub, "load_dataset"):
         pytest.skip("its loader is not installed: tests/datasets was found in its place")
-    folder, *_ = made
+    folder, *_ = output
     samples = TrainingSet(folder / "set")
     by_name = {row["sample"]: number for number, row in enumerate(samples.rows.to_pylist())}
     splits = hub.load_dataset(str(folder / "set"), cache_dir=str(tmp_path))

@@ -24,20 +24,20 @@ NAMESPACE = ["unshare", "--user", "--map-root-user", "--mount"]
 
 
 @pytest.fixture(scope="module")
-def whole(server, tmp_path_factory):
+def complete(server, tmp_path_factory):
     """The refs of a run that nobody disturbed."""
     folder = tmp_path_factory.mktemp("whole")
     return run_tiny(ArtifactStore(folder / "store"), three_scenes(folder / "log")).refs
 
 
-def check_nothing_is_left_to_do(store: Path, log: Path, whole: dict) -> None:
+def check_nothing_is_left_to_do(store: Path, log: Path, complete: dict) -> None:
     assert not [p for p in store.rglob("*.tmp") if ".prefect" not in p.parts]
     before = log.read_text()
-    assert run_tiny(ArtifactStore(store), three_scenes(log)).refs == whole
+    assert run_tiny(ArtifactStore(store), three_scenes(log)).refs == complete
     assert log.read_text() == before
 
 
-def test_two_runs_on_one_store_at_once(tmp_path, home, server, whole):
+def test_two_runs_on_one_store_at_once(tmp_path, home, server, complete):
     store, log = with_database(tmp_path / "store", server), tmp_path / "log"
     both = [start(home, store, log, 0.5, runner) for runner in ("threads", "processes")]
     for process in both:
@@ -47,11 +47,11 @@ def test_two_runs_on_one_store_at_once(tmp_path, home, server, whole):
         assert lines_of(messages) == ["scene_0", "scene_1", "scene_2", *stages]
     done = log.read_text().splitlines()
     assert len(set(done)) == 9 and len(done) <= 18
-    check_nothing_is_left_to_do(store, log, whole)
+    check_nothing_is_left_to_do(store, log, complete)
 
 
 def test_a_bucket_whose_server_has_a_bad_day(
-    tmp_path, server, whole, bucket, s3_server, monkeypatch
+    tmp_path, server, complete, bucket, s3_server, monkeypatch
 ):
     """`benches/pipeline/storm.py` has it in full, with kills, damage and a full disk."""
     s3fs = pytest.importorskip("s3fs")
@@ -65,18 +65,18 @@ def test_a_bucket_whose_server_has_a_bad_day(
     try:
         store = ArtifactStore(f"{bucket}/slg")
         outcome = run_tiny(store, three_scenes(tmp_path / "other log"))
-        assert outcome.failures == [] and outcome.refs == whole
+        assert outcome.failures == [] and outcome.refs == complete
         weather.share = 0.0
-        found = {file.uri for files in store.walk(["labels"]) for file in files}
-        assert found == {file.uri for files in calm.walk(["labels"]) for file in files}
-        assert all(store.read(uri) == calm.read(uri) for uri in found)
+        result = {file.uri for files in store.walk(["labels"]) for file in files}
+        assert result == {file.uri for files in calm.walk(["labels"]) for file in files}
+        assert all(store.read(uri) == calm.read(uri) for uri in result)
         assert weather.met.total() - weather.met[""] >= 5
     finally:
         weather.close()
         s3fs.S3FileSystem.clear_instance_cache()
 
 
-def test_a_disk_that_fills_costs_the_scenes_that_find_no_room(tmp_path, server, whole):
+def test_a_disk_that_fills_costs_the_scenes_that_find_no_room(tmp_path, server, complete):
     try:
         subprocess.run([*NAMESPACE, "true"], check=True, capture_output=True)
     except (OSError, subprocess.CalledProcessError) as error:
@@ -91,16 +91,16 @@ def test_a_disk_that_fills_costs_the_scenes_that_find_no_room(tmp_path, server, 
     assert full["refs"] == {} and len(full["failures"]) == 3
     assert 0 < len(part["failures"]) < 3
     assert room["failures"] == []
-    wanted = {s: {stage: r.digest for stage, r in made.items()} for s, made in whole.items()}
+    wanted = {s: {stage: r.digest for stage, r in output.items()} for s, output in complete.items()}
     assert room["refs"] == wanted
-    for told in (full, part, room):
-        assert told["unfinished"] == []
-        assert told["refs"].items() <= wanted.items()
-        assert all("(No space left on device); make room" in why for why in told["failures"])
+    for report in (full, part, room):
+        assert report["unfinished"] == []
+        assert report["refs"].items() <= wanted.items()
+        assert all("(No space left on device); make room" in why for why in report["failures"])
 
 
 @pytest.mark.skipif(not (PROC / "self/stat").exists(), reason="asks the kernel in /proc")
-def test_work_goes_on_without_the_server_of_a_run(tmp_path, home, server, whole):
+def test_work_goes_on_without_the_server_of_a_run(tmp_path, home, server, complete):
     store, log = with_database(tmp_path / "store", server), tmp_path / "log"
     retries = {"PREFECT_CLIENT_MAX_RETRIES": "0"}  # each takes many seconds
     process = start(home, store, log, 0.7, "threads", **retries)
@@ -110,16 +110,16 @@ def test_work_goes_on_without_the_server_of_a_run(tmp_path, home, server, whole)
     os.kill(itself, signal.SIGKILL)
     _, messages = process.communicate(timeout=120)
     assert process.returncode == 0, messages.decode()
-    check_nothing_is_left_to_do(store, log, whole)
+    check_nothing_is_left_to_do(store, log, complete)
 
 
 @pytest.mark.parametrize("runner", ["threads", "processes"])
-def test_a_clock_that_jumps(runner, tmp_path, home, server, whole):
+def test_a_clock_that_jumps(runner, tmp_path, home, server, complete):
     """By hours, by years, ahead and back, while scenes are worked on."""
-    found = importlib.util.find_spec("libfaketime")
-    if found is None:
+    result = importlib.util.find_spec("libfaketime")
+    if result is None:
         pytest.skip("needs another clock: pip install libfaketime")
-    (library,) = Path(found.origin).parent.rglob("libfaketime.so.1")
+    (library,) = Path(result.origin).parent.rglob("libfaketime.so.1")
     jump = tmp_path / "jump"
     jump.write_text("+0")
     clock = {
@@ -142,4 +142,4 @@ def test_a_clock_that_jumps(runner, tmp_path, home, server, whole):
     assert process.returncode == 0, messages.decode()
     assert lines_of(messages)[:3] == ["scene_0", "scene_1", "scene_2"]
     assert begun() == 9
-    check_nothing_is_left_to_do(store, log, whole)
+    check_nothing_is_left_to_do(store, log, complete)

@@ -32,9 +32,9 @@ def cache(tmp_path, monkeypatch):
     """An empty cache of the hub; whoever asks the hub for more than that fails the test."""
     monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path / "hub"))
 
-    def never(name, *words, local_files_only=False, **others):
+    def never(name, *words, local_files_only=False, **rest):
         assert local_files_only, f"{name} would be downloaded"
-        return snapshot_download(name, *words, local_files_only=True, **others)
+        return snapshot_download(name, *words, local_files_only=True, **rest)
 
     monkeypatch.setattr("huggingface_hub.snapshot_download", never)
     return tmp_path / "hub"
@@ -54,9 +54,9 @@ def chosen(capsys, **values) -> tuple[str, str]:
 
 
 def test_without_weights_it_is_the_lexicon(capsys):
-    encoder, told = chosen(capsys)
+    encoder, output = chosen(capsys)
     assert encoder == "lexicon"
-    assert told == (
+    assert output == (
         "encoder auto: lexicon, as no CLIP is on this machine "
         f"(`hf download {Clip.FAMILY.example}` brings one)\n"
     )
@@ -65,13 +65,13 @@ def test_without_weights_it_is_the_lexicon(capsys):
 def test_the_default_model_in_the_cache_is_taken(model, cache, capsys):
     folder = download(model, cache, Clip.FAMILY.example)
     download(model, cache, "someone/other-clip")
-    encoder, told = chosen(capsys)
+    encoder, output = chosen(capsys)
     assert encoder == "clip"
-    assert told == f"encoder auto: clip, as {Clip.FAMILY.example} is on this machine\n"
+    assert output == f"encoder auto: clip, as {Clip.FAMILY.example} is on this machine\n"
     (folder / "merges.txt").unlink()
     (folder / "tokenizer.json").unlink(missing_ok=True)
-    encoder, told = chosen(capsys)
-    assert encoder == "clip" and "someone/other-clip is the one CLIP in the hub's cache" in told
+    encoder, output = chosen(capsys)
+    assert encoder == "clip" and "someone/other-clip is the one CLIP in the hub's cache" in output
 
 
 def test_one_other_model_in_the_cache_is_taken_and_of_several_none(model, cache, tmp_path, capsys):
@@ -81,28 +81,28 @@ def test_one_other_model_in_the_cache_is_taken_and_of_several_none(model, cache,
     assert settings.encoder == "clip" and settings.clip.model == "someone/small-clip"
     capsys.readouterr()
     download(model, cache, "someone/other-clip")
-    encoder, told = chosen(capsys)
+    encoder, output = chosen(capsys)
     assert encoder == "lexicon"
-    assert "several of CLIP (someone/other-clip, someone/small-clip); name one" in told
+    assert "several of CLIP (someone/other-clip, someone/small-clip); name one" in output
     (folder / WEIGHTS).unlink()
     assert chosen(capsys)[0] == "clip"
 
 
 def test_a_model_that_is_given_is_taken_or_missed(model, tmp_path, capsys):
-    encoder, told = chosen(capsys, clip={"model": str(model), "crops": "context"})
-    assert encoder == "clip" and f"as {model} is on this machine" in told
+    encoder, output = chosen(capsys, clip={"model": str(model), "crops": "context"})
+    assert encoder == "clip" and f"as {model} is on this machine" in output
     for place in (tmp_path / "none", save_sam(tmp_path / "sam"), "no-such/clip"):
-        encoder, told = chosen(capsys, clip={"model": str(place)})
+        encoder, output = chosen(capsys, clip={"model": str(place)})
         assert encoder == "lexicon"
-        assert f"as {place} is no whole CLIP with its tokenizer on this machine" in told
-    own = {"model": str(model), "tokenizer": "no-such/words"}
-    assert chosen(capsys, clip=own)[0] == "lexicon"
+        assert f"as {place} is no whole CLIP with its tokenizer on this machine" in output
+    local = {"model": str(model), "tokenizer": "no-such/words"}
+    assert chosen(capsys, clip=local)[0] == "lexicon"
 
 
 def test_without_transformers_it_is_the_lexicon(model, monkeypatch, capsys):
     monkeypatch.setattr(read_config, "find_spec", lambda name: None)
-    encoder, told = chosen(capsys, clip={"model": str(model)})
-    assert encoder == "lexicon" and "transformers, which is not installed" in told
+    encoder, output = chosen(capsys, clip={"model": str(model)})
+    assert encoder == "lexicon" and "transformers, which is not installed" in output
 
 
 def test_a_table_of_clip_may_be_given_and_of_no_other(model):
@@ -130,25 +130,25 @@ def test_what_is_built_knows_what_was_taken(model, tmp_path, monkeypatch, capsys
     ]
     assert run(monkeypatch, *words, "-o", tmp_path / "field") == 0
     assert capsys.readouterr().err.startswith(f"encoder auto: clip, as {model} is on this machine")
-    known = SemanticField.load(tmp_path / "field").settings
-    assert known["encoder"] == "clip" and known["clip"]["model"] == model_digest(model)
+    valid = SemanticField.load(tmp_path / "field").settings
+    assert valid["encoder"] == "clip" and valid["clip"]["model"] == model_digest(model)
 
     config = tmp_path / "run.toml"
     config.write_text(f'encoder = "auto"\n[clip]\nmodel = "{model}"\n')
-    taken = read_toml(config, {})
+    picked = read_toml(config, {})
     assert "encoder auto: clip" in capsys.readouterr().err
     config.write_text(f'encoder = "clip"\n[clip]\nmodel = "{model}"\n')
-    assert taken.identity == read_toml(config, {}).identity
+    assert picked.identity == read_toml(config, {}).identity
     assert capsys.readouterr().err == ""
-    field = build_field(room_sample(), taken.built_by)
+    field = build_field(room_sample(), picked.built_by)
     assert field.settings["encoder"] == "clip"
 
 
 def test_the_help_names_it(monkeypatch, capsys):
     for command in ("field", "demo", "doctor"):
         assert run(monkeypatch, command, "--help") == 0
-        told = " ".join(capsys.readouterr().out.split())
-        assert "lexicon, clip or auto. [default: lexicon]" in told
+        output = " ".join(capsys.readouterr().out.split())
+        assert "lexicon, clip or auto. [default: lexicon]" in output
 
 
 def test_a_word_like_it_is_none(monkeypatch, capsys, tmp_path):

@@ -41,9 +41,9 @@ def test_a_field_is_built_of_depth_and_cameras_of_a_file(tmp_path, monkeypatch, 
     for name in VIEWS:
         expected = room(*SIZE).cameras[name]
         np.testing.assert_allclose(field.cameras[f"{name}.png"].c2w, expected.c2w, atol=1e-6)
-        seen = field.render(field.cameras[f"{name}.png"])
+        observed = field.render(field.cameras[f"{name}.png"])
         truth = room(*SIZE).read(name).depth
-        assert np.median(np.abs(seen.depth / truth - 1)) < 0.02
+        assert np.median(np.abs(observed.depth / truth - 1)) < 0.02
 
 
 @pytest.mark.usefixtures("server")

@@ -24,9 +24,9 @@ from slgaussian.errors import did_you_mean
 ROOT = Path(__file__).parents[2]
 ROOT_COMMAND = get_command(app)
 COMMANDS = {
-    (name, *more): command
+    (name, *extra): command
     for name, first in ROOT_COMMAND.commands.items()
-    for more, command in (
+    for extra, command in (
         {(inner,): c for inner, c in first.commands.items()} if hasattr(first, "commands") else {
             (): first
         }
@@ -38,35 +38,35 @@ EACH = pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
 
 
 @pytest.fixture
-def shown(monkeypatch, capsys):
+def visible(monkeypatch, capsys):
     """What ``slgaussian WORDS`` prints in a terminal of so many columns."""
 
-    def shown(*words: str, columns: int = 80) -> str:
+    def visible(*words: str, columns: int = 80) -> str:
         # click's own variable: there is no terminal to ask here.
         monkeypatch.setenv("COLUMNS", str(columns))
         assert run(monkeypatch, *words) == 0
         return capsys.readouterr().out
 
-    return shown
+    return visible
 
 
 @EACH
-def test_help_is_one_screen_with_examples_and_every_option(words, shown):
-    text = shown(*words, "--help", columns=100)
+def test_help_is_one_screen_with_examples_and_every_option(words, visible):
+    text = visible(*words, "--help", columns=100)
     lines = text.splitlines()
     assert len(lines) <= 40 and max(map(len, lines)) <= 100
     assert "Undefined" not in text and "None" not in text
-    assert shown(*words, "-h", columns=100) == text
+    assert visible(*words, "-h", columns=100) == text
     options = {param.opts[0] for param in COMMANDS[words].params}
     assert not [name for name in options if name.startswith("--") and name not in text]
 
 
 @pytest.mark.parametrize("words", GROUPS, ids=lambda words: " ".join(words) or "slgaussian")
-def test_the_help_of_a_group_is_one_screen_of_whole_sentences(words, shown):
-    text = shown(*words, "--help")
+def test_the_help_of_a_group_is_one_screen_of_whole_sentences(words, visible):
+    text = visible(*words, "--help")
     assert len(text.splitlines()) <= 42 and max(map(len, text.splitlines())) <= 80
     assert "..." not in text.replace("[ARGS]...", "")
-    assert shown(*words, "-h") == text
+    assert visible(*words, "-h") == text
 
 
 def test_there_are_few_commands():
@@ -105,11 +105,11 @@ def test_every_example_is_understood(words):
     examples = [line for line in map(str.strip, doc.splitlines()) if line.startswith("slgaussian ")]
     assert examples
     for line in examples:
-        asked = shlex.split(line)[1:]
-        at = 2 if tuple(asked[:2]) in COMMANDS else 1
-        command = COMMANDS[tuple(asked[:at])]
+        calls = shlex.split(line)[1:]
+        at = 2 if tuple(calls[:2]) in COMMANDS else 1
+        command = COMMANDS[tuple(calls[:at])]
         with typer.Context(ROOT_COMMAND, info_name="slgaussian") as above:
-            command.make_context(" ".join(asked[:at]), asked[at:], parent=above)
+            command.make_context(" ".join(calls[:at]), calls[at:], parent=above)
     assert any(line.split()[1 : len(words) + 1] == list(words) for line in examples)
 
 
@@ -153,8 +153,8 @@ def test_completion_and_help_need_no_heavy_library():
         "heavy = {'torch', 'prefect', 'numba', 'cv2'} & set(sys.modules)\n"
         "sys.exit(f'loaded: {heavy}' if heavy else 0)"
     )
-    asked = {"COMP_WORDS": "slgaussian field --encoder ", "COMP_CWORD": "3"}
-    env = {**os.environ, **asked, "_SLGAUSSIAN_COMPLETE": "complete_bash"}
+    calls = {"COMP_WORDS": "slgaussian field --encoder ", "COMP_CWORD": "3"}
+    env = {**os.environ, **calls, "_SLGAUSSIAN_COMPLETE": "complete_bash"}
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == [b"lexicon", b"clip", b"auto"]
@@ -210,10 +210,10 @@ def test_a_slip_is_one_sentence_with_the_nearest_name(
 
 
 def test_the_nearest_name_is_near():
-    known = ["planesweep", "mvsplat", "sam2-video"]
-    assert did_you_mean("MVSplat", known) == "; did you mean 'mvsplat'?"
-    assert did_you_mean("sam2_video", known) == "; did you mean 'sam2-video'?"
-    assert did_you_mean("regions", known) == did_you_mean("", known) == did_you_mean(3, []) == ""
+    valid = ["planesweep", "mvsplat", "sam2-video"]
+    assert did_you_mean("MVSplat", valid) == "; did you mean 'mvsplat'?"
+    assert did_you_mean("sam2_video", valid) == "; did you mean 'sam2-video'?"
+    assert did_you_mean("regions", valid) == did_you_mean("", valid) == did_you_mean(3, []) == ""
 
 
 def test_nothing_given_is_help_and_no_success(monkeypatch, capsys):
@@ -221,13 +221,13 @@ def test_nothing_given_is_help_and_no_success(monkeypatch, capsys):
     assert "Usage: slgaussian" in capsys.readouterr().err
 
 
-def test_python_runs_the_program_whatever_the_working_folder_holds(tmp_path, shown):
-    assert shown("--version") == f"slgaussian {__version__}\n"
+def test_python_runs_the_program_whatever_the_working_folder_holds(tmp_path, visible):
+    assert visible("--version") == f"slgaussian {__version__}\n"
     for name in ("flows", "tasks", "data_specs", "email"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise SystemExit('a stranger')")
-    for more in ([], ["-P"]):
-        command = [sys.executable, *more, "-m", "slgaussian"]
+    for extra in ([], ["-P"]):
+        command = [sys.executable, *extra, "-m", "slgaussian"]
         env = {**os.environ, "PYTHONPATH": str(ROOT)}
         for words in (["--version"], ["feild"]):
             done = subprocess.run(

@@ -25,8 +25,8 @@ finally:
 
 def imported(*words: str) -> tuple[str, set[str]]:
     """What ``slgaussian WORDS`` prints in a process of its own, and the heavy modules it loads."""
-    given = [sys.executable, "-c", CODE, json.dumps(words)]
-    done = subprocess.run(given, capture_output=True, text=True)
+    inputs = [sys.executable, "-c", CODE, json.dumps(words)]
+    done = subprocess.run(inputs, capture_output=True, text=True)
     assert done.returncode in (0, 3), done.stderr  # what is asked for may not be there
     return done.stdout, HEAVY & set(json.loads(done.stderr.splitlines()[-1]))
 
@@ -46,8 +46,8 @@ def test_a_question_waits_for_no_torch_and_once_asked_for_no_kernel_either(tmp_p
     question = ("query", str(tmp_path / "field"), "red", "--json")
     first, heavy = imported(*question)
     assert "torch" not in heavy and "pyarrow" not in heavy
-    again, heavy = imported(*question)
-    assert again == first and json.loads(first)["text"] == "red"
+    rerun, heavy = imported(*question)
+    assert rerun == first and json.loads(first)["text"] == "red"
     assert heavy == {"numpy", "cv2", "pydantic"}
 
 

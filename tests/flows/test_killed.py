@@ -71,8 +71,8 @@ def test_a_stopped_run_goes_on_later_and_leaves_nothing(tmp_path, home, server, 
     assert sorted(outcome.refs) == ["scene_0", "scene_1", "scene_2"]
     assert not any(line.startswith("scene_0") for line in after)
     assert not [p for p in store.rglob("*.tmp") if ".prefect" not in p.parts]
-    whole = run_tiny(ArtifactStore(tmp_path / "other"), three_scenes(tmp_path / "other log"))
-    assert whole.refs == outcome.refs
+    full = run_tiny(ArtifactStore(tmp_path / "other"), three_scenes(tmp_path / "other log"))
+    assert full.refs == outcome.refs
 
 
 def left_in(home: Path) -> list[str]:

@@ -49,9 +49,9 @@ def room() -> Scene:
         camera = cameras[name]
         scale = wall.shape[1] / 6  # the wall is 6 m wide
         to_wall = np.array([[1 / scale, 0, -3], [0, 1 / scale, -2], [0, 0, 3]])
-        there = camera.w2c[:3, :3] @ to_wall
-        there[:, 2] += camera.w2c[:3, 3]
-        image = cv2.warpPerspective(wall, K @ there, SIZE, borderMode=cv2.BORDER_REFLECT)
+        inside = camera.w2c[:3, :3] @ to_wall
+        inside[:, 2] += camera.w2c[:3, 3]
+        image = cv2.warpPerspective(wall, K @ inside, SIZE, borderMode=cv2.BORDER_REFLECT)
         return View(name, camera, image)
 
     return Scene("wall", cameras, view)
@@ -138,16 +138,16 @@ class TestIndex:
         assert all(pair.measured["baseline"] >= 0.2 for pair in index.pairs)
 
     def test_labels_of_ones_own_lie_beside_any_format(self, lerf):
-        own, data = lerf / "own", lerf / "teatime"
-        label(own, FRAMES[4], "red ball")
-        index = indexed(data, format="colmap", labels=own)
+        local, data = lerf / "own", lerf / "teatime"
+        label(local, FRAMES[4], "red ball")
+        index = indexed(data, format="colmap", labels=local)
         assert index.format == "colmap"
         (pair,) = index.pairs
         assert (pair.scene, pair.labels, pair.options) == ("teatime-frame_00005", "", {})
         file = data / "pairs.json"
-        settings = make_settings({"data": data, "pairs": file, "labels": own}, "test")
+        settings = make_settings({"data": data, "pairs": file, "labels": local}, "test")
         ((scene,), _) = labelled_scenes(settings)
-        assert (scene.labels, scene.categories) == (own, ["red ball"])
+        assert (scene.labels, scene.categories) == (local, ["red ball"])
 
     def test_a_photograph_that_is_missing_or_damaged_is_no_context(self, lerf):
         pair = indexed(lerf).pairs[1]
@@ -156,7 +156,7 @@ class TestIndex:
         (lerf / "ramen/images" / FRAMES[3]).unlink()
         index = indexed(lerf)
         assert "no such photograph" in index.left_out["ramen-frame_00004"]
-        assert not any(set(pair.context) & set(other.context) for other in index.pairs)
+        assert not any(set(pair.context) & set(second.context) for second in index.pairs)
 
     def test_what_cannot_be_is_said_in_one_sentence(self, lerf, monkeypatch, capsys):
         lerf_ovs = ("--format", "lerf_ovs")
@@ -178,11 +178,11 @@ class TestIndex:
 
 
 class TestScored:
-    def scenes(self, lerf, **more):
+    def scenes(self, lerf, **extra):
         file = lerf / "pairs.json"
         if not file.exists():
             build_index(lerf, None, IndexSettings(format="lerf_ovs"), file)
-        return labelled_scenes(make_settings({"data": lerf, "pairs": file, **more}, "test"))
+        return labelled_scenes(make_settings({"data": lerf, "pairs": file, **extra}, "test"))
 
     def test_the_stages_read_what_the_index_says(self, lerf, monkeypatch, tmp_path):
         scenes, notes = self.scenes(lerf)
@@ -192,14 +192,14 @@ class TestScored:
         photographs, labels, *_ = scene_task(settings, settings.built_by, scene).arguments
         store = ArtifactStore(str(tmp_path / "store"))
         context = RunContext(store)
-        made = ingest.compute(context, photographs)
-        sample = sample_from_arrays(store.get(made))
+        output = ingest.compute(context, photographs)
+        sample = sample_from_arrays(store.get(output))
         assert [view.name for view in sample.targets] == [FRAMES[4]]
         assert sample.context[0].image.shape == (80, 120, 3)
-        found = truth_from_arrays(store.get(truth.compute(context, made, labels)))
-        mask = found.masks[FRAMES[4]]["sheep"]
+        result = truth_from_arrays(store.get(truth.compute(context, output, labels)))
+        mask = result.masks[FRAMES[4]]["sheep"]
         assert mask.mean() == pytest.approx(80 * 60 / 240 / 160, rel=0.1)
-        assert found.boxes[FRAMES[4]]["sheep"].tolist() == [[30, 25, 70, 55]]
+        assert result.boxes[FRAMES[4]]["sheep"].tolist() == [[30, 25, 70, 55]]
 
     def test_pairs_of_one_scene_of_the_data_are_of_one_place(self, lerf, monkeypatch):
         scenes, _ = self.scenes(lerf)
@@ -207,13 +207,13 @@ class TestScored:
         settings = make_settings({"against": ["absent-zero", "no-bank"]}, "test")
         for scene in [*scenes, room_scene(3)]:
             method = settings.built_by
-            others = baseline_tasks(settings, method, [scene], {scene.name: {}})
-            _, *_, own = scene_task(settings, method, scene).arguments
-            asked = [own, *(job.arguments[2] for job in others)]
+            rest = baseline_tasks(settings, method, [scene], {scene.name: {}})
+            _, *_, local = scene_task(settings, method, scene).arguments
+            calls = [local, *(job.arguments[2] for job in rest)]
             place = scene.options.get("scene")
-            assert [scoring.place for scoring in asked] == [place] * 3
+            assert [scoring.place for scoring in calls] == [place] * 3
             # Each row is asked by its own rules, and its samples say so.
-            assert [scoring.rules.absent for scoring in asked] == ["skip", "skip", "zero"]
+            assert [scoring.rules.absent for scoring in calls] == ["skip", "skip", "zero"]
 
     def test_another_format_than_that_of_the_index_is_refused(self, lerf, monkeypatch):
         with pytest.raises(InputError, match=r"was made for data of format 'lerf_ovs', but format"):
@@ -237,8 +237,8 @@ class TestScored:
         clip = re10k.clip_of(room)
         re10k.write(data, [clip])
         file = tmp_path / "index.json"
-        there = {"context": [0, 8], "target": [2, 4, 8]}
-        file.write_text(json.dumps({clip.key: there, "other": {"context": [0, 5], "target": [3]}}))
+        inside = {"context": [0, 8], "target": [2, 4, 8]}
+        file.write_text(json.dumps({clip.key: inside, "other": {"context": [0, 5], "target": [3]}}))
         settings = {"data": data, "pairs": file}
         (scene,), notes = labelled_scenes(make_settings(settings, "test"))
         assert scene.targets == ["2", "4"]
@@ -283,21 +283,21 @@ class TestPublished:
         tables = page[page.index("## The paper's tables") :].split("## Scene by scene")[0]
         assert "teatime | 21.64 (data not present)" in tables
         assert ", n " not in tables
-        told = "called teatime, but not the published scene (found labelled frames "
-        assert told in tables and f"{told}frame_00005, " in (out / "report.html").read_text()
+        report = "called teatime, but not the published scene (found labelled frames "
+        assert report in tables and f"{report}frame_00005, " in (out / "report.html").read_text()
 
     def test_photographs_and_labels_are_what_a_scene_is_known_by(self, lerf):
-        known = SETS["lerf_ovs"]["teatime"]
+        valid = SETS["lerf_ovs"]["teatime"]
         images, labels = lerf / "ramen/images", lerf / "mine"
-        label(labels, "frame_00002.jpg", *known.texts[:5])
+        label(labels, "frame_00002.jpg", *valid.texts[:5])
         scene = SceneSettings(
             name="office", format="lerf_ovs", options={"scene": "ramen"}, path=lerf, labels=labels,
             context=FRAMES[2:7:4], targets=["frame_00002.jpg"], categories=["sheep"],
         )  # fmt: skip
         assert published_as(scene)["standing"] == "another"  # called ramen, photographs of 240x160
-        Image.open(images / FRAMES[1]).resize(known.size).save(images / FRAMES[1])
-        found = published_as(scene)
-        assert (found["standing"], found["scene"]) == ("recognised", "teatime")
+        Image.open(images / FRAMES[1]).resize(valid.size).save(images / FRAMES[1])
+        result = published_as(scene)
+        assert (result["standing"], result["scene"]) == ("recognised", "teatime")
         label(labels, "frame_00002.jpg", "office chair", "monitor")
         assert published_as(scene)["standing"] == "another"
         (labels / "frame_00002.json").unlink()

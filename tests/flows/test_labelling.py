@@ -31,31 +31,31 @@ def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, mo
     assert maps.shape == (2, 64, 64) and maps.max() > 2
     assert Image.open(tmp_path / "ids" / PHOTOS[0]).mode.startswith("I;16")
     objects = np.setdiff1d(maps, [0])
-    shared = np.intersect1d(*(np.setdiff1d(one, [0]) for one in maps))
+    shared = np.intersect1d(*(np.setdiff1d(first, [0]) for first in maps))
     assert f"{len(objects)} objects, {len(shared)} of them in several views" in printed
     assert len(shared)
 
     # They are what a field is built from without them, and the same ids come back.
     sample = room_sample()
-    again = Precomputed(folder=tmp_path / "ids")
+    rerun = Precomputed(folder=tmp_path / "ids")
     for view, ids in zip(sample.context, maps, strict=True):
-        np.testing.assert_array_equal(again.propagate(SeenView(view)), ids)
+        np.testing.assert_array_equal(rerun.propagate(SeenView(view)), ids)
     tracker = ["--tracker", "precomputed", "--set", "precomputed.folder=ids"]
     assert run(monkeypatch, "field", *words, *tracker, "-o", "given") == 0
-    given = slg.SemanticField.load("given")
-    assert given.bank.ids.tolist() == objects.tolist()
-    present = np.stack([[(one == i).any() for one in maps] for i in objects])
-    np.testing.assert_array_equal(given.bank.present, present)
+    inputs = slg.SemanticField.load("given")
+    assert inputs.bank.ids.tolist() == objects.tolist()
+    present = np.stack([[(first == i).any() for first in maps] for i in objects])
+    np.testing.assert_array_equal(inputs.bank.present, present)
 
-    about = json.loads((tmp_path / "ids" / "masks.json").read_text())
-    assert about["views"] == {name: name for name in PHOTOS}
-    assert about["settings"]["proposer"] == "regions"
+    info = json.loads((tmp_path / "ids" / "masks.json").read_text())
+    assert info["views"] == {name: name for name in PHOTOS}
+    assert info["settings"]["proposer"] == "regions"
 
 
 def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, capsys):
-    other = tmp_path / "kept"
-    other.mkdir()
-    (other / "letter.txt").write_text("dear")
+    second = tmp_path / "kept"
+    second.mkdir()
+    (second / "letter.txt").write_text("dear")
     assert run(monkeypatch, "masks", *words, "-o", "kept") == 2
     assert "exists and is not a folder of masks" in said(capsys)
     assert run(monkeypatch, "masks", *words, "--tracker", "swiss", "-o", "ids") == 2
@@ -86,7 +86,7 @@ def test_maps_are_called_so_that_each_view_finds_its_own():
 @pytest.mark.parametrize(("top", "suffix"), [(0, ".png"), (65535, ".png"), (65536, ".npy")])
 def test_a_map_of_any_ids_reads_as_it_was_written(tmp_path, top, suffix):
     ids = np.array([[0, 1, 300], [top, 2, 0]], np.int32).clip(0, max(top, 0))
-    found, data = encode_ids(ids)
-    assert found == suffix
-    (tmp_path / f"a{found}").write_bytes(data)
-    np.testing.assert_array_equal(read_ids(tmp_path / f"a{found}"), ids)
+    result, data = encode_ids(ids)
+    assert result == suffix
+    (tmp_path / f"a{result}").write_bytes(data)
+    np.testing.assert_array_equal(read_ids(tmp_path / f"a{result}"), ids)

@@ -42,21 +42,23 @@ def test_every_event_has_its_line(tmp_path):
         "began", "finished", "done", "worker_died", "finished", "repeated", "failed", "progress",
     ]  # fmt: skip
     assert (last["event"], last["how"]) == ("ended", "finished")
-    whole = [first, *events, last]
-    times = [datetime.fromisoformat(line["time"]) for line in whole]
+    full = [first, *events, last]
+    times = [datetime.fromisoformat(line["time"]) for line in full]
     assert times == sorted(times) and all(str(time.tzinfo) == "UTC" for time in times)
-    told = {line["event"]: line for line in events}
-    assert told["done"]["scene"] == "küche\n" and told["done"]["cached"] == 1
-    assert told["failed"]["level"] == "error" and told["failed"]["traceback"] == "Traceback: of it"
-    assert told["worker_died"]["scenes"] == ["hall"]
-    assert (told["progress"]["done"], told["progress"]["failed"]) == (1, 1)
+    output = {line["event"]: line for line in events}
+    assert output["done"]["scene"] == "küche\n" and output["done"]["cached"] == 1
+    assert (
+        output["failed"]["level"] == "error" and output["failed"]["traceback"] == "Traceback: of it"
+    )
+    assert output["worker_died"]["scenes"] == ["hall"]
+    assert (output["progress"]["done"], output["progress"]["failed"]) == (1, 1)
 
 
 def test_verbose_keeps_also_what_was_found_done(tmp_path):
     with log_to_file(tmp_path, verbose=True):
         run_one(verbose=True)
-    told = [line["event"] for line in lines_of(tmp_path / FILE)]
-    assert told.count("finished") == 3
+    output = [line["event"] for line in lines_of(tmp_path / FILE)]
+    assert output.count("finished") == 3
 
 
 def test_it_says_how_the_run_ended(tmp_path):
@@ -83,19 +85,19 @@ def test_the_log_of_an_earlier_run_is_replaced(tmp_path):
 
 
 def test_what_the_library_logs_is_kept_while_a_run_is_on(tmp_path):
-    own = logging.getLogger("slgaussian.somewhere")
+    local = logging.getLogger("slgaussian.somewhere")
     with log_to_file(tmp_path):
-        own.info("at %d", 7)
-    own.info("afterwards")
-    assert not own.isEnabledFor(logging.INFO)
+        local.info("at %d", 7)
+    local.info("afterwards")
+    assert not local.isEnabledFor(logging.INFO)
     _, line, _ = lines_of(tmp_path / FILE)
     assert (line["logger"], line["message"]) == ("slgaussian.somewhere", "at 7")
 
 
 def test_a_log_that_cannot_be_written_is_said_once(tmp_path, capsys):
     with log_to_file(tmp_path / "gone"):
-        told = run_one()
-    assert told.done == 1
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert f"{FILE}: cannot be written (No such file or directory); going on without" in said
+        output = run_one()
+    assert output.done == 1
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1
+    assert f"{FILE}: cannot be written (No such file or directory); going on without" in text

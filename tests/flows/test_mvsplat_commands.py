@@ -52,14 +52,14 @@ def field_words(photos: Path, *words) -> list:
 
 
 def test_field_with_a_checkpoint(photos, checkpoint, digest, tmp_path, monkeypatch, capsys):
-    given = ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={checkpoint}"]
-    given += ["--set", "mvsplat.depth_candidates=auto", "-o", tmp_path / "field"]
-    assert run(monkeypatch, *field_words(photos, *given)) == 0
+    inputs = ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={checkpoint}"]
+    inputs += ["--set", "mvsplat.depth_candidates=auto", "-o", tmp_path / "field"]
+    assert run(monkeypatch, *field_words(photos, *inputs)) == 0
     assert "with mvsplat, regions, geometric" in capsys.readouterr().err
     field = SemanticField.load(tmp_path / "field")
     assert field.settings["predictor"] == "mvsplat"
-    own = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
-    assert field.settings["mvsplat"] == own
+    local = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
+    assert field.settings["mvsplat"] == local
     assert str(checkpoint.parent) not in (tmp_path / "field" / "field.json").read_text()
 
     # Pixels at the edge have no Gaussian, and all of the others have one.
@@ -72,9 +72,9 @@ def test_field_with_a_checkpoint(photos, checkpoint, digest, tmp_path, monkeypat
     assert run(monkeypatch, "export", tmp_path / "field", "-o", tmp_path / "scene.ply") == 0
     read, _ = load_ply(tmp_path / "scene.ply")
     camera = field.cameras["view_00.png"]
-    seen = harmonics.colors(field.gaussians, camera)
-    torch.testing.assert_close(harmonics.colors(read, camera), seen, rtol=0, atol=1e-6)
-    assert (seen - field.gaussians.colors()).abs().max() > 0.01
+    observed = harmonics.colors(field.gaussians, camera)
+    torch.testing.assert_close(harmonics.colors(read, camera), observed, rtol=0, atol=1e-6)
+    assert (observed - field.gaussians.colors()).abs().max() > 0.01
     words = ["render", tmp_path / "field", "-o", tmp_path / "seen.png"]
     assert run(monkeypatch, *words) == 0
 
@@ -123,10 +123,10 @@ def test_field_that_cannot_be_ends_in_one_sentence(
     (tmp_path / "page.ckpt").write_text(NOT_WEIGHTS)
     words = [word.replace("SMALL", str(checkpoint)) for word in words]
     assert run(monkeypatch, *field_words(photos, *words, "-o", "field")) == 2
-    said = [n for n in capsys.readouterr().err.splitlines() if not n.startswith("building")]
-    assert len(said) == 1
-    assert said[0].startswith("error: ")
-    assert sentence in said[0]
+    message = [n for n in capsys.readouterr().err.splitlines() if not n.startswith("building")]
+    assert len(message) == 1
+    assert message[0].startswith("error: ")
+    assert sentence in message[0]
     assert [path.name for path in tmp_path.iterdir()] == ["page.ckpt"]
 
 
@@ -137,11 +137,11 @@ def test_a_run_without_its_checkpoint_does_not_begin(tmp_path, monkeypatch, caps
     config = toml(tmp_path, f'predictor = "mvsplat"\n{table}{SCENE}')
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
     assert run(monkeypatch, "run", config, "--store", tmp_path / "store") == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ")
-    assert "checkpoint" in said
-    assert broken is None or str(tmp_path / broken) in said
-    assert said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert message.startswith("error: ")
+    assert "checkpoint" in message
+    assert broken is None or str(tmp_path / broken) in message
+    assert message.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["page.ckpt", "run.toml"]
 
 
@@ -160,12 +160,12 @@ def test_a_table_has_its_paths_from_its_folder_and_options_win(tmp_path):
     assert read.mvsplat == TABLES["mvsplat"](
         checkpoint=tmp_path / "weights/re10k.ckpt", precision="float32", depth_candidates=64
     )
-    given = {"checkpoint": "elsewhere.ckpt"}
-    assert read_toml(path, {"mvsplat": given}).mvsplat.checkpoint == Path("elsewhere.ckpt")
+    inputs = {"checkpoint": "elsewhere.ckpt"}
+    assert read_toml(path, {"mvsplat": inputs}).mvsplat.checkpoint == Path("elsewhere.ckpt")
     # A file may keep the table of a part that is not chosen; an option without effect is a slip.
     assert "mvsplat" not in read_toml(path, {"predictor": "planesweep"}).component_values()
     with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
-        read_toml(path, {"predictor": "planesweep", "mvsplat": given})
+        read_toml(path, {"predictor": "planesweep", "mvsplat": inputs})
 
 
 @pytest.mark.parametrize(
@@ -188,8 +188,8 @@ def test_a_slip_in_a_table_is_one_sentence(tmp_path, table, sentence):
         read_toml(toml(tmp_path, f"{table}\n"), {})
 
 
-def settings_for(checkpoint: Path, out: Path, **own) -> Settings:
-    table = {"checkpoint": checkpoint, "depth_candidates": "auto", **own}
+def settings_for(checkpoint: Path, out: Path, **local) -> Settings:
+    table = {"checkpoint": checkpoint, "depth_candidates": "auto", **local}
     values = {"size": "64x64", "near": 0.8, "predictor": "mvsplat", "mvsplat": table}
     return make_settings({**values, "scenes": [ROOM], "out": out}, "test")
 
@@ -203,8 +203,8 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
     page = (tmp_path / "out" / "report.html").read_text("utf-8")
     assert f'settings.mvsplat.checkpoint</td><td class=" left">{digest}</td>' in page
     assert 'settings.mvsplat.depth_candidates</td><td class=" left">auto</td>' in page
-    said = capsys.readouterr().err
-    assert said.startswith("with mvsplat, regions, geometric, lexicon, separated, hard\n")
+    message = capsys.readouterr().err
+    assert message.startswith("with mvsplat, regions, geometric, lexicon, separated, hard\n")
 
     # The same weights in another place: nothing is computed. Another setting: the geometry is.
     moved = tmp_path / "moved.ckpt"
@@ -216,9 +216,9 @@ def test_a_run_is_known_by_the_content_of_its_checkpoint(
         == ((tmp_path / "again" / "report.html").read_text("utf-8").split("<h2>")[:-1])
     )
     score(settings_for(moved, tmp_path / "third", depth_candidates=2), store)
-    said = capsys.readouterr().err
-    assert "room  ingest  cached" in said
-    assert "room  geometry  cached" not in said
+    message = capsys.readouterr().err
+    assert "room  ingest  cached" in message
+    assert "room  geometry  cached" not in message
     # No artifact and no record says where the weights are.
     for file in Path(store.path).rglob("*"):
         assert not file.is_file() or str(checkpoint.parent).encode() not in file.read_bytes()
@@ -228,19 +228,19 @@ def test_settings_of_mvsplat_are_in_no_key_of_another_predictor(
     tmp_path, checkpoint, digest, monkeypatch
 ):
     scene = make_settings({"scenes": [ROOM]}, "test").scenes[0]
-    kept = toml(tmp_path, f'[mvsplat]\ncheckpoint = "{tmp_path / "missing.ckpt"}"\n')
+    stored = toml(tmp_path, f'[mvsplat]\ncheckpoint = "{tmp_path / "missing.ckpt"}"\n')
 
     def calls(settings):
         return calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
 
-    plain, waiting = (calls(settings) for settings in (Settings(), read_toml(kept, {})))
+    plain, waiting = (calls(settings) for settings in (Settings(), read_toml(stored, {})))
     assert plain == waiting
     steps = calls(settings_for(checkpoint, tmp_path))
     assert keyed(plain["geometry"])["predictor"] == {"planesweep": {"depth_candidates": 144}}
-    own = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
-    assert keyed(steps["geometry"])["predictor"] == {"mvsplat": own}
+    local = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
+    assert keyed(steps["geometry"])["predictor"] == {"mvsplat": local}
     assert steps["geometry"]["predictor"].places() == {"checkpoint": str(checkpoint)}
-    assert keyed(steps["field"])["method"]["mvsplat"] == own
+    assert keyed(steps["field"])["method"]["mvsplat"] == local
     for stage in ("masks", "supervision"):
         assert keyed(steps[stage]) == keyed(plain[stage])
 
@@ -249,15 +249,15 @@ def test_a_checkpoint_that_changes_during_a_run_is_refused(tmp_path, checkpoint,
     store = ArtifactStore(tmp_path / "store")
     room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=64)
     sample = store.put("sample", sample_to_arrays(room.sample(["view_00", "view_02"], near=0.8)))
-    own = {"checkpoint": digest, "precision": "float32", "depth_candidates": 8}
-    context, identity = RunContext(store), {"predictor": "mvsplat", "mvsplat": own}
+    local = {"checkpoint": digest, "precision": "float32", "depth_candidates": 8}
+    context, identity = RunContext(store), {"predictor": "mvsplat", "mvsplat": local}
 
     def made(place):
         predictor = Component.stored("predictor", identity, {"checkpoint": str(place)})
         return geometry.compute(context, sample, predictor, 0)
 
     assert made(checkpoint).meta["gaussians"] == 2 * 64 * 64
-    other = tmp_path / "other.ckpt"
-    other.write_bytes(checkpoint.read_bytes()[:-1])
+    second = tmp_path / "other.ckpt"
+    second.write_bytes(checkpoint.read_bytes()[:-1])
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        made(other)
+        made(second)

@@ -16,16 +16,21 @@ NAMES = ("a.png", "b.png", "c.png")
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
     """The current folder: three photographs of a room, one of them again, and one of another."""
-    given = twists.arc(0, 3, SIZE)
-    views = dict(zip(NAMES, given.context, strict=True))
-    views |= {"copy.png": given.context[1], "elsewhere.png": twists.stranger(0, given, 0)}
+    inputs = twists.arc(0, 3, SIZE)
+    views = dict(zip(NAMES, inputs.context, strict=True))
+    views |= {"copy.png": inputs.context[1], "elsewhere.png": twists.stranger(0, inputs, 0)}
     frames = []
     for name, view in views.items():
         Image.fromarray(view.image).save(tmp_path / name)
-        seen = view.camera
-        (fx, _, cx), (_, fy, cy), _ = seen.K.tolist()
-        pose = (seen.c2w * [1, -1, -1, 1]).tolist()
-        frame = {"file_path": name, "transform_matrix": pose, "w": seen.width, "h": seen.height}
+        observed = view.camera
+        (fx, _, cx), (_, fy, cy), _ = observed.K.tolist()
+        pose = (observed.c2w * [1, -1, -1, 1]).tolist()
+        frame = {
+            "file_path": name,
+            "transform_matrix": pose,
+            "w": observed.width,
+            "h": observed.height,
+        }
         frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
     (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
     monkeypatch.chdir(tmp_path)
@@ -37,8 +42,8 @@ def test_a_copy_and_a_stranger_are_left_out_by_name(photos, monkeypatch, capsys)
     assert run(monkeypatch, "field", *NAMES, *words, "plain") == 0
     assert "left out" not in capsys.readouterr().err
     assert run(monkeypatch, "field", *NAMES, "copy.png", "elsewhere.png", "-v", *words, "odd") == 0
-    told = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
-    assert told == [
+    output = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
+    assert output == [
         "warning: copy.png is left out: it is the same picture as b.png, from the same place",
         "warning: elsewhere.png is left out: fewer than 12 matches with any other tell its depth",
     ]

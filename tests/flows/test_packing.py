@@ -57,9 +57,9 @@ def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path,
 
 
 def test_a_folder_of_photographs_alone_becomes_a_clip(photos, tmp_path, monkeypatch):
-    known = nerfstudio.read(photos).cameras
-    made = EstimatedCameras(known, {}, dict.fromkeys(known, 0.0), (), 0.5)
-    monkeypatch.setattr(unposed, "find", lambda files: made)
+    valid = nerfstudio.read(photos).cameras
+    output = EstimatedCameras(valid, {}, dict.fromkeys(valid, 0.0), (), 0.5)
+    monkeypatch.setattr(unposed, "find", lambda files: output)
     (photos / "transforms.json").unlink()
     assert pack([str(photos)], tmp_path / "chunks", SMALL).clips == 1
     (clip,) = re10k.read_chunk(tmp_path / "chunks/000000.torch")
@@ -104,6 +104,6 @@ def test_what_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys, words, se
     with pytest.raises(SystemExit) as stopped:
         main()
     assert stopped.value.code == 2
-    told = capsys.readouterr().err
-    assert sentence in told and told.startswith("error: ") and told.count("\n") == 1
+    report = capsys.readouterr().err
+    assert sentence in report and report.startswith("error: ") and report.count("\n") == 1
     assert not out.exists()

@@ -28,16 +28,16 @@ SAID = Estimated((0.9, 1.15), "matches", 0.42)
 
 def truth(photographs) -> EstimatedCameras:
     """The room's own cameras, as if they had been found: in the world of the first."""
-    known = room(*SIZE).cameras
+    valid = room(*SIZE).cameras
     names = [photograph.name for photograph in photographs if photograph.name != ELSEWHERE]
     left_out = {p.name: "of another place" for p in photographs if p.name == ELSEWHERE}
-    cameras = {n: replace(known[n.removesuffix(".png")], estimated=SAID) for n in names}
-    K, there = np.eye(3), np.eye(4)
-    there[0, 3] = 1
-    frame = {names[0]: Camera(K, np.eye(4), 1, 1), names[1]: Camera(K, there, 1, 1)}
+    cameras = {n: replace(valid[n.removesuffix(".png")], estimated=SAID) for n in names}
+    K, inside = np.eye(3), np.eye(4)
+    inside[0, 3] = 1
+    frame = {names[0]: Camera(K, np.eye(4), 1, 1), names[1]: Camera(K, inside, 1, 1)}
     f = float(cameras[names[0]].K[0, 0])
     pair = EstimatedPair((names[0], names[1]), 90, 60, float("nan"), 2.5, DOUBTFUL, "few matches")
-    found = EstimatedCameras(
+    result = EstimatedCameras(
         cameras,
         dict.fromkeys(names, Focal(f, 0.9 * f, 1.15 * f, "matches")),
         dict.fromkeys(names, 0.0),
@@ -46,7 +46,7 @@ def truth(photographs) -> EstimatedCameras:
         ("the poses may be off by some degrees; take a third photograph",),
         left_out,
     )
-    return found.in_frame_of(frame)
+    return result.in_frame_of(frame)
 
 
 @pytest.fixture
@@ -64,17 +64,17 @@ def photos(tmp_path, monkeypatch):
 
 def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, monkeypatch, capsys):
     assert run(monkeypatch, "field", *PHOTOS, "-o", "field") == 0
-    told = capsys.readouterr().err
-    assert len(told.splitlines()) <= 9
-    assert "warning: the poses may be off by some degrees" in told
-    assert "pixels (" in told and "from matches); 60 of 90 matches agree" in told
+    output = capsys.readouterr().err
+    assert len(output.splitlines()) <= 9
+    assert "warning: the poses may be off by some degrees" in output
+    assert "pixels (" in output and "from matches); 60 of 90 matches agree" in output
     field = slg.SemanticField.load("field")
     first, second = field.cameras.values()
     np.testing.assert_allclose(first.c2w, np.eye(4), atol=1e-12)
     assert np.linalg.norm(second.center) == pytest.approx(1)
     assert first.estimated.source == "matches" and first.estimated.confidence == 0.42
-    about = field.settings["cameras"]
-    assert about["confidence"] == 0.42 and about["pairs"][0]["verdict"] == "doubtful"
+    info = field.settings["cameras"]
+    assert info["confidence"] == 0.42 and info["pairs"][0]["verdict"] == "doubtful"
 
 
 def test_cameras_that_are_written_are_those_that_were_found(photos, monkeypatch, capsys):
@@ -83,13 +83,13 @@ def test_cameras_that_are_written_are_those_that_were_found(photos, monkeypatch,
     printed = capsys.readouterr()
     assert "60" in printed.out and "doubtful: few matches" in printed.out
     assert "cameras found: " in printed.err
-    found = unposed.find(unposed.named(PHOTOS))
-    known = cameras_in(photos / out)
-    assert len(known) == 2
-    for mine, other in zip(found.cameras.values(), known.values(), strict=True):
-        np.testing.assert_allclose(mine.K, other.K, atol=1e-9)
-        np.testing.assert_allclose(mine.c2w, other.c2w, atol=1e-9)
-        assert other.estimated == mine.estimated
+    result = unposed.find(unposed.named(PHOTOS))
+    valid = cameras_in(photos / out)
+    assert len(valid) == 2
+    for mine, alternative in zip(result.cameras.values(), valid.values(), strict=True):
+        np.testing.assert_allclose(mine.K, alternative.K, atol=1e-9)
+        np.testing.assert_allclose(mine.c2w, alternative.c2w, atol=1e-9)
+        assert alternative.estimated == mine.estimated
     assert run(monkeypatch, "cameras", *PHOTOS, "-o", out) == 0  # its own are replaced
     assert run(monkeypatch, "masks", *PHOTOS, "--cameras", out, "-o", "ids") == 0
 
@@ -136,17 +136,17 @@ def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, monkeyp
     assert run(monkeypatch, "masks", *all_three, "--cameras", "there/t.json", "-o", "ids") == 0
     warned = f"warning: {ELSEWHERE} could not be placed when cameras were found, and is left out"
     assert warned in capsys.readouterr().err
-    known = datasets.load("nerfstudio", photos / "there/t.json")
+    valid = datasets.load("nerfstudio", photos / "there/t.json")
     with pytest.raises(InputError, match=r"was left out when cameras were found \(of another"):
-        known.sample([PHOTOS[0], ELSEWHERE])
+        valid.sample([PHOTOS[0], ELSEWHERE])
 
 
 def test_given_cameras_are_refined_in_their_own_world(photos, monkeypatch, capsys):
-    given = json.loads((photos / "given.json").read_text())
+    inputs = json.loads((photos / "given.json").read_text())
     right = datasets.load("nerfstudio", photos / "given.json").cameras
-    for frame in given["frames"]:
+    for frame in inputs["frames"]:
         frame["fl_x"], frame["fl_y"] = 2 * frame["fl_x"], 2 * frame["fl_y"]
-    (photos / "given.json").write_text(json.dumps(given))
+    (photos / "given.json").write_text(json.dumps(inputs))
     words = ("field", *PHOTOS, "--cameras", "given.json", "-o", "field")
     assert run(monkeypatch, *words, "--refine") == 0
     field = slg.SemanticField.load("field")
@@ -164,8 +164,8 @@ def test_a_run_says_of_each_scene_whether_its_cameras_were_given(photos, capsys)
         {"name": "alone", "format": "photographs", "path": photos, "context": every},
         {"name": "given", "path": photos / "given.json", "context": PHOTOS},
     ]
-    asked = [{**scene, "queries": ["red ball"]} for scene in scenes]
-    settings = make_settings({"size": "auto", "out": photos / "out", "scenes": asked}, "test")
+    calls = [{**scene, "queries": ["red ball"]} for scene in scenes]
+    settings = make_settings({"size": "auto", "out": photos / "out", "scenes": calls}, "test")
     assert not score(settings, ArtifactStore(photos / "store")).failures
     said = "estimated, focal length from matches, confidence 42%"
     data = json.loads((photos / "out/manifest.json").read_text())["data"]
@@ -176,11 +176,11 @@ def test_a_run_says_of_each_scene_whether_its_cameras_were_given(photos, capsys)
     assert warned in capsys.readouterr().err
     said += f"; without {ELSEWHERE}, which cannot be placed"
     for page in ("report.html", "report.md"):
-        told = (photos / "out" / page).read_text()
-        assert f"Cameras were not given, but found, of alone ({said})." in told
-    kept = slg.SemanticField.load(photos / "out/fields/alone")
-    assert {camera.estimated.confidence for camera in kept.cameras.values()} == {0.42}
-    assert kept.settings["cameras"]["confidence"] == 0.42
+        output = (photos / "out" / page).read_text()
+        assert f"Cameras were not given, but found, of alone ({said})." in output
+    stored = slg.SemanticField.load(photos / "out/fields/alone")
+    assert {camera.estimated.confidence for camera in stored.cameras.values()} == {0.42}
+    assert stored.settings["cameras"]["confidence"] == 0.42
     assert "cameras" not in slg.SemanticField.load(photos / "out/fields/given").settings
 
 

@@ -61,8 +61,8 @@ def test_presets_differ_and_balanced_is_the_defaults():
 
 def test_what_is_given_wins_key_by_key(tmp_path):
     fast = make_settings({"preset": "fast"}, "test")
-    own = {"planesweep": {"depth_candidates": 100}}
-    mixed = make_settings({"preset": "fast", **own}, "test")
+    local = {"planesweep": {"depth_candidates": 100}}
+    mixed = make_settings({"preset": "fast", **local}, "test")
     assert (mixed.size, mixed.planesweep.depth_candidates) == (fast.size, 100)
     file = tmp_path / "run.toml"
     file.write_text('preset = "fast"\nseed = 3\n')
@@ -73,14 +73,14 @@ def test_what_is_given_wins_key_by_key(tmp_path):
     assert read_toml(file, {"preset": "fast"}).size == (96, 64)
     assert read_toml(file, {"preset": "fast", "size": "auto"}).size == "auto"
     # Its tables are as those of a file: that of a part which is not chosen lies idle.
-    other = make_settings({"preset": "fast", "predictor": "mvsplat"}, "test")
-    assert "planesweep" not in other.component_values()
+    second = make_settings({"preset": "fast", "predictor": "mvsplat"}, "test")
+    assert "planesweep" not in second.component_values()
 
 
-@pytest.mark.parametrize("found", ["quick", "accurate", 3, ["fast"]])
-def test_a_preset_that_is_not_there_is_one_sentence(found):
+@pytest.mark.parametrize("result", ["quick", "accurate", 3, ["fast"]])
+def test_a_preset_that_is_not_there_is_one_sentence(result):
     with pytest.raises(InputError, match=r"found .*, expected one of fast, balanced, paper"):
-        make_settings({"preset": found}, "test")
+        make_settings({"preset": result}, "test")
 
 
 def test_a_field_says_what_ran(tmp_path, monkeypatch, capsys):
@@ -101,11 +101,11 @@ def test_a_field_says_what_ran(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("size", "kept"),
+    ("size", "stored"),
     [("at most 312x432", "at most 312x432"), ("at most 0312x432", "at most 312x432")],
 )
-def test_a_size_may_be_a_bound(size, kept):
-    assert make_settings({"size": size}, "test").size == kept
+def test_a_size_may_be_a_bound(size, stored):
+    assert make_settings({"size": size}, "test").size == stored
 
 
 @pytest.mark.parametrize("size", ["at most", "at most 3x4", "at most 312", "atmost 312x432"])

@@ -31,10 +31,10 @@ def two_done_one_failed(progress: Progress) -> None:
 
 
 def test_a_stream_that_is_no_terminal_gets_lines_only():
-    seen = io.StringIO()
-    with Progress(4, 2, stream=seen) as progress:
+    stream = io.StringIO()
+    with Progress(4, 2, stream=stream) as progress:
         two_done_one_failed(progress)
-    assert seen.getvalue().splitlines() == [
+    assert stream.getvalue().splitlines() == [
         "a  2 stages cached",
         "b  ingest 2.0 s · masks 2.0 s",
         "c  left out at ingest: too dark",
@@ -42,28 +42,28 @@ def test_a_stream_that_is_no_terminal_gets_lines_only():
 
 
 def test_a_terminal_shows_counts_and_what_is_worked_on():
-    seen = Terminal()
-    with Progress(4, 2, stream=seen) as progress:
+    stream = Terminal()
+    with Progress(4, 2, stream=stream) as progress:
         two_done_one_failed(progress)
         assert progress.counts().startswith("2/4 scenes, 1 failed, 4/6 stages, ")
         progress.bar.refresh()
-        assert "d: ingest, half of it" in seen.getvalue()
-    assert "b  ingest 2.0 s · masks 2.0 s" in seen.getvalue()
+        assert "d: ingest, half of it" in stream.getvalue()
+    assert "b  ingest 2.0 s · masks 2.0 s" in stream.getvalue()
     # It draws on its own stream and leaves the cursor where it was, and visible.
-    assert seen.getvalue().count("\x1b[?25l") == seen.getvalue().count("\x1b[?25h") == 1
+    assert stream.getvalue().count("\x1b[?25l") == stream.getvalue().count("\x1b[?25h") == 1
 
 
 def test_what_a_terminal_would_obey_is_shown_and_markup_is_text():
-    seen = Terminal()
-    with Progress(1, 1, stream=seen) as progress:
+    stream = Terminal()
+    with Progress(1, 1, stream=stream) as progress:
         progress.line("bad \x1b[31m [red]name[/red] :smile:")
-    assert "bad \\x1b[31m [red]name[/red] :smile:" in seen.getvalue()
+    assert "bad \\x1b[31m [red]name[/red] :smile:" in stream.getvalue()
 
 
 def test_long_lines_are_not_broken():
-    seen = io.StringIO()
-    Progress(1, 1, stream=seen).line("word " * 100)
-    assert seen.getvalue().count("\n") == 1
+    stream = io.StringIO()
+    Progress(1, 1, stream=stream).line("word " * 100)
+    assert stream.getvalue().count("\n") == 1
 
 
 def test_what_is_lost_or_repeated_is_counted_once():
@@ -85,32 +85,32 @@ def test_what_is_lost_or_repeated_is_counted_once():
 
 
 def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
-    seen = io.StringIO()
-    progress = Progress(2, 1, verbose=True, stream=seen)
+    stream = io.StringIO()
+    progress = Progress(2, 1, verbose=True, stream=stream)
     for scene, reason, trace in (("a", "too dark", ""), ("b", "a defect", "ZeroDivisionError: a")):
         progress.update(StageEvent(scene, "ingest", "completed", seconds=0.5))
         progress.update(StageEvent(scene, "masks", "failed", reason, traceback=trace))
-    lines = seen.getvalue().splitlines()
+    lines = stream.getvalue().splitlines()
     assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
     assert lines[4:] == ["ZeroDivisionError: a"]
 
 
 def test_counts_have_a_rate_and_the_summary_a_line_a_stage():
-    seen = io.StringIO()
-    progress = Progress(3, 2, stream=seen)
+    stream = io.StringIO()
+    progress = Progress(3, 2, stream=stream)
     for scene, stage in itertools.product("ab", ("ingest", "masks")):
         state = "cached" if scene == "b" else "completed"
         progress.update(StageEvent(scene, stage, state, seconds=0.5))
     progress.start -= 60  # a minute ago
     assert progress.counts() == "2/3 scenes, 4/6 stages, 2 scenes a minute"
     progress.summary()
-    assert "masks        1 in 0.5 s, 1 cached\n" in seen.getvalue()
+    assert "masks        1 in 0.5 s, 1 cached\n" in stream.getvalue()
 
 
 def test_waiting_says_it_now_and_then_where_there_is_no_terminal():
-    seen = io.StringIO()
-    waiting = Waiting(seen)
+    stream = io.StringIO()
+    waiting = Waiting(stream)
     for _ in range(3):
         waiting("compiling")
     waiting("")
-    assert seen.getvalue() == "compiling\n"
+    assert stream.getvalue() == "compiling\n"

@@ -137,8 +137,8 @@ def test_a_query_from_between_two_views(field, ask):
     assert second["pixels"] < middle["pixels"] < first["pixels"]
     assert middle["pixels"] == pytest.approx((first["pixels"] + second["pixels"]) / 2, abs=32)
     for share, end in (("0", first), ("1", second)):
-        _, (there,) = ask("query", field, "red", *names, share)
-        assert {**there, "view": end["view"]} == end
+        _, (inside,) = ask("query", field, "red", *names, share)
+        assert {**inside, "view": end["view"]} == end
 
 
 def test_a_camera_file_may_hold_one_camera_or_many(field, tmp_path, ask, monkeypatch, capsys):
@@ -146,19 +146,19 @@ def test_a_camera_file_may_hold_one_camera_or_many(field, tmp_path, ask, monkeyp
     _, (listed,) = ask("query", field, "red", "--camera", file)
     assert listed["view"] == "new/007.png"
     frames = json.loads(file.read_text())
-    one = {**frames, **frames.pop("frames")[0]}
-    del one["frames"], one["file_path"]
-    (tmp_path / "camera.json").write_text(json.dumps(one))
+    item = {**frames, **frames.pop("frames")[0]}
+    del item["frames"], item["file_path"]
+    (tmp_path / "camera.json").write_text(json.dumps(item))
     _, (alone,) = ask("query", field, "red", "--camera", tmp_path / "camera.json")
     assert alone == {**listed, "view": "camera.json"}
     # It is OpenGL's: a camera that looks the other way sees nothing of the walls.
-    one["transform_matrix"] = np.eye(4).tolist()
-    (tmp_path / "camera.json").write_text(json.dumps(one))
+    item["transform_matrix"] = np.eye(4).tolist()
+    (tmp_path / "camera.json").write_text(json.dumps(item))
     status, (away,) = ask("query", field, "red", "--camera", tmp_path / "camera.json")
     assert (status, away["found"], away["score"]) == (3, False, 0)
     assert away["summary"] == "not here: this view shows no object"
-    del one["w"]
-    (tmp_path / "camera.json").write_text(json.dumps(one))
+    del item["w"]
+    (tmp_path / "camera.json").write_text(json.dumps(item))
     assert run(monkeypatch, "query", field, "red", "--camera", tmp_path / "camera.json") == 2
     assert "frame 'camera.json': has neither w and h" in said(capsys)
 
@@ -189,12 +189,12 @@ def test_a_turn_is_a_film_whose_frames_decode(field, tmp_path, monkeypatch):
     while (read := reader.read())[0]:
         frames.append(read[1][..., ::-1])
     assert len(frames) == 5
-    own = slg.SemanticField.load(field)
-    points = own.gaussians.means.numpy()
-    turn = slg.cameras.orbit(list(own.cameras.values()), points, 5)
+    local = slg.SemanticField.load(field)
+    points = local.gaussians.means.numpy()
+    turn = slg.cameras.orbit(list(local.cameras.values()), points, 5)
     for frame, camera in zip(frames, turn, strict=True):
-        seen = own.render(camera).rgb.astype(int)
-        assert np.abs(frame.astype(int) - seen).mean() < 12
+        observed = local.render(camera).rgb.astype(int)
+        assert np.abs(frame.astype(int) - observed).mean() < 12
 
 
 def test_a_film_that_fails_leaves_nothing(field, tmp_path, monkeypatch):
@@ -219,8 +219,8 @@ def test_a_segmentation_is_a_picture_an_id_map_and_a_table(
     assert status == 0
     assert sorted(file.name for file in tmp_path.iterdir()) == ["labels.ids.png", "labels.png"]
     ids = read_ids(tmp_path / "labels.ids.png")
-    own = slg.SemanticField.load(field)
-    view = own.render(own.cameras[FIRST])
+    local = slg.SemanticField.load(field)
+    view = local.render(local.cameras[FIRST])
     np.testing.assert_array_equal(ids, view.segment(["blue", "green", "red"]))
     assert ids[16, 4] == 3 and ids[16, 44] == 1
     for row in rows:
@@ -261,10 +261,12 @@ def test_how_sure_an_answer_is_is_said(field, ask, monkeypatch, capsys):
     said_so = f"probably not here: {point:.2f} that the best object is it\n"
     assert capsys.readouterr().out.startswith(said_so)
     monkeypatch.undo()
-    status, (other,) = ask("query", field, "red", "--set", "protocol=langsplat")
-    assert (other["confidence"], other["verdict"]) == (None, "found")
+    status, (alternative,) = ask("query", field, "red", "--set", "protocol=langsplat")
+    assert (alternative["confidence"], alternative["verdict"]) == (None, "found")
     assert run(monkeypatch, "query", field, "red", "--set", "protocol=langsplat") == 0
-    assert other["uncalibrated"] == "the protocol langsplat" and answer["uncalibrated"] is None
+    assert (
+        alternative["uncalibrated"] == "the protocol langsplat" and answer["uncalibrated"] is None
+    )
     said_so = "found, uncalibrated for the protocol langsplat\n"
     assert capsys.readouterr().out.startswith(said_so)
     # Nothing selected is nothing here, however sure.

@@ -153,10 +153,10 @@ def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_p
     ref = put_field(store, field)
     results.write_fields(store, {"room": ref}, {}, out)
     _, parts = about_field(store, ref)
-    file, own = out / "fields/room/gaussians.npz", Path(store.path, parts["gaussians"].uri)
-    assert os.path.samefile(file, own)
+    file, local = out / "fields/room/gaussians.npz", Path(store.path, parts["gaussians"].uri)
+    assert os.path.samefile(file, local)
     # Whoever edits the link edits the store too; its digest tells.
-    data = bytearray(own.read_bytes())
+    data = bytearray(local.read_bytes())
     data[-len(data) // 2] ^= 255
     with open(file, "r+b") as opened:
         opened.write(data)
@@ -164,7 +164,7 @@ def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_p
         results.write_fields(store, {"room": ref}, {}, out)
     assert put_field(store, field) == ref
     results.write_fields(store, {"room": ref}, {}, out)
-    assert os.path.samefile(file, own)
+    assert os.path.samefile(file, local)
     np.testing.assert_array_equal(
         SemanticField.load(file.parent).gaussians.means, field.gaussians.means
     )
@@ -174,32 +174,32 @@ def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_p
     assert SemanticField.load(file.parent).settings["scene"] == "other"
 
 
-def row(query: str, frame: str = "a", iou: float | None = 0.9, hit: bool = True, **own) -> dict:
-    given = {"query": query, "frame": frame, "iou": iou, "hit_mask": hit, "score": 0.6, "note": ""}
-    return {**given, "protocol": "slgaussian@2", **own}
+def row(query: str, frame: str = "a", iou: float | None = 0.9, hit: bool = True, **local) -> dict:
+    inputs = {"query": query, "frame": frame, "iou": iou, "hit_mask": hit, "score": 0.6, "note": ""}
+    return {**inputs, "protocol": "slgaussian@2", **local}
 
 
 def asked(field: SemanticField, *rows: dict) -> str | None:
-    found = example(SceneResult("room", list(rows), {}, {}, {}), field)
-    return None if found is None else found["text"]
+    result = example(SceneResult("room", list(rows), {}, {}, {}), field)
+    return None if result is None else result["text"]
 
 
 def test_the_question_to_begin_with_is_one_that_is_answered_rightly(field):
     first, *_ = field.cameras.values()
     texts = [*COMMON_OBJECTS, "blue wall", "grey floor", "ball", "cone"]
     hits = field.render(first).query_all(texts)
-    one, two, *_ = (hit.text for hit in hits if hit.found)
+    item, two, *_ = (hit.text for hit in hits if hit.found)
     unsure = next(hit.text for hit in hits if hit.objects and not hit.found)
-    assert asked(field, row(one, iou=0.8), row(two)) == two
-    assert asked(field, row(one, iou=0.8), row(two, hit=False)) == one
-    assert asked(field, row(one, iou=0.6), row(two), row(two, "b", 0.4)) == one
-    assert asked(field, row(one, iou=0.8), row(two, protocol="langsplat@2")) == one
+    assert asked(field, row(item, iou=0.8), row(two)) == two
+    assert asked(field, row(item, iou=0.8), row(two, hit=False)) == item
+    assert asked(field, row(item, iou=0.6), row(two), row(two, "b", 0.4)) == item
+    assert asked(field, row(item, iou=0.8), row(two, protocol="langsplat@2")) == item
     # What was asked without truth comes after all that is known to be right.
     unknown = {"iou": None, "hit": None}
-    assert asked(field, row(one, **unknown, score=0.9), row(two, iou=0.6)) == two
-    assert asked(field, row(one, **unknown), row(two, **unknown, score=0.7)) == two
-    assert asked(field, row(one, iou=0.3), row(two, note="unknown: x")) is None
+    assert asked(field, row(item, **unknown, score=0.9), row(two, iou=0.6)) == two
+    assert asked(field, row(item, **unknown), row(two, **unknown, score=0.7)) == two
+    assert asked(field, row(item, iou=0.3), row(two, note="unknown: x")) is None
     assert asked(field) is None
     # However right the truth says it is, what the field does not call found is not proposed.
-    assert asked(field, row(one, iou=0.6), row(unsure, iou=0.9)) == one
+    assert asked(field, row(item, iou=0.6), row(unsure, iou=0.9)) == item
     assert asked(field, row(unsure, iou=0.9)) is None

@@ -36,20 +36,20 @@ steps = 2
 @pytest.fixture(scope="module")
 def clips():
     """Rooms by their side: the first two are learnt, the third is judged by."""
-    made = {True: [], False: []}
+    output = {True: [], False: []}
     for seed in (0, 1, 3):  # of which samples can be made
         size = {"height": 90, "width": 160}
         room = datasets.load("procedural", seed=seed, objects=4, views=6, baseline=1.0, **size)
         clip = re10k.clip_of(room)
-        made[held_out(clip.key, SHARE)].append(clip)
-    return [*made[False][:2], made[True][0]]
+        output[held_out(clip.key, SHARE)].append(clip)
+    return [*output[False][:2], output[True][0]]
 
 
 def arrive(folder: Path, clip: re10k.Clip) -> None:
     """A chunk of its own, or another content of it."""
     (folder / "chunks").mkdir(exist_ok=True)
-    made = re10k.write(folder / "one", [clip], 10**8)
-    (folder / "one" / made[0]).rename(folder / "chunks" / f"{clip.key.replace(' ', '_')}.torch")
+    output = re10k.write(folder / "one", [clip], 10**8)
+    (folder / "one" / output[0]).rename(folder / "chunks" / f"{clip.key.replace(' ', '_')}.torch")
     (folder / "one" / "index.json").unlink()
 
 
@@ -88,8 +88,8 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     for clip in (first, judged):
         arrive(tmp_path, clip)
     assert "version 1 kept, not used: too few clips" in retrain("refused")
-    made = record(tmp_path, 1)
-    assert made["changes"]["arrived"]["count"] == 2 and made["outcome"] == "refused"
+    output = record(tmp_path, 1)
+    assert output["changes"]["arrived"]["count"] == 2 and output["outcome"] == "refused"
     page = artifact()
     assert page.startswith("# Retraining 1: refused\n") and "| filled | 0." in page
     assert "| arrived | 2 | " in page
@@ -120,10 +120,10 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
         in text
     )
     assert f"version 1, in use, has learnt what was withdrawn or changed since: {first.key}" in text
-    made = record(tmp_path, 6)
-    assert made["changes"]["withdrawn"]["first"] == [first.key]
-    assert made["changes"]["arrived"]["first"] == [second.key]
-    assert made["forgotten"] == [first.key] and "before" in made["scores"]
+    output = record(tmp_path, 6)
+    assert output["changes"]["withdrawn"]["first"] == [first.key]
+    assert output["changes"]["arrived"]["first"] == [second.key]
+    assert output["forgotten"] == [first.key] and "before" in output["scores"]
     added = versions.all()[-1]
     assert added.number == 2 and added.parent == 0
     assert [table["clip"].to_pylist() for table in versions.learnt(added)] == [[second.key]]

@@ -56,8 +56,8 @@ def clusters():
 
 def artifacts(store: ArtifactStore) -> dict[str, bytes]:
     root = Path(store.path)
-    kept = (p for p in sorted(root.rglob("*")) if p.is_file())
-    named = ((str(p.relative_to(root)), p) for p in kept)
+    stored = (p for p in sorted(root.rglob("*")) if p.is_file())
+    named = ((str(p.relative_to(root)), p) for p in stored)
     return {n: p.read_bytes() for n, p in named if not n.startswith(("keys/", ".prefect/"))}
 
 
@@ -68,12 +68,12 @@ def refs_of(store: ArtifactStore) -> dict[str, dict]:
     return {name: [ref["spec"], ref["uri"], ref["digest"]] for name, ref in read.items()}
 
 
-def plans_of(folder: Path, **where: str) -> dict:
+def plans_of(folder: Path, **mask: str) -> dict:
     log = folder / "log"
     return {
         "a": tiny(6, 1, log),
         "bad": tiny(-1, 1, log),
-        "mortal": tiny(20, 1, log, **where),
+        "mortal": tiny(20, 1, log, **mask),
         "defect": tiny(666, 1, log),
         "b": tiny(30, 2, log),
     }
@@ -98,8 +98,8 @@ def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
     monkeypatch.delenv(NO_EVENTS, raising=False)
     store = ArtifactStore(tmp_path / "store")
     plans = plans_of(tmp_path, **{"deadly once": str(tmp_path / "died")})
-    told = Progress(len(plans), 3, stream=io.StringIO())
-    outcome = run_tiny(store, plans, 1, runner=clusters(kind), progress=told)
+    report = Progress(len(plans), 3, stream=io.StringIO())
+    outcome = run_tiny(store, plans, 1, runner=clusters(kind), progress=report)
     assert (tmp_path / "died").exists()
     first, wanted = expected
     assert outcome.refs == wanted.refs
@@ -109,15 +109,15 @@ def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
     assert refs_of(store) == refs_of(first)
 
     # Nothing is counted twice, by those who are told of it either.
-    assert (told.done, told.failed, told.scenes) == (3, 2, 5)
-    assert told.steps == told.total == 9
-    assert "a worker died" in told.console.file.getvalue() or kind == "dask"
+    assert (report.done, report.failed, report.scenes) == (3, 2, 5)
+    assert report.steps == report.total == 9
+    assert "a worker died" in report.console.file.getvalue() or kind == "dask"
 
     # And once more: all is there, whoever made it.
     (tmp_path / "log").write_text("")
     good = {name: plans[name] for name in ("a", "b", "mortal")}
-    again = run_tiny(store, good, 1)
-    assert again.refs == wanted.refs
+    rerun = run_tiny(store, good, 1)
+    assert rerun.refs == wanted.refs
     assert (tmp_path / "log").read_text() == ""
 
 
@@ -125,14 +125,14 @@ def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
 def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_path):
     store, log = ArtifactStore(tmp_path / "store"), tmp_path / "log"
     plans = {"killer": tiny(6, 1, log, deadly="halve"), "good": tiny(8, 1, log)}
-    told = Progress(2, 3, stream=io.StringIO())
-    outcome = run_tiny(store, plans, 1, runner=clusters(kind), progress=told)
+    report = Progress(2, 3, stream=io.StringIO())
+    outcome = run_tiny(store, plans, 1, runner=clusters(kind), progress=report)
     assert sorted(outcome.refs) == ["good"]
     (failure,) = outcome.failures
     assert (failure.scene, failure.stage, failure.kind) == ("killer", "make", "WorkerDied")
     assert failure.reason.startswith("its worker died (")
     assert failure.reason.isprintable() and len(failure.reason) < 500
-    assert (told.done, told.failed) == (1, 1)
+    assert (report.done, report.failed) == (1, 1)
     # What it had made before it died is kept.
     assert log.read_text().count("killer make") == 1
 
@@ -155,7 +155,7 @@ def scenes(tmp_path_factory) -> Path:
 
 def _toml(value) -> str:
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{key} = {_toml(own)}' for key, own in value.items())}}}"
+        return f"{{{', '.join(f'{key} = {_toml(local)}' for key, local in value.items())}}}"
     return json.dumps(value)
 
 
@@ -182,11 +182,11 @@ def reference(server, scenes, tmp_path_factory) -> tuple:
 def test_every_runner_goes_from_photographs_to_the_same_report(
     kind, clusters, scenes, reference, tmp_path, monkeypatch
 ):
-    made, left = run_scenes(monkeypatch, scenes, clusters(kind), 2, tmp_path)
-    known, wanted = reference
-    specs = {name.partition("/")[0] for name in known}
+    output, left = run_scenes(monkeypatch, scenes, clusters(kind), 2, tmp_path)
+    valid, wanted = reference
+    specs = {name.partition("/")[0] for name in valid}
     assert {"sample", "gaussians", "field", "objects", "scene_result", "report"} <= specs
-    assert made == known
+    assert output == valid
     assert {"scores.parquet", "samples.csv", "fields/mine/gaussians.npz"} <= wanted.keys()
     assert any(name.startswith("predictions/") for name in wanted)
     assert left == wanted
@@ -209,17 +209,17 @@ def test_an_error_of_a_worker_is_told_and_is_no_death(kind, clusters, tmp_path, 
         "lock": tiny(6, 1, log, lock=threading.Lock()),
         "unreadable": tiny(6, 1, log, what=Unreadable()),
     }
-    told = Progress(len(plans), 3, stream=io.StringIO())
+    report = Progress(len(plans), 3, stream=io.StringIO())
     store = ArtifactStore(tmp_path / "store")
-    outcome = run_tiny(store, plans, 1, runner=clusters(kind), progress=told)
+    outcome = run_tiny(store, plans, 1, runner=clusters(kind), progress=report)
     assert sorted(outcome.refs) == ["good"]
     reasons = {failure.scene: failure.reason for failure in outcome.failures}
     assert reasons["defect"] == "unexpected ZeroDivisionError: a defect"
     assert reasons["exit"] == "unexpected SystemExit: 3"
     assert re.fullmatch("cannot be sent to a worker: .*cannot pickle.*lock.*", reasons["lock"])
     assert reasons["unreadable"].startswith("its worker raised ValueError: invalid literal for int")
-    assert "a worker raised ValueError" in told.console.file.getvalue()
-    assert "died" not in told.console.file.getvalue() + str(reasons)
+    assert "a worker raised ValueError" in report.console.file.getvalue()
+    assert "died" not in report.console.file.getvalue() + str(reasons)
 
 
 @pytest.mark.parametrize("kind", ["dask", "ray"])
@@ -270,8 +270,8 @@ def test_a_store_in_memory_is_for_threads_only(runner, tmp_path):
 @needs["dask"]
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(tmp_path, monkeypatch):
     monkeypatch.setattr(task_runners, "PATIENCE", 0.5)
-    said = "no worker of dask://.* took on any work within"
-    with dask_cluster(workers=0) as runner, pytest.raises(InputError, match=said):
+    message = "no worker of dask://.* took on any work within"
+    with dask_cluster(workers=0) as runner, pytest.raises(InputError, match=message):
         run_tiny(ArtifactStore(tmp_path), {}, runner=runner)
     assert not list(tmp_path.glob(".probe*"))
 

@@ -35,21 +35,21 @@ def folders(tmp_path_factory) -> dict[str, Path]:
     return {"sam": save_sam(root / "sam"), "sam2": save_sam2(root / "sam2")}
 
 
-def settings_for(folder: Path, out: Path, proposer: str = "sam", **own) -> Settings:
-    table = {"model": str(folder), **OWN, **own}
+def settings_for(folder: Path, out: Path, proposer: str = "sam", **local) -> Settings:
+    table = {"model": str(folder), **OWN, **local}
     values = {"size": "64x64", "near": 0.8, "far": 12.0, "proposer": proposer, proposer: table}
     return make_settings({**values, "scenes": [ROOM], "out": out}, "test")
 
 
 @pytest.mark.parametrize("name", ["sam", "sam2"])
 def test_a_field_says_which_model_made_its_masks(folders, tmp_path, name):
-    own = {name: {"model": folders[name], **OWN}}
-    field = build_field(room_sample(), Method(proposer=name, replicas=1, settings=own))
+    local = {name: {"model": folders[name], **OWN}}
+    field = build_field(room_sample(), Method(proposer=name, replicas=1, settings=local))
     field.save(tmp_path / "field")
-    said = SemanticField.load(tmp_path / "field").settings
-    assert said["proposer"] == name
-    complete = {**said[name], "model": model_digest(folders[name]), **OWN}
-    assert said[name] == complete
+    message = SemanticField.load(tmp_path / "field").settings
+    assert message["proposer"] == name
+    complete = {**message[name], "model": model_digest(folders[name]), **OWN}
+    assert message[name] == complete
     assert str(folders[name]) not in (tmp_path / "field" / "field.json").read_text()
 
 
@@ -73,8 +73,8 @@ def test_a_run_is_known_by_the_content_of_its_model(folders, tmp_path, server, c
     score(settings_for(moved, tmp_path / "again"), store)
     assert "room  masks  cached" in capsys.readouterr().err
     score(settings_for(moved, tmp_path / "third", points=2), store)
-    said = capsys.readouterr().err
-    assert "room  geometry  cached" in said and "room  masks  cached" not in said
+    message = capsys.readouterr().err
+    assert "room  geometry  cached" in message and "room  masks  cached" not in message
     for file in Path(store.path).rglob("*"):
         assert not file.is_file() or str(folders["sam"]).encode() not in file.read_bytes()
 
@@ -83,9 +83,9 @@ def test_settings_of_a_model_are_in_the_keys_of_its_own_stage(folders, tmp_path,
     scene = make_settings({"scenes": [ROOM]}, "test").scenes[0]
     settings = settings_for(folders["sam2"], tmp_path, "sam2")
     steps = calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
-    own = {"model": model_digest(folders["sam2"]), **OWN, "level": "all", "batch": 16}
-    assert keyed(steps["masks"])["proposer"] == {"sam2": own}
-    assert keyed(steps["field"])["method"]["sam2"] == own
+    local = {"model": model_digest(folders["sam2"]), **OWN, "level": "all", "batch": 16}
+    assert keyed(steps["masks"])["proposer"] == {"sam2": local}
+    assert keyed(steps["field"])["method"]["sam2"] == local
     assert steps["masks"]["proposer"].places() == {"model": str(folders["sam2"])}
     plain = calls_of(scene_task(Settings(), Method(), scene), monkeypatch)
     assert keyed(plain["masks"])["proposer"] == {"regions": {}}
@@ -98,18 +98,18 @@ def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
     context, method = RunContext(store), Method(tracker="geometric")
     sample = store.put("sample", sample_to_arrays(room_sample()))
     base = geometry.compute(context, sample, method.predictor, 0)
-    own = {"proposer": "sam", "sam": {"model": model_digest(folders["sam"]), **OWN}}
+    local = {"proposer": "sam", "sam": {"model": model_digest(folders["sam"]), **OWN}}
 
     def labelled(place):
-        proposer = Component.stored("proposer", own, {"model": str(place)})
+        proposer = Component.stored("proposer", local, {"model": str(place)})
         return masks.compute(context, sample, base, proposer, method.tracker, 1)
 
     assert labelled(folders["sam"]).meta["objects"] >= 1
-    other = shutil.copytree(folders["sam"], tmp_path / "other")
-    config = json.loads((other / "config.json").read_text())
-    (other / "config.json").write_text(json.dumps({**config, "note": 1}))
+    second = shutil.copytree(folders["sam"], tmp_path / "other")
+    config = json.loads((second / "config.json").read_text())
+    (second / "config.json").write_text(json.dumps({**config, "note": 1}))
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        labelled(other)
+        labelled(second)
 
 
 @pytest.mark.parametrize(
@@ -137,9 +137,9 @@ def test_a_run_that_cannot_be_does_not_begin(
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
     words = [word.replace("SAM", str(folders["sam"])) for word in words]
     assert run(monkeypatch, "run", config, "--store", tmp_path / "store", *words) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("error: ") and said.count("\n") == 1
-    assert sentence in said
+    message = capsys.readouterr().err
+    assert message.startswith("error: ") and message.count("\n") == 1
+    assert sentence in message
     assert [path.name for path in tmp_path.iterdir()] == ["run.toml"]
 
 

@@ -44,12 +44,12 @@ def refused(monkeypatch, capsys, *arguments) -> str:
 
 def test_a_schedule_without_a_server_is_refused(config, monkeypatch, capsys):
     monkeypatch.delenv("PREFECT_API_URL")
-    found = refused(monkeypatch, capsys, config, "--cron", "0 3 * * *")
-    assert found.startswith("error: a schedule needs a Prefect server that keeps running")
-    assert "prefect server start" in found and "or let cron run" in found
+    result = refused(monkeypatch, capsys, config, "--cron", "0 3 * * *")
+    assert result.startswith("error: a schedule needs a Prefect server that keeps running")
+    assert "prefect server start" in result and "or let cron run" in result
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")
-    found = refused(monkeypatch, capsys, config, "--every", "5")
-    assert found.startswith("error: PREFECT_API_URL http://127.0.0.1:9/api: no Prefect server")
+    result = refused(monkeypatch, capsys, config, "--every", "5")
+    assert result.startswith("error: PREFECT_API_URL http://127.0.0.1:9/api: no Prefect server")
 
 
 @pytest.mark.parametrize(
@@ -119,23 +119,23 @@ def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(
         assert {t["state_name"] for t in by_stage.values()} == {name}
         ids = {t["id"]: stage for stage, t in by_stage.items()}
         edges = {
-            stage: {ids[one["id"]] for one in t["task_inputs"]["inputs"]}
+            stage: {ids[first["id"]] for first in t["task_inputs"]["inputs"]}
             for stage, t in by_stage.items()
         }
         assert edges["ingest"] == set() and edges["geometry"] == {"ingest"}
         assert edges["field"] == {"ingest", "geometry", "masks", "supervision"}
         assert edges["benchmark"] == {"ingest", "truth", "geometry", "masks", "field"}
     keys = {REPORT: "markdown", SCORES: "table"}
-    made = asked(server, "artifacts/filter", {"artifacts": {"key": {"any_": list(keys)}}})
-    assert {one["key"]: one["type"] for one in made} == keys
-    assert any("IoU" in one["data"] for one in made if one["key"] == REPORT)
+    output = asked(server, "artifacts/filter", {"artifacts": {"key": {"any_": list(keys)}}})
+    assert {first["key"]: first["type"] for first in output} == keys
+    assert any("IoU" in first["data"] for first in output if first["key"] == REPORT)
 
 
 def ended_runs(server, name: str) -> list[dict]:
     """The final states of a flow's runs, the latest first, each with the id of its run."""
     which = {"flows": {"name": {"any_": [name]}}, "sort": "END_TIME_DESC"}
     runs = asked(server, "flow_runs/filter", which)
-    return [{**one["state"], "flow_run": one["id"]} for one in runs]
+    return [{**first["state"], "flow_run": first["id"]} for first in runs]
 
 
 def wait_for(server, which: dict, count: int) -> list[dict]:
@@ -153,16 +153,16 @@ def test_the_form_of_a_deployment_refuses_a_wrong_value_and_starts_a_run_again(s
     flow = asked(server, "flows/", {"name": score_scenes.name})
     schema = parameter_schema(score_scenes).model_dump_for_openapi()
     config = {"rooms": "0", "store": str(tmp_path / "store"), "out": str(tmp_path / "out")}
-    given = {"name": "form", "flow_id": flow["id"], "parameters": {"config": config}}
-    given |= {"parameter_openapi_schema": schema, "enforce_parameter_schema": True}
-    made = asked(server, "deployments/", given)
-    start = f"{server.url}/deployments/{made['id']}/create_flow_run"
+    inputs = {"name": "form", "flow_id": flow["id"], "parameters": {"config": config}}
+    inputs |= {"parameter_openapi_schema": schema, "enforce_parameter_schema": True}
+    output = asked(server, "deployments/", inputs)
+    start = f"{server.url}/deployments/{output['id']}/create_flow_run"
     for wrong in ({"replicas": 0}, {"keep": "some"}, {"no_such": 1}):
         body = {"parameters": {"config": {**config, **wrong}}}
         answer = httpx.post(start, json=body, timeout=60)
         assert answer.status_code == 409 and next(iter(wrong)) in answer.text
-    again = httpx.post(start, json={"parameters": {"config": config}}, timeout=60).json()
-    assert again["parameters"] == {"config": config} and again["state_type"] == "SCHEDULED"
+    rerun = httpx.post(start, json={"parameters": {"config": config}}, timeout=60).json()
+    assert rerun["parameters"] == {"config": config} and rerun["state_type"] == "SCHEDULED"
 
 
 LINES = (
@@ -177,15 +177,15 @@ LINES = (
 
 def documented() -> dict[str, list[str]]:
     """The commands of every passage that deploys, without what is said of them."""
-    found = {"prefect.yaml": (ROOT / "prefect.yaml").read_text("utf-8").split("\nname:")[0]}
+    result = {"prefect.yaml": (ROOT / "prefect.yaml").read_text("utf-8").split("\nname:")[0]}
     for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):
         for i, block in enumerate(page.read_text("utf-8").split("```")[1::2]):
             if "deploy --all" in block:
-                found[f"{page.relative_to(ROOT)} {i}"] = block
+                result[f"{page.relative_to(ROOT)} {i}"] = block
     # Remarks stand three spaces behind the command, or behind a hash.
     return {
         name: [re.split(r" {3,}| #", line.lstrip("# "))[0].strip() for line in text.splitlines()]
-        for name, text in found.items()
+        for name, text in result.items()
     }
 
 
@@ -204,26 +204,26 @@ def test_the_documented_lines_deploy(server, tmp_path):
         command = [sys.executable, "-m", *shlex.split(line)]
         done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
-    made = {d["name"]: d["work_pool_name"] for d in asked(server, "deployments/filter", {})}
-    assert made.items() >= {d["name"]: "slgaussian" for d in DEPLOYMENTS}.items()
+    output = {d["name"]: d["work_pool_name"] for d in asked(server, "deployments/filter", {})}
+    assert output.items() >= {d["name"]: "slgaussian" for d in DEPLOYMENTS}.items()
 
 
 def test_the_scheduler_of_the_server_can_plan_runs(server):
     """Of some versions of its dependencies it cannot, and then no schedule ever fires."""
     flow = asked(server, "flows/", {"name": "planned"})
     schedule = {"active": True, "schedule": {"interval": 3600}}
-    given = {"name": "planned", "flow_id": flow["id"], "schedules": [schedule]}
-    made = asked(server, "deployments/", given)
-    asked(server, f"deployments/{made['id']}/schedule", {})
-    found = {"deployments": {"id": {"any_": [made["id"]]}}}
-    runs = asked(server, "flow_runs/filter", found)
+    inputs = {"name": "planned", "flow_id": flow["id"], "schedules": [schedule]}
+    output = asked(server, "deployments/", inputs)
+    asked(server, f"deployments/{output['id']}/schedule", {})
+    result = {"deployments": {"id": {"any_": [output["id"]]}}}
+    runs = asked(server, "flow_runs/filter", result)
     assert len(runs) >= 1 and runs[0]["state_type"] == "SCHEDULED"
 
 
-def asked(server, path: str, given: dict):
+def asked(server, path: str, inputs: dict):
     """What the server answers; asked again while its database is locked, which 503 may mean."""
     for _ in range(20):
-        answer = httpx.post(f"{server.url}/{path}", json=given, timeout=60)
+        answer = httpx.post(f"{server.url}/{path}", json=inputs, timeout=60)
         if answer.status_code != 503:
             break
         time.sleep(0.5)

@@ -39,10 +39,10 @@ def test_a_new_database_is_kept_for_others_to_begin_with(tmp_path, monkeypatch):
     (third / local.DATABASE).write_bytes(b"")  # a server is about to make it
     assert local._lay_database(third) and tables(third) == []
 
-    (kept,) = (tmp_path / "cache" / "prefect").iterdir()
+    (stored,) = (tmp_path / "cache" / "prefect").iterdir()
     monkeypatch.setattr(local, "version", lambda name: "another")
     assert not local._lay_database(fourth)
     monkeypatch.undo()
     monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "cache"))
-    kept.write_bytes(kept.read_bytes()[:-1] + b"x")
+    stored.write_bytes(stored.read_bytes()[:-1] + b"x")
     assert not local._lay_database(fourth)

@@ -28,10 +28,10 @@ def store(bucket):
     return ArtifactStore(f"{bucket}/slg")
 
 
-def ran(store: ArtifactStore, log: Path, value: int = 6, more: int = 1) -> list[str]:
+def ran(store: ArtifactStore, log: Path, value: int = 6, extra: int = 1) -> list[str]:
     """What a run had to compute."""
     log.write_text("")
-    outcome = run_tiny(store, {"a": tiny(value, more, log)})
+    outcome = run_tiny(store, {"a": tiny(value, extra, log)})
     assert outcome.failures == []
     return sorted(log.read_text().splitlines())
 
@@ -43,8 +43,8 @@ def test_what_one_machine_made_another_finds(bucket, tmp_path):
     run_tiny(ArtifactStore(f"{bucket}/slg"), plans)
     assert len((tmp_path / "a").read_text().splitlines()) == 9
     home = tmp_path / "home"
-    own = {"HOME": home, "XDG_CACHE_HOME": home / "caches", "PREFECT_HOME": home / "prefect"}
-    own |= {
+    local = {"HOME": home, "XDG_CACHE_HOME": home / "caches", "PREFECT_HOME": home / "prefect"}
+    local |= {
         "SLGAUSSIAN_CACHE": home / "copies",
         "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parents[1]}",
     }
@@ -56,15 +56,15 @@ def test_what_one_machine_made_another_finds(bucket, tmp_path):
         "0",
         "threads",
     ]
-    other = subprocess.run(
+    second = subprocess.run(
         list(map(str, command)),
-        env={**os.environ, **{name: str(value) for name, value in own.items()}},
+        env={**os.environ, **{name: str(value) for name, value in local.items()}},
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert other.returncode == 0, other.stderr
+    assert second.returncode == 0, second.stderr
     assert not (tmp_path / "b").exists(), "something was computed anew"
-    assert "make         3 cached" in other.stderr
+    assert "make         3 cached" in second.stderr
 
 
 @pytest.mark.usefixtures("server")
@@ -73,17 +73,17 @@ def test_what_is_lost_or_damaged_is_made_again_and_nothing_else(store, tmp_path,
     assert ran(store, tmp_path / "log") == []
     outcome = run_tiny(store, {"a": tiny(6, 1, tmp_path / "log")})
     uri = outcome.refs["a"]["halve"].uri
-    whole = store.read(uri)
+    full = store.read(uri)
     store.remove([uri])
     assert ran(store, tmp_path / "log") == ["a halve"]
 
     # Damage shows only to who reads it; then the run goes back to who made it.
     monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "another machine"))
-    store.fs.pipe_file(f"{store.path}/{uri}", whole[:100] + b"?" + whole[101:])
-    assert ran(ArtifactStore(store.root), tmp_path / "log", more=2) == [
+    store.fs.pipe_file(f"{store.path}/{uri}", full[:100] + b"?" + full[101:])
+    assert ran(ArtifactStore(store.root), tmp_path / "log", extra=2) == [
         "a add", "a add", "a halve",
     ]  # fmt: skip
-    assert store.read(uri) == whole
+    assert store.read(uri) == full
 
 
 class Trap:
@@ -117,7 +117,7 @@ def kept(store: ArtifactStore) -> int:
 @pytest.mark.usefixtures("server")
 def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
     ran(store, tmp_path / "log")
-    whole = kept(store)
+    full = kept(store)
     loose = store.put("labels", {**store.get(any_ref(store)), "margin": quarters()})
     assert run(monkeypatch, "store", "gc", "--store", store.root) == 0
     out = capsys.readouterr().out
@@ -126,7 +126,7 @@ def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
     time.sleep(1.1)  # S3 says seconds
     assert run(monkeypatch, "store", "gc", "--store", store.root, "--age", "0", "--yes") == 0
     assert "removed: 1 artifacts that nothing refers to; " in capsys.readouterr().out
-    assert kept(store) == whole
+    assert kept(store) == full
 
     assert run(monkeypatch, "store", "verify", "--store", store.root) == 0
     assert "3 artifacts are whole, 0 files are damaged" in capsys.readouterr().out
@@ -134,7 +134,7 @@ def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, "store", "verify", "--store", store.root) == 1
     assert f"damaged: {store.root}/{loose.uri}: file: found 7 bytes" in capsys.readouterr().out
     assert run(monkeypatch, "store", "verify", "--store", store.root, "--remove") == 0
-    assert kept(store) == whole
+    assert kept(store) == full
 
     assert ran(store, tmp_path / "log") == []
 
@@ -152,14 +152,14 @@ def test_results_of_older_stages_are_told_from_those_of_today(tmp_path, monkeypa
 
     store = ArtifactStore(tmp_path / "store")
     for value, version in ((1, geometry.version), (2, geometry.version + 1)):
-        made = store.put("weights", {"safetensors": quarters().view("u1").ravel() + value})
-        Records(store).keep(f"geometry/v{version}/{value:064x}", made)
+        output = store.put("weights", {"safetensors": quarters().view("u1").ravel() + value})
+        Records(store).keep(f"geometry/v{version}/{value:064x}", output)
     words = ("store", "gc", "--store", store.root, "--age", "0", "--yes")
     assert run(monkeypatch, *words) == 0
     assert "removed: nothing" in capsys.readouterr().out
     assert run(monkeypatch, *words, "--superseded") == 0
-    told = capsys.readouterr().out
-    assert "removed: 1 artifacts that nothing refers to, 1 records that are superseded" in told
+    report = capsys.readouterr().out
+    assert "removed: 1 artifacts that nothing refers to, 1 records that are superseded" in report
     assert Records(store).find(f"geometry/v{geometry.version}/{1:064x}") is not None
 
 

@@ -32,11 +32,11 @@ def swept(tmp_path_factory, server):
 def test_each_combination_is_a_method_that_is_asked_the_same(swept):
     folder, _, finished = swept
     samples = pq.read_table(folder / "out" / "samples.parquet").to_pylist()
-    asked = {}
+    calls = {}
     for row in samples:
-        asked.setdefault(row["method"], set()).add((row["frame"], row["query"]))
-    assert list(asked) == ["slgaussian", *(NAME.format(v) for v in (2, 3))]
-    assert all(queries == asked["slgaussian"] for queries in asked.values())
+        calls.setdefault(row["method"], set()).add((row["frame"], row["query"]))
+    assert list(calls) == ["slgaussian", *(NAME.format(v) for v in (2, 3))]
+    assert all(queries == calls["slgaussian"] for queries in calls.values())
     psnr = [result.scene_metrics["psnr"] for result in finished.results]
     assert len(set(psnr)) == 3
     (failure,) = finished.failures
@@ -48,9 +48,9 @@ def test_what_a_setting_does_not_touch_is_not_made_again(swept):
     folder, *_ = swept
     rows = pq.read_table(folder / "out" / "artifacts.parquet").to_pylist()
     digests = {(row["scene"], row["stage"]): row["digest"] for row in rows}
-    few = f"room_0: {NAME.format(2)}"
-    assert digests[few, "ingest"] == digests["room_0", "ingest"]
-    assert digests[few, "geometry"] != digests["room_0", "geometry"]
+    subset = f"room_0: {NAME.format(2)}"
+    assert digests[subset, "ingest"] == digests["room_0", "ingest"]
+    assert digests[subset, "geometry"] != digests["room_0", "geometry"]
 
 
 def test_the_report_sets_scores_against_seconds_from_photographs_to_an_answer(swept):
@@ -87,7 +87,7 @@ def test_what_cannot_be_swept_is_one_sentence(sweep, sentence):
 
 def test_what_is_the_run_itself_is_left_out():
     values = {"rooms": "0", "sweep": ["replicas=1,5", "keep=needed,all"]}
-    names = [one.name for one in combinations(make_settings(values, "test"))]
+    names = [first.name for first in combinations(make_settings(values, "test"))]
     assert "slgaussian, replicas=5, keep=needed" not in names and len(names) == 3
 
 

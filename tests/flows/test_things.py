@@ -51,8 +51,8 @@ def test_what_is_in_a_field_is_listed(field, ask, monkeypatch, capsys):
     assert lines[1].endswith("images/001.png, images/002.png")
     assert lines[-1] == "Sizes are in scene units, those of the given cameras."
     status, things = ask("objects", "list", field, "blue", "red wall")
-    assert status == 0 and [one["id"] for one in things] == [RED, BLUE]
-    assert [one["words"][0] for one in things] == ["red wall", "blue"]
+    assert status == 0 and [first["id"] for first in things] == [RED, BLUE]
+    assert [first["words"][0] for first in things] == ["red wall", "blue"]
     assert run(monkeypatch, "objects", "list", field, "yellow") == 0
     assert capsys.readouterr().out.count("(yellow") == 2
     monkeypatch.setattr(objects, "LARGEST", 1)
@@ -77,10 +77,10 @@ def test_the_list_as_a_picture(field, tmp_path, monkeypatch, capsys):
 
 def test_a_thing_is_taken_out(field, tmp_path, monkeypatch, capsys):
     labels = SemanticField.load(field).labels()
-    for what in ("red wall", RED):
-        assert run(monkeypatch, "objects", "extract", field, what, "-o", tmp_path / "red.ply") == 0
-        own = labels_of(tmp_path / "red.ply")
-        assert len(own) == (labels == RED).sum() and (own == RED).all()
+    for text in ("red wall", RED):
+        assert run(monkeypatch, "objects", "extract", field, text, "-o", tmp_path / "red.ply") == 0
+        local = labels_of(tmp_path / "red.ply")
+        assert len(local) == (labels == RED).sum() and (local == RED).all()
     assert run(monkeypatch, "objects", "extract", field, "red", "-o", tmp_path / "red") == 0
     assert set(SemanticField.load(tmp_path / "red").labels().tolist()) == {RED}
     capsys.readouterr()
@@ -122,7 +122,7 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
     assert SemanticField.load(field).removed == frozenset()
     status, (answer,) = ask("query", out, "red")
     assert status == 3 and not answer["found"]
-    assert [one["id"] for one in ask("objects", "list", out)[1]] == [BLUE]
+    assert [first["id"] for first in ask("objects", "list", out)[1]] == [BLUE]
     assert run(monkeypatch, "render", out, "-o", tmp_path / "a.png") == 0
     opened = np.asarray(Image.open(tmp_path / "a.png")).astype(int)[4:-4, 4:18]
     assert (np.ptp(opened, axis=2) == 0).all() and np.ptp(opened) > 40  # grey stripes
@@ -153,10 +153,10 @@ def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch
     assert run(monkeypatch, "objects", "teach", field, "Zorp", "--at", 8, 16) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[:2] == ["'Zorp' is object 1", "examples  1"]
-    status, (answer, known) = ask("query", field, "zorp", "blue", "--view", 1)
-    assert status == 3 and [one["id"] for one in answer["objects"]] == [RED]
+    status, (answer, valid) = ask("query", field, "zorp", "blue", "--view", 1)
+    assert status == 3 and [first["id"] for first in answer["objects"]] == [RED]
     assert (answer["kind"], answer["examples"]) == ("taught", 1)
-    assert known["kind"] == "known" and known["examples"] == 0
+    assert valid["kind"] == "known" and valid["examples"] == 0
     assert run(monkeypatch, "query", field, "zorp") == 0
     assert "a taught word: 1 example" in capsys.readouterr().out
     assert run(monkeypatch, "objects", "teach", field, "blue", "--at", 8, 16, "--view", 1) == 0
@@ -169,7 +169,7 @@ def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch
 def test_a_name_is_asked_and_taken_like_a_word(field, tmp_path, ask, monkeypatch, capsys):
     SemanticField.load(field).named(BLUE, "Anna's wall").save_edits(field)
     status, (answer,) = ask("query", field, "anna's  WALL")
-    assert status == 0 and [one["id"] for one in answer["objects"]] == [BLUE]
+    assert status == 0 and [first["id"] for first in answer["objects"]] == [BLUE]
     assert (answer["kind"], answer["verdict"], answer["confidence"]) == ("named", "found", None)
     assert run(monkeypatch, "query", field, "Anna's wall") == 0
     assert "a name that you gave" in capsys.readouterr().out
@@ -182,19 +182,19 @@ def test_a_name_is_asked_and_taken_like_a_word(field, tmp_path, ask, monkeypatch
 
 def test_taught_words_go_along_to_other_fields(field, tmp_path, ask, monkeypatch, capsys):
     assert run(monkeypatch, "objects", "teach", field, "zorp", "--at", 40, 16) == 0
-    other = two_walls(tmp_path / "other")
+    second = two_walls(tmp_path / "other")
     words = field / "words.npz"
-    status, (answer,) = ask("query", other, "zorp", "--words", words)
-    assert status == 0 and [one["id"] for one in answer["objects"]] == [BLUE]
-    _, rows = ask("segment", other, "zorp", "red", "--words", words)
+    status, (answer,) = ask("query", second, "zorp", "--words", words)
+    assert status == 0 and [first["id"] for first in answer["objects"]] == [BLUE]
+    _, rows = ask("segment", second, "zorp", "red", "--words", words)
     assert [(row["text"], row["objects"]) for row in rows[:2]] == [("zorp", [BLUE]), ("red", [RED])]
-    assert ask("objects", "list", other, "--words", words)[1][1]["words"][0] == "zorp"
+    assert ask("objects", "list", second, "--words", words)[1][1]["words"][0] == "zorp"
     assert (
         run(
             monkeypatch,
             "objects",
             "extract",
-            other,
+            second,
             "zorp",
             "--words",
             words,
@@ -203,9 +203,9 @@ def test_taught_words_go_along_to_other_fields(field, tmp_path, ask, monkeypatch
         )
         == 0
     )
-    assert not (other / "words.npz").exists()
+    assert not (second / "words.npz").exists()
     words.write_bytes(words.read_bytes()[:-9])
-    assert run(monkeypatch, "query", other, "zorp", "--words", words) == 2
+    assert run(monkeypatch, "query", second, "zorp", "--words", words) == 2
     assert "words.npz: file: found" in said(capsys)
 
 
@@ -236,9 +236,9 @@ def test_where_there_is_nothing_nothing_can_be_taught(field, tmp_path, monkeypat
 def test_a_field_is_asked_by_picture(field, tmp_path, ask, monkeypatch, capsys):
     Image.new("RGB", (20, 16), (10, 25, 205)).save(tmp_path / "crop.png")
     status, (answer, red) = ask("query", field, "--like", tmp_path / "crop.png", "red")
-    red, answer = sorted([answer, red], key=lambda one: one["kind"])
+    red, answer = sorted([answer, red], key=lambda first: first["kind"])
     assert answer["kind"] == "picture" and red["kind"] == "known"
-    assert [one["id"] for one in answer["objects"]] == [BLUE] and status == 3
+    assert [first["id"] for first in answer["objects"]] == [BLUE] and status == 3
     # Of two objects, neither stands out enough to be sure.
     assert (answer["verdict"], red["verdict"]) == ("not sure", "not sure")
     (tmp_path / "broken.png").write_bytes(b"no picture")

@@ -42,24 +42,24 @@ def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_p
     settings = make_settings(values, "test")
     method = settings.built_by
     steps = calls_of(scene_task(settings, method, settings.scenes[0]), monkeypatch)
-    own = {"folder": folder_digest(ids), "geometry": None}
-    assert keyed(steps["masks"])["tracker"] == {"precomputed": own}
-    assert keyed(steps["field"])["method"]["precomputed"] == own
+    local = {"folder": folder_digest(ids), "geometry": None}
+    assert keyed(steps["masks"])["tracker"] == {"precomputed": local}
+    assert keyed(steps["field"])["method"]["precomputed"] == local
     assert steps["masks"]["tracker"].places() == {"folder": str(ids)}
 
     store = ArtifactStore(tmp_path / "store")
     context = RunContext(store)
     sample = store.put("sample", sample_to_arrays(room_sample()))
     base = geometry.compute(context, sample, method.predictor, 0)
-    made = masks.compute(context, sample, base, method.proposer, method.tracker, 5)
-    labels = store.get(made)["labels"]
+    output = masks.compute(context, sample, base, method.proposer, method.tracker, 5)
+    labels = store.get(output)["labels"]
     np.testing.assert_array_equal(labels, [view.instances for view in room_sample().context])
     np.save(ids / "view_00.npy", np.zeros((64, 64), np.int32))
     with pytest.raises(InputError, match="was changed after the run had begun"):
         masks.compute(context, sample, base, method.proposer, method.tracker, 5)
-    again = Component.of("tracker", "precomputed", {"folder": ids})
-    made = masks.compute(context, sample, base, method.proposer, again, 5)
-    assert made.meta["objects"] > 0
+    rerun = Component.of("tracker", "precomputed", {"folder": ids})
+    output = masks.compute(context, sample, base, method.proposer, rerun, 5)
+    assert output.meta["objects"] > 0
 
 
 def test_tables_of_a_file_are_anchored_and_a_hyphen_is_an_underscore(tmp_path):
@@ -70,8 +70,8 @@ def test_tables_of_a_file_are_anchored_and_a_hyphen_is_an_underscore(tmp_path):
         '[precomputed]\nfolder = "ids"\n'
     )
     read = read_toml(config, {})
-    own = {"model": str(tmp_path / "model"), "batch": 4}
-    assert read.component_values()["sam2-video"] == own
+    local = {"model": str(tmp_path / "model"), "batch": 4}
+    assert read.component_values()["sam2-video"] == local
     assert read.precomputed.folder == tmp_path / "ids"
 
 

@@ -19,7 +19,7 @@ LOOPBACK = "127.0.0.1"
 
 def environment() -> dict[str, str]:
     """What a worker finds: our packages, and nothing of the run's own settings but Ray's token."""
-    own = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "SLGAUSSIAN_"))}
+    local = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "SLGAUSSIAN_"))}
     path = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
     variables = {
         # With it, some servers that Ray's head forks for its clients die at once.
@@ -27,7 +27,7 @@ def environment() -> dict[str, str]:
         # So often Dask itself tries what its worker died of; three times, if not told.
         "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
     }
-    return {**own, **variables, "PYTHONPATH": path}
+    return {**local, **variables, "PYTHONPATH": path}
 
 
 @contextmanager
@@ -44,8 +44,8 @@ def dask_cluster(workers: int = 1) -> Iterator[str]:
     ):
         stack.enter_context(begun(log, "dask", "scheduler", *common, "--port", port))
         if workers:
-            own = [f"tcp://{place}", *common, *work, "--local-directory", folder]
-            stack.enter_context(begun(log, "dask", "worker", *own))
+            local = [f"tcp://{place}", *common, *work, "--local-directory", folder]
+            stack.enter_context(begun(log, "dask", "worker", *local))
         wait_for(place)
         yield f"dask://{place}"
 
@@ -66,11 +66,11 @@ def ray_cluster(cpus: int = 1) -> Iterator[str]:
         "num-cpus": cpus,
         "object-store-memory": 80_000_000,
     }
-    given = [f"--{name}={value}" for name, value in options.items()]
+    inputs = [f"--{name}={value}" for name, value in options.items()]
     try:
         with (
             Path(folder, "log").open("wb") as log,
-            begun(log, "ray", "start", "--head", "--block", "--disable-usage-stats", *given),
+            begun(log, "ray", "start", "--head", "--block", "--disable-usage-stats", *inputs),
         ):
             wait_for(place)
             yield f"ray://{place}"

@@ -46,8 +46,8 @@ def test_points_far_off_do_not_stretch_it():
 
 def test_one_point_and_points_in_a_line_have_boxes():
     up = np.array([0.0, -1, 0])
-    one = upright_box(np.array([[1.0, 2, 3]]), up)
-    np.testing.assert_allclose(one.half_sizes, 0, atol=1e-12)
-    np.testing.assert_allclose(one.centre, [1, 2, 3])
+    item = upright_box(np.array([[1.0, 2, 3]]), up)
+    np.testing.assert_allclose(item.half_sizes, 0, atol=1e-12)
+    np.testing.assert_allclose(item.centre, [1, 2, 3])
     line = upright_box(np.outer(np.linspace(0, 1, 500), [3.0, 0, 4]), up)
     np.testing.assert_allclose(line.half_sizes, [0.94 * 2.5, 0, 0], atol=0.05)

@@ -33,12 +33,12 @@ def moved(camera: Camera, turn: np.ndarray, shift: np.ndarray, scale: float) -> 
 
 def test_a_room_stands_on_its_floor(room):
     cameras, depths = room
-    found = find_room(cameras, depths)
-    assert found.up[2] > np.cos(np.radians(0.2))
-    assert abs(found.floor) < 0.01
-    assert found.unit == pytest.approx(cameras[0].c2w[2, 3], rel=0.02)
-    place = found.place(cameras[0], depths[0])
-    true = cameras[0].unproject(depths[0])[..., 2] / found.unit
+    result = find_room(cameras, depths)
+    assert result.up[2] > np.cos(np.radians(0.2))
+    assert abs(result.floor) < 0.01
+    assert result.unit == pytest.approx(cameras[0].c2w[2, 3], rel=0.02)
+    place = result.place(cameras[0], depths[0])
+    true = cameras[0].unproject(depths[0])[..., 2] / result.unit
     np.testing.assert_allclose(place.height, true, atol=0.02)
     floor, high = place.level[true < 0.01], place.level[true > 1]
     assert np.nanmedian(floor) > 0.999 and abs(np.nanmedian(high)) < 0.01
@@ -54,14 +54,14 @@ def test_axes_and_unit_of_the_poses_do_not_matter(room, turn, scale):
     turn = Rotation.from_quat(turn).as_matrix()
     shift = np.array([3.0, -2.0, 1.0]) * scale
     changed = [moved(camera, turn, shift, scale) for camera in cameras]
-    found = find_room(changed, [depth * np.float32(scale) for depth in depths])
+    result = find_room(changed, [depth * np.float32(scale) for depth in depths])
     # A world axis so near to up is taken for it.
     assume(np.abs(turn[:, 2]).max() < np.cos(np.radians(LEVEL / 2)))
     # Measured: 0.08 degrees, heights off by 0.004.
-    assert np.degrees(np.arccos(min(1, found.up @ turn[:, 2]))) < 0.2
+    assert np.degrees(np.arccos(min(1, result.up @ turn[:, 2]))) < 0.2
     plain = find_room(cameras, depths)
-    assert found.unit / scale == pytest.approx(plain.unit, rel=0.005)
-    height = found.place(changed[0], depths[0] * np.float32(scale)).height
+    assert result.unit / scale == pytest.approx(plain.unit, rel=0.005)
+    height = result.place(changed[0], depths[0] * np.float32(scale)).height
     np.testing.assert_allclose(height, plain.place(cameras[0], depths[0]).height, atol=0.01)
 
 
@@ -73,7 +73,7 @@ def test_a_world_axis_near_up_is_taken_for_it(room):
 
 
 @pytest.fixture(scope="module")
-def held():
+def fixed():
     """Two cameras pitched by 25 degrees in the first one's frame, which is rolled by 10, with true
     depths and true up."""
     eyes = np.array([[-0.3, -3.0, 1.6], [0.3, -3.0, 1.6]])
@@ -81,21 +81,21 @@ def held():
     poses = [looking(eye, eye + ahead, roll) for eye, roll in zip(eyes, (10, 4), strict=True)]
     cameras = [pinhole(0.9 * SIZE[1], *SIZE[::-1], pose) for pose in poses]
     depths = [RenderedRoom.of(2).depth(camera) for camera in cameras]
-    said = Estimated((0.8, 1.25), "guess", 0.5)
+    message = Estimated((0.8, 1.25), "guess", 0.5)
     frame = cameras[0].w2c
-    found = [replace(camera, c2w=frame @ camera.c2w, estimated=said) for camera in cameras]
-    return found, depths, frame[:3, 2]
+    result = [replace(camera, c2w=frame @ camera.c2w, estimated=message) for camera in cameras]
+    return result, depths, frame[:3, 2]
 
 
 def off(room, up: np.ndarray) -> float:
     return float(np.degrees(np.arccos(min(1, room.up @ up))))
 
 
-def test_axes_of_found_cameras_are_not_taken_for_up(held):
-    cameras, depths, up = held
-    found = find_room(cameras, depths)
-    assert off(found, up) < 1
-    assert found.floor == pytest.approx(-1.6, rel=0.02)  # the first camera is the origin
+def test_axes_of_found_cameras_are_not_taken_for_up(fixed):
+    cameras, depths, up = fixed
+    result = find_room(cameras, depths)
+    assert off(result, up) < 1
+    assert result.floor == pytest.approx(-1.6, rel=0.02)  # the first camera is the origin
     # An axis near up, which would be taken for it if these cameras were given.
     near = np.array([np.sin(np.radians(2.5)), -np.cos(np.radians(2.5)), 0])
     level = Rotation.align_vectors([near], [up])[0].as_matrix()
@@ -114,19 +114,19 @@ def test_without_a_floor_nothing_is_said_of_heights(room):
         np.where(c.unproject(d)[..., 2] > 0.6, d, 0) for c, d in zip(cameras, depths, strict=True)
     ]
     walls = [np.where(np.arange(SIZE[0])[:, None] < SIZE[0] // 4, d, 0) for d in cut]
-    found = find_room(cameras, walls)
-    assert np.isnan(found.floor) and found.unit > 0
-    assert np.isnan(found.place(cameras[0], walls[0]).height).all()
+    result = find_room(cameras, walls)
+    assert np.isnan(result.floor) and result.unit > 0
+    assert np.isnan(result.place(cameras[0], walls[0]).height).all()
 
 
 def test_no_depth_at_all(room):
     cameras, depths = room
     nothing = [np.zeros_like(depth) for depth in depths]
-    found = find_room(cameras, nothing)
-    place = found.place(cameras[0], nothing[0])
-    assert np.linalg.norm(found.up) == pytest.approx(1)
-    for known in (place.points, place.height, place.level):
-        assert np.isnan(known).all()
+    result = find_room(cameras, nothing)
+    place = result.place(cameras[0], nothing[0])
+    assert np.linalg.norm(result.up) == pytest.approx(1)
+    for valid in (place.points, place.height, place.level):
+        assert np.isnan(valid).all()
 
 
 def test_same_bytes_again(room):

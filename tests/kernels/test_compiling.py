@@ -41,27 +41,27 @@ def new_kernel():
 
 
 def test_a_kernel_is_told_while_it_is_compiled_and_never_again(at_once):
-    kernel, told = new_kernel(), []
-    with compiling.told_to(told.append):
+    kernel, report = new_kernel(), []
+    with compiling.told_to(report.append):
         kernel(1)
-        assert told[0].startswith("compiling kernels for this processor, once")
+        assert report[0].startswith("compiling kernels for this processor, once")
         # Whole on a terminal of 80 columns, though there may be hundreds.
-        assert " s" in told[0] and len(told[0]) < 76
-        assert told[-1] == ""
-        del told[:]
+        assert " s" in report[0] and len(report[0]) < 76
+        assert report[-1] == ""
+        del report[:]
         kernel(2)
-        assert told == []
+        assert report == []
     new_kernel()(1)
-    assert told == []
+    assert report == []
 
 
 def test_a_small_kernel_is_not_worth_a_word(monkeypatch):
     monkeypatch.setattr(compiling, "SILENT", 60.0)
     compiling.watch()
-    told = []
-    with compiling.told_to(told.append):
+    report = []
+    with compiling.told_to(report.append):
         new_kernel()(1)
-    assert told == []
+    assert report == []
 
 
 def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatch):
@@ -70,8 +70,8 @@ def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatc
     for _ in range(2):
         new_kernel()(1)
     # A record may be caught by handlers of several loggers.
-    (said,) = {id(r): r for r in caplog.records if r.name == compiling.__name__}.values()
-    assert said.levelno == logging.WARNING and "takes up to a minute" in said.message
+    (message,) = {id(r): r for r in caplog.records if r.name == compiling.__name__}.values()
+    assert message.levelno == logging.WARNING and "takes up to a minute" in message.message
 
 
 def test_the_clock_stands_still_while_another_thread_compiles(at_once):
@@ -95,18 +95,18 @@ def test_the_clock_stands_still_while_another_thread_compiles(at_once):
 def test_the_first_command_says_so_and_the_second_does_not(tmp_path):
     """A command with few kernels: it ingests a made-up room."""
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    said = []
+    message = []
     for out in ("first", "second"):
         words = ["ingest", "procedural:0", "-o", tmp_path / out, "--store", tmp_path / "store"]
         words += ["--set", "views=5", "--set", "size=32x32"]
-        made = subprocess.run(
+        output = subprocess.run(
             [sys.executable, "-c", FIRST_USE, *map(str, words)],
             env=env, capture_output=True, text=True,
         )  # fmt: skip
-        assert made.returncode == 0, made.stderr
-        said.append(made.stderr)
-    assert "compiling kernels for this processor, once" in said[0]
-    assert "compiling" not in said[1]
+        assert output.returncode == 0, output.stderr
+        message.append(output.stderr)
+    assert "compiling kernels for this processor, once" in message[0]
+    assert "compiling" not in message[1]
 
 
 def test_where_there_is_no_terminal_a_line_comes_now_and_then(monkeypatch):
@@ -137,7 +137,7 @@ def test_the_clock_stands_still_while_a_kernel_is_compiled():
 def test_what_another_thread_compiles_is_none_of_this_one():
     compiling.watch()
     before = compiling.spent()
-    other = threading.Thread(target=lambda: new_kernel()(1))
-    other.start()
-    other.join()
+    second = threading.Thread(target=lambda: new_kernel()(1))
+    second.start()
+    second.join()
     assert compiling.spent() == before

@@ -28,14 +28,14 @@ def test_generators_repeat():
 
 @pytest.fixture(scope="module")
 def room() -> Sample:
-    found = datasets.load("procedural", seed=3, objects=2, views=3, height=32, width=48)
-    return found.sample(["view_00", "view_02"], ["view_01"])
+    result = datasets.load("procedural", seed=3, objects=2, views=3, height=32, width=48)
+    return result.sample(["view_00", "view_02"], ["view_01"])
 
 
 def test_type_shape_and_values_are_the_content():
     flat = np.arange(6, dtype=np.int32)
-    others = [flat.reshape(2, 3), flat.astype(np.int64), flat.astype(np.float32), flat + 1]
-    assert len({content_of(array) for array in (flat, *others)}) == 5
+    rest = [flat.reshape(2, 3), flat.astype(np.int64), flat.astype(np.float32), flat + 1]
+    assert len({content_of(array) for array in (flat, *rest)}) == 5
     assert content_of(flat[::2]) == content_of(flat[::2].copy())
     assert content_of(flat[:3], flat[3:]) != content_of(flat)
 
@@ -44,43 +44,43 @@ def test_a_sample_is_what_its_context_shows(room):
     first, second = room.context
     brighter = first.image.copy()
     brighter[0, 0, 0] ^= 1
-    others = [
+    rest = [
         (second, first),
         (replace(first, image=brighter), second),
     ]
-    found = {replace(room, context=views).content for views in others}
-    assert len({room.content, *found}) == 3
+    result = {replace(room, context=views).content for views in rest}
+    assert len({room.content, *result}) == 3
 
 
 def test_the_last_digits_of_a_camera_change_nothing_that_is_drawn(room):
     first, second = room.context
     moved = second.camera.c2w.copy()
     moved[0, 3] += 1e-15
-    other = (first, replace(second, camera=replace(second.camera, c2w=moved)))
-    assert replace(room, context=other).content == room.content
+    alternative = (first, replace(second, camera=replace(second.camera, c2w=moved)))
+    assert replace(room, context=alternative).content == room.content
 
 
 def test_names_truths_targets_and_the_store_change_no_content(room):
     blind = tuple(replace(view, name=view.name + "x", depth=None) for view in room.context)
-    other = replace(room, scene="other", context=blind, targets=())
-    assert other.content == sample_from_arrays(sample_to_arrays(room)).content == room.content
+    alternative = replace(room, scene="other", context=blind, targets=())
+    assert alternative.content == sample_from_arrays(sample_to_arrays(room)).content == room.content
 
 
 SHARES = st.floats(0, 1)
 
 
 @given(st.text(), SHARES, SHARES)
-def test_a_greater_share_keeps_what_a_smaller_one_does(clip, one, other):
-    low, high = sorted((one, other))
+def test_a_greater_share_keeps_what_a_smaller_one_does(clip, item, alternative):
+    low, high = sorted((item, alternative))
     assert held_out(clip, high) or not held_out(clip, low)
     assert not held_out(clip, 0) and held_out(clip, 1)
 
 
 def test_about_the_share_is_held_out_and_always_the_same():
     """4 standard deviations of 4000 draws are 0.025; which ones they are is written down here."""
-    kept = [held_out(f"clip {k}", 0.2) for k in range(4000)]
-    assert abs(sum(kept) / 4000 - 0.2) < 0.025
-    assert [k for k in range(40) if kept[k]] == [6, 9, 11, 13, 14, 15, 27, 29, 31]
+    stored = [held_out(f"clip {k}", 0.2) for k in range(4000)]
+    assert abs(sum(stored) / 4000 - 0.2) < 0.025
+    assert [k for k in range(40) if stored[k]] == [6, 9, 11, 13, 14, 15, 27, 29, 31]
 
 
 def test_one_of_several_clips_is_held_out_where_a_share_is_asked_for():

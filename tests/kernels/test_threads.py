@@ -27,9 +27,9 @@ def test_weights_give_the_same_bytes_wherever_they_begin(rows, side):
     x = torch.randn(rows, side, generator=state)
     weights, bias = torch.randn(side, side, generator=state), torch.randn(side, generator=state)
     with threads.fixed(1):
-        found = [F.linear(x, placed(weights, i), placed(bias, i)) for i in (0, 1, 2, 4, 7)]
-        found += [F.linear(placed(x, i), weights, bias) for i in (1, 2, 4, 7)]
-    assert all(torch.equal(found[0], other) for other in found)
+        result = [F.linear(x, placed(weights, i), placed(bias, i)) for i in (0, 1, 2, 4, 7)]
+        result += [F.linear(placed(x, i), weights, bias) for i in (1, 2, 4, 7)]
+    assert all(torch.equal(result[0], second) for second in result)
 
 
 class Small(torch.nn.Module):
@@ -57,30 +57,30 @@ def sizes():
 @pytest.mark.usefixtures("sizes")
 @pytest.mark.parametrize("waste", [0, threads.LARGE])
 def test_a_network_says_the_same_bytes_with_any_number_of_threads(waste):
-    network, found = Small(waste), []
+    network, result = Small(waste), []
     x = torch.randn(2, 10, 64, 64, generator=torch.Generator().manual_seed(1))
     for count in (1, 2, 3, 8):
         torch.set_num_threads(count)
         with torch.inference_mode(), threads.inside(network):
             assert torch.get_num_threads() == (threads.LARGE_THREADS if waste else 1)
-            found.append(network(x))
+            result.append(network(x))
         assert torch.get_num_threads() == count
-    assert all(torch.equal(found[0], other) for other in found)
+    assert all(torch.equal(result[0], second) for second in result)
 
 
 @pytest.mark.usefixtures("sizes")
 def test_what_one_thread_fixes_another_does_not_see():
-    seen, (ready, inside, done) = {}, (threading.Event() for _ in range(3))
+    view, (ready, inside, done) = {}, (threading.Event() for _ in range(3))
 
-    def other():
-        seen["before"] = torch.get_num_threads()
+    def second():
+        view["before"] = torch.get_num_threads()
         ready.set()
         inside.wait()
-        seen["while"] = torch.get_num_threads()
+        view["while"] = torch.get_num_threads()
         done.set()
 
     torch.set_num_threads(2)
-    worker = threading.Thread(target=other)
+    worker = threading.Thread(target=second)
     worker.start()
     ready.wait()
     with threads.fixed(3):
@@ -88,7 +88,7 @@ def test_what_one_thread_fixes_another_does_not_see():
         done.wait()
         assert torch.get_num_threads() == 3
     worker.join()
-    assert seen == {"before": 2, "while": 2}
+    assert view == {"before": 2, "while": 2}
 
 
 def said_by(program: str, **environment: str) -> str:
@@ -131,5 +131,5 @@ def test_the_kernels_of_a_process_are_named():
         "import sys; from slgaussian.kernels import threads; "
         "print(threads.kernels(), file=sys.stderr)"
     )
-    found = said_by(show, ATEN_CPU_CAPABILITY="avx2", OPENBLAS_CORETYPE="Nehalem", MKL_CBWR="AVX2")
-    assert "'torch': 'AVX2', 'mkl': 'AVX2', 'openblas': 'Nehalem'" in found
+    result = said_by(show, ATEN_CPU_CAPABILITY="avx2", OPENBLAS_CORETYPE="Nehalem", MKL_CBWR="AVX2")
+    assert "'torch': 'AVX2', 'mkl': 'AVX2', 'openblas': 'Nehalem'" in result

@@ -14,34 +14,34 @@ from slgaussian.kernels.work_sharing import share, take
 
 
 @kernel
-def _count(counter, taken):
+def _count(counter, items):
     portion = take(counter)
-    while portion < len(taken):
-        taken[portion] += 1
+    while portion < len(items):
+        items[portion] += 1
         portion = take(counter)
 
 
 @pytest.mark.parametrize("portions", [0, 1, 7, 100_000])
 @pytest.mark.parametrize("threads", [1, 2, 50])
 def test_every_portion_is_taken_once(portions, threads):
-    taken = np.zeros(portions, np.int64)
+    items = np.zeros(portions, np.int64)
     with kernels_on(threads):
-        share(_count, portions, taken)
-    assert (taken == 1).all()
+        share(_count, portions, items)
+    assert (items == 1).all()
 
 
 def test_several_callers_may_share_at_once():
-    def work(taken):
+    def work(items):
         for _ in range(50):
-            share(_count, len(taken), taken)
+            share(_count, len(items), items)
 
-    taken = [np.zeros(1000, np.int64) for _ in range(8)]
-    callers = [threading.Thread(target=work, args=(own,)) for own in taken]
+    items = [np.zeros(1000, np.int64) for _ in range(8)]
+    callers = [threading.Thread(target=work, args=(local,)) for local in items]
     for caller in callers:
         caller.start()
     for caller in callers:
         caller.join()
-    assert all((own == 50).all() for own in taken)
+    assert all((local == 50).all() for local in items)
 
 
 def test_several_threads_are_in_a_kernel_at_once():
@@ -63,22 +63,22 @@ MANY = 200_000_000
 
 @kernel
 def _go_on(counter):
-    taken = 0
+    items = 0
     while take(counter) < MANY:
-        taken += 1
-    return taken
+        items += 1
+    return items
 
 
 def test_python_goes_on_while_a_kernel_runs():
     _go_on(np.full(1, MANY))  # compiled
-    counter, taken = np.zeros(1, np.int64), []
-    runs = threading.Thread(target=lambda: taken.append(_go_on(counter)))
+    counter, items = np.zeros(1, np.int64), []
+    runs = threading.Thread(target=lambda: items.append(_go_on(counter)))
     runs.start()
     while counter[0] == 0:
         time.sleep(0)
     counter[0] = MANY  # no more portions
     runs.join()
-    assert taken[0] < MANY
+    assert items[0] < MANY
 
 
 def test_what_a_helper_raises_is_raised():
@@ -97,11 +97,11 @@ def test_what_a_helper_raises_is_raised():
 def test_a_size_is_the_calling_threads_own():
     before = allotted()
     with kernels_on(before + 3):
-        seen = []
-        other = threading.Thread(target=lambda: seen.append(allotted()))
-        other.start()
-        other.join()
-        assert seen == [cores()]
+        view = []
+        second = threading.Thread(target=lambda: view.append(allotted()))
+        second.start()
+        second.join()
+        assert view == [cores()]
         assert allotted() == before + 3
     assert allotted() == before
 

@@ -43,8 +43,8 @@ def view(picture, name="a"):
 
 def flat(picture, name="a"):
     """A picture as a view of a plane at depth 1."""
-    seen = view(picture, name)
-    return SeenView(seen.view, np.ones(picture.shape[:2], np.float32))
+    observed = view(picture, name)
+    return SeenView(observed.view, np.ones(picture.shape[:2], np.float32))
 
 
 def with_depths(views, depths):

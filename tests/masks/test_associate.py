@@ -19,9 +19,9 @@ class Drawn:
     def __init__(self, *boxes_of_image):
         self.pending = list(boxes_of_image)
 
-    def propose(self, seen, where=None):
+    def propose(self, frame, place=None):
         boxes = self.pending.pop(0)
-        masks = np.zeros((len(boxes), *seen.image.shape[:2]), bool)
+        masks = np.zeros((len(boxes), *frame.image.shape[:2]), bool)
         for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
             mask[top:bottom, left:right] = True
         return Proposals(masks, np.ones(len(boxes), np.float32))
@@ -37,10 +37,10 @@ class Wandering:
     def __init__(self, looks_that_differ=99):
         self.memory, self.looks, self.last = None, 0, looks_that_differ
 
-    def add(self, seen, labels):
+    def add(self, frame, labels):
         self.memory, self.looks = labels, 0
 
-    def propagate(self, seen):
+    def propagate(self, frame):
         self.looks += 1
         out = self.memory.copy()
         out[: min(self.looks, self.last)] = 0
@@ -129,12 +129,12 @@ class Forgetful(GeometricTracker):
         super().__init__()
         self.rate, self.rng = rate, np.random.default_rng(seed)
 
-    def add(self, seen, labels):
+    def add(self, frame, labels):
         if not self._frames:
-            super().add(seen, labels)
+            super().add(frame, labels)
 
-    def propagate(self, seen):
-        carried = super().propagate(seen)
+    def propagate(self, frame):
+        carried = super().propagate(frame)
         for ident in np.unique(carried[carried > 0]):
             if self.rng.random() < self.rate:
                 carried[carried == ident] = self.rng.choice(np.unique(carried[carried > 0]))
@@ -151,16 +151,16 @@ def room_views(seed):
 class TrueObjects:
     """Proposes the true objects of a room."""
 
-    def propose(self, seen, where=None):
-        ids = np.unique(seen.view.instances)
-        masks = np.stack([seen.view.instances == ident for ident in ids])
+    def propose(self, frame, place=None):
+        ids = np.unique(frame.view.instances)
+        masks = np.stack([frame.view.instances == ident for ident in ids])
         return Proposals(masks, np.ones(len(ids), np.float32))
 
 
 def agreement(seed, replicas):
     """Share of the second view whose object has the id that it has in the first."""
-    views, seen = room_views(seed)
-    labels = associate(seen, TrueObjects(), Forgetful(0.25, seed), replicas).labels
+    views, frame = room_views(seed)
+    labels = associate(frame, TrueObjects(), Forgetful(0.25, seed), replicas).labels
     true = np.stack([view.instances for view in views])
     wanted = np.full_like(true[1], -1)
     for ident in np.unique(true[0]):
@@ -178,21 +178,21 @@ def test_the_vote_gives_objects_the_right_ids_that_one_look_confuses():
 @pytest.mark.parametrize("kind", [GeometricTracker, partial(Forgetful, 0.25)])
 def test_copies_that_would_be_the_same_are_not_made_and_change_nothing(kind):
     """Ten frames, all made, against those that can differ: of two views the same bytes."""
-    _, seen = room_views(0)
-    asked = []
+    _, frame = room_views(0)
+    calls = []
 
     def found(votes):
         tracker = kind()
         propagate = tracker.propagate
-        tracker.propagate = lambda here: asked.append(here.view.name) or propagate(here)
-        return associate(seen, Regions(), tracker, 5, votes)
+        tracker.propagate = lambda here: calls.append(here.view.name) or propagate(here)
+        return associate(frame, Regions(), tracker, 5, votes)
 
-    few, count = found("views"), len(asked)
+    subset, count = found("views"), len(calls)
     every = found("copies")
-    np.testing.assert_array_equal(few.labels, every.labels)
-    np.testing.assert_array_equal(few.margin, every.margin)
-    assert (every.computed, len(asked) - count) == (5, 4 + 5)
-    assert few.computed == (2 if kind is GeometricTracker else 5)
+    np.testing.assert_array_equal(subset.labels, every.labels)
+    np.testing.assert_array_equal(subset.margin, every.margin)
+    assert (every.computed, len(calls) - count) == (5, 4 + 5)
+    assert subset.computed == (2 if kind is GeometricTracker else 5)
 
 
 def test_where_copies_alone_vote_no_view_overrules_them(monkeypatch):
@@ -204,15 +204,15 @@ def test_where_copies_alone_vote_no_view_overrules_them(monkeypatch):
 
 
 def test_geometry_asks_once_a_view_and_agrees():
-    asked = []
+    calls = []
 
     class Counted(GeometricTracker):
-        def propagate(self, seen):
-            asked.append(seen.view.name)
-            return super().propagate(seen)
+        def propagate(self, frame):
+            calls.append(frame.view.name)
+            return super().propagate(frame)
 
     maps = associate([flat(picture()), flat(picture(3), "b")], Regions(), Counted())
-    assert asked == ["a", "b", "b"] and (maps.margin == 1).all()
+    assert calls == ["a", "b", "b"] and (maps.margin == 1).all()
 
 
 @cache
@@ -243,8 +243,8 @@ def test_objects_of_a_room_keep_their_ids(swapped):
 
 def test_same_bytes_again():
     _, views = room()
-    one, two = (associate(views, Regions(), GeometricTracker()).labels.tobytes() for _ in range(2))
-    assert one == two
+    item, two = (associate(views, Regions(), GeometricTracker()).labels.tobytes() for _ in range(2))
+    assert item == two
 
 
 def grid(rows):

@@ -32,7 +32,7 @@ class Drawn:
     Logits are at half the size, steep where ``steep``; predicted IoU falls with the level.
     """
 
-    asked = 0
+    calls = 0
     encoded = 0
 
     def __init__(self, steep=9.0, predicted=(0.95, 0.9, 0.85)):
@@ -69,25 +69,25 @@ def box_mask(name):
 
 
 def names(proposals):
-    found = []
+    result = []
     for mask in proposals.masks:
-        found += [name for name in BOXES if np.array_equal(mask, box_mask(name))]
-    assert len(found) == len(proposals.masks)
-    return found
+        result += [name for name in BOXES if np.array_equal(mask, box_mask(name))]
+    assert len(result) == len(proposals.masks)
+    return result
 
 
 PLAIN = Automatic(points=8, predicted_iou=0.8, stability=0.9)
 
 
 def test_nested_boxes_are_found_once_each():
-    found = all_masks(Drawn(), picture(), PLAIN)
-    assert sorted(names(found)) == ["group", "object", "part"]
-    assert found.scores.dtype == np.float32 and (np.diff(found.scores) <= 0).all()
+    result = all_masks(Drawn(), picture(), PLAIN)
+    assert sorted(names(result)) == ["group", "object", "part"]
+    assert result.scores.dtype == np.float32 and (np.diff(result.scores) <= 0).all()
 
 
 def test_levels_are_kept_apart_or_not():
-    apart = all_masks(Drawn(), picture(), replace(PLAIN, apart=True))
-    assert sorted(zip(apart.levels.tolist(), names(apart), strict=True)) == [
+    gap = all_masks(Drawn(), picture(), replace(PLAIN, apart=True))
+    assert sorted(zip(gap.levels.tolist(), names(gap), strict=True)) == [
         (0, "group"), (0, "object"), (0, "part"), (1, "group"), (1, "object"), (2, "group"),
     ]  # fmt: skip
     assert names(all_masks(Drawn(), picture(), PLAIN, levels=("l",))) == ["group"]
@@ -97,8 +97,8 @@ def test_levels_are_kept_apart_or_not():
 
 def test_what_is_not_sure_or_not_stable_goes():
     assert len(all_masks(Drawn(), picture(), replace(PLAIN, predicted_iou=0.95)).masks) == 0
-    found = all_masks(Drawn(), picture(), replace(PLAIN, predicted_iou=0.92))
-    assert set(found.levels) == {0}
+    result = all_masks(Drawn(), picture(), replace(PLAIN, predicted_iou=0.92))
+    assert set(result.levels) == {0}
     # Logits of 0.5 all over: cut at +1 nothing is left.
     assert len(all_masks(Drawn(steep=0.5), picture(), PLAIN).masks) == 0
     assert len(all_masks(Drawn(steep=0.5), picture(), replace(PLAIN, stability=0)).masks) == 3
@@ -108,15 +108,15 @@ def test_what_is_not_sure_or_not_stable_goes():
 
 def test_where_limits_the_points():
     drawn = Drawn()
-    where = np.zeros(SIZE, bool)
-    where[:, 64:] = True
-    assert names(all_masks(drawn, picture(), PLAIN, where)) == ["group"]
+    place = np.zeros(SIZE, bool)
+    place[:, 64:] = True
+    assert names(all_masks(drawn, picture(), PLAIN, place)) == ["group"]
     points = np.concatenate(drawn.points)
     assert len(points) == 32 and (points[:, 0] >= 64).all()
     nowhere = Drawn()
-    found = all_masks(nowhere, picture(), PLAIN, np.zeros(SIZE, bool))
+    result = all_masks(nowhere, picture(), PLAIN, np.zeros(SIZE, bool))
     assert nowhere.encoded == 0
-    assert found.masks.shape == (0, *SIZE) and len(found.scores) == len(found.levels) == 0
+    assert result.masks.shape == (0, *SIZE) and len(result.scores) == len(result.levels) == 0
 
 
 def test_a_blank_image_and_a_single_pixel_work():
@@ -131,11 +131,11 @@ def test_a_blank_image_and_a_single_pixel_work():
 @pytest.mark.parametrize("batch", [1, 5, 64])
 def test_batches_change_nothing(batch):
     drawn = Drawn()
-    found = all_masks(drawn, picture(), PLAIN, batch=batch)
+    result = all_masks(drawn, picture(), PLAIN, batch=batch)
     assert max(map(len, drawn.points)) <= batch
     reference = all_masks(Drawn(), picture(), PLAIN)
-    assert found.masks.tobytes() == reference.masks.tobytes()
-    assert found.scores.tobytes() == reference.scores.tobytes()
+    assert result.masks.tobytes() == reference.masks.tobytes()
+    assert result.scores.tobytes() == reference.scores.tobytes()
 
 
 def test_points_are_the_centres_of_cells():
@@ -176,8 +176,8 @@ def test_presets_are_those_of_the_programs():
     assert set(PRESETS) == {"sam", "sam2", "langsplat", "grouping"}
     for settings in PRESETS.values():
         small = replace(settings, points=8, smallest=0)
-        found = all_masks(Drawn(), picture(), small)
-        assert len(found.masks) >= 1
+        result = all_masks(Drawn(), picture(), small)
+        assert len(result.masks) >= 1
     # LangSplat: inside each level a mask inside another one goes; Gaussian Grouping: parts go.
     nested = all_masks(Drawn(), picture(), replace(PRESETS["langsplat"], points=8, crops=0))
     assert sorted(zip(nested.levels.tolist(), names(nested), strict=True)) == [
@@ -210,19 +210,19 @@ def plain_tidy(mask, smallest):
     """Pixel by pixel: holes first, then islands."""
     mask = mask.copy()
     for value in (False, True):
-        seen, groups = np.zeros(mask.shape, bool), []
+        view, groups = np.zeros(mask.shape, bool), []
         for start in zip(*np.nonzero(mask == value), strict=True):
-            if seen[start]:
+            if view[start]:
                 continue
             group, todo = [], [start]
-            seen[start] = True
+            view[start] = True
             while todo:
                 row, column = todo.pop()
                 group.append((row, column))
                 for r in range(max(0, row - 1), min(mask.shape[0], row + 2)):
                     for c in range(max(0, column - 1), min(mask.shape[1], column + 2)):
-                        if mask[r, c] == value and not seen[r, c]:
-                            seen[r, c] = True
+                        if mask[r, c] == value and not view[r, c]:
+                            view[r, c] = True
                             todo.append((r, c))
             groups.append(group)
         small = [group for group in groups if len(group) < smallest]
@@ -258,7 +258,7 @@ def test_masks_that_had_to_be_tidied_give_way():
             )
 
     settings = replace(PLAIN, smallest=5)
-    found = all_masks(lambda image: Speckled(None, image), picture(), settings)
-    assert found.masks.sum() == 1600 and found.levels.tolist() == [1]
-    kept = all_masks(lambda image: Speckled(None, image), picture(), PLAIN)
-    assert sorted(m.sum() for m in kept.masks) == [1600, 1600]
+    result = all_masks(lambda image: Speckled(None, image), picture(), settings)
+    assert result.masks.sum() == 1600 and result.levels.tolist() == [1]
+    stored = all_masks(lambda image: Speckled(None, image), picture(), PLAIN)
+    assert sorted(m.sum() for m in stored.masks) == [1600, 1600]

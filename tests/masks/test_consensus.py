@@ -45,8 +45,8 @@ class Shown:
         self.truths.append(cut(truth))
         return self
 
-    def propose(self, seen, where=None):
-        truth = self.truths[self.views.index(seen)]
+    def propose(self, frames, mask=None):
+        truth = self.truths[self.views.index(frames)]
         masks = truth == np.unique(truth)[:, None, None]
         return Proposals(masks, np.ones(len(masks), np.float32))
 
@@ -65,15 +65,15 @@ LONG = (-1.9, 1.9, -0.4, 0.4, 3.0)
 
 
 def test_an_object_hidden_in_the_middle_view_is_one():
-    shown = Shown(-0.5, 0.0, 0.5)
-    shown.add({1: THING}).add({1: THING, 3: SCREEN}).add({1: THING})
-    before, middle, after = shown.ids(1)
+    layout = Shown(-0.5, 0.0, 0.5)
+    layout.add({1: THING}).add({1: THING, 3: SCREEN}).add({1: THING})
+    before, middle, after = layout.ids(1)
     assert before == after > 0 and middle == 0
 
 
 def test_halves_that_no_view_connects_stay_two_and_a_view_of_both_joins_them():
-    apart = Shown(-2.0, 2.0, -2.1).add({1: LONG}).add({1: LONG}).add({1: LONG})
-    left, right, _ = apart.ids(1)
+    gap = Shown(-2.0, 2.0, -2.1).add({1: LONG}).add({1: LONG}).add({1: LONG})
+    left, right, _ = gap.ids(1)
     assert left != right
     joined = Shown(-2.0, 2.0, 0.0).add({1: LONG}).add({1: LONG}).add({1: LONG})
     ids = joined.ids(1)
@@ -88,33 +88,33 @@ def as_one(truth):
 @pytest.mark.parametrize(("points", "votes"), [(1, False), (3, True)])
 def test_a_view_votes_from_two_hundredths_of_another_on(points, votes):
     """Of one camera, with depth at 1 or 3 of the 100 points that overlap is told by."""
-    shown = Shown(0.0).add({})
-    whole = SurfacePoints(SeenView(shown.views[0].view, shown.views[0].depth[:96, :128]))
-    depth = np.zeros_like(whole.frame.depth)
-    few = whole.coarse_pixels[:: len(whole.coarse_pixels) // points][:points]
-    depth.ravel()[few] = whole.frame.depth.ravel()[few]
-    part = SurfacePoints(SeenView(whole.frame.view, depth))
-    assert overlap(whole, part) == pytest.approx(points / len(whole.coarse_pixels))
-    assert (1 in consensus._voters([whole, part])[0]) == votes
+    layout = Shown(0.0).add({})
+    full = SurfacePoints(SeenView(layout.views[0].view, layout.views[0].depth[:96, :128]))
+    depth = np.zeros_like(full.frame.depth)
+    subset = full.coarse_pixels[:: len(full.coarse_pixels) // points][:points]
+    depth.ravel()[subset] = full.frame.depth.ravel()[subset]
+    part = SurfacePoints(SeenView(full.frame.view, depth))
+    assert overlap(full, part) == pytest.approx(points / len(full.coarse_pixels))
+    assert (1 in consensus._voters([full, part])[0]) == votes
 
 
 def test_views_that_part_two_things_outvote_one_that_joined_them():
     cards = {1: THING, 2: OTHER}
-    shown = Shown(*np.linspace(-0.3, 0.3, 7)).add(cards, as_one)
+    layout = Shown(*np.linspace(-0.3, 0.3, 7)).add(cards, as_one)
     for _ in range(6):
-        shown.add(cards)
-    one, two = shown.ids(1)[1:], shown.ids(2)[1:]
-    assert len(set(one)) == len(set(two)) == 1 and one[0] != two[0]
+        layout.add(cards)
+    first, two = layout.ids(1)[1:], layout.ids(2)[1:]
+    assert len(set(first)) == len(set(two)) == 1 and first[0] != two[0]
 
 
 def test_of_two_views_nobody_settles_what_they_disagree_on(monkeypatch):
     cards = {1: THING, 2: OTHER}
-    shown = Shown(-0.3, 0.3).add(cards, as_one).add(cards)
-    maps = associate(shown.views, shown, GeometricTracker())
+    layout = Shown(-0.3, 0.3).add(cards, as_one).add(cards)
+    maps = associate(layout.views, layout, GeometricTracker())
     monkeypatch.setattr(consensus, "votes_on", None)
-    again = associate(shown.views, shown, GeometricTracker())
-    assert maps.labels.tobytes() == again.labels.tobytes()
-    assert shown.ids(1)[1] == shown.ids(2)[1]
+    rerun = associate(layout.views, layout, GeometricTracker())
+    assert maps.labels.tobytes() == rerun.labels.tobytes()
+    assert layout.ids(1)[1] == layout.ids(2)[1]
 
 
 def test_without_depth_the_tracker_has_the_last_word():
@@ -123,29 +123,29 @@ def test_without_depth_the_tracker_has_the_last_word():
 
         final = False
 
-        def add(self, seen, labels):
+        def add(self, frames, labels):
             self.labels = labels
 
-        def propagate(self, seen):
+        def propagate(self, frames):
             return self.labels
 
-    _, seen = room(views=3)
-    maps = associate([SeenView(each.view) for each in seen], Regions(), Still())
+    _, frames = room(views=3)
+    maps = associate([SeenView(each.view) for each in frames], Regions(), Still())
     assert (maps.labels > 0).mean() > 0.9
 
 
 @cache
 def room(seed=3, views=5):
     scene = reader.read(seed, height=208, width=288, views=views, baseline=1.2)
-    shown = [scene.read(name) for name in scene.cameras]
-    return scene, [SeenView(view, view.depth) for view in shown]
+    layout = [scene.read(name) for name in scene.cameras]
+    return scene, [SeenView(view, view.depth) for view in layout]
 
 
 @cache
 def labelled(order, seed=3):
     """Labels of the views of a room, told in ``order`` and given in the room's own."""
-    seen = [room(seed)[1][k] for k in order]
-    labels = associate(seen, Regions(), GeometricTracker()).labels
+    frames = [room(seed)[1][k] for k in order]
+    labels = associate(frames, Regions(), GeometricTracker()).labels
     return np.stack([labels[order.index(k)] for k in sorted(set(order))])
 
 
@@ -171,8 +171,8 @@ def test_a_loop_that_closes_gives_the_first_view_its_ids_back():
 
 
 def test_a_photograph_twice_has_the_same_ids_twice():
-    seen = room()[1]
-    labels = associate([*seen[:3], seen[1]], Regions(), GeometricTracker()).labels
+    frames = room()[1]
+    labels = associate([*frames[:3], frames[1]], Regions(), GeometricTracker()).labels
     # A sliver of a few pixels, cut off by another view's edge, may hang with either neighbour.
     assert (labels[1] == labels[3]).mean() > 0.999
     assert same_partition(labels[:3], associate3()) > 0.93
@@ -185,19 +185,19 @@ def associate3():
 
 @pytest.mark.parametrize("place", [0, 2, 4])
 def test_a_view_of_another_place_keeps_to_itself(place):
-    seen = list(room()[1][:4])
+    frames = list(room()[1][:4])
     away = np.eye(4)
     away[0, 3] = 40.0
     stranger = room(seed=8)[1][0]
     camera = stranger.view.camera
     moved = Camera(camera.K, away @ camera.c2w, camera.width, camera.height)
-    seen.insert(place, SeenView(View("away", moved, stranger.image), stranger.depth))
-    labels = associate(seen, Regions(), GeometricTracker()).labels
-    others = np.delete(labels, place, 0)
+    frames.insert(place, SeenView(View("away", moved, stranger.image), stranger.depth))
+    labels = associate(frames, Regions(), GeometricTracker()).labels
+    rest = np.delete(labels, place, 0)
     # Colours alone may carry an id to it while the tracker looks; the votes are none.
-    shared = np.intersect1d(labels[place], others)
+    shared = np.intersect1d(labels[place], rest)
     assert np.isin(labels[place], shared[shared > 0]).mean() < 0.35
-    assert same_partition(others, labelled_four()) > 0.93
+    assert same_partition(rest, labelled_four()) > 0.93
 
 
 @cache
@@ -211,9 +211,9 @@ def test_a_photograph_more_leaves_ids_as_they_are():
 
 
 def test_same_views_same_bytes():
-    seen = room()[1]
-    one, two = (associate(seen[:3], Regions(), GeometricTracker()).labels for _ in range(2))
-    assert one.tobytes() == two.tobytes()
+    frames = room()[1]
+    first, two = (associate(frames[:3], Regions(), GeometricTracker()).labels for _ in range(2))
+    assert first.tobytes() == two.tobytes()
 
 
 def test_contraction_follows_the_sums_and_not_a_chain():
@@ -244,8 +244,8 @@ def test_contraction_is_as_the_plain_one(seed):
     votes = np.random.default_rng(seed).normal(-0.2, 1, (25, 25))
     votes += votes.T
     expected = sorted(map(sorted, plain_contraction(votes)))
-    found = contract(votes.copy())
-    assert sorted(np.flatnonzero(found == k).tolist() for k in np.unique(found)) == expected
+    result = contract(votes.copy())
+    assert sorted(np.flatnonzero(result == k).tolist() for k in np.unique(result)) == expected
 
 
 def test_atoms_are_labels_cut_by_regions_and_crumbs_join_the_largest():
@@ -262,44 +262,44 @@ def test_atoms_are_labels_cut_by_regions_and_crumbs_join_the_largest():
 
 
 def test_where_no_two_views_meet_the_tracker_is_believed():
-    shown = Shown(-20.0, 0.0, 20.0)
-    for _ in shown.eyes:
-        shown.add({1: (-30.0, 30.0, -0.4, 0.4, 3.0)})
-    labels = np.stack(shown.truths)
-    np.testing.assert_array_equal(vote_on_objects(shown.views, labels, labels), labels)
+    layout = Shown(-20.0, 0.0, 20.0)
+    for _ in layout.eyes:
+        layout.add({1: (-30.0, 30.0, -0.4, 0.4, 3.0)})
+    labels = np.stack(layout.truths)
+    np.testing.assert_array_equal(vote_on_objects(layout.views, labels, labels), labels)
 
 
 def test_what_is_not_labelled_stays_so():
-    seen = room()[1][:3]
+    frames = room()[1][:3]
     labels = np.zeros((3, 208, 288), np.int32)
-    assert not vote_on_objects(seen, labels, labels).any()
+    assert not vote_on_objects(frames, labels, labels).any()
     labels[:, :100] = 1
-    assert np.array_equal(vote_on_objects(seen, labels, labels) > 0, labels > 0)
+    assert np.array_equal(vote_on_objects(frames, labels, labels) > 0, labels > 0)
 
 
 def test_shared_points_are_those_of_one_surface():
-    shown = Shown(-0.5, 0.5).add({1: THING}).add({1: THING})
-    one, other = map(SurfacePoints, shown.views)
-    which, place = met(one, other, one.pixels)
-    truth = [each.ravel() for each in shown.truths]
-    assert len(which) and (truth[0][one.pixels[which]] == truth[1][place]).mean() > 0.98
-    row, column = np.divmod(one.pixels[which], SIZE[1])
-    shift = np.where(truth[0][one.pixels[which]] == 2, SIZE[1] / 3, SIZE[1] / 4)
+    layout = Shown(-0.5, 0.5).add({1: THING}).add({1: THING})
+    first, second = map(SurfacePoints, layout.views)
+    which, place = met(first, second, first.pixels)
+    truth = [each.ravel() for each in layout.truths]
+    assert len(which) and (truth[0][first.pixels[which]] == truth[1][place]).mean() > 0.98
+    row, column = np.divmod(first.pixels[which], SIZE[1])
+    shift = np.where(truth[0][first.pixels[which]] == 2, SIZE[1] / 3, SIZE[1] / 4)
     off = np.hypot(place // SIZE[1] - row, column - place % SIZE[1] - shift)
     assert (off < 2).mean() > 0.98
 
 
 def test_points_of_other_colours_are_not_shared():
-    shown = Shown(0.0, 0.4).add({}).add({})
+    layout = Shown(0.0, 0.4).add({}).add({})
     black = SeenView(
-        View("b", shown.views[1].view.camera, shown.views[1].image // 9), shown.views[1].depth
+        View("b", layout.views[1].view.camera, layout.views[1].image // 9), layout.views[1].depth
     )
-    one = SurfacePoints(shown.views[0])
-    whole = overlap(one, SurfacePoints(shown.views[1]))
-    assert whole == pytest.approx(0.9, abs=0.03)
+    first = SurfacePoints(layout.views[0])
+    full = overlap(first, SurfacePoints(layout.views[1]))
+    assert full == pytest.approx(0.9, abs=0.03)
     # Evenly darker is another exposure, and half of it painted is another thing.
-    assert overlap(one, SurfacePoints(black)) == pytest.approx(whole, abs=0.01)
-    painted = shown.views[1].image.copy()
+    assert overlap(first, SurfacePoints(black)) == pytest.approx(full, abs=0.01)
+    painted = layout.views[1].image.copy()
     painted[:40] = (250, 30, 30)
-    other = SeenView(View("c", shown.views[1].view.camera, painted), shown.views[1].depth)
-    assert overlap(one, SurfacePoints(other)) < 0.65
+    second = SeenView(View("c", layout.views[1].view.camera, painted), layout.views[1].depth)
+    assert overlap(first, SurfacePoints(second)) < 0.65

@@ -36,9 +36,9 @@ def carried(old, new, depths):
 def test_labels_land_on_the_same_objects_however_far_the_views(baseline, swapped):
     old, new = room(baseline)[:: -1 if swapped else 1]
     labels = carried(old, new, [old.depth, new.depth])
-    known = labels > 0
-    assert known.mean() > 0.9
-    assert (labels == new.instances)[known].mean() > 0.96
+    valid = labels > 0
+    assert valid.mean() > 0.9
+    assert (labels == new.instances)[valid].mean() > 0.96
     both = np.intersect1d(old.instances, new.instances)
     right = [np.bincount(labels[new.instances == i]).argmax() == i for i in both]
     # Some are of a dozen pixels here, or wear the colour of what is behind them.
@@ -48,16 +48,16 @@ def test_labels_land_on_the_same_objects_however_far_the_views(baseline, swapped
 def test_depth_that_is_noisy_rough_and_full_of_holes_will_do():
     old, new = room()
     rng, depths = np.random.default_rng(0), []
-    for seen in (old, new):
-        depth = seen.depth * rng.normal(1, 0.01, seen.depth.shape)
+    for frame in (old, new):
+        depth = frame.depth * rng.normal(1, 0.01, frame.depth.shape)
         depth = cv2.medianBlur(depth.astype(np.float32), 5)  # blunt corners
         rows, columns = np.mgrid[: depth.shape[0], : depth.shape[1]] // 16
         holes = rng.random((rows.max() + 1, columns.max() + 1)) < 0.2
         depths.append(np.where(holes[rows, columns], 0, depth).astype(np.float32))
     labels = carried(old, new, depths)
-    known = labels > 0
-    assert known.mean() > 0.9
-    assert (labels == new.instances)[known].mean() > 0.94
+    valid = labels > 0
+    assert valid.mean() > 0.9
+    assert (labels == new.instances)[valid].mean() > 0.94
 
 
 def test_a_pose_that_is_a_little_off_will_do():
@@ -100,7 +100,8 @@ def screen_and_wall(shift=0.4):
 def test_what_one_view_hides_has_no_match_and_the_rest_has():
     views, depths = screen_and_wall()
     frames = [
-        geometric._make_frame(seen, np.ones(SIZE, np.int32)) for seen in with_depths(views, depths)
+        geometric._make_frame(frame, np.ones(SIZE, np.int32))
+        for frame in with_depths(views, depths)
     ]
     place, matched = geometric._match(frames[1], frames[0])
     rows, columns = np.indices(SIZE)
@@ -121,20 +122,20 @@ def test_equals_the_plain_rule():
     depths[0][5:9, 5:50] = depths[1][:20, 60:80] = 0
     place, matched = geometric._match(
         *(
-            geometric._make_frame(seen, np.ones(SIZE, np.int32))
-            for seen in with_depths((b, a), depths[::-1])
+            geometric._make_frame(frame, np.ones(SIZE, np.int32))
+            for frame in with_depths((b, a), depths[::-1])
         )
     )
 
-    def moved(row, column, depth, here, there):
+    def moved(row, column, depth, here, inside):
         ray = np.linalg.inv(here.K) @ (column + 0.5, row + 0.5, 1)
-        point = there.w2c @ np.append(here.c2w[:3, :3] @ ray * float(depth) + here.center, 1)
-        pixel = there.K @ point[:3]
+        point = inside.w2c @ np.append(here.c2w[:3, :3] @ ray * float(depth) + here.center, 1)
+        pixel = inside.K @ point[:3]
         return pixel[:2] / pixel[2] - 0.5
 
     checked = 0
     for row, column in np.ndindex(SIZE):
-        found = None
+        result = None
         if depths[1][row, column] > 0:
             x, y = moved(row, column, depths[1][row, column], b.camera, a.camera)
             i, j = round(y), round(x)
@@ -146,9 +147,9 @@ def test_equals_the_plain_rule():
                     or min(abs(x % 1 - 0.5), abs(y % 1 - 0.5)) < 1e-6
                 ):
                     continue
-                found = i * SIZE[1] + j if error <= AGREE_PIXELS else None
-        assert matched[row, column] == (found is not None)
-        assert found is None or place[row, column] == found
+                result = i * SIZE[1] + j if error <= AGREE_PIXELS else None
+        assert matched[row, column] == (result is not None)
+        assert result is None or place[row, column] == result
         checked += 1
     assert checked > 0.99 * SIZE[0] * SIZE[1]
     assert 0.3 < matched.mean() < 0.9
@@ -157,10 +158,10 @@ def test_equals_the_plain_rule():
 def test_nothing_is_carried_where_no_depth_is_known():
     (a, b), depths = screen_and_wall()
     for empty in (0, 1):
-        given = [np.zeros_like(d) if i == empty else d for i, d in enumerate(depths)]
+        inputs = [np.zeros_like(d) if i == empty else d for i, d in enumerate(depths)]
         tracker = GeometricTracker()
-        tracker.add(SeenView(a, given[0]), np.ones(SIZE, np.int32))
-        assert not tracker.propagate(SeenView(b, given[1])).any()
+        tracker.add(SeenView(a, inputs[0]), np.ones(SIZE, np.int32))
+        assert not tracker.propagate(SeenView(b, inputs[1])).any()
 
 
 def test_views_may_differ_in_size():
@@ -196,16 +197,16 @@ def test_a_view_without_depth_or_with_that_of_another_is_refused():
 def test_a_view_is_matched_with_the_few_frames_that_show_most_of_it(monkeypatch):
     scene = reader.read(seed=3, height=104, width=144, views=10, baseline=2.0)
     views = [scene.read(each) for each in scene.cameras]
-    tracker, asked = load_tracker("geometric"), []
+    tracker, calls = load_tracker("geometric"), []
     match = geometric._match
     monkeypatch.setattr(
         geometric,
         "_match",
-        lambda new, old: asked.append(old.frame.view.name) or match(new, old),
+        lambda new, old: calls.append(old.frame.view.name) or match(new, old),
     )
     for each in views[:9]:
         tracker.add(SeenView(each, each.depth), each.instances)
     labels = tracker.propagate(SeenView(views[9], views[9].depth))
-    assert asked == [f"view_{k:02d}" for k in range(3, 9)]
-    known = labels > 0
-    assert (labels == views[9].instances)[known].mean() > 0.9
+    assert calls == [f"view_{k:02d}" for k in range(3, 9)]
+    valid = labels > 0
+    assert (labels == views[9].instances)[valid].mean() > 0.9

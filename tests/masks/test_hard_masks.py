@@ -24,9 +24,9 @@ class Drawn:
     def __init__(self, *views_and_boxes):
         self.boxes = {view.image.tobytes(): boxes for view, boxes in views_and_boxes}
 
-    def propose(self, seen, where=None):
-        boxes = [] if where is not None else self.boxes[seen.image.tobytes()]
-        masks = np.zeros((len(boxes), *seen.image.shape[:2]), bool)
+    def propose(self, frame, place=None):
+        boxes = [] if place is not None else self.boxes[frame.image.tobytes()]
+        masks = np.zeros((len(boxes), *frame.image.shape[:2]), bool)
         for mask, (top, bottom, left, right) in zip(masks, boxes, strict=True):
             mask[max(top, 0) : bottom, max(left, 0) : right] = True
         return Proposals(masks, np.ones(len(boxes), np.float32))
@@ -41,19 +41,19 @@ def scene(things, moved, move=(0, 14)):
     views, boxes = [], []
     K = np.array([[100, 0, SIZE[1] / 2], [0, 100, SIZE[0] / 2], [0, 0, 1.0]])
     large = np.tile(canvas((130, 130, 120), seed=3), (2, 2, 1))
-    for name, shown, (dy, dx) in (("a", things, (0, 0)), ("b", moved, move)):
+    for name, visible, (dy, dx) in (("a", things, (0, 0)), ("b", moved, move)):
         picture = large[50 + dy : 50 + dy + SIZE[0], 70 + dx : 70 + dx + SIZE[1]].copy()
-        own = [WHOLE]
-        for (top, bottom, left, right), color, seed in shown:
+        local = [WHOLE]
+        for (top, bottom, left, right), color, seed in visible:
             box = (top - dy, bottom - dy, left - dx, right - dx)
             paste(picture, box, color, seed)
             if box[1] > 0 and box[3] > 0 and box[0] < SIZE[0] and box[2] < SIZE[1]:
-                own.append(box)
+                local.append(box)
         c2w = np.eye(4)
         c2w[:2, 3] = dx / 100, dy / 100
         image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
         views.append(View(name, Camera(K, c2w, SIZE[1], SIZE[0]), image))
-        boxes.append(own)
+        boxes.append(local)
     proposer = Drawn(*zip(views, boxes, strict=True))
     return with_depths(views, [np.ones(SIZE, np.float32)] * 2), proposer
 
@@ -102,9 +102,9 @@ def test_two_identical_objects_side_by_side_keep_their_own_ids():
 def test_nested_masks_stay_apart():
     inner = ((40, 60, 40, 60), (60, 60, 200), 13)
     _, labels = run([((25, 80, 25, 80), (200, 60, 50), 11), inner])
-    found = [main_label(labels[0], box) for box in (WHOLE, (25, 38, 25, 80), inner[0])]
-    assert len(set(found)) == 3
-    assert main_label(labels[1], (40, 60, 26, 46)) == found[2]
+    result = [main_label(labels[0], box) for box in (WHOLE, (25, 38, 25, 80), inner[0])]
+    assert len(set(result)) == 3
+    assert main_label(labels[1], (40, 60, 26, 46)) == result[2]
 
 
 def test_no_mask_in_one_view_or_in_none():
@@ -143,8 +143,8 @@ def test_two_thousand_masks():
     views, _ = scene(things, things)
     tiles = [(y, y + 2, x, x + 4) for y in range(0, 120, 2) for x in range(0, 136, 4)][:2000]
     moved = [(top, bottom, left - 14, right - 14) for top, bottom, left, right in tiles]
-    seen = [box for box in moved if box[3] > 0]
-    proposer = Drawn((views[0], tiles), (views[1], seen))
+    frame = [box for box in moved if box[3] > 0]
+    proposer = Drawn((views[0], tiles), (views[1], frame))
     maps = associate(views, proposer, load_tracker("geometric"))
     assert maps.labels.dtype == np.int32 and len(np.unique(maps.labels[0])) == 2001
     assert 2000 <= len(maps.ids) <= 4000

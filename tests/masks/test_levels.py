@@ -11,8 +11,8 @@ from slgaussian.labels import LabelMaps
 from slgaussian.masks.levels import CUTS, group_objects
 
 
-def with_depth(seen, depths):
-    return with_depths([one.view for one in seen], depths)
+def with_depth(observed, depths):
+    return with_depths([first.view for first in observed], depths)
 
 
 def maps_of(*labels):
@@ -62,10 +62,10 @@ def test_one_object_is_its_own_group(halves):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.booleans())
-def test_groups_are_connected_partitions_whatever_they_show(seed, most, blank):
+def test_groups_are_connected_partitions_whatever_they_show(seed, maximum, blank):
     rng = np.random.default_rng(seed)
     picture = np.full((*SIZE, 3), 90.0) if blank else rng.uniform(0, 255, (*SIZE, 3))
-    coarse = rng.integers(0, most + 1, (2, 6, 8)) * 10
+    coarse = rng.integers(0, maximum + 1, (2, 6, 8)) * 10
     labels = np.kron(coarse, np.ones((1, 20, 20), int))
     maps = maps_of(*labels)
     if len(maps.ids) == 0:
@@ -75,18 +75,18 @@ def test_groups_are_connected_partitions_whatever_they_show(seed, most, blank):
     for numbers in levels:
         assert set(numbers) == set(range(numbers.max() + 1))
         for number in set(numbers):
-            held = maps.ids[numbers == number]
+            fixed = maps.ids[numbers == number]
             # Objects that some view shows in one patch are linked; links must join them all.
-            link = np.eye(len(held), dtype=bool)
+            link = np.eye(len(fixed), dtype=bool)
             for label in maps.labels:
-                patches, count = ndimage.label(np.isin(label, held))
+                patches, count = ndimage.label(np.isin(label, fixed))
                 for patch in range(1, count + 1):
-                    inside = np.isin(held, label[patches == patch])
+                    inside = np.isin(fixed, label[patches == patch])
                     link |= np.outer(inside, inside)
-                for k, name in enumerate(held):  # an object may lie in several patches
-                    inside = np.isin(held, label[np.isin(patches, patches[label == name])])
+                for k, name in enumerate(fixed):  # an object may lie in several patches
+                    inside = np.isin(fixed, label[np.isin(patches, patches[label == name])])
                     link[k] |= inside & (label == name).any()
-            reach = np.linalg.matrix_power(link.astype(float), len(held)) > 0
+            reach = np.linalg.matrix_power(link.astype(float), len(fixed)) > 0
             assert reach.all()
 
 

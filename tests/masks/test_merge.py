@@ -51,8 +51,8 @@ def members_by_walking(tree):
 
 
 @given(trees, st.integers(0, 12))
-def test_places_tell_which_node_of_a_cut_holds_a_leaf(tree, most):
-    nodes = tree.cut(0.6, most)
+def test_places_tell_which_node_of_a_cut_holds_a_leaf(tree, maximum):
+    nodes = tree.cut(0.6, maximum)
     np.testing.assert_array_equal(tree.places(nodes), members_by_walking(tree)[nodes].argmax(0))
     np.testing.assert_array_equal(tree.labels(nodes), tree.places(nodes)[tree.leaves] + 1)
 
@@ -67,20 +67,20 @@ def test_members_are_the_leaves_below(tree):
 
 
 @given(trees, st.integers(0, 30), st.integers(0, 8))
-def test_picked_nodes_are_nodes_large_enough_and_no_copies(tree, most, least):
+def test_picked_nodes_are_nodes_large_enough_and_no_copies(tree, maximum, minimum):
     everything = members_by_walking(tree)
     given_members = everything[tree.cut(0.6, 100)]
-    member, score = pick_nodes([tree, tree], given_members, least, most)
-    assert len(member) == len(score) <= most
+    member, score = pick_nodes([tree, tree], given_members, minimum, maximum)
+    assert len(member) == len(score) <= maximum
     area = np.bincount(tree.leaves.ravel())
-    assert (member @ area >= least).all() and (np.diff(score) <= 0).all()
+    assert (member @ area >= minimum).all() and (np.diff(score) <= 0).all()
     nodes = {row.tobytes() for row in everything}
     assert all(row.tobytes() in nodes for row in member)
     together = np.concatenate([given_members, member])
     assert len({row.tobytes() for row in together}) == len(together)
-    if most > len(everything):
+    if maximum > len(everything):
         # Whatever was left out is small or nearly equals something that was not.
-        for row in everything[everything @ area >= least]:
+        for row in everything[everything @ area >= minimum]:
             iou = (together & row) @ area / ((together | row) @ area)
             assert iou.max() > 0.95
     level = levels_of(member, given_members, area)
@@ -97,10 +97,10 @@ def test_nodes_of_two_trees_are_near_copies_by_their_union():
         for parent in ([3, 3, 4, 4, -1], [3, 4, 3, 4, -1])
     ]
     member, _ = pick_nodes(trees, np.zeros((0, 3), bool), 50, 10)
-    found = {tuple(row.tolist()) for row in member}
-    assert {(True, True, False), (True, False, True)} <= found
+    result = {tuple(row.tolist()) for row in member}
+    assert {(True, True, False), (True, False, True)} <= result
     # The leaf that both grew from is .96 of each, a near copy.
-    assert (True, False, False) not in found
+    assert (True, False, False) not in result
 
 
 def test_survival_ends_where_a_node_is_merged_on():
@@ -134,14 +134,14 @@ def plain_cost(a, b, sums, cues):
     used = p + q > 0
     misfits, empty = [], []
     for view in range(sums.sizes.shape[1]):
-        shown = [sums.sizes[leaves, view].sum() for leaves in (a, b)]
-        if all(shown):
+        visible = [sums.sizes[leaves, view].sum() for leaves in (a, b)]
+        if all(visible):
             gap = plane_gap(sums.planes[a, view].sum(0), sums.planes[b, view].sum(0))
             misfits.append(min(gap / PLANE_STEP, 1))
-        if any(shown):
+        if any(visible):
             corners = sums.boxes[a + b, view]
             extent = corners[:, 2:].max(0) - corners[:, :2].min(0)
-            empty.append(1 - sum(shown) / extent.prod())
+            empty.append(1 - sum(visible) / extent.prod())
     terms = [
         (1.0, sums.strength[between].sum() / sums.length[between].sum()),
         (cues.color, min(np.linalg.norm(color[0] - color[1]) / COLOR_STEP, 1)),
@@ -182,9 +182,9 @@ def test_merging_in_several_views_equals_its_plain_reference(noise, cues):
 def test_one_view_seen_as_several_is_that_view(noise):
     alone = leaf_sums(*noise)
     for cues in (Cues(), Cues(fill=0.5, size_power=0.1)):
-        one, three = build_tree(alone, cues), build_tree(joint_sums([alone] * 3), cues)
-        np.testing.assert_array_equal(one.parent, three.parent)
-        np.testing.assert_allclose(one.height, three.height, rtol=1e-12)
+        first, three = build_tree(alone, cues), build_tree(joint_sums([alone] * 3), cues)
+        np.testing.assert_array_equal(first.parent, three.parent)
+        np.testing.assert_allclose(first.height, three.height, rtol=1e-12)
 
 
 def check_merging(sums, cues):
@@ -200,8 +200,8 @@ def check_merging(sums, cues):
         live[len(height) - 1] = sets[len(height) - 1] = live.pop(a) + live.pop(b)
     np.testing.assert_allclose(tree.height, height, rtol=1e-9)  # the order of sums: 1e-15
     members = tree.members(np.arange(len(height)))
-    found = [np.flatnonzero(row).tolist() for row in members]
-    assert found == [sorted(sets[node]) for node in range(len(height))]
+    result = [np.flatnonzero(row).tolist() for row in members]
+    assert result == [sorted(sets[node]) for node in range(len(height))]
 
 
 def test_plane_error_equals_least_squares():

@@ -65,7 +65,7 @@ SETS = {
 def plain_mask_nms(masks, scores, iou, nested):
     """Pair by pair."""
     order = sorted(range(len(masks)), key=lambda i: (-scores[i], i))
-    kept = []
+    indices = []
     for place, j in enumerate(order):
         area = masks[j].sum()
         out = area == 0
@@ -79,23 +79,23 @@ def plain_mask_nms(masks, scores, iou, nested):
             if nested is not None and shared >= 0.85 * area and shared < nested * masks[i].sum():
                 out = True
         if not out:
-            kept.append(j)
-    return kept
+            indices.append(j)
+    return indices
 
 
 def plain_box_nms(boxes, scores, iou):
-    kept = []
+    indices = []
     for j in sorted(range(len(boxes)), key=lambda i: (-scores[i], i)):
         x0, y0, x1, y1 = map(int, boxes[j])
-        for i in kept:
+        for i in indices:
             u0, v0, u1, v1 = map(int, boxes[i])
             shared = max(0, min(x1, u1) - max(x0, u0)) * max(0, min(y1, v1) - max(y0, v0))
             union = (x1 - x0) * (y1 - y0) + (u1 - u0) * (v1 - v0) - shared
             if shared > iou * union:
                 break
         else:
-            kept.append(j)
-    return kept
+            indices.append(j)
+    return indices
 
 
 @pytest.mark.parametrize("name", SETS)
@@ -108,9 +108,9 @@ def test_intersections_are_exact(name):
 
 
 def test_intersections_in_small_blocks(monkeypatch):
-    whole = mask_intersections(SETS["noise"])
+    full = mask_intersections(SETS["noise"])
     monkeypatch.setattr("slgaussian.masks.nms.BLOCK", 999)
-    np.testing.assert_array_equal(mask_intersections(SETS["noise"]), whole)
+    np.testing.assert_array_equal(mask_intersections(SETS["noise"]), full)
 
 
 @pytest.mark.parametrize("nested", [None, 0.5])
@@ -150,10 +150,10 @@ def test_of_identical_masks_the_best_then_the_earliest_stays():
 
 
 def test_a_part_goes_only_with_nested():
-    whole, part = np.zeros((2, *SIZE), bool)
-    whole[:, :40] = True
+    full, part = np.zeros((2, *SIZE), bool)
+    full[:, :40] = True
     part[:20, :20] = True  # a quarter of the whole
-    masks, scores = np.stack([whole, part]), np.array([0.2, 0.9])
+    masks, scores = np.stack([full, part]), np.array([0.2, 0.9])
     assert mask_nms(masks, scores, 0.8).tolist() == [1, 0]
     assert mask_nms(masks, scores, 0.8, 0.5).tolist() == [0]
     assert mask_nms(masks, scores, 0.8, 0.2).tolist() == [1, 0]

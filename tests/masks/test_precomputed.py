@@ -57,9 +57,9 @@ def write_npy(file, ids):
 def test_every_format_gives_the_ids_back(tmp_path, write, name, top):
     ids = ids_of(top)
     write(tmp_path / name, ids)
-    found = load_tracker("precomputed", folder=tmp_path).propagate(view(canvas()))
-    assert found.dtype == np.int32
-    np.testing.assert_array_equal(found, ids)
+    result = load_tracker("precomputed", folder=tmp_path).propagate(view(canvas()))
+    assert result.dtype == np.int32
+    np.testing.assert_array_equal(result, ids)
 
 
 @pytest.mark.parametrize("bits", [1, 2, 4])
@@ -90,20 +90,20 @@ def _write_png(file, rows, width, height, bits, kind=0):
 
 def test_association_keeps_ids_holes_and_asks_no_proposer(tmp_path):
     class Never:
-        def propose(self, seen, where=None):
+        def propose(self, frame, mask=None):
             raise AssertionError
 
     views = [view(canvas()), view(canvas(seed=1), "sub/b.jpg")]
     maps = [ids_of(700, seed) for seed in (0, 1)]
     write_16_bits(tmp_path / "a.png", maps[0])
     write_npy(tmp_path / "b.npy", maps[1].astype(np.uint16))
-    found = associate(views, Never(), Precomputed(folder=tmp_path))
-    np.testing.assert_array_equal(found.labels, maps)
-    assert (found.margin == 1).all()
+    result = associate(views, Never(), Precomputed(folder=tmp_path))
+    np.testing.assert_array_equal(result.labels, maps)
+    assert (result.margin == 1).all()
     both = np.intersect1d(*maps)
-    assert not np.isin(found.seen_once, both).any()
-    assert set(found.seen_once) | set(both) - {0} == set(found.ids)
-    assert found.areas().sum() == (np.stack(maps) > 0).sum()
+    assert not np.isin(result.seen_once, both).any()
+    assert set(result.seen_once) | set(both) - {0} == set(result.ids)
+    assert result.areas().sum() == (np.stack(maps) > 0).sum()
 
 
 def test_nested_names_go_before_bare_ones(tmp_path):
@@ -132,13 +132,13 @@ def test_a_map_of_another_size_lies_where_its_photograph_does(old, new):
         (np.arange(size) + 0.5 - camera.K[axis, 2]) / camera.K[axis, axis] * 50 + old[1 - axis] / 2
         for axis, size in enumerate(new[::-1])
     )
-    found = view.shown.ids(ids, *new)
-    assert found.shape == new
+    result = view.shown.ids(ids, *new)
+    assert result.shape == new
     # Rounding decides where a centre lies on the border of two old pixels.
     clear_x, clear_y = (np.abs(x - np.rint(x)) > 1e-6 for x in (column, row))
     plain = ids[np.ix_(row[clear_y].astype(int), column[clear_x].astype(int))]
     assert plain.size
-    np.testing.assert_array_equal(found[np.ix_(clear_y, clear_x)], plain)
+    np.testing.assert_array_equal(result[np.ix_(clear_y, clear_x)], plain)
 
 
 def test_the_digest_follows_the_maps_and_nothing_else(tmp_path):

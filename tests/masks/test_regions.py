@@ -63,9 +63,9 @@ def test_all_levels_hold_the_objects_and_what_is_smaller_and_larger(scene):
     assert areas[every.levels != 1].min() >= CRUMB_SHARE * areas.max()
     assert ((every.scores > 0) & (every.scores <= 1)).all()
     for number, level in enumerate("sml"):
-        one = Regions(level=level).propose(SeenView.alone(scene))
-        np.testing.assert_array_equal(one.masks, every.masks[every.levels == number])
-        np.testing.assert_array_equal(one.scores, every.scores[every.levels == number])
+        first = Regions(level=level).propose(SeenView.alone(scene))
+        np.testing.assert_array_equal(first.masks, every.masks[every.levels == number])
+        np.testing.assert_array_equal(first.scores, every.scores[every.levels == number])
 
 
 def test_no_two_masks_are_near_copies(scene):
@@ -80,9 +80,9 @@ def test_no_two_masks_are_near_copies(scene):
 
 def test_most_bounds_the_number_of_masks_but_objects_stay(scene):
     objects = len(Regions().propose(SeenView.alone(scene)).masks)
-    for most in (0, 10, 25):
-        masks = Regions(level="all", most=most).propose(SeenView.alone(scene)).masks
-        assert objects <= len(masks) <= max(most, objects)
+    for maximum in (0, 10, 25):
+        masks = Regions(level="all", most=maximum).propose(SeenView.alone(scene)).masks
+        assert objects <= len(masks) <= max(maximum, objects)
 
 
 def test_a_thing_of_two_colours_is_a_group():
@@ -100,12 +100,12 @@ def test_an_unknown_level_is_refused():
 
 
 def test_where_limits_the_search(scene):
-    where = np.zeros(SIZE, bool)
-    where[:, 80:] = True
-    proposals = Regions().propose(SeenView.alone(scene), region=where)
-    np.testing.assert_array_equal(proposals.masks.any(0), where)
-    every = Regions(level="all").propose(SeenView.alone(scene), region=where)
-    np.testing.assert_array_equal(every.masks.any(0), where)
+    place = np.zeros(SIZE, bool)
+    place[:, 80:] = True
+    proposals = Regions().propose(SeenView.alone(scene), region=place)
+    np.testing.assert_array_equal(proposals.masks.any(0), place)
+    every = Regions(level="all").propose(SeenView.alone(scene), region=place)
+    np.testing.assert_array_equal(every.masks.any(0), place)
     for level in ("m", "all"):
         nothing = Regions(level=level).propose(SeenView.alone(scene), region=np.zeros(SIZE, bool))
         assert nothing.masks.shape == (0, *SIZE) and nothing.scores.shape == (0,)

@@ -59,10 +59,10 @@ def test_sam_sees_what_the_processor_of_transformers_makes(size):
         size={"longest_edge": SIDE}, pad_size={"height": SIDE, "width": SIDE}
     )
     expected = processor(image, return_tensors="pt", input_data_format="channels_last")
-    found, used = pixel_values(image, SIDE)
+    result, used = pixel_values(image, SIDE)
     assert used == tuple(expected["reshaped_input_sizes"][0].tolist())
     # Both resize in Pillow's integers; the rest is float32 rounding of values up to 2.7.
-    torch.testing.assert_close(found, expected["pixel_values"], rtol=0, atol=1e-6)
+    torch.testing.assert_close(result, expected["pixel_values"], rtol=0, atol=1e-6)
 
 
 def test_a_very_thin_image_keeps_a_row():
@@ -131,9 +131,9 @@ def test_same_bytes_again_and_with_two_threads(folders, name):
     results = []
     for count in (1, 1, 2):
         torch.set_num_threads(count)
-        found = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen())
-        results.append((found.masks.tobytes(), found.scores.tobytes(), found.levels.tobytes()))
-    assert len(found.masks) >= 1
+        result = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen())
+        results.append((result.masks.tobytes(), result.scores.tobytes(), result.levels.tobytes()))
+    assert len(result.masks) >= 1
     assert results[0] == results[1] == results[2]
 
 
@@ -152,20 +152,22 @@ def test_the_whole_path_to_label_maps(folders, name):
 
 @pytest.mark.parametrize("name", SAVE)
 def test_a_model_is_loaded_once(folders, name, tmp_path):
-    one, other = (load_proposer(name, model=folders[name], preset=p) for p in ("sam", "sam2"))
-    assert one.network is other.network
+    item, alternative = (
+        load_proposer(name, model=folders[name], preset=p) for p in ("sam", "sam2")
+    )
+    assert item.network is alternative.network
     changed = shutil.copytree(folders[name], tmp_path / "changed")
     weights = load_file(changed / "model.safetensors")
     save_file({key: value + 1 for key, value in weights.items()}, changed / "model.safetensors")
-    assert load_proposer(name, model=changed).network is not one.network
+    assert load_proposer(name, model=changed).network is not item.network
 
 
 @pytest.mark.parametrize("name", SAVE)
 def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
     proposer = load_proposer(name, model=folders[name], preset=LENIENT)
-    where = np.zeros((60, 80), bool)
-    where[:30] = True
-    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen(), where)
+    mask = np.zeros((60, 80), bool)
+    mask[:30] = True
+    fresh = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen(), mask)
     encoded = []
     encode = proposer.network.get_image_embeddings
     monkeypatch.setattr(
@@ -173,15 +175,15 @@ def test_an_image_is_encoded_once_in_a_row(folders, name, monkeypatch):
     )
     for image in (picture(), picture(seed=1), picture()):
         proposer.propose(SeenView.alone(image))
-        again = proposer.propose(SeenView.alone(image), where)
+        rerun = proposer.propose(SeenView.alone(image), mask)
     assert len(encoded) == 3
-    assert again.masks.tobytes() == fresh.masks.tobytes()
+    assert rerun.masks.tobytes() == fresh.masks.tobytes()
 
 
 @pytest.mark.parametrize("name", SAVE)
 def test_settings_of_the_proposer(folders, name):
-    def propose(where=None, **settings):
-        return load_proposer(name, model=folders[name], **settings).propose(seen(), where)
+    def propose(mask=None, **settings):
+        return load_proposer(name, model=folders[name], **settings).propose(seen(), mask)
 
     assert set(propose(preset=LENIENT, level="s").levels) == {0}
     crops = Automatic(points=2, crops=1, predicted_iou=0.2, stability=0.5)
@@ -189,8 +191,8 @@ def test_settings_of_the_proposer(folders, name):
     assert len(propose(np.zeros((60, 80), bool)).masks) == 0
     assert len(propose(points=1).masks) <= 3
     for preset in ("sam", "sam2", "langsplat", "grouping"):
-        found = propose(preset=preset, points=2)
-        assert found.masks.dtype == bool and found.masks.any((1, 2)).all()
+        result = propose(preset=preset, points=2)
+        assert result.masks.dtype == bool and result.masks.any((1, 2)).all()
 
 
 def test_a_video_model_serves_as_sam2(folders, tmp_path):
@@ -213,8 +215,8 @@ def test_a_video_model_serves_as_sam2(folders, tmp_path):
     model.load_state_dict(image_model.network.state_dict(), strict=False)
     model.save_pretrained(tmp_path)
     proposer = load_proposer("sam2", model=tmp_path, preset=LENIENT)
-    expected, found = (p.propose(seen()).masks for p in (image_model, proposer))
-    assert found.tobytes() == expected.tobytes()
+    expected, result = (p.propose(seen()).masks for p in (image_model, proposer))
+    assert result.tobytes() == expected.tobytes()
 
 
 def broken(folder, target, how):
@@ -289,16 +291,16 @@ def test_what_cannot_be_is_one_sentence(folders, name, settings, says):
 
 
 @pytest.mark.parametrize(
-    ("image", "where", "says"),
+    ("image", "mask", "says"),
     [
         (np.zeros((9, 9), np.uint8), None, "expected uint8"),
         (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 8), bool), "region: found bool"),
         (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 9)), "region: found float64"),
     ],
 )
-def test_an_image_that_cannot_be_is_refused(folders, image, where, says):
+def test_an_image_that_cannot_be_is_refused(folders, image, mask, says):
     with pytest.raises(InputError, match=says):
-        load_proposer("sam", model=folders["sam"]).propose(SeenView.alone(image), where)
+        load_proposer("sam", model=folders["sam"]).propose(SeenView.alone(image), mask)
 
 
 def test_without_transformers_the_extra_is_named(folders, monkeypatch):
@@ -355,11 +357,11 @@ def test_a_model_in_parts_is_whole(folders, tmp_path):
     network = transformers.SamModel.from_pretrained(folders["sam"])
     network.save_pretrained(tmp_path, max_shard_size="60KB")
     assert len(list(tmp_path.glob("model-*.safetensors"))) > 1
-    found, expected = (
+    result, expected = (
         load_proposer("sam", model=f, preset=LENIENT).propose(seen())
         for f in (tmp_path, folders["sam"])
     )
-    assert found.masks.tobytes() == expected.masks.tobytes()
+    assert result.masks.tobytes() == expected.masks.tobytes()
     next(tmp_path.glob("model-*.safetensors")).unlink()
     with pytest.raises(InputError, match="has no model-0"):
         model_digest(tmp_path)

@@ -80,8 +80,8 @@ def test_it_carries_known_ids_only_whatever_the_batches(folder):
         tracker.add(view(canvas()), labels())
         answers.append(tracker.propagate(view(canvas(seed=2))))
     assert answers[0].dtype == np.int32 and answers[0].shape == SIZE
-    found = set(np.unique(answers[0]))
-    assert found <= {0, *np.unique(labels())} and len(found) >= 3
+    result = set(np.unique(answers[0]))
+    assert result <= {0, *np.unique(labels())} and len(result) >= 3
     np.testing.assert_array_equal(answers[0], answers[1])
     np.testing.assert_array_equal(answers[0], answers[2])
 
@@ -131,27 +131,27 @@ def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lo
             return {70_000: high, 8: low, 3: torch.zeros(4, 4), 400: high.clone()}
 
     tracker = Fixed(model=folder, device="cpu")
-    found = tracker.propagate(view(canvas()))
-    assert (found[:50] == 400).all() and not found[75:].any()
+    result = tracker.propagate(view(canvas()))
+    assert (result[:50] == 400).all() and not result[75:].any()
 
 
 def test_the_whole_association_with_copies(folder):
     picture = canvas((140, 140, 140))
     paste(picture, (20, 60, 20, 70), (200, 40, 40), 1)
     views = [view(picture), view(picture + 3, "b")]
-    asked = []
+    calls = []
 
     class Counted(Sam2Video):
-        def propagate(self, seen):
-            asked.append(seen.view.name)
-            return super().propagate(seen)
+        def propagate(self, observed):
+            calls.append(observed.view.name)
+            return super().propagate(observed)
 
     maps = associate(views, Regions(), Counted(model=folder, device="cpu"), replicas=5)
     # One copy of each view stands for the others; the second comes carried too.
-    assert asked == ["a", "b", "b"]
+    assert calls == ["a", "b", "b"]
     assert maps.labels.shape == (2, *SIZE) and (maps.margin >= 0.6 - 1e-6).all()
     every = associate(views, Regions(), Counted(model=folder, device="cpu"), 5, "copies")
-    assert asked[3:] == ["a"] * 4 + ["b"] * 5
+    assert calls[3:] == ["a"] * 4 + ["b"] * 5
     np.testing.assert_array_equal(every.labels, maps.labels)
     np.testing.assert_array_equal(every.margin, maps.margin)
     assert (maps.margin < 1).any()  # its copies differ from the detection
@@ -159,14 +159,14 @@ def test_the_whole_association_with_copies(folder):
 
 def test_what_cannot_be_used_is_one_sentence(folder, tmp_path):
     images = save_sam2(tmp_path / "sam2")
-    for given, says in [
+    for inputs, says in [
         ({"model": folder, "batch": 0}, "sam2-video batch: found 0"),
         ({}, "sam2-video model: none given"),
         ({"model": tmp_path / "nowhere"}, "there is no such folder"),
         ({"model": images}, "is of type 'sam2', but sam2-video needs 'sam2_video'"),
     ]:
         with pytest.raises(InputError, match=says) as error:
-            Sam2Video(**given)
+            Sam2Video(**inputs)
         assert "\n" not in str(error.value)
     with pytest.raises(InputError, match="expected int32"):
         Sam2Video(model=folder, device="cpu").add(view(canvas()), np.zeros(SIZE))

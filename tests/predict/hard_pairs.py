@@ -53,7 +53,7 @@ class Scores:
     close: float
 
 
-def judge(sample: Sample, depths: np.ndarray, where: Sequence[np.ndarray] | None = None) -> Scores:
+def judge(sample: Sample, depths: np.ndarray, mask: Sequence[np.ndarray] | None = None) -> Scores:
     """Score depth maps [V, H, W] over the pixels whose surface falls inside another view.
 
     ``where`` bool, V of [H, W], leaves out more of them.
@@ -61,8 +61,8 @@ def judge(sample: Sample, depths: np.ndarray, where: Sequence[np.ndarray] | None
     ratios = []
     for i, (view, depth) in enumerate(zip(sample.context, depths, strict=True)):
         judged = seen_elsewhere(sample, i)
-        if where is not None:
-            judged &= where[i]
+        if mask is not None:
+            judged &= mask[i]
         ratios.append(depth[judged] / view.depth[judged])
     ratio = np.concatenate(ratios)
     off = np.abs(ratio - 1)
@@ -73,11 +73,17 @@ def judge(sample: Sample, depths: np.ndarray, where: Sequence[np.ndarray] | None
 def seen_elsewhere(sample: Sample, index: int) -> np.ndarray:
     """Pixels of a view, bool [H, W], whose surface falls inside the image of another."""
     view = sample.context[index]
-    seen = np.zeros(view.depth.shape, bool)
-    for other in (other.camera for other in sample.context if other is not view):
-        pixels, z = other.project(view.camera.unproject(view.depth))
-        seen |= (z > 0) & (pixels >= 0).all(-1) & (pixels < (other.width, other.height)).all(-1)
-    return seen & (view.depth > 0)
+    observed = np.zeros(view.depth.shape, bool)
+    for alternative in (
+        alternative.camera for alternative in sample.context if alternative is not view
+    ):
+        pixels, z = alternative.project(view.camera.unproject(view.depth))
+        observed |= (
+            (z > 0)
+            & (pixels >= 0).all(-1)
+            & (pixels < (alternative.width, alternative.height)).all(-1)
+        )
+    return observed & (view.depth > 0)
 
 
 # The stage: metres, z up; the cameras look along y, a little down.

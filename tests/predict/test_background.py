@@ -30,13 +30,13 @@ def shown(points, cameras, walls):
     """Which points [M, 3] some view shows, or has in its free space; one by one."""
     out = []
     for point in points:
-        seen = False
+        observed = False
         for c, wall in zip(cameras, walls, strict=True):
             pixel, z = c.project(point)
             if z > 0 and (pixel >= 0).all() and (pixel < (c.width, c.height)).all():
                 depth = 1 / wall[int(pixel[1]), int(pixel[0])]
-                seen |= bool(z < depth * (1 + BEHIND) * (1 - 1e-5))
-        out.append(seen)
+                observed |= bool(z < depth * (1 + BEHIND) * (1 - 1e-5))
+        out.append(observed)
     return np.array(out)
 
 
@@ -45,21 +45,21 @@ def shown(points, cameras, walls):
 def test_only_what_no_view_shows_is_continued(box, size):
     cameras = camera(size=size), camera(x=0.3, size=size)
     walls, colors = scene(cameras, box)
-    made = continue_surfaces(cameras, colors, walls, [STEP] * 2)
-    made.check()
-    assert len(made) > 0
-    points = made.means.numpy().astype(np.float64)
-    view = made.source.numpy() // (size[0] * size[1])
+    splats = continue_surfaces(cameras, colors, walls, [STEP] * 2)
+    splats.check()
+    assert len(splats) > 0
+    points = splats.means.numpy().astype(np.float64)
+    view = splats.source.numpy() // (size[0] * size[1])
     for i in range(2):
         # Float32 means: a point just inside a border may be just outside. Measured none.
-        others = [[v[1 - i]] for v in (cameras, walls)]
-        assert not shown(points[view == i], *others).any()
+        rest = [[v[1 - i]] for v in (cameras, walls)]
+        assert not shown(points[view == i], *rest).any()
 
 
 def test_a_view_goes_on_beyond_its_border():
     walls, colors = scene(CAMERAS[:1], False)
-    made = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
-    pixels, z = CAMERAS[0].project(made.means.numpy().astype(np.float64))
+    splats = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
+    pixels, z = CAMERAS[0].project(splats.means.numpy().astype(np.float64))
     assert np.allclose(z, 4, rtol=1e-5)
     H, W = SIZE
     outside = (pixels < 0).any(1) | (pixels > (W, H)).any(1)
@@ -67,8 +67,8 @@ def test_a_view_goes_on_beyond_its_border():
     reach = MARGIN * W
     assert (pixels.min(0) < -reach + BLOCK).all()
     assert (pixels.max(0) > np.array([W, H]) + reach - BLOCK).all()
-    row, column = np.divmod(made.source.numpy(), W)
-    assert np.allclose(made.colors().numpy(), colors[0][row, column], atol=1e-6)
+    row, column = np.divmod(splats.source.numpy(), W)
+    assert np.allclose(splats.colors().numpy(), colors[0][row, column], atol=1e-6)
     # The pixel nearest to each.
     nearest = np.floor(pixels + 1e-3).clip(0, (W - 1, H - 1))
     assert np.array_equal(np.stack([column, row], 1), nearest)
@@ -76,8 +76,8 @@ def test_a_view_goes_on_beyond_its_border():
 
 def test_the_wall_goes_on_behind_the_rim_of_a_box():
     walls, colors = scene(CAMERAS[:1], True)
-    made = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
-    pixels, z = CAMERAS[0].project(made.means.numpy().astype(np.float64))
+    splats = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
+    pixels, z = CAMERAS[0].project(splats.means.numpy().astype(np.float64))
     column, row = np.floor(pixels).astype(int).T
     behind = (column >= 28) & (column < 60) & (row >= 20) & (row < 40)
     # The outermost of the 5 x 8 blocks that the box covers.
@@ -90,15 +90,15 @@ def test_the_wall_goes_on_behind_the_rim_of_a_box():
 def test_a_slope_has_nothing_behind_it():
     walls, colors = scene(CAMERAS[:1], False)
     walls[0] += np.linspace(0, 0.1, SIZE[1], dtype=np.float32)
-    made = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
-    pixels, _ = CAMERAS[0].project(made.means.numpy().astype(np.float64))
+    splats = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
+    pixels, _ = CAMERAS[0].project(splats.means.numpy().astype(np.float64))
     assert ((pixels < 0) | (pixels > (SIZE[1], SIZE[0]))).any(1).all()
 
 
 def test_depths_of_the_views_stay_what_they_are():
     walls, colors = scene(CAMERAS, True)
     opacities = [np.full(SIZE, 0.5, np.float32)] * 2
-    given = unproject(CAMERAS, colors, walls, opacities)
-    both = Gaussians.concatenated([given, continue_surfaces(CAMERAS, colors, walls, [STEP] * 2)])
-    assert len(both) > len(given)
-    assert np.allclose(source_depths(both, CAMERAS), source_depths(given, CAMERAS), rtol=1e-5)
+    inputs = unproject(CAMERAS, colors, walls, opacities)
+    both = Gaussians.concatenated([inputs, continue_surfaces(CAMERAS, colors, walls, [STEP] * 2)])
+    assert len(both) > len(inputs)
+    assert np.allclose(source_depths(both, CAMERAS), source_depths(inputs, CAMERAS), rtol=1e-5)

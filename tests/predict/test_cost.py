@@ -15,8 +15,8 @@ def warp(src, relative, inverse_depth, shape):
     """The source seen from the reference, float64, and where the pixel is inside the source."""
     H, W = shape
     grid = np.stack(np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5), -1)
-    where, ratio = relative.project(grid, inverse_depth)
-    u, v = where[..., 0] - 0.5, where[..., 1] - 0.5
+    mask, ratio = relative.project(grid, inverse_depth)
+    u, v = mask[..., 0] - 0.5, mask[..., 1] - 0.5
     inside = (ratio > 0) & (u >= -0.5) & (u <= W - 0.5) & (v >= -0.5) & (v <= H - 0.5)
     u, v = u.clip(0, W - 1), v.clip(0, H - 1)
     j, i = np.minimum(u.astype(int), W - 2), np.minimum(v.astype(int), H - 2)
@@ -96,9 +96,9 @@ def test_combined_costs_are_the_mean_of_the_better_half_of_those_that_see():
     for cost in costs:
         cost[rng.random(cost.shape) < 0.4] = OUTSIDE
     for count in (1, 2, 3, 4):
-        found = combine_costs(costs[:count])
-        for at in np.ndindex(found.shape):
-            seen = sorted(int(c[at]) for c in costs[:count] if c[at] != OUTSIDE)
-            half = seen[: (count + 1) // 2]
+        result = combine_costs(costs[:count])
+        for at in np.ndindex(result.shape):
+            view = sorted(int(c[at]) for c in costs[:count] if c[at] != OUTSIDE)
+            half = view[: (count + 1) // 2]
             expected = int(sum(half) / len(half) + 0.5) if half else OUTSIDE
-            assert found[at] == expected
+            assert result[at] == expected

@@ -130,8 +130,8 @@ def test_fill_avoids_what_another_view_sees_through():
     # Alone, the answered strip spreads its near plane; the other view knows that space is free.
     alone = fill_depth(near, keep, blank, planes, STEPS, [])
     assert (alone == np.float32(0.6)).all()
-    seen = fill_depth(near, keep, blank, planes, STEPS, [(Relative.between(a, b), truth)])
-    assert (seen[:, 60:] == np.float32(0.3)).mean() > 0.9
+    view = fill_depth(near, keep, blank, planes, STEPS, [(Relative.between(a, b), truth)])
+    assert (view[:, 60:] == np.float32(0.3)).mean() > 0.9
 
 
 def test_fill_without_planes_takes_a_level():
@@ -150,9 +150,9 @@ def plain_median(values, image, y, x):
     columns = slice(max(x - MEDIAN_RADIUS, 0), x + MEDIAN_RADIUS + 1)
     off = np.abs(image[rows, columns].astype(float) - image[y, x].astype(float)).sum(-1)
     j, i = np.indices(values.shape)[:, rows, columns]
-    taken = (i + j + x + y) % 2 == 0
-    weight = np.exp(-0.5 * (off / MEDIAN_COLOR) ** 2)[taken]
-    value = values[rows, columns].astype(np.float64)[taken]
+    picked = (i + j + x + y) % 2 == 0
+    weight = np.exp(-0.5 * (off / MEDIAN_COLOR) ** 2)[picked]
+    value = values[rows, columns].astype(np.float64)[picked]
     order = np.argsort(value)
     half = np.searchsorted(np.cumsum(weight[order]), weight.sum() / 2)
     return value[order][half]

@@ -35,10 +35,10 @@ def test_a_hole_gets_the_depth_that_the_other_view_found_there():
     views, images, swept = pair()
     first, second = propagate_depth(swept, images, LINKS)
     assert first.answered[HOLE].mean() > 0.98
-    there = first.answered[HOLE]
-    found, true = first.inverse_depth[HOLE][there], 1 / views[0].depth[HOLE][there]
+    inside = first.answered[HOLE]
+    result, true = first.inverse_depth[HOLE][inside], 1 / views[0].depth[HOLE][inside]
     # A point may land half a pixel beside: the planes are tilted by less than 1 % a pixel.
-    assert np.abs(found / true - 1).max() < 0.02
+    assert np.abs(result / true - 1).max() < 0.02
     assert np.array_equal(second.inverse_depth, swept[1].inverse_depth)
 
 

@@ -21,12 +21,12 @@ def room():
 
 def test_depths_are_those_of_what_is_matched(room):
     greys, cameras, truths = room
-    found = typical_depths(greys, cameras)
+    result = typical_depths(greys, cameras)
     for index, (grey, truth) in enumerate(zip(greys, truths, strict=True)):
-        other = index + 1 if index + 1 < len(greys) else index - 1
-        column, row = sift_matches(grey, greys[other])[0].astype(int).T
+        second = index + 1 if index + 1 < len(greys) else index - 1
+        column, row = sift_matches(grey, greys[second])[0].astype(int).T
         # Which points are matched depends on the other view: under 1 % here.
-        assert found[index] == pytest.approx(np.median(truth[row, column]), rel=0.03)
+        assert result[index] == pytest.approx(np.median(truth[row, column]), rel=0.03)
 
 
 def test_scaling_the_world_scales_the_depths(room):

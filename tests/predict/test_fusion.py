@@ -19,11 +19,11 @@ def links_of(*cameras):
     """Every view linked with every other, with the poses of these cameras."""
     return [
         [
-            Link(j, Relative.between(one, other), np.zeros(0))
-            for j, other in enumerate(cameras)
+            Link(j, Relative.between(first, second), np.zeros(0))
+            for j, second in enumerate(cameras)
             if j != i
         ]
-        for i, one in enumerate(cameras)
+        for i, first in enumerate(cameras)
     ]
 
 
@@ -33,7 +33,7 @@ def plainly_blended(images, inverse_depths, steps, links):
     for i, sources in enumerate(links):
         H, W = inverse_depths[i].shape
         mixed = np.zeros((H, W, 3))
-        apart = [float(np.linalg.norm(s.relative.t)) for s in sources]
+        gap = [float(np.linalg.norm(s.relative.t)) for s in sources]
         verdicts = [
             cross_check(inverse_depths[i], inverse_depths[s.source], s.relative, steps[i])
             for s in sources
@@ -43,20 +43,20 @@ def plainly_blended(images, inverse_depths, steps, links):
                 u, v = x + 0.5, y + 0.5
                 weight = min(1, min(u, W - u, v, H - v) / FEATHER)
                 total = weight * images[i][y, x].astype(float)
-                for link, verdict, far in zip(sources, verdicts, apart, strict=True):
+                for link, verdict, far in zip(sources, verdicts, gap, strict=True):
                     if verdict[y, x] != AGREES:
                         continue
                     (a, b), _ = link.relative.project(np.array([u, v]), inverse_depths[i][y, x])
                     h, w = inverse_depths[link.source].shape
-                    say = min(1, min(a, w - a, b, h - b) / FEATHER) * (min(apart) / far) ** 2
+                    say = min(1, min(a, w - a, b, h - b) / FEATHER) * (min(gap) / far) ** 2
                     left, top = int(np.floor(a - 0.5)), int(np.floor(b - 0.5))
-                    seen = np.zeros(3)
+                    observed = np.zeros(3)
                     for row, column in np.ndindex(2, 2):
                         share = 1 - abs(a - 0.5 - left - column)
                         share *= 1 - abs(b - 0.5 - top - row)
                         r, c = np.clip(top + row, 0, h - 1), np.clip(left + column, 0, w - 1)
-                        seen += share * images[link.source][r, c]
-                    total = total + say * seen
+                        observed += share * images[link.source][r, c]
+                    total = total + say * observed
                     weight += say
                 mixed[y, x] = total / weight
         out.append(mixed)
@@ -74,12 +74,12 @@ def test_a_blend_is_that_of_the_definition(views):
     depths[1][:, ::2] *= 1.5
     links = links_of(*cameras)
     mixed = blend(images, depths, [0.001] * views, links)
-    for found, expected in zip(
+    for result, expected in zip(
         mixed, plainly_blended(images, depths, [0.001] * views, links), strict=True
     ):
-        assert found.dtype == np.float32
+        assert result.dtype == np.float32
         # Weights and fractions of a pixel in float32: measured 4e-7.
-        assert np.abs(found - expected).max() < 2e-6
+        assert np.abs(result - expected).max() < 2e-6
 
 
 def test_both_copies_of_a_surface_get_one_colour():
@@ -90,20 +90,20 @@ def test_both_copies_of_a_surface_get_one_colour():
     mixed = blend(images, depths, [0.001] * 2, links_of(*CAMERAS))
     relative = Relative.between(*CAMERAS)
     y, x = np.mgrid[30:90, 40:120]
-    where, _ = relative.project(np.stack([x, y], -1) + 0.5, depths[0][y, x])
-    inside = (where > 1).all(-1) & (where < (W - 1, H - 1)).all(-1)
-    column, row = where[inside].astype(int).T
+    mask, _ = relative.project(np.stack([x, y], -1) + 0.5, depths[0][y, x])
+    inside = (mask > 1).all(-1) & (mask < (W - 1, H - 1)).all(-1)
+    column, row = mask[inside].astype(int).T
     # The weights are looked up at pixel centres, up to half a pixel of 16 apart.
     assert inside.mean() > 0.5
     assert np.abs(mixed[0][y, x][inside] - mixed[1][row, column]).max() < 0.4 * 0.5 / FEATHER
 
 
 def test_without_overlap_colours_stay():
-    apart = (camera(), camera(x=50.0))
+    gap = (camera(), camera(x=50.0))
     views = sample(camera(), camera(x=0.1)).context
     images = [(view.image / 255).astype(np.float32) for view in views]
     depths = [1 / view.depth.astype(np.float32) for view in views]
-    mixed = blend(images, depths, [0.001] * 2, links_of(*apart))
+    mixed = blend(images, depths, [0.001] * 2, links_of(*gap))
     # A weight times a value over the weight: two roundings.
     assert np.allclose(mixed, images, rtol=3e-7)
 
@@ -111,9 +111,9 @@ def test_without_overlap_colours_stay():
 def kept(cameras, depths, guessed=None):
     """What :func:`select_drawn` keeps if all depths are known but those of the view ``guessed``."""
     inverse = [1 / depth.astype(np.float32) for depth in depths]
-    known = [np.full_like(w, np.inf) if i == guessed else w for i, w in enumerate(inverse)]
+    valid = [np.full_like(w, np.inf) if i == guessed else w for i, w in enumerate(inverse)]
     return select_drawn(
-        ViewGraph(cameras, links_of(*cameras)), inverse, known, [0.001] * len(cameras)
+        ViewGraph(cameras, links_of(*cameras)), inverse, valid, [0.001] * len(cameras)
     )
 
 
@@ -155,15 +155,15 @@ def test_a_guess_is_not_drawn_in_front_of_what_a_view_before_draws():
     depths = [view.depth.copy() for view in sample(*cameras).context]
     inverse = [1 / depth.astype(np.float32) for depth in depths]
     # No view has matched anything in the middle; the third guesses it nearer than the others do.
-    known = [w.copy() for w in inverse]
-    for w in known:
+    valid = [w.copy() for w in inverse]
+    for w in valid:
         w[30:90, 30:130] = np.inf
     inverse[2][45:75, 60:100] *= 1.3
     graph = ViewGraph(cameras, links_of(*cameras))
-    assert not select_drawn(graph, inverse, known, [0.001] * 3)[2][46:74, 61:99].any()
+    assert not select_drawn(graph, inverse, valid, [0.001] * 3)[2][46:74, 61:99].any()
     # Matched there, it is drawn: guesses do not refute it.
-    known[2] = inverse[2]
-    assert select_drawn(graph, inverse, known, [0.001] * 3)[2][46:74, 61:99].mean() > 0.9
+    valid[2] = inverse[2]
+    assert select_drawn(graph, inverse, valid, [0.001] * 3)[2][46:74, 61:99].mean() > 0.9
 
 
 def test_a_view_of_which_nothing_is_known_draws_nothing():

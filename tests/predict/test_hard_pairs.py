@@ -39,11 +39,11 @@ def one_thread() -> Iterator[None]:
         yield
 
 
-def predict(given: Sample) -> tuple[Gaussians, np.ndarray]:
+def predict(pair: Sample) -> tuple[Gaussians, np.ndarray]:
     """Gaussians and depths [V, H, W] of a sample, after checking what holds for every answer."""
-    gaussians = PlaneSweep()(given)
+    gaussians = PlaneSweep()(pair)
     gaussians.check()
-    cameras = [view.camera for view in given.context]
+    cameras = [view.camera for view in pair.context]
     pixels = sum(c.width * c.height for c in cameras)
     sources = np.unique(gaussians.source.numpy())
     assert len(sources) == pixels or (len(cameras) > 2 and len(sources) > pixels / len(cameras))
@@ -112,8 +112,8 @@ def test_tiny_baseline():
 
 def test_wide_baseline():
     """The 40 % that two views share is as good as in a pair that overlaps more."""
-    given = case("wide_baseline")
-    assert abs(np.mean([seen_elsewhere(given, i) for i in range(2)]) - 0.4) < 0.02
+    pair = case("wide_baseline")
+    assert abs(np.mean([seen_elsewhere(pair, i) for i in range(2)]) - 0.4) < 0.02
     promise("wide_baseline", mean=0.032, median=0.009, close=0.95)  # .019 .0044 .972
 
 
@@ -193,12 +193,12 @@ def test_blank_wall():
 
     The wall's error is that of a margin around things in front, whose depth it takes.
     """
-    given, (_, depths) = case("blank_wall"), answer("blank_wall")
-    wall = [view.instances == WALL for view in given.context]
-    scores = judge(given, depths, wall)
+    pair, (_, depths) = case("blank_wall"), answer("blank_wall")
+    wall = [view.instances == WALL for view in pair.context]
+    scores = judge(pair, depths, wall)
     assert scores.median < 0.14, scores  # .12, of 51 % of the image; .70 are close
     assert scores.close > 0.6, scores
-    scores = judge(given, depths, [~blank for blank in wall])
+    scores = judge(pair, depths, [~blank for blank in wall])
     assert scores.mean < 0.033, scores  # .021 .010 .991
     assert scores.close > 0.975, scores
 
@@ -218,20 +218,20 @@ def blank(**limits: float) -> Sample:
 
 def test_repeated_texture():
     """Checks that repeat within the range may take a wrong repetition; all else is right."""
-    given, (_, depths) = case("repeated_texture"), answer("repeated_texture")
-    wall = [view.instances == WALL for view in given.context]
-    scores = judge(given, depths, wall)
+    pair, (_, depths) = case("repeated_texture"), answer("repeated_texture")
+    wall = [view.instances == WALL for view in pair.context]
+    scores = judge(pair, depths, wall)
     assert scores.close > 0.4, scores  # .63, of 57 % of the image
-    scores = judge(given, depths, [~checks for checks in wall])
+    scores = judge(pair, depths, [~checks for checks in wall])
     assert scores.mean < 0.036, scores  # .024 .010 .982
     assert scores.close > 0.97, scores
 
 
 def test_something_in_front():
     """What is at less than half the distance of all else is found, though it is a tenth of it."""
-    given, (_, depths) = case("something_in_front"), answer("something_in_front")
-    post = [view.instances == view.instances.max() for view in given.context]
-    scores = judge(given, depths, post)
+    pair, (_, depths) = case("something_in_front"), answer("something_in_front")
+    post = [view.instances == view.instances.max() for view in pair.context]
+    scores = judge(pair, depths, post)
     assert scores.median < 0.015, scores  # .040 .0077 .981, of 13 % of the image
     assert scores.close > 0.95, scores
     promise("something_in_front", mean=0.07, median=0.014, close=0.89)  # .043 .0079 .927
@@ -251,11 +251,11 @@ def test_another_white_balance():
 
 def color_gap(name: str) -> float:
     """Difference of the two views' mean Gaussian colours, as a share of the photographs'."""
-    given, (gaussians, _) = case(name), answer(name)
-    taken = np.stack([view.image for view in given.context]).reshape(2, -1, 3) / 255
-    drawn = gaussians.colors().numpy()[: taken.shape[1] * 2].reshape(2, -1, 3).mean(1)
-    taken = taken.mean(1)
-    return float(np.abs(drawn[0] - drawn[1]).max() / np.abs(taken[0] - taken[1]).max())
+    pair, (gaussians, _) = case(name), answer(name)
+    picked = np.stack([view.image for view in pair.context]).reshape(2, -1, 3) / 255
+    drawn = gaussians.colors().numpy()[: picked.shape[1] * 2].reshape(2, -1, 3).mean(1)
+    picked = picked.mean(1)
+    return float(np.abs(drawn[0] - drawn[1]).max() / np.abs(picked[0] - picked[1]).max())
 
 
 def test_dark_photographs():
@@ -292,9 +292,9 @@ def test_pure_rotation():
 @pytest.mark.parametrize("limits", [{}, {"near": 1.0, "far": 5.0}], ids=["free", "ranged"])
 def test_rotation_with_hardly_any_motion(moved, limits):
     """A baseline that nothing in the photographs shows is refused like none, range or no range."""
-    given = stage(camera(**limits), camera(right=moved, yaw=10, **limits))
+    pair = stage(camera(**limits), camera(right=moved, yaw=10, **limits))
     with pytest.raises(InputError, match=r"almost the same place: .* farther apart"):
-        PlaneSweep()(given)
+        PlaneSweep()(pair)
 
 
 def test_a_turned_camera_whose_pose_says_that_it_moved():
@@ -306,8 +306,8 @@ def test_a_turned_camera_whose_pose_says_that_it_moved():
 
 def test_two_of_three_views_from_one_place():
     """Of three views two may be from one place: the third gives depth to both."""
-    given = stage(camera(**LEFT), camera(right=-0.199), camera(**RIGHT))
-    scores = judge(given, predict(given)[1])
+    pair = stage(camera(**LEFT), camera(right=-0.199), camera(**RIGHT))
+    scores = judge(pair, predict(pair)[1])
     assert scores.mean < 0.03, scores  # .018 .0066 .980
     assert scores.close > 0.965, scores
 
@@ -322,11 +322,11 @@ def test_the_same_photograph_twice():
 @pytest.mark.parametrize("limits", [{}, {"near": 1.0, "far": 5.0}], ids=["free", "ranged"])
 def test_exchanged_photographs(limits):
     """Photographs with each other's camera are refused: matches would lie behind the cameras."""
-    given = stage(camera(**LEFT, **limits), camera(**RIGHT, **limits))
-    a, b = given.context
+    pair = stage(camera(**LEFT, **limits), camera(**RIGHT, **limits))
+    a, b = pair.context
     views = replace(a, image=b.image), replace(b, image=a.image)
     with pytest.raises(InputError, match=r"behind the cameras; check that no two .* exchanged"):
-        PlaneSweep()(replace(given, context=views))
+        PlaneSweep()(replace(pair, context=views))
 
 
 def test_opposite_sides():

@@ -14,25 +14,25 @@ from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Camera, Sample, View
 
 
-def depths_of(given: Sample, **settings: float) -> np.ndarray:
-    gaussians = PlaneSweep(**settings)(given)
+def depths_of(scene: Sample, **settings: float) -> np.ndarray:
+    gaussians = PlaneSweep(**settings)(scene)
     gaussians.check()
     assert bool(((gaussians.opacities >= 0) & (gaussians.opacities <= 1)).all())
     assert bool((gaussians.scales > 0).all())
-    return source_depths(gaussians, [view.camera for view in given.context])
+    return source_depths(gaussians, [view.camera for view in scene.context])
 
 
-def errors(given: Sample, depths: np.ndarray) -> np.ndarray:
+def errors(scene: Sample, depths: np.ndarray) -> np.ndarray:
     """Relative depth error of the pixels that some other view sees too, all views together."""
     out = []
-    for view, depth in zip(given.context, depths, strict=True):
-        seen = np.zeros(depth.shape, bool)
-        for other in given.context:
-            if other is not view:
-                pixels, z = other.camera.project(view.camera.unproject(view.depth))
-                size = (other.camera.width, other.camera.height)
-                seen |= (z > 0) & (pixels >= 0).all(-1) & (pixels < size).all(-1)
-        out.append(np.abs(depth / view.depth - 1)[seen])
+    for view, depth in zip(scene.context, depths, strict=True):
+        observed = np.zeros(depth.shape, bool)
+        for alternative in scene.context:
+            if alternative is not view:
+                pixels, z = alternative.camera.project(view.camera.unproject(view.depth))
+                size = (alternative.camera.width, alternative.camera.height)
+                observed |= (z > 0) & (pixels >= 0).all(-1) & (pixels < size).all(-1)
+        out.append(np.abs(depth / view.depth - 1)[observed])
     return np.concatenate(out)
 
 
@@ -42,8 +42,8 @@ TURNED = camera(turn=0.1), camera(x=0.4, turn=-0.1)
 
 @pytest.mark.parametrize("cameras", [SIDEWAYS, TURNED], ids=["sideways", "turned"])
 def test_a_slanted_plane_is_recovered(cameras):
-    given = sample(*cameras)
-    off = errors(given, depths_of(given))
+    scene = sample(*cameras)
+    off = errors(scene, depths_of(scene))
     # Measured: median 0.23 and 0.27 %, 99th percentile 0.85 and 0.88 %. Harder pairs are in
     # test_hard_pairs.py.
     assert np.median(off) < 0.008
@@ -51,43 +51,43 @@ def test_a_slanted_plane_is_recovered(cameras):
 
 
 def test_sub_pixel_depth_is_finer_than_the_candidates():
-    given = sample(camera(), camera(x=0.15))
-    off = errors(given, depths_of(given, near=1.0, far=8.0))
+    scene = sample(camera(), camera(x=0.15))
+    off = errors(scene, depths_of(scene, near=1.0, far=8.0))
     # 32 candidates over 1/8 to 1 are 0.028 apart: at 1/3, 8 % of the depth, 4 % when rounded.
     # Measured 0.9 %, an eighth of a candidate.
     assert np.median(off) < 0.015
 
 
 def test_given_range_and_camera_range_are_used():
-    given = sample(camera(near=2.0, far=5.0), camera(x=0.3, near=2.0, far=5.0))
-    from_camera = depths_of(given)
+    scene = sample(camera(near=2.0, far=5.0), camera(x=0.3, near=2.0, far=5.0))
+    from_camera = depths_of(scene)
     assert from_camera.min() >= 2.0 * 0.999
     assert from_camera.max() <= 5.0 * 1.001
-    assert np.median(errors(given, from_camera)) < 0.006
-    overridden = depths_of(given, near=3.5, far=5.0)
+    assert np.median(errors(scene, from_camera)) < 0.006
+    overridden = depths_of(scene, near=3.5, far=5.0)
     assert overridden.min() >= 3.5 * 0.999
 
 
 def test_the_order_of_views_does_not_matter():
-    there = depths_of(sample(*TURNED))
+    inside = depths_of(sample(*TURNED))
     back = depths_of(sample(*TURNED[::-1]))[::-1]
     # Not the same bytes: the pose is refined from the other side. Measured median 1e-3.
-    assert np.median(np.abs(there / back - 1)) < 3e-3
+    assert np.median(np.abs(inside / back - 1)) < 3e-3
 
 
 def test_same_input_same_bytes():
-    given = sample(*SIDEWAYS)
-    first, second = PlaneSweep()(given), PlaneSweep()(given)
+    scene = sample(*SIDEWAYS)
+    first, second = PlaneSweep()(scene), PlaneSweep()(scene)
     for (_, a), (_, b) in zip(first.items(), second.items(), strict=True):
         assert torch.equal(a, b)
 
 
 def test_truth_and_targets_are_not_read():
-    given = sample(*SIDEWAYS)
-    blind = tuple(replace(view, depth=None) for view in given.context)
-    target = replace(given.context[0], name="t", image=np.zeros_like(given.context[0].image))
-    first = PlaneSweep()(given)
-    second = PlaneSweep()(replace(given, context=blind, targets=(target,)))
+    scene = sample(*SIDEWAYS)
+    blind = tuple(replace(view, depth=None) for view in scene.context)
+    target = replace(scene.context[0], name="t", image=np.zeros_like(scene.context[0].image))
+    first = PlaneSweep()(scene)
+    second = PlaneSweep()(replace(scene, context=blind, targets=(target,)))
     assert torch.equal(first.means, second.means)
 
 
@@ -101,9 +101,9 @@ def test_a_surface_drawn_twice_is_opaque_and_free_space_is_not():
         image = np.where(box[..., None], front.image, back.image)
         depth = np.where(box, front.depth, back.depth)
         views.append(replace(back, image=image, depth=depth))
-    given = Sample("box", tuple(views))
-    gaussians = PlaneSweep()(given)
-    off = errors(given, source_depths(gaussians, [view.camera for view in given.context]))
+    scene = Sample("box", tuple(views))
+    gaussians = PlaneSweep()(scene)
+    off = errors(scene, source_depths(gaussians, [view.camera for view in scene.context]))
     # The rim of the box is fattened by half a window at most: a few per cent of the pixels. The
     # refined pose of so small a pair is off by 0.1 px or so, which is 0.6 % of the depth.
     assert np.median(off) < 0.012
@@ -129,29 +129,29 @@ def test_an_impossible_range_is_refused(settings):
 
 
 def test_near_beyond_the_camera_far_is_refused():
-    given = sample(camera(far=4.0), camera(x=0.3, far=4.0))
+    scene = sample(camera(far=4.0), camera(x=0.3, far=4.0))
     with pytest.raises(InputError, match="near 5 is not below far 4"):
-        PlaneSweep(near=5.0)(given)
+        PlaneSweep(near=5.0)(scene)
 
 
 def test_views_apart_within_the_range_are_refused():
     # They overlap far away, but not at one metre.
-    given = sample(camera(), camera(x=4.0))
+    scene = sample(camera(), camera(x=4.0))
     with pytest.raises(InputError, match=r"nothing in common between depths 0\.5 and 1"):
-        PlaneSweep(near=0.5, far=1.0)(given)
+        PlaneSweep(near=0.5, far=1.0)(scene)
 
 
 def test_one_of_three_views_that_sees_nothing_of_the_others_in_the_range_draws_nothing():
     """Two such views are refused; a walk is not, for one of its views."""
     cameras = [camera(near=2.0, far=4.0), camera(x=0.3, near=2.0, far=4.0)]
     two = sample(*cameras)
-    other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7)
-    away = other.view("away", camera(x=6.0, near=2.0, far=4.0))
+    alternative = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7)
+    away = alternative.view("away", camera(x=6.0, near=2.0, far=4.0))
     three = replace(two, context=(*two.context, away))
     gaussians = PlaneSweep()(three)
-    own = np.bincount(gaussians.source.numpy() // three.context[0].grey.size, minlength=3)
-    assert (own[:2] > 0).all()
-    assert own[2] < 0.1 * three.context[0].grey.size
+    local = np.bincount(gaussians.source.numpy() // three.context[0].grey.size, minlength=3)
+    assert (local[:2] > 0).all()
+    assert local[2] < 0.1 * three.context[0].grey.size
 
 
 def test_motorcycle_bad_pixels():
@@ -165,10 +165,10 @@ def test_motorcycle_bad_pixels():
     pose[0, 3] = baseline
     H, W = disparity.shape
     cameras = Camera(K, np.eye(4), W, H), Camera(K_right, pose, W, H)
-    given = Sample("motorcycle", (View("l", cameras[0], left), View("r", cameras[1], right)))
-    depth = source_depths(PlaneSweep()(given), cameras)[0]
-    found = focal * baseline / depth - offset
-    known = np.isfinite(disparity)
-    bad = (np.abs(found - disparity)[known] > 2).mean()
+    scene = Sample("motorcycle", (View("l", cameras[0], left), View("r", cameras[1], right)))
+    depth = source_depths(PlaneSweep()(scene), cameras)[0]
+    result = focal * baseline / depth - offset
+    valid = np.isfinite(disparity)
+    bad = (np.abs(result - disparity)[valid] > 2).mean()
     # 12 % is required, OpenCV's SGBM is at 17.9 %.
     assert bad < 0.08

@@ -28,8 +28,8 @@ def matches(count=200, noise=0.0, seed=0):
     rng = np.random.default_rng(seed)
     pixels = rng.uniform((30, 10), (150, 110), (count, 2))
     w = rng.uniform(0.2, 0.6, count)
-    there, _ = Relative.between(A, B).project(pixels, w)
-    return pixels, there + noise * rng.standard_normal(there.shape), w
+    inside, _ = Relative.between(A, B).project(pixels, w)
+    return pixels, inside + noise * rng.standard_normal(inside.shape), w
 
 
 def linked(views, ranged=False):
@@ -53,10 +53,10 @@ def test_reversed_is_the_other_order():
 
 
 def test_exact_matches_lie_on_their_epipolar_lines_and_triangulate():
-    pixels, there, w = matches()
+    pixels, inside, w = matches()
     relative = Relative.between(A, B)
-    assert np.abs(relative.epipolar_distance(pixels, there)).max() < 1e-9
-    assert np.allclose(relative.triangulate(pixels, there), w)
+    assert np.abs(relative.epipolar_distance(pixels, inside)).max() < 1e-9
+    assert np.allclose(relative.triangulate(pixels, inside), w)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -66,43 +66,43 @@ def test_what_matches_do_not_tell_stays_as_it_was_given(seed):
     Measured: up to 0.3 degrees; without the given pose as a prior 38 to 88.
     """
     rng = np.random.default_rng(seed)
-    given = Relative.between(camera(), camera(x=0.3))
+    initial = Relative.between(camera(), camera(x=0.3))
     here = rng.uniform((0, 0), (camera().width, camera().height), (60, 2))
-    there = given.project(here, 1 / 50)[0] + rng.normal(0, 0.5, (60, 2))
-    found = refine(given, here, there)
-    cosine = found.t @ given.t / np.linalg.norm(found.t) / np.linalg.norm(given.t)
+    inside = initial.project(here, 1 / 50)[0] + rng.normal(0, 0.5, (60, 2))
+    result = refine(initial, here, inside)
+    cosine = result.t @ initial.t / np.linalg.norm(result.t) / np.linalg.norm(initial.t)
     assert np.degrees(np.arccos(min(cosine, 1))) < 3
-    turned = cv2.Rodrigues(found.R @ given.R.T)[0]
+    turned = cv2.Rodrigues(result.R @ initial.R.T)[0]
     assert np.degrees(np.linalg.norm(turned)) < 0.6
 
 
 @pytest.mark.parametrize("turn", [(0.4, 0, 0), (0, 0, 0.4), (0.3, -0.2, 0.25)])
 def test_refinement_takes_back_a_turned_pose(turn):
-    pixels, there, _ = matches(noise=0.1)
+    pixels, inside, _ = matches(noise=0.1)
     true = Relative.between(A, B)
-    given = Relative(true.K_ref, true.K_src, cv2.Rodrigues(np.radians(turn))[0] @ true.R, true.t)
-    better = refine(given, pixels, there)
+    initial = Relative(true.K_ref, true.K_src, cv2.Rodrigues(np.radians(turn))[0] @ true.R, true.t)
+    better = refine(initial, pixels, inside)
     # A turn in the plane of the baseline hardly shows in epipolar lines, so what is asked for is
     # that they are met: 0.1 px of noise in x and y is 0.05 px in the median Sampson distance.
-    assert np.median(np.abs(given.epipolar_distance(pixels, there))) > 0.1
-    assert np.median(np.abs(better.epipolar_distance(pixels, there))) < 0.06
-    assert np.linalg.norm(better.t) == pytest.approx(np.linalg.norm(given.t))
+    assert np.median(np.abs(initial.epipolar_distance(pixels, inside))) > 0.1
+    assert np.median(np.abs(better.epipolar_distance(pixels, inside))) < 0.06
+    assert np.linalg.norm(better.t) == pytest.approx(np.linalg.norm(initial.t))
 
 
 def test_refinement_leaves_out_gross_outliers():
-    pixels, there, _ = matches(noise=0.1)
-    there[:40] += np.random.default_rng(1).uniform(-60, 60, (40, 2))
+    pixels, inside, _ = matches(noise=0.1)
+    inside[:40] += np.random.default_rng(1).uniform(-60, 60, (40, 2))
     true = Relative.between(A, B)
-    better = refine(true, pixels, there)
+    better = refine(true, pixels, inside)
     angle = np.degrees(np.linalg.norm(cv2.Rodrigues(better.R @ true.R.T)[0]))
     # Rotation and translation trade off within the noise of 0.1 px.
     assert angle < 0.15
 
 
 def test_few_matches_leave_the_pose_alone():
-    pixels, there, _ = matches(count=10)
-    given = Relative.between(A, B)
-    assert refine(given, pixels, there) is given
+    pixels, inside, _ = matches(count=10)
+    initial = Relative.between(A, B)
+    assert refine(initial, pixels, inside) is initial
 
 
 def test_sift_finds_the_plane():
@@ -145,8 +145,8 @@ def test_candidates_move_a_pixel_by_about_a_pixel():
     assert np.allclose(np.diff(steps), steps[1] - steps[0])
     grid = pixel_grid((120, 160), 12)
     tracks, ratio = relative.project(grid[:, None], steps)
-    seen = (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= (160, 120)).all(-1)
-    motion = np.linalg.norm(np.diff(tracks, axis=1), axis=-1)[seen[:, 1:] & seen[:, :-1]]
+    observed = (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= (160, 120)).all(-1)
+    motion = np.linalg.norm(np.diff(tracks, axis=1), axis=-1)[observed[:, 1:] & observed[:, :-1]]
     # By design the 90th percentile is 1; this grid is another than the one it was chosen on.
     assert np.percentile(motion, 90) == pytest.approx(1.0, abs=0.1)
 
@@ -192,48 +192,48 @@ def test_three_views_link_to_each_other_the_best_angle_first():
 
 
 def test_good_poses_stay_and_others_are_settled():
-    given = [view.camera for view in sample(camera(), camera(x=0.5), camera(x=0.2)).context]
+    initial = [view.camera for view in sample(camera(), camera(x=0.5), camera(x=0.2)).context]
     for count in (2, 3):
-        views = sample(*given[:count]).context
-        assert list(linked(views).cameras) == given[:count]
-    c2w = given[1].c2w.copy()
+        views = sample(*initial[:count]).context
+        assert list(linked(views).cameras) == initial[:count]
+    c2w = initial[1].c2w.copy()
     c2w[:3, :3] = cv2.Rodrigues(np.radians([1.0, 0, 0]))[0] @ c2w[:3, :3]
-    wrong = replace(given[1], c2w=c2w)
-    views = sample(*given).context
-    found = linked([views[0], replace(views[1], camera=wrong), views[2]]).cameras
-    there = Relative.between(found[0], found[1]).R @ Relative.between(given[0], given[1]).R.T
-    assert np.degrees(np.linalg.norm(cv2.Rodrigues(there)[0])) < 0.7
+    wrong = replace(initial[1], c2w=c2w)
+    views = sample(*initial).context
+    result = linked([views[0], replace(views[1], camera=wrong), views[2]]).cameras
+    inside = Relative.between(result[0], result[1]).R @ Relative.between(initial[0], initial[1]).R.T
+    assert np.degrees(np.linalg.norm(cv2.Rodrigues(inside)[0])) < 0.7
 
 
 def test_a_view_that_matches_no_other_is_linked_by_its_pose():
     near = sample(camera(), camera(x=0.3)).context
-    other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
-    links = linked([*near, other]).links
-    assert [[link.source for link in own] for own in links] == [[1, 2], [0, 2], [0, 1]]
+    second = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
+    links = linked([*near, second]).links
+    assert [[link.source for link in local] for local in links] == [[1, 2], [0, 2], [0, 1]]
     assert [len(link.sparse) for link in links[2]] == [0, 0]
 
 
 def test_two_views_without_matches_are_named():
     near = Plane(NORMAL, 3.0).view("here", camera())
-    other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
+    second = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
     with pytest.raises(InputError, match="'here'; 'elsewhere' has fewer than 12 matches"):
-        linked([near, other])
-    assert linked([near, other], ranged=True).links[0][0].source == 1
+        linked([near, second])
+    assert linked([near, second], ranged=True).links[0][0].source == 1
 
 
 def test_a_photograph_that_is_there_twice_is_linked_with_others_alone():
-    one, two = sample(camera(), camera(x=0.3)).context
-    links = linked([one, replace(one, name="again"), two]).links
+    first, two = sample(camera(), camera(x=0.3)).context
+    links = linked([first, replace(first, name="again"), two]).links
     assert [[link.source for link in sources] for sources in links[:2]] == [[2], [2]]
     assert {link.source for link in links[2]} == {0, 1}
 
 
 def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
-    given = sample(camera(), camera(x=0.3), camera(x=0.5))
-    other = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
-    among = replace(given, context=(given.context[0], other, *given.context[1:]))
-    kept, _, left_out = drop_unmatched(among, MatchGraph.of(among.context))
-    assert [view.name for view in kept.context] == [view.name for view in given.context]
+    initial = sample(camera(), camera(x=0.3), camera(x=0.5))
+    second = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
+    among = replace(initial, context=(initial.context[0], second, *initial.context[1:]))
+    stored, _, left_out = drop_unmatched(among, MatchGraph.of(among.context))
+    assert [view.name for view in stored.context] == [view.name for view in initial.context]
     assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
-    graph = MatchGraph.of(given.context)
-    assert drop_unmatched(given, graph) == (given, graph, {})
+    graph = MatchGraph.of(initial.context)
+    assert drop_unmatched(initial, graph) == (initial, graph, {})

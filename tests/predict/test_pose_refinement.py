@@ -14,11 +14,11 @@ TRUE = [camera(x=x, y=y, turn=turn) for x, y, turn in
         [(0, 0, 0), (0.3, 0.05, -0.05), (0.6, -0.05, 0.02), (0.9, 0, -0.02)]]  # fmt: skip
 
 
-def disturbed(given, turn, move):
-    c2w = given.c2w.copy()
+def disturbed(inputs, turn, move):
+    c2w = inputs.c2w.copy()
     c2w[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ c2w[:3, :3]
     c2w[:3, 3] += move
-    return replace(given, c2w=c2w)
+    return replace(inputs, c2w=c2w)
 
 
 def degrees(a, b):
@@ -48,9 +48,9 @@ def off(cameras, true=TRUE):
 
 def test_settled_cameras_are_nearer_to_the_truth_than_the_given_ones():
     rng = np.random.default_rng(1)
-    given = [disturbed(c, rng.normal(0, 0.005, 3), rng.normal(0, 0.01, 3)) for c in TRUE]
+    inputs = [disturbed(c, rng.normal(0, 0.005, 3), rng.normal(0, 0.01, 3)) for c in TRUE]
     keypoints, matches = seen(TRUE, noise=0.1)
-    before, after = off(given), off(refine_cameras(given, keypoints, matches))
+    before, after = off(inputs), off(refine_cameras(inputs, keypoints, matches))
     assert before[0] > 0.3 and before[1] > 0.03
     # A tenth of a pixel at a focal length of 150 pixels: measured 0.13 and 0.009.
     assert after[0] < 0.2 and after[1] < 0.02
@@ -70,30 +70,30 @@ def test_a_frame_turned_as_a_whole_stays_where_it_was_given():
     """Nothing says which frame is right, so the given one is kept."""
     turn, middle = np.array([0.004, -0.003, 0.002]), np.mean([c.center for c in TRUE], 0)
     spin = Rotation.from_rotvec(turn).as_matrix()
-    given = [disturbed(c, turn, spin @ (c.center - middle) + middle - c.center) for c in TRUE]
+    inputs = [disturbed(c, turn, spin @ (c.center - middle) + middle - c.center) for c in TRUE]
     keypoints, matches = seen(TRUE)
-    for before, after in zip(given, refine_cameras(given, keypoints, matches), strict=True):
+    for before, after in zip(inputs, refine_cameras(inputs, keypoints, matches), strict=True):
         assert degrees(before, after) < 0.02
         assert np.linalg.norm(before.center - after.center) < 1e-3
 
 
 def test_two_cameras_meet_half_way():
     turn, move = np.array([0.01, -0.02, 0.005]), np.array([0.02, 0.01, -0.03])
-    settled = [TRUE[0], disturbed(TRUE[1], turn, move)]
-    met = anchor_cameras(TRUE[:2], settled, np.full((2, 2), 0.5))
+    refined = [TRUE[0], disturbed(TRUE[1], turn, move)]
+    met = anchor_cameras(TRUE[:2], refined, np.full((2, 2), 0.5))
     for before, after in zip(TRUE[:2], met, strict=True):
         assert degrees(before, after) == pytest.approx(np.degrees(np.linalg.norm(turn)) / 2)
-    wanted = Relative.between(*settled)
+    wanted = Relative.between(*refined)
     # Centres half way each are the wanted baseline but for the half turn between their frames.
-    found = Relative.between(*met)
-    assert np.allclose(found.R, wanted.R, atol=1e-12)
-    assert np.linalg.norm(found.t - wanted.t) < 0.02 * np.linalg.norm(wanted.t)
+    result = Relative.between(*met)
+    assert np.allclose(result.R, wanted.R, atol=1e-12)
+    assert np.linalg.norm(result.t - wanted.t) < 0.02 * np.linalg.norm(wanted.t)
 
 
 def test_what_neighbours_share_is_not_moved():
     shift = np.array([0.05, 0.0, 0.02])
-    settled = [disturbed(c, np.zeros(3), shift) for c in TRUE]
+    refined = [disturbed(c, np.zeros(3), shift) for c in TRUE]
     for before, after in zip(
-        TRUE, anchor_cameras(TRUE, settled, np.full((4, 4), 0.25)), strict=True
+        TRUE, anchor_cameras(TRUE, refined, np.full((4, 4), 0.25)), strict=True
     ):
         assert np.allclose(before.c2w, after.c2w, atol=1e-12)

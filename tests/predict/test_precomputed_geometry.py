@@ -26,12 +26,12 @@ CAMERAS = camera(turn=0.1), camera(x=0.6, turn=-0.1)
 
 @pytest.fixture(scope="module")
 def steep() -> Sample:
-    views = [STEEP.view(f"images/{i}.png", one) for i, one in enumerate(CAMERAS)]
+    views = [STEEP.view(f"images/{i}.png", first) for i, first in enumerate(CAMERAS)]
     return Sample("steep", tuple(views))
 
 
-def true_depth(given: Sample) -> np.ndarray:
-    return np.array([view.depth for view in given.context])
+def true_depth(scene: Sample) -> np.ndarray:
+    return np.array([view.depth for view in scene.context])
 
 
 def saved(folder: Path, **arrays: np.ndarray) -> Path:
@@ -39,42 +39,42 @@ def saved(folder: Path, **arrays: np.ndarray) -> Path:
     return folder / "results.npz"
 
 
-def predicted(given: Sample, place: Path) -> Gaussians:
-    gaussians = load_predictor("precomputed", geometry=place)(given)
+def predicted(scene: Sample, place: Path) -> Gaussians:
+    gaussians = load_predictor("precomputed", geometry=place)(scene)
     gaussians.check()
     return gaussians
 
 
-def depths_of(given: Sample, place: Path) -> np.ndarray:
-    return source_depths(predicted(given, place), [view.camera for view in given.context])
+def depths_of(scene: Sample, place: Path) -> np.ndarray:
+    return source_depths(predicted(scene, place), [view.camera for view in scene.context])
 
 
-def off(given: Sample, place: Path) -> float:
+def off(scene: Sample, place: Path) -> float:
     """Median relative error of depth."""
-    return float(np.median(np.abs(depths_of(given, place) / true_depth(given) - 1)))
+    return float(np.median(np.abs(depths_of(scene, place) / true_depth(scene) - 1)))
 
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_depth_of_a_sweep_read_again_makes_the_gaussians_of_the_sweep(tmp_path, count):
     cameras = [camera(x=0.2 * i, turn=0.05 * i) for i in range(count)]
-    given = sample(*cameras)
-    graph = MatchGraph.of(given.context)
-    swept = sweep(PlaneSweep(), given, link_views(given.context, graph, False).links)
+    scene = sample(*cameras)
+    graph = MatchGraph.of(scene.context)
+    swept = sweep(PlaneSweep(), scene, link_views(scene.context, graph, False).links)
     depth = [np.where(s.answered, 1 / s.inverse_depth.astype(float), 0) for s in swept]
-    expected = PlaneSweep()(given).to_arrays()
-    arrays = predicted(given, saved(tmp_path, depth=np.array(depth))).to_arrays()
+    expected = PlaneSweep()(scene).to_arrays()
+    arrays = predicted(scene, saved(tmp_path, depth=np.array(depth))).to_arrays()
     for name, values in expected.items():
         np.testing.assert_allclose(arrays[name], values, atol=1e-6, err_msg=name)
 
 
 def test_dense_depth_read_again_makes_the_same_gaussians_as_in_single_files(tmp_path, steep):
     depth = true_depth(steep)
-    whole = predicted(steep, saved(tmp_path, depth=depth)).to_arrays()
+    full = predicted(steep, saved(tmp_path, depth=depth)).to_arrays()
     for view, values in zip(steep.context, depth, strict=True):
         np.save(tmp_path / f"{Path(view.name).stem}.npy", values)
     (tmp_path / "results.npz").unlink()
     arrays = predicted(steep, tmp_path).to_arrays()
-    for name, values in whole.items():
+    for name, values in full.items():
         np.testing.assert_array_equal(arrays[name], values, err_msg=name)
 
 
@@ -123,7 +123,7 @@ def along_rays(view: View) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda view, i: along_rays(view), "along the ray"),
         (lambda view, i: 1000 * view.depth, "times 0.001"),
@@ -133,14 +133,14 @@ def along_rays(view: View) -> np.ndarray:
     ],
     ids=["ray", "millimetres", "scales", "cropped", "padded"],
 )
-def test_the_reading_that_fits_is_taken_and_said(tmp_path, steep, change, said):
+def test_the_reading_that_fits_is_taken_and_said(tmp_path, steep, change, message):
     depth = np.array([change(view, i) for i, view in enumerate(steep.context)])
-    with pytest.warns(UserWarning, match=said):
+    with pytest.warns(UserWarning, match=message):
         assert off(steep, saved(tmp_path, depth=depth)) < 0.01
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda depth: depth[:, ::-1], "does not fit the photographs"),
         (lambda depth: 1 / depth, "does not fit the photographs"),
@@ -149,9 +149,9 @@ def test_the_reading_that_fits_is_taken_and_said(tmp_path, steep, change, said):
         (lambda depth: np.zeros_like(depth), "hold no depth"),
     ],
 )
-def test_depth_that_no_reading_fits_is_refused(tmp_path, steep, change, said):
+def test_depth_that_no_reading_fits_is_refused(tmp_path, steep, change, message):
     file = saved(tmp_path, depth=change(true_depth(steep)))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         predicted(steep, file)
 
 
@@ -188,9 +188,9 @@ def test_depth_of_low_confidence_is_a_guess(tmp_path, steep, sure):
     gaussians = predict(steep, MatchGraph.of(steep.context), settings, 0).gaussians
     arrays = gaussians.to_arrays()
     row = arrays["source"] // steep.context[0].camera.width % steep.context[0].camera.height
-    shown = ~arrays["guessed"]
-    assert shown[row < 40].mean() < 0.1  # what shares a step of confidence with what is sure
-    assert shown[row >= 50].mean() > 0.7
+    visible = ~arrays["guessed"]
+    assert visible[row < 40].mean() < 0.1  # what shares a step of confidence with what is sure
+    assert visible[row >= 50].mean() > 0.7
 
 
 def test_what_cannot_be_read_is_said(tmp_path, steep):

@@ -58,10 +58,10 @@ def test_aggregation_follows_a_mirrored_image(seed):
     rng = np.random.default_rng(seed)
     cost = rng.integers(0, 201, (6, 7, 5), dtype=np.uint8)
     guide = rng.integers(0, 256, (6, 7), dtype=np.uint8)
-    there = aggregate(cost, guide)
+    inside = aggregate(cost, guide)
     # Half the paths follow the other half.
     back = aggregate(cost[::-1, ::-1].copy(), guide[::-1, ::-1].copy())
-    assert np.array_equal(there, back[::-1, ::-1, ::-1])
+    assert np.array_equal(inside, back[::-1, ::-1, ::-1])
 
 
 def split(total):
@@ -86,9 +86,9 @@ def test_margin_is_against_the_best_that_is_not_a_neighbour():
     total = rng.integers(1, 2000, (50, 7))
     best, _, margin = select_winners(split(total))
     for k, row in enumerate(total):
-        apart = np.abs(np.arange(7) - row.argmin()) > 1
+        gap = np.abs(np.arange(7) - row.argmin()) > 1
         assert best[0, k] == row.argmin()
-        assert margin[0, k] == pytest.approx(1 - row.min() / row[apart].min(), abs=1e-6)
+        assert margin[0, k] == pytest.approx(1 - row.min() / row[gap].min(), abs=1e-6)
 
 
 def test_flat_costs_win_nothing_and_ends_get_no_offset():

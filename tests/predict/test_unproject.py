@@ -29,8 +29,8 @@ def test_normals_of_a_plane_are_its_own(normal):
     normal = np.array(normal) / np.linalg.norm(normal)
     depth = Plane(normal, 3.0).depth(view_camera)
     assert (depth > 0).all()
-    found = normals((1 / depth).astype(np.float32), view_camera.K)
-    angle = np.degrees(np.arccos(np.clip(-(found @ normal), -1, 1)))
+    result = normals((1 / depth).astype(np.float32), view_camera.K)
+    angle = np.degrees(np.arccos(np.clip(-(result @ normal), -1, 1)))
     # float32 inverse depths: slopes over 7 pixels are known to 1e-7, angles to 0.01 degrees.
     assert angle.max() < 0.02
 
@@ -38,8 +38,8 @@ def test_normals_of_a_plane_are_its_own(normal):
 def test_normals_do_not_mix_two_surfaces():
     depth = np.full((40, 60), 2.0)
     depth[:, 30:] = 4.0
-    found = normals((1 / depth).astype(np.float32), camera(size=(40, 60)).K)
-    assert np.allclose(found, [0, 0, -1], atol=1e-4)
+    result = normals((1 / depth).astype(np.float32), camera(size=(40, 60)).K)
+    assert np.allclose(result, [0, 0, -1], atol=1e-4)
 
 
 def test_one_gaussian_a_pixel_at_the_given_depth(lifted):

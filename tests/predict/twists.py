@@ -63,22 +63,22 @@ def saved_again(view: View) -> View:
     return replace(view, name="saved again", image=image)
 
 
-def stranger(seed: int, given: Sample, place: int) -> View:
+def stranger(seed: int, inputs: Sample, place: int) -> View:
     """What a photograph of another room looks like, with a camera between two of this one's."""
-    a, b = (view.camera for view in given.context[place : place + 2])
+    a, b = (view.camera for view in inputs.context[place : place + 2])
     size = (a.height, a.width)
-    other = arc(seed + ELSEWHERE, len(given.context), size).context[place]
+    second = arc(seed + ELSEWHERE, len(inputs.context), size).context[place]
     between = with_pose(a, a.c2w[:3, :3], (2 * a.center + b.center) / 3)
-    return replace(other, name="stranger", camera=between, depth=None, instances=None)
+    return replace(second, name="stranger", camera=between, depth=None, instances=None)
 
 
 def quarter_turned(view: View) -> View:
     """The view as a camera takes it that is held turned by 90 degrees, clockwise."""
-    seen = view.camera
-    (fx, _, cx), (_, fy, cy), _ = seen.K
-    K = np.array([[fy, 0, cy], [0, fx, seen.width - cx], [0, 0, 1]])
-    c2w = seen.c2w.copy()
-    c2w[:3, 0], c2w[:3, 1] = seen.c2w[:3, 1], -seen.c2w[:3, 0]
+    observed = view.camera
+    (fx, _, cx), (_, fy, cy), _ = observed.K
+    K = np.array([[fy, 0, cy], [0, fx, observed.width - cx], [0, 0, 1]])
+    c2w = observed.c2w.copy()
+    c2w[:3, 0], c2w[:3, 1] = observed.c2w[:3, 1], -observed.c2w[:3, 0]
 
     def turn(values: np.ndarray | None) -> np.ndarray | None:
         return None if values is None else np.ascontiguousarray(np.rot90(values))
@@ -87,7 +87,7 @@ def quarter_turned(view: View) -> View:
     assert image is not None
     return replace(
         view,
-        camera=replace(seen, K=K, c2w=c2w, width=seen.height, height=seen.width),
+        camera=replace(observed, K=K, c2w=c2w, width=observed.height, height=observed.width),
         image=image,
         depth=turn(view.depth),
         instances=turn(view.instances),
@@ -96,12 +96,12 @@ def quarter_turned(view: View) -> View:
 
 def rolling(views: Sequence[View]) -> Views:
     """Each view turned by a quarter more than the one before it."""
-    found = []
+    result = []
     for k, view in enumerate(views):
         for _ in range(k % 4):
             view = quarter_turned(view)
-        found.append(view)
-    return tuple(found)
+        result.append(view)
+    return tuple(result)
 
 
 def shuffled(views: Sequence[View], seed: int) -> Views:
@@ -134,20 +134,22 @@ def _round(part: float) -> Camera:
     return camera(right=right, forward=forward, yaw=float(np.degrees(angle)), focal=90)
 
 
-def drifted(given: Sample, degrees: float, move: float) -> Sample:
+def drifted(inputs: Sample, degrees: float, move: float) -> Sample:
     """The loop by poses that drift along the way: at its end by an angle and by a distance.
 
     A target's pose is off as those of its neighbours are, in the mean.
     """
-    number = len(given.context)
+    number = len(inputs.context)
 
     def off(view: View, part: float) -> View:
         turn = Rotation.from_rotvec([0, 0, np.radians(degrees * part)]).as_matrix()
-        seen, way = view.camera, np.array([1, 0, 0.5]) * move * part
-        return replace(view, camera=with_pose(seen, turn @ seen.c2w[:3, :3], seen.center + way))
+        observed, way = view.camera, np.array([1, 0, 0.5]) * move * part
+        return replace(
+            view, camera=with_pose(observed, turn @ observed.c2w[:3, :3], observed.center + way)
+        )
 
-    context = tuple(off(view, k / number) for k, view in enumerate(given.context))
-    closing, opposite = given.targets
+    context = tuple(off(view, k / number) for k, view in enumerate(inputs.context))
+    closing, opposite = inputs.targets
     last = (number - 1) / number
     targets = off(closing, last / 2), off(opposite, 0.5 - 0.5 / number)
-    return replace(given, context=context, targets=targets)
+    return replace(inputs, context=context, targets=targets)

@@ -26,7 +26,7 @@ class Case:
     """One scene and the camera that sees it; ``about`` says in a line what is hard."""
 
     name: str
-    about: str
+    info: str
     gaussians: Gaussians
     values: torch.Tensor
     camera: Camera
@@ -96,18 +96,20 @@ def case(name: str) -> Case:
 
 @cache
 def _truth(name: str, picture: Settings) -> Render:
-    made = case(name)
+    output = case(name)
     return rasterize(
-        made.gaussians, made.values, made.camera, backend="reference", settings=picture
+        output.gaussians, output.values, output.camera, backend="reference", settings=picture
     )
 
 
 def measure(name: str, settings: Settings | str) -> Errors:
     """Errors of the cpu backend with ``settings`` on the case of that name."""
-    settings, made = find_settings(settings), case(name)
+    settings, output = find_settings(settings), case(name)
     picture = replace(settings, alpha_min=0.0, sigmas=math.inf, pass_min=0.0)
     true = _truth(name, picture)
-    fast = rasterize(made.gaussians, made.values, made.camera, backend="cpu", settings=settings)
+    fast = rasterize(
+        output.gaussians, output.values, output.camera, backend="cpu", settings=settings
+    )
     solid = true.alpha > 0.5
     depth = (fast.depth.double() - true.depth)[solid] / true.depth[solid]
     return Errors(_worst(fast.values - true.values), _worst(fast.alpha - true.alpha), _worst(depth))
@@ -146,11 +148,11 @@ def rotated(seed: int, centre: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
     return c2w
 
 
-def seen_at(seen: Camera, u: Any, v: Any, z: Any) -> torch.Tensor:
+def seen_at(view: Camera, u: Any, v: Any, z: Any) -> torch.Tensor:
     """World points float32 [N, 3] that ``seen`` has at pixels (u, v) and depths z."""
     u, v, z = (a.reshape(-1) for a in np.broadcast_arrays(u, v, np.asarray(z, np.float64)))
-    local = np.stack([u, v, np.ones_like(z)], -1) @ np.linalg.inv(seen.K).T * z[:, None]
-    world = local @ seen.c2w[:3, :3].T + seen.center
+    local = np.stack([u, v, np.ones_like(z)], -1) @ np.linalg.inv(view.K).T * z[:, None]
+    world = local @ view.c2w[:3, :3].T + view.center
     return torch.from_numpy(world.astype(np.float32))
 
 
@@ -189,20 +191,20 @@ class _Random:
         return torch.randn(n, 4, generator=self.generator)
 
     def inside(
-        self, seen: Camera, n: int, low: float = 2.0, high: float = 6.0, margin: float = 0.1
+        self, view: Camera, n: int, low: float = 2.0, high: float = 6.0, margin: float = 0.1
     ) -> torch.Tensor:
         """Points that ``seen`` has in its image and a little around it."""
-        u = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * seen.width
-        v = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * seen.height
-        return seen_at(seen, u, v, self.magnitudes(n, low=low, high=high).numpy())
+        u = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * view.width
+        v = self.uniform(n, low=-margin, high=1 + margin).double().numpy() * view.height
+        return seen_at(view, u, v, self.magnitudes(n, low=low, high=high).numpy())
 
 
 def cloud(
-    n: int, seed: int = 0, size: float = 0.3, seen: Camera | None = None, channels: int = 5
+    n: int, seed: int = 0, size: float = 0.3, view: Camera | None = None, channels: int = 5
 ) -> tuple[Gaussians, torch.Tensor]:
     """Gaussians of every shape and opacity before the camera, and values in [0, 1]."""
     r = _Random(seed)
-    means = r.inside(camera() if seen is None else seen, n)
+    means = r.inside(camera() if view is None else view, n)
     scales = r.uniform(n, 3, low=0.01, high=0.01 + size)
     return splats(means, scales, r.uniform(n), r.quats(n)), r.uniform(n, channels)
 
@@ -213,32 +215,32 @@ def cloud(
 @_case
 def ordinary_cloud() -> Made:
     """A hundred Gaussians of every shape; the control."""
-    seen = camera(48, 32, 40, c2w=rotated(1, (1.0, -2.0, 0.5)))
-    return *cloud(100, 1, 0.2, seen), seen
+    view = camera(48, 32, 40, c2w=rotated(1, (1.0, -2.0, 0.5)))
+    return *cloud(100, 1, 0.2, view), view
 
 
 @_case
 def a_gaussian_per_pixel() -> Made:
     """What two pixel-aligned views predict: a surface of small opaque discs, twice."""
-    seen, r = camera(32, 24, 30), _Random(2)
+    view, r = camera(32, 24, 30), _Random(2)
     u, v = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
-    means = [seen_at(seen, u + shift, v, 3 + 0.5 * np.sin(u / 9) + shift) for shift in (0, 0.3)]
+    means = [seen_at(view, u + shift, v, 3 + 0.5 * np.sin(u / 9) + shift) for shift in (0, 0.3)]
     n = 2 * 32 * 24
     scales = torch.stack([r.uniform(n, low=0.04, high=0.1)] * 2 + [torch.full((n,), 0.005)], -1)
-    made = splats(
+    output = splats(
         torch.cat(means), scales, r.uniform(n, low=0.5), r.quats(n) * 0.1 + splats([[0] * 3]).quats
     )
-    return made, r.uniform(n, 6), seen
+    return output, r.uniform(n, 6), view
 
 
 @_case
 def dense_overlap() -> Made:
     """400 large Gaussians on a small image."""
-    seen, r = camera(64, 48, 60), _Random(3)
-    made = splats(
-        r.inside(seen, 400), r.uniform(400, 3, low=0.05, high=0.6), r.uniform(400), r.quats(400)
+    view, r = camera(64, 48, 60), _Random(3)
+    output = splats(
+        r.inside(view, 400), r.uniform(400, 3, low=0.05, high=0.6), r.uniform(400), r.quats(400)
     )
-    return made, r.uniform(400, 3), seen
+    return output, r.uniform(400, 3), view
 
 
 @_case
@@ -246,8 +248,8 @@ def at_the_near_plane() -> Made:
     """Centres exactly on the near plane, which are not drawn, and the next float behind it."""
     on = np.float32(NEAR)
     z = [on, np.nextafter(on, np.float32(0)), np.nextafter(on, np.float32(1)), 0.0100001, 2.0]
-    made = splats([[0, 0, d] for d in z], 1e-3, 0.7)
-    return made, torch.eye(5), camera()
+    output = splats([[0, 0, d] for d in z], 1e-3, 0.7)
+    return output, torch.eye(5), camera()
 
 
 @_case
@@ -264,8 +266,8 @@ def reaching_through_the_near_plane() -> Made:
     means = torch.cat(
         [r.uniform(20, 2, low=-0.05, high=0.05), r.uniform(20, 1, low=0.0101, high=0.2)], 1
     )
-    made = splats(means, r.magnitudes(20, 3, low=0.01, high=2.0), r.uniform(20), r.quats(20))
-    return made, r.uniform(20, 3), camera()
+    output = splats(means, r.magnitudes(20, 3, low=0.01, high=2.0), r.uniform(20), r.quats(20))
+    return output, r.uniform(20, 3), camera()
 
 
 @_case
@@ -276,71 +278,71 @@ def far_off_axis() -> Made:
     off = r.magnitudes(60, low=0.5, high=1000)
     z = r.magnitudes(60, low=0.05, high=3)
     means = torch.stack([off * z * angle.cos(), off * z * angle.sin(), z], -1)
-    made = splats(
+    output = splats(
         means, (off * z)[:, None] * r.uniform(60, 3, low=0.05), r.uniform(60), r.quats(60)
     )
-    return made, r.uniform(60, 3), camera()
+    return output, r.uniform(60, 3), camera()
 
 
 @_case
 def needles() -> Made:
     """A million times as long as wide, in all directions."""
-    seen, r = camera(48, 32, 40, c2w=rotated(6)), _Random(6)
-    made = splats(r.inside(seen, 40), [1.0, 1e-6, 1e-6], r.uniform(40), r.quats(40))
-    return made, r.uniform(40, 3), seen
+    view, r = camera(48, 32, 40, c2w=rotated(6)), _Random(6)
+    output = splats(r.inside(view, 40), [1.0, 1e-6, 1e-6], r.uniform(40), r.quats(40))
+    return output, r.uniform(40, 3), view
 
 
 @_case
 def needles_longer_than_the_scene() -> Made:
     """A million times as long as wide, and a hundred images long."""
-    seen, r = camera(48, 32, 40), _Random(7)
-    made = splats(r.inside(seen, 20), [1e-4, 100.0, 1e-4], r.uniform(20), r.quats(20))
-    return made, r.uniform(20, 3), seen
+    view, r = camera(48, 32, 40), _Random(7)
+    output = splats(r.inside(view, 20), [1e-4, 100.0, 1e-4], r.uniform(20), r.quats(20))
+    return output, r.uniform(20, 3), view
 
 
 @_case
 def pancakes() -> Made:
     """A million times as wide as thick, in all directions."""
-    seen, r = camera(48, 32, 40, c2w=rotated(8)), _Random(8)
-    made = splats(r.inside(seen, 40), [1.0, 1.0, 1e-6], r.uniform(40), r.quats(40))
-    return made, r.uniform(40, 3), seen
+    view, r = camera(48, 32, 40, c2w=rotated(8)), _Random(8)
+    output = splats(r.inside(view, 40), [1.0, 1.0, 1e-6], r.uniform(40), r.quats(40))
+    return output, r.uniform(40, 3), view
 
 
 @_case
 def pancakes_on_edge() -> Made:
     """Large discs seen exactly from the side, at angles that no axis of the image has."""
-    seen, r = camera(48, 32, 40), _Random(9)
+    view, r = camera(48, 32, 40), _Random(9)
     half = r.uniform(24, high=math.pi)
     quats = torch.stack([half.cos(), 0 * half, 0 * half, half.sin()], -1)
-    means = seen_at(seen, r.uniform(24).numpy() * 48, r.uniform(24).numpy() * 32, 3.0)
-    return splats(means, [1.0, 1e-6, 1.0], r.uniform(24), quats), r.uniform(24, 3), seen
+    means = seen_at(view, r.uniform(24).numpy() * 48, r.uniform(24).numpy() * 32, 3.0)
+    return splats(means, [1.0, 1e-6, 1.0], r.uniform(24), quats), r.uniform(24, 3), view
 
 
 @_case
 def scales_of_nine_decades() -> Made:
     """Axes from a millionth to a thousand times the scene, mixed in one Gaussian."""
-    seen, r = camera(48, 32, 40, c2w=rotated(10)), _Random(10)
-    made = splats(
-        r.inside(seen, 80), r.magnitudes(80, 3, low=1e-6, high=1e3), r.uniform(80), r.quats(80)
+    view, r = camera(48, 32, 40, c2w=rotated(10)), _Random(10)
+    output = splats(
+        r.inside(view, 80), r.magnitudes(80, 3, low=1e-6, high=1e3), r.uniform(80), r.quats(80)
     )
-    return made, r.uniform(80, 3), seen
+    return output, r.uniform(80, 3), view
 
 
 @_case
 def scales_of_zero() -> Made:
     """Points, line segments and sheets without any thickness."""
-    seen, r = camera(), _Random(11)
+    view, r = camera(), _Random(11)
     scales = r.uniform(40, 3, high=0.3) * (r.uniform(40, 3) < 0.5)
-    return splats(r.inside(seen, 40), scales, r.uniform(40), r.quats(40)), r.uniform(40, 3), seen
+    return splats(r.inside(view, 40), scales, r.uniform(40), r.quats(40)), r.uniform(40, 3), view
 
 
 @_case
 def subpixel() -> Made:
     """A ten-thousandth of a pixel wide, at pixel centres, edges, corners and between."""
-    seen, r = camera(), _Random(12)
+    view, r = camera(), _Random(12)
     u = np.concatenate([[4.5, 5.0, 8.0, 8.0, 16.0, 31.999], 32 * r.uniform(60).double().numpy()])
     v = np.concatenate([[4.5, 4.5, 8.0, 16.0, 16.0, 23.999], 24 * r.uniform(60).double().numpy()])
-    return splats(seen_at(seen, u, v, 3.0), 1e-5, r.uniform(66, low=0.3)), r.uniform(66, 3), seen
+    return splats(seen_at(view, u, v, 3.0), 1e-5, r.uniform(66, low=0.3)), r.uniform(66, 3), view
 
 
 @_case
@@ -354,21 +356,23 @@ def one_covers_the_image() -> Made:
 @_case
 def mixed_huge_and_tiny() -> Made:
     """Specks before, in and behind Gaussians of a hundred images; some of the huge are faint."""
-    seen, r = camera(48, 32, 40), _Random(14)
+    view, r = camera(48, 32, 40), _Random(14)
     scales = torch.where(
         r.uniform(80, 1) < 0.2,
         r.magnitudes(80, 3, low=10, high=500),
         r.magnitudes(80, 3, low=1e-5, high=0.05),
     )
     opacities = torch.where(scales.amax(1) > 1, r.uniform(80, high=0.4), r.uniform(80, low=0.5))
-    return splats(r.inside(seen, 80), scales, opacities, r.quats(80)), r.uniform(80, 3), seen
+    return splats(r.inside(view, 80), scales, opacities, r.quats(80)), r.uniform(80, 3), view
 
 
 def _with_opacity(opacity: float, seed: int) -> Made:
-    seen, r = camera(), _Random(seed)
+    view, r = camera(), _Random(seed)
     opacities = torch.where(r.uniform(40) < 0.5, torch.tensor(opacity), r.uniform(40))
-    made = splats(r.inside(seen, 40), r.uniform(40, 3, low=0.02, high=0.3), opacities, r.quats(40))
-    return made, r.uniform(40, 3), seen
+    output = splats(
+        r.inside(view, 40), r.uniform(40, 3, low=0.02, high=0.3), opacities, r.quats(40)
+    )
+    return output, r.uniform(40, 3), view
 
 
 @_case
@@ -398,10 +402,10 @@ def opacity_almost_0() -> Made:
 @_case
 def opaque_right_at_pixel_centres() -> Made:
     """Opacity 1 with its peak on the pixel: nothing at all is let through to what follows."""
-    seen, r = camera(), _Random(19)
+    view, r = camera(), _Random(19)
     u, v = np.meshgrid(np.arange(0, 32, 3) + 0.5, np.arange(0, 24, 3) + 0.5)
-    means = torch.cat([seen_at(seen, u, v, z) for z in (2.0, 3.0)])
-    return splats(means, 0.05, 1.0), r.uniform(len(means), 3), seen
+    means = torch.cat([seen_at(view, u, v, z) for z in (2.0, 3.0)])
+    return splats(means, 0.05, 1.0), r.uniform(len(means), 3), view
 
 
 @_case
@@ -443,33 +447,33 @@ def depths_a_float_apart() -> Made:
 @_case
 def quaternions_of_any_length() -> Made:
     """From 1e-36 to 1e36 long: the square is beyond float32 on both sides."""
-    seen, r = camera(), _Random(24)
-    made = splats(
-        r.inside(seen, 60), r.uniform(60, 3, low=0.01, high=0.4), r.uniform(60), r.quats(60)
+    view, r = camera(), _Random(24)
+    output = splats(
+        r.inside(view, 60), r.uniform(60, 3, low=0.01, high=0.4), r.uniform(60), r.quats(60)
     )
-    made.quats[:] *= r.magnitudes(60, 1, low=1e-36, high=1e36)
-    return made, r.uniform(60, 3), seen
+    output.quats[:] *= r.magnitudes(60, 1, low=1e-36, high=1e36)
+    return output, r.uniform(60, 3), view
 
 
 @_case
 def quaternions_near_zero() -> Made:
     """1e-20 long."""
-    seen, r = camera(), _Random(25)
-    made = splats(
-        r.inside(seen, 60), r.uniform(60, 3, low=0.01, high=0.4), r.uniform(60), 1e-20 * r.quats(60)
+    view, r = camera(), _Random(25)
+    output = splats(
+        r.inside(view, 60), r.uniform(60, 3, low=0.01, high=0.4), r.uniform(60), 1e-20 * r.quats(60)
     )
-    return made, r.uniform(60, 3), seen
+    return output, r.uniform(60, 3), view
 
 
 def _with_focal(focal: float, seed: int) -> Made:
-    seen, r = camera(48, 32, focal, c2w=rotated(seed)), _Random(seed)
-    means = r.inside(seen, 80)
-    z = torch.from_numpy(seen.project(means.double().numpy())[1]).float()
+    view, r = camera(48, 32, focal, c2w=rotated(seed)), _Random(seed)
+    means = r.inside(view, 80)
+    z = torch.from_numpy(view.project(means.double().numpy())[1]).float()
     pixels = r.magnitudes(80, 3, low=0.1, high=10)
     return (
         splats(means, pixels * z[:, None] / focal, r.uniform(80), r.quats(80)),
         r.uniform(80, 3),
-        seen,
+        view,
     )
 
 
@@ -494,27 +498,27 @@ def focal_50000() -> Made:
 @_case
 def a_million_units_away() -> Made:
     """Camera and scene a million units from the origin, where float32 places are 0.06 apart."""
-    seen, r = camera(48, 32, 40, c2w=rotated(29, (1e6, -1e6, 1e6))), _Random(29)
-    means = r.inside(seen, 80, low=8, high=24)
+    view, r = camera(48, 32, 40, c2w=rotated(29, (1e6, -1e6, 1e6))), _Random(29)
+    means = r.inside(view, 80, low=8, high=24)
     return (
         splats(means, r.uniform(80, 3, low=0.05, high=2), r.uniform(80), r.quats(80)),
         r.uniform(80, 3),
-        seen,
+        view,
     )
 
 
 @_case
 def astronomical_and_microscopic() -> Made:
     """Depths from the near plane to 1e8, each Gaussian a few pixels wide."""
-    seen, r = camera(48, 32, 40, c2w=rotated(30)), _Random(30)
+    view, r = camera(48, 32, 40, c2w=rotated(30)), _Random(30)
     z = r.magnitudes(80, low=0.011, high=1e8)
-    means = seen_at(seen, r.uniform(80).numpy() * 48, r.uniform(80).numpy() * 32, z.numpy())
+    means = seen_at(view, r.uniform(80).numpy() * 48, r.uniform(80).numpy() * 32, z.numpy())
     return (
         splats(
             means, r.uniform(80, 3, low=0.01, high=0.2) * z[:, None], r.uniform(80), r.quats(80)
         ),
         r.uniform(80, 3),
-        seen,
+        view,
     )
 
 
@@ -533,8 +537,8 @@ def nothing_in_sight() -> Made:
 
 
 def _with_size(width: int, height: int, seed: int) -> Made:
-    seen = camera(width, height, max(width, height), c2w=rotated(seed))
-    return *cloud(60, seed, 0.5, seen, 3), seen
+    view = camera(width, height, max(width, height), c2w=rotated(seed))
+    return *cloud(60, seed, 0.5, view, 3), view
 
 
 @_case
@@ -564,42 +568,42 @@ def image_of_200x3() -> Made:
 @_case
 def principal_point_far_outside() -> Made:
     """A window cut from far off the middle of a large image."""
-    seen = camera(48, 32, 60, cx=-400, cy=300, c2w=rotated(36))
-    return *cloud(80, 36, 0.5, seen, 3), seen
+    view = camera(48, 32, 60, cx=-400, cy=300, c2w=rotated(36))
+    return *cloud(80, 36, 0.5, view, 3), view
 
 
 @_case
 def principal_point_at_a_corner() -> Made:
     """At the top left pixel, with some of the scene off-axis on the other sides."""
-    seen = camera(48, 32, 60, cx=0.5, cy=0.5)
-    return *cloud(80, 37, 0.3, seen, 3), seen
+    view = camera(48, 32, 60, cx=0.5, cy=0.5)
+    return *cloud(80, 37, 0.3, view, 3), view
 
 
 @_case
 def skewed_pixels() -> Made:
     """Rows shifted by a third of a pixel each, and the far corner off-axis."""
-    seen = camera(48, 32, 60, skew=20.0, cx=10, c2w=rotated(38))
-    return *cloud(80, 38, 0.3, seen, 3), seen
+    view = camera(48, 32, 60, skew=20.0, cx=10, c2w=rotated(38))
+    return *cloud(80, 38, 0.3, view, 3), view
 
 
 @_case
 def pixels_that_are_not_square() -> Made:
     """Ten times as wide as high."""
-    seen = camera(48, 32, 20, aspect=10.0, c2w=rotated(39))
-    return *cloud(80, 39, 0.2, seen, 3), seen
+    view = camera(48, 32, 20, aspect=10.0, c2w=rotated(39))
+    return *cloud(80, 39, 0.2, view, 3), view
 
 
 @_case
 def a_pose_of_three_digits() -> Made:
     """A rotation that is one only to a thousandth, as in files that print few digits."""
-    seen = camera(48, 32, 40, c2w=rotated(40).round(4))
-    return *cloud(80, 40, 0.3, seen, 3), seen
+    view = camera(48, 32, 40, c2w=rotated(40).round(4))
+    return *cloud(80, 40, 0.3, view, 3), view
 
 
 def _with_channels(channels: int, seed: int) -> Made:
-    seen = camera()
-    made, _ = cloud(40, seed, 0.3, seen)
-    return made, _Random(seed).uniform(40, channels, low=-1), seen
+    view = camera()
+    output, _ = cloud(40, seed, 0.3, view)
+    return output, _Random(seed).uniform(40, channels, low=-1), view
 
 
 @_case

@@ -27,28 +27,28 @@ CASES = [
 ]  # fmt: skip
 
 
-def on_gpu(made: Gaussians) -> Gaussians:
-    return Gaussians(**{name: t.cuda() for name, t in made.items()})
+def on_gpu(splats: Gaussians) -> Gaussians:
+    return Gaussians(**{name: t.cuda() for name, t in splats.items()})
 
 
 def test_tensors_on_the_cpu_are_refused():
-    made, values = cloud(5)
+    splats, values = cloud(5)
     with pytest.raises(
         InputError, match="gaussians means: found on device 'cpu', expected all tensors on one CUDA"
     ):
-        rasterize(made, values, camera(), backend="cuda")
+        rasterize(splats, values, camera(), backend="cuda")
 
 
 def test_what_gsplat_cannot_do_is_refused():
-    made, values = cloud(5)
+    splats, values = cloud(5)
     with pytest.raises(InputError, match="no median depth; use backend 'cpu'"):
-        rasterize(made, values, camera(), backend="cuda", median=True)
+        rasterize(splats, values, camera(), backend="cuda", median=True)
     with pytest.raises(InputError, match="no labels; use backend 'cpu'"):
-        rasterize(made, values, camera(), backend="cuda", labels=torch.ones(5, dtype=torch.int32))
+        rasterize(splats, values, camera(), backend="cuda", labels=torch.ones(5, dtype=torch.int32))
     with pytest.raises(InputError, match=r"camera K: found a skew of 1\.5 px, expected 0"):
-        rasterize(made, values, camera(skew=1.5), backend="cuda")
+        rasterize(splats, values, camera(skew=1.5), backend="cuda")
     with pytest.raises(InputError, match=r"alpha_max: found 0\.5, expected 0\.99 or more"):
-        rasterize(made, values, camera(), backend="cuda", settings=Settings(alpha_max=0.5))
+        rasterize(splats, values, camera(), backend="cuda", settings=Settings(alpha_max=0.5))
 
 
 @pytest.mark.skipif(find_spec("gsplat") is not None, reason="gsplat is installed")
@@ -60,10 +60,14 @@ def test_without_gsplat_the_sentence_says_how_to_get_it():
 @needs_gpu
 @pytest.mark.parametrize("name", CASES)
 def test_against_the_reference(name):
-    made = case(name)
+    splats = case(name)
     chosen = Settings()
-    true = rasterize(made.gaussians, made.values, made.camera, backend="reference", settings=chosen)
-    drawn = rasterize(on_gpu(made.gaussians), made.values.cuda(), made.camera, settings=chosen)
+    true = rasterize(
+        splats.gaussians, splats.values, splats.camera, backend="reference", settings=chosen
+    )
+    drawn = rasterize(
+        on_gpu(splats.gaussians), splats.values.cuda(), splats.camera, settings=chosen
+    )
     assert drawn.values.is_cuda
     assert drawn.values.shape == true.values.shape
     torch.testing.assert_close(drawn.values.cpu().double(), true.values, atol=TOLERANCE, rtol=0)
@@ -76,23 +80,23 @@ def test_against_the_reference(name):
 
 @needs_gpu
 def test_gradients_against_the_reference():
-    made, values = cloud(60, 2)
-    found = []
+    splats, values = cloud(60, 2)
+    result = []
     for backend, move in (("reference", torch.clone), ("cuda", torch.Tensor.cuda)):
         leaves = {
-            name: move(getattr(made, name)).requires_grad_()
+            name: move(getattr(splats, name)).requires_grad_()
             for name in ("means", "scales", "quats", "opacities")
         }
         carried = move(values).requires_grad_()
-        rest = {"sh": move(made.sh), "source": move(made.source)}
+        rest = {"sh": move(splats.sh), "source": move(splats.source)}
         drawn = rasterize(
-            replace(made, **leaves, **rest),
+            replace(splats, **leaves, **rest),
             carried,
             camera(),
             backend=backend,
             settings=PRESETS["exact"],
         )
         (drawn.values.square().sum() + drawn.alpha.square().sum()).backward()
-        found.append([leaf.grad.cpu().double() for leaf in (*leaves.values(), carried)])
-    for true, fast in zip(*found, strict=True):
+        result.append([leaf.grad.cpu().double() for leaf in (*leaves.values(), carried)])
+    for true, fast in zip(*result, strict=True):
         assert (fast - true).norm() < 0.2 * true.norm()

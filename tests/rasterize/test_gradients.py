@@ -19,11 +19,11 @@ GEOMETRY = ("means", "scales", "quats", "opacities")
 # The reference.
 
 
-def tiny(seen: Camera) -> list[torch.Tensor]:
+def tiny(view: Camera) -> list[torch.Tensor]:
     """Three Gaussians in float64: means, scales, quats, opacities and values."""
-    made, values = cloud(3, 1, 0.8, seen, 2)
-    made.opacities[:] = 0.1 + 0.8 * made.opacities
-    return [t.double() for t in (*(getattr(made, name) for name in GEOMETRY), values)]
+    built, values = cloud(3, 1, 0.8, view, 2)
+    built.opacities[:] = 0.1 + 0.8 * built.opacities
+    return [t.double() for t in (*(getattr(built, name) for name in GEOMETRY), values)]
 
 
 def with_geometry(means, scales, quats, opacities) -> Gaussians:
@@ -36,7 +36,7 @@ OFF_AXIS = torch.tensor([[3.0, -2.0, 1.0], [-4.0, 0.5, 0.8]], dtype=torch.float6
 
 
 @pytest.mark.parametrize(
-    ("seen", "chosen"),
+    ("view", "chosen"),
     [
         (camera(4, 3, 4), EXACT),
         (camera(4, 3, 4, c2w=rotated(1, (1, 2, 3))), EXACT),
@@ -46,30 +46,30 @@ OFF_AXIS = torch.tensor([[3.0, -2.0, 1.0], [-4.0, 0.5, 0.8]], dtype=torch.float6
     ],
     ids=["plain", "turned", "principal-point", "skew", "clamped"],
 )
-def test_reference(seen, chosen):
+def test_reference(view, chosen):
     def draw(means, scales, quats, opacities, values):
-        made = with_geometry(means, scales, quats, opacities)
-        drawn = rasterize(made, values, seen, backend="reference", settings=chosen)
+        built = with_geometry(means, scales, quats, opacities)
+        drawn = rasterize(built, values, view, backend="reference", settings=chosen)
         return drawn.values, drawn.alpha, drawn.depth
 
-    inputs = [t.requires_grad_() for t in tiny(seen)]
+    inputs = [t.requires_grad_() for t in tiny(view)]
     assert torch.autograd.gradcheck(draw, inputs)
 
 
 def test_reference_off_axis():
     """Where the affine approximation is taken at the edge, it does not move with the mean."""
-    seen = camera(4, 3, 4)
-    means, scales, *others = tiny(seen)
+    view = camera(4, 3, 4)
+    means, scales, *rest = tiny(view)
     means[:2] = OFF_AXIS
     scales[:2] = 1.0
 
     def draw(*inputs):
         drawn = rasterize(
-            with_geometry(*inputs[:4]), inputs[4], seen, backend="reference", settings=EXACT
+            with_geometry(*inputs[:4]), inputs[4], view, backend="reference", settings=EXACT
         )
         return drawn.values, drawn.alpha, drawn.depth
 
-    assert torch.autograd.gradcheck(draw, [t.requires_grad_() for t in (means, scales, *others)])
+    assert torch.autograd.gradcheck(draw, [t.requires_grad_() for t in (means, scales, *rest)])
 
 
 # The cpu backend.
@@ -90,21 +90,21 @@ def loss_of(drawn: Render, true: Render) -> torch.Tensor:
 
 
 def gradients(
-    made: Gaussians,
+    built: Gaussians,
     values: torch.Tensor,
-    seen: Camera,
+    view: Camera,
     backend: str,
     chosen: Settings,
     true: Render | None = None,
 ) -> dict[str, torch.Tensor]:
-    leaves = {name: getattr(made, name).clone().requires_grad_() for name in GEOMETRY}
+    leaves = {name: getattr(built, name).clone().requires_grad_() for name in GEOMETRY}
     leaves["values"] = values.clone().requires_grad_()
     geometry = {name: leaves[name] for name in GEOMETRY}
     drawn = rasterize(
-        replace(made, **geometry), leaves["values"], seen, backend=backend, settings=chosen
+        replace(built, **geometry), leaves["values"], view, backend=backend, settings=chosen
     )
     if true is None:
-        true = rasterize(made, values, seen, backend="reference", settings=chosen)
+        true = rasterize(built, values, view, backend="reference", settings=chosen)
     loss_of(drawn, true).backward()
     return {name: leaf.grad for name, leaf in leaves.items()}
 
@@ -112,8 +112,8 @@ def gradients(
 @cache
 def truth(name: str) -> tuple[Render, dict[str, torch.Tensor]]:
     """What the reference draws, and its gradients."""
-    made = case(name)
-    inputs = made.gaussians, made.values, made.camera
+    built = case(name)
+    inputs = built.gaussians, built.values, built.camera
     true = rasterize(*inputs, backend="reference", settings=EXACT)
     return true, gradients(*inputs, "reference", EXACT, true)
 
@@ -124,21 +124,21 @@ def errors(name: str, chosen: Settings) -> dict[str, float]:
     For quaternions at least over that of the scales, both per unit of their logarithm: the true
     gradient of a ball's rotation is zero. A Gaussian of opacity 0 is not drawn, and has none.
     """
-    made = case(name)
+    built = case(name)
     drawn, true = truth(name)
-    fast = gradients(made.gaussians, made.values, made.camera, "cpu", chosen, drawn)
-    found = {}
+    fast = gradients(built.gaussians, built.values, built.camera, "cpu", chosen, drawn)
+    result = {}
     for field, t in true.items():
-        t, f, least = t.double(), fast[field].double(), 1e-9
+        t, f, minimum = t.double(), fast[field].double(), 1e-9
         assert torch.isfinite(f).all(), field
         if field == "opacities":
-            t = torch.where(made.gaussians.opacities > 0, t, 0.0)
+            t = torch.where(built.gaussians.opacities > 0, t, 0.0)
         if field == "quats":
-            length = made.gaussians.quats.double().norm(dim=1, keepdim=True)
+            length = built.gaussians.quats.double().norm(dim=1, keepdim=True)
             t, f = t * length, f * length
-            least = max(least, (true["scales"].double() * made.gaussians.scales).norm())
-        found[field] = float((f - t).norm() / t.norm().clamp_min(least))
-    return found
+            minimum = max(minimum, (true["scales"].double() * built.gaussians.scales).norm())
+        result[field] = float((f - t).norm() / t.norm().clamp_min(minimum))
+    return result
 
 
 TOLERANCE = 5e-6
@@ -195,13 +195,13 @@ def test_what_is_hidden_counts_for_no_opacity():
     once a pixel is finished, so the opacity's gradient is as if nothing were behind; with ``exact``
     this is left only where an alpha rounds to 1.
     """
-    made = splats([[0, 0, 2.0], [0, 0, 3.0]], 100.0, [1 - 1e-5, 0.9])
-    seen, values = camera(1, 1), torch.tensor([[1.0], [0.75]])
+    built = splats([[0, 0, 2.0], [0, 0, 3.0]], 100.0, [1 - 1e-5, 0.9])
+    view, values = camera(1, 1), torch.tensor([[1.0], [0.75]])
 
     def slope(backend, chosen):
-        opacities = made.opacities.clone().requires_grad_()
+        opacities = built.opacities.clone().requires_grad_()
         drawn = rasterize(
-            replace(made, opacities=opacities), values, seen, backend=backend, settings=chosen
+            replace(built, opacities=opacities), values, view, backend=backend, settings=chosen
         )
         return torch.autograd.grad(drawn.values.sum(), opacities)[0][0]
 
@@ -212,10 +212,10 @@ def test_what_is_hidden_counts_for_no_opacity():
 
 def test_a_gaussian_in_many_tiles():
     """Its gradient is a sum over all of them."""
-    seen = camera(100, 80, 90)
-    made = splats([[0.1, 0.2, 3.0], [-0.2, 0.1, 4.0]], [[0.9, 0.5, 0.1]], 0.6, [1, 0.3, 0.2, 0.1])
+    view = camera(100, 80, 90)
+    built = splats([[0.1, 0.2, 3.0], [-0.2, 0.1, 4.0]], [[0.9, 0.5, 0.1]], 0.6, [1, 0.3, 0.2, 0.1])
     values = torch.tensor([[1.0, 0.2], [0.4, -0.6]])
-    fast, true = (gradients(made, values, seen, b, EXACT) for b in ("cpu", "reference"))
+    fast, true = (gradients(built, values, view, b, EXACT) for b in ("cpu", "reference"))
     for field, t in true.items():
         torch.testing.assert_close(fast[field], t, rtol=1e-5, atol=1e-5 * float(t.abs().max()))
 
@@ -223,17 +223,17 @@ def test_a_gaussian_in_many_tiles():
 @pytest.mark.parametrize("output", ["values", "alpha", "depth"])
 def test_each_output_alone(output):
     """And upstream gradients that are one number seen as many."""
-    made, values = cloud(60, 2, 0.8)
-    found = []
+    built, values = cloud(60, 2, 0.8)
+    result = []
     for backend in ("cpu", "reference"):
-        leaves = {name: getattr(made, name).clone().requires_grad_() for name in GEOMETRY}
+        leaves = {name: getattr(built, name).clone().requires_grad_() for name in GEOMETRY}
         carried = values.clone().requires_grad_()
         drawn = rasterize(
-            replace(made, **leaves), carried, camera(), backend=backend, settings=EXACT
+            replace(built, **leaves), carried, camera(), backend=backend, settings=EXACT
         )
         getattr(drawn, output).sum().backward()
-        found.append([leaf.grad for leaf in (*leaves.values(), carried)])
-    for fast, true in zip(*found, strict=True):
+        result.append([leaf.grad for leaf in (*leaves.values(), carried)])
+    for fast, true in zip(*result, strict=True):
         if true is None or fast is None:  # alpha and depth know nothing of the values
             assert output != "values"
             assert fast is None or fast.abs().max() == 0
@@ -243,92 +243,92 @@ def test_each_output_alone(output):
 
 def test_what_is_not_drawn_gets_zero():
     means = [[0, 0, 3.0], [0, 0, -3.0], [0, 0, 0.0], [0, 0, 0.01], [500, 0, 1.0], [0, 0, 3.0]]
-    made = splats(means, 0.1, [0.8, 0.8, 0.8, 0.8, 0.8, 0.0])
+    built = splats(means, 0.1, [0.8, 0.8, 0.8, 0.8, 0.8, 0.0])
     for chosen in (EXACT, PRESETS["fast"]):
-        found = gradients(made, torch.ones(6, 3), camera(), "cpu", chosen)
-        for field, gradient in found.items():
+        result = gradients(built, torch.ones(6, 3), camera(), "cpu", chosen)
+        for field, gradient in result.items():
             assert torch.isfinite(gradient).all(), field
             assert gradient[[1, 2, 3]].abs().max() == 0, field
             assert gradient[4:].abs().max() < 1e-20, field
-        assert found["opacities"][0].abs() > 0
+        assert result["opacities"][0].abs() > 0
 
 
 def test_only_the_values_need_gradients():
-    made, values = cloud(60, 2)
-    everything = gradients(made, values, camera(), "cpu", PRESETS["fast"])
+    built, values = cloud(60, 2)
+    everything = gradients(built, values, camera(), "cpu", PRESETS["fast"])
     carried = values.clone().requires_grad_()
-    drawn = rasterize(made, carried, camera())
-    true = rasterize(made, values, camera(), backend="reference")
+    drawn = rasterize(built, carried, camera())
+    true = rasterize(built, values, camera(), backend="reference")
     loss_of(drawn, true).backward()
     assert torch.equal(carried.grad, everything["values"])
-    assert all(not t.requires_grad for _, t in made.items())
+    assert all(not t.requires_grad for _, t in built.items())
 
 
 def test_no_gradient_asked_for_none_kept():
-    made, values = cloud(60, 2)
-    drawn = rasterize(made, values, camera(), median=True)
+    built, values = cloud(60, 2)
+    drawn = rasterize(built, values, camera(), median=True)
     assert not drawn.values.requires_grad
     carried = values.clone().requires_grad_()
-    assert not rasterize(made, carried, camera(), median=True).median.requires_grad
+    assert not rasterize(built, carried, camera(), median=True).median.requires_grad
     with torch.no_grad():
-        assert not rasterize(made, carried, camera()).values.requires_grad
+        assert not rasterize(built, carried, camera()).values.requires_grad
 
 
 def test_gradients_come_in_the_dtype_of_the_input():
-    made, values = cloud(60, 2)
-    wide = with_geometry(*(getattr(made, name).double() for name in GEOMETRY))
-    narrow = gradients(made, values, camera(), "cpu", EXACT)
-    found = gradients(wide, values.double(), camera(), "cpu", EXACT)
-    for field, gradient in found.items():
+    built, values = cloud(60, 2)
+    wide = with_geometry(*(getattr(built, name).double() for name in GEOMETRY))
+    narrow = gradients(built, values, camera(), "cpu", EXACT)
+    result = gradients(wide, values.double(), camera(), "cpu", EXACT)
+    for field, gradient in result.items():
         assert gradient.dtype == torch.float64
         assert torch.equal(gradient.float(), narrow[field]), field
 
 
 def test_spherical_harmonics():
     """Through the colour, to its coefficients and to the means, which it is seen from."""
-    made, _ = cloud(40, 3, 0.5)
+    built, _ = cloud(40, 3, 0.5)
     sh = 0.3 * torch.randn(40, 16, 3, generator=torch.Generator().manual_seed(0))
-    found = []
+    result = []
     for backend in ("cpu", "reference"):
-        means, coefficients = made.means.clone().requires_grad_(), sh.clone().requires_grad_()
+        means, coefficients = built.means.clone().requires_grad_(), sh.clone().requires_grad_()
         drawn = rasterize(
-            replace(made, means=means, sh=coefficients),
+            replace(built, means=means, sh=coefficients),
             None,
             camera(),
             backend=backend,
             settings=EXACT,
         )
         (drawn.values * torch.linspace(-1, 1, 32)[:, None].to(drawn.values)).sum().backward()
-        found.append((means.grad, coefficients.grad))
-    for fast, true in zip(*found, strict=True):
+        result.append((means.grad, coefficients.grad))
+    for fast, true in zip(*result, strict=True):
         assert true.abs().max() > 0
         # Measured 4e-7.
         assert (fast - true).norm() / true.norm() < 2e-6
 
 
 def test_bytes_do_not_depend_on_the_threads():
-    seen = camera(70, 60, 60)
-    made, values = cloud(200, 5, 0.5, seen)
-    found = []
+    view = camera(70, 60, 60)
+    built, values = cloud(200, 5, 0.5, view)
+    result = []
     for threads in (1, 2, 2, 7):
         with kernels_on(threads):
-            found.append(gradients(made, values, seen, "cpu", PRESETS["fast"]))
-    for other in found[1:]:
-        for field, gradient in found[0].items():
-            assert torch.equal(gradient, other[field]), field
+            result.append(gradients(built, values, view, "cpu", PRESETS["fast"]))
+    for second in result[1:]:
+        for field, gradient in result[0].items():
+            assert torch.equal(gradient, second[field]), field
 
 
 def test_descent_finds_what_was_drawn():
     """All parameters together, from a disturbed start."""
-    seen = camera(24, 16, 24)
-    made, values = cloud(12, 7, 0.3, seen, 3)
-    target = rasterize(made, values, seen).values
+    view = camera(24, 16, 24)
+    built, values = cloud(12, 7, 0.3, view, 3)
+    target = rasterize(built, values, view).values
     g = torch.Generator().manual_seed(0)
     leaves = {
-        "means": made.means + 0.05 * torch.randn(12, 3, generator=g),
-        "scales": made.scales.log() + 0.2 * torch.randn(12, 3, generator=g),
-        "quats": made.quats + 0.1 * torch.randn(12, 4, generator=g),
-        "opacities": made.opacities.logit(1e-3) + 0.3 * torch.randn(12, generator=g),
+        "means": built.means + 0.05 * torch.randn(12, 3, generator=g),
+        "scales": built.scales.log() + 0.2 * torch.randn(12, 3, generator=g),
+        "quats": built.quats + 0.1 * torch.randn(12, 4, generator=g),
+        "opacities": built.opacities.logit(1e-3) + 0.3 * torch.randn(12, generator=g),
         "values": values + 0.2 * torch.randn(12, 3, generator=g),
     }
     leaves = {name: t.requires_grad_() for name, t in leaves.items()}
@@ -336,13 +336,13 @@ def test_descent_finds_what_was_drawn():
     losses = []
     for _ in range(60):
         moved = replace(
-            made,
+            built,
             means=leaves["means"],
             scales=leaves["scales"].exp(),
             quats=leaves["quats"],
             opacities=leaves["opacities"].sigmoid(),
         )
-        loss = (rasterize(moved, leaves["values"], seen).values - target).square().mean()
+        loss = (rasterize(moved, leaves["values"], view).values - target).square().mean()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

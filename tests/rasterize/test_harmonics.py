@@ -27,8 +27,10 @@ def some(n=40, count=16, dtype=torch.float32, size=0.3) -> Gaussians:
 
 def with_sh(means: torch.Tensor, sh: torch.Tensor) -> Gaussians:
     n = len(means)
-    one = torch.ones(n, 4, dtype=means.dtype)
-    return Gaussians(means, one[:, :3], one / 2, one[:, 0], sh, torch.arange(n, dtype=torch.int32))
+    first = torch.ones(n, 4, dtype=means.dtype)
+    return Gaussians(
+        means, first[:, :3], first / 2, first[:, 0], sh, torch.arange(n, dtype=torch.int32)
+    )
 
 
 def directions(n=200) -> np.ndarray:
@@ -59,8 +61,10 @@ def test_the_basis_is_that_of_scipy_with_the_condon_shortley_phase():
 
 def test_degree_one_is_minus_y_z_minus_x():
     d = torch.tensor([[0.36], [0.48], [0.8]], dtype=torch.float64)
-    found = basis(d, 1)[1:, 0].tolist()
-    assert found == pytest.approx([-0.48 * 0.4886025, 0.8 * 0.4886025, -0.36 * 0.4886025], abs=1e-7)
+    result = basis(d, 1)[1:, 0].tolist()
+    assert result == pytest.approx(
+        [-0.48 * 0.4886025, 0.8 * 0.4886025, -0.36 * 0.4886025], abs=1e-7
+    )
 
 
 def test_the_basis_is_orthonormal_on_the_sphere():
@@ -78,14 +82,14 @@ def test_the_basis_is_orthonormal_on_the_sphere():
 
 @pytest.mark.parametrize("count", [1, 4, 9, 16])
 def test_colours_are_half_plus_the_harmonics_of_the_way_from_the_camera(count):
-    made, eye = some(count=count, size=1), np.array([0.3, -0.2, 0.5])
-    d = made.means.double().numpy() - eye
+    splats, eye = some(count=count, size=1), np.array([0.3, -0.2, 0.5])
+    d = splats.means.double().numpy() - eye
     x, y, z = (d / np.linalg.norm(d, axis=1, keepdims=True)).T
     Y = scipy_basis(np.arccos(z), np.arctan2(y, x), round(count**0.5) - 1, phase=True)
-    expected = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", Y, made.sh.double().numpy()))
+    expected = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", Y, splats.sh.double().numpy()))
     assert (expected == 0).any()  # the clamp is part of what is compared
     # Float32 noise, measured on 4,000 Gaussians: at most 9e-7, in sums of 16 products.
-    np.testing.assert_allclose(colors(made, camera(eye)), expected, atol=2e-6)
+    np.testing.assert_allclose(colors(splats, camera(eye)), expected, atol=2e-6)
 
 
 def test_turned_harmonics_are_those_of_turned_directions():
@@ -103,50 +107,50 @@ def test_turned_harmonics_are_those_of_turned_directions():
 
 
 def test_a_turned_scene_looks_the_same_from_a_turned_camera():
-    made, R = some(dtype=torch.float64), Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
-    sh = torch.einsum("jk,nkc->njc", torch.from_numpy(turned(R)), made.sh)
-    moved = with_sh(made.means @ torch.from_numpy(R.T), sh)
+    splats, R = some(dtype=torch.float64), Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
+    sh = torch.einsum("jk,nkc->njc", torch.from_numpy(turned(R)), splats.sh)
+    moved = with_sh(splats.means @ torch.from_numpy(R.T), sh)
     eye = np.array([0.3, -0.2, 0.5])
     np.testing.assert_allclose(
-        colors(moved, camera(R @ eye)), colors(made, camera(eye)), atol=1e-14
+        colors(moved, camera(R @ eye)), colors(splats, camera(eye)), atol=1e-14
     )
 
 
 @pytest.mark.parametrize("count", [4, 16])
 def test_gradients_are_those_of_finite_differences(count):
-    made = some(6, count, torch.float64, size=0.05)  # small, so that no colour is at the clamp
+    splats = some(6, count, torch.float64, size=0.05)  # small, so that no colour is at the clamp
 
     def run(means, sh):
         return colors(with_sh(means, sh), camera((0.1, 0.2, 0.3)))
 
-    assert (run(made.means, made.sh) > 0).all()
-    inputs = (made.means.requires_grad_(), made.sh.requires_grad_())
+    assert (run(splats.means, splats.sh) > 0).all()
+    inputs = (splats.means.requires_grad_(), splats.sh.requires_grad_())
     assert torch.autograd.gradcheck(run, inputs)
 
 
 def test_a_mean_at_the_camera_has_its_plain_colour_and_finite_gradients():
-    made = some(3)
-    made.sh.abs_()
-    made.means[1] = torch.tensor([0.5, 0.25, 2.0])
-    made.means.requires_grad_()
-    made.sh.requires_grad_()
-    seen = colors(made, camera((0.5, 0.25, 2.0)))
-    assert torch.equal(seen[1], made.colors()[1])
-    seen.sum().backward()
-    assert made.means.grad.isfinite().all()
-    assert made.sh.grad.isfinite().all()
-    assert (made.means.grad[1] == 0).all()
-    assert (made.sh.grad[1, 1:] == 0).all()
-    assert (made.means.grad[0] != 0).any()
+    splats = some(3)
+    splats.sh.abs_()
+    splats.means[1] = torch.tensor([0.5, 0.25, 2.0])
+    splats.means.requires_grad_()
+    splats.sh.requires_grad_()
+    view = colors(splats, camera((0.5, 0.25, 2.0)))
+    assert torch.equal(view[1], splats.colors()[1])
+    view.sum().backward()
+    assert splats.means.grad.isfinite().all()
+    assert splats.sh.grad.isfinite().all()
+    assert (splats.means.grad[1] == 0).all()
+    assert (splats.sh.grad[1, 1:] == 0).all()
+    assert (splats.means.grad[0] != 0).any()
 
 
 def test_a_scene_a_million_units_away_keeps_its_directions():
-    made = some()
+    splats = some()
     # Eighths are exact at a million in float32; the camera's thousandths are not.
-    made.means[:] = (made.means * 8).round() / 8
-    far = with_sh(made.means + 1e6, made.sh)
+    splats.means[:] = (splats.means * 8).round() / 8
+    far = with_sh(splats.means + 1e6, splats.sh)
     eye = np.array([0.321, 0.123, 0.777])
-    near_seen, far_seen = colors(made, camera(eye)), colors(far, camera(eye + 1e6))
+    near_seen, far_seen = colors(splats, camera(eye)), colors(far, camera(eye + 1e6))
     # float64 keeps 1e-10 of a unit at a million; to lose the thousandths would change 0.1.
     np.testing.assert_allclose(far_seen, near_seen, atol=1e-6)
 

@@ -33,19 +33,19 @@ def wall(colour=None, depth=None, labels=None, opacity=0.9) -> Gaussians:
     colour = np.full((H, W, 3), 0.6, np.float32) if colour is None else colour.astype(np.float32)
     depth = np.full((H, W), 3.0, np.float32) if depth is None else depth.astype(np.float32)
     light = np.full((H, W), opacity, np.float32)
-    made = unproject(CAMERAS, [colour] * 2, [1 / depth] * 2, [light] * 2)
+    splats = unproject(CAMERAS, [colour] * 2, [1 / depth] * 2, [light] * 2)
     if labels is None:
-        return made
+        return splats
     codes = np.concatenate([labels, labels]).reshape(-1, 1).astype(np.float32)
-    return replace(made, features=torch.from_numpy(np.concatenate([codes, codes > 0], 1)))
+    return replace(splats, features=torch.from_numpy(np.concatenate([codes, codes > 0], 1)))
 
 
 def noise(levels: float) -> np.ndarray:
     return 0.5 + np.random.default_rng(0).uniform(-levels, levels, (H, W, 3)) * GREY
 
 
-def shown(gaussians: Gaussians, seen: Camera) -> np.ndarray:
-    drawn = rasterize(gaussians, None, seen)
+def shown(gaussians: Gaussians, view: Camera) -> np.ndarray:
+    drawn = rasterize(gaussians, None, view)
     return (drawn.values / drawn.alpha.clamp_min(0.5)[..., None]).clamp(0, 1).numpy()
 
 
@@ -53,10 +53,10 @@ def test_a_plain_wall_needs_few_and_looks_the_same():
     plain = wall()
     merged = merge(plain, CAMERAS)
     assert len(merged.gaussians) < 0.3 * len(plain)
-    for seen in (*CAMERAS, camera(0.1), camera(0.4)):
+    for view in (*CAMERAS, camera(0.1), camera(0.4)):
         inner = slice(4, -4), slice(4, -10)  # beyond the border of both there is nothing
-        assert np.abs(shown(merged.gaussians, seen) - shown(plain, seen))[inner].max() < 2 * GREY
-        alpha = rasterize(merged.gaussians, None, seen).alpha.numpy()[inner]
+        assert np.abs(shown(merged.gaussians, view) - shown(plain, view))[inner].max() < 2 * GREY
+        alpha = rasterize(merged.gaussians, None, view).alpha.numpy()[inner]
         assert alpha.min() > 0.97
 
 
@@ -93,8 +93,8 @@ def test_what_shows_is_taken_back():
     assert len(merged.gaussians) < 0.5 * len(lined)
     columns = lined.source.numpy() % W
     for column in range(18, 24):
-        own = merged.into[columns == column]
-        assert len(np.unique(own)) == len(own)
+        local = merged.into[columns == column]
+        assert len(np.unique(local)) == len(local)
 
 
 def standing(z: float) -> Camera:
@@ -134,10 +134,10 @@ def test_what_is_behind_something_does_not_show():
     screen, light = noise(7).astype(np.float32), np.ones((H, W), np.float32)
     plain = np.full((H, W, 3), 0.6, np.float32)
     depths = [np.full((H, W), z, np.float32) for z in (3, 3, 1)]
-    made = unproject(cameras, [plain, plain, screen], [1 / z for z in depths], [light] * 3)
-    merged = merge(made, cameras)
-    own = merged.gaussians.source.numpy() < 2 * H * W
-    assert own.sum() < 0.3 * 2 * H * W and (~own).sum() > 0.8 * H * W
+    splats = unproject(cameras, [plain, plain, screen], [1 / z for z in depths], [light] * 3)
+    merged = merge(splats, cameras)
+    local = merged.gaussians.source.numpy() < 2 * H * W
+    assert local.sum() < 0.3 * 2 * H * W and (~local).sum() > 0.8 * H * W
 
 
 def test_objects_do_not_merge():
@@ -179,15 +179,15 @@ def test_axes_in_another_order_are_the_same_shape():
     slanted = wall(depth=np.tile(1 / (0.5 - 0.004 * x), (H, 1)))
     quarter = torch.tensor([0.5, 0.5, 0.5, 0.5], dtype=torch.float64)  # x to y, y to z, z to x
     turned = quaternion_product(slanted.quats.double(), quarter).float()
-    other = torch.arange(len(slanted)) % 3 == 1
+    second = torch.arange(len(slanted)) % 3 == 1
     mixed = replace(
         slanted,
-        quats=torch.where(other[:, None], turned, slanted.quats),
-        scales=torch.where(other[:, None], slanted.scales[:, [1, 2, 0]], slanted.scales),
+        quats=torch.where(second[:, None], turned, slanted.quats),
+        scales=torch.where(second[:, None], slanted.scales[:, [1, 2, 0]], slanted.scales),
     )
     assert torch.allclose(covariances(mixed), covariances(slanted), rtol=0, atol=1e-9)
-    found = [covariances(merge(g, CAMERAS).gaussians) for g in (slanted, mixed)]
-    assert torch.allclose(*found, rtol=0, atol=1e-3 * float(found[0].abs().max()))
+    result = [covariances(merge(g, CAMERAS).gaussians) for g in (slanted, mixed)]
+    assert torch.allclose(*result, rtol=0, atol=1e-3 * float(result[0].abs().max()))
 
 
 def quaternion_product(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -212,13 +212,13 @@ def test_holes_and_further_gaussians_stay():
     plain = wall()
     holes = (torch.arange(2 * H * W) % 7 != 3) | (torch.arange(2 * H * W) % W > 30)
     further = replace(plain[torch.arange(40)], means=plain.means[:40] + torch.tensor([0, 0, 1.5]))
-    given = Gaussians.concatenated([plain[holes], further])
-    merged = merge(given, CAMERAS)
-    assert len(merged.gaussians) < 0.75 * len(given)
+    inputs = Gaussians.concatenated([plain[holes], further])
+    merged = merge(inputs, CAMERAS)
+    assert len(merged.gaussians) < 0.75 * len(inputs)
     last = merged.gaussians[merged.into[-40:]]
     for name, values in last.items():
         assert torch.equal(values, getattr(further, name)), name
-    columns = given.source.numpy()[:-40] % W
+    columns = inputs.source.numpy()[:-40] % W
     beside = merged.into[:-40][columns < 28]
     assert len(np.unique(beside)) == len(beside)
 
@@ -231,11 +231,11 @@ def test_turning_the_world_changes_nothing():
     pose = np.eye(4)
     pose[:3, :3] = turn.as_matrix()
     cameras = [replace(c, c2w=pose @ c.c2w) for c in CAMERAS]
-    own = Rotation.from_quat(speckled.quats.numpy()[:, [1, 2, 3, 0]])
+    local = Rotation.from_quat(speckled.quats.numpy()[:, [1, 2, 3, 0]])
     turned = replace(
         speckled,
         means=torch.from_numpy(turn.apply(speckled.means.numpy())).float(),
-        quats=torch.from_numpy((turn * own).as_quat()[:, [3, 0, 1, 2]]).float(),
+        quats=torch.from_numpy((turn * local).as_quat()[:, [3, 0, 1, 2]]).float(),
     )
     a, b = merge(speckled, CAMERAS), merge(turned, cameras)
     assert abs(len(a.gaussians) - len(b.gaussians)) < 0.01 * len(a.gaussians)
@@ -243,15 +243,15 @@ def test_turning_the_world_changes_nothing():
 
 
 def test_same_bytes_with_any_number_of_threads():
-    speckled, found = wall(noise(8)), []
+    speckled, result = wall(noise(8)), []
     for threads in (1, 2):
         with kernels_on(threads):
-            found.append(merge(speckled, CAMERAS))
-    for (name, one), (_, other) in zip(
-        found[0].gaussians.items(), found[1].gaussians.items(), strict=True
+            result.append(merge(speckled, CAMERAS))
+    for (name, item), (_, second) in zip(
+        result[0].gaussians.items(), result[1].gaussians.items(), strict=True
     ):
-        assert torch.equal(one, other), name
-    assert found[0].change == found[1].change
+        assert torch.equal(item, second), name
+    assert result[0].change == result[1].change
 
 
 def test_nothing_and_what_cannot_be_placed():

@@ -36,20 +36,20 @@ def cloud(n=300, seed=0) -> Gaussians:
 
 @pytest.mark.parametrize("channels", [1, 3, 6])
 def test_a_plan_renders_what_the_rasteriser_renders(channels):
-    made, seen = cloud(), camera()
-    values = torch.rand(len(made), channels, generator=torch.Generator().manual_seed(1))
-    planned = plan(made, seen)
-    drawn = rasterize(made, values, seen)
+    splats, view = cloud(), camera()
+    values = torch.rand(len(splats), channels, generator=torch.Generator().manual_seed(1))
+    planned = plan(splats, view)
+    drawn = rasterize(splats, values, view)
     assert (planned.render(values) - drawn.values).abs().max() < TOLERANCE
     assert torch.equal(planned.alpha, drawn.alpha)
 
 
 def test_the_backward_is_the_adjoint_of_the_forward():
-    made, seen = cloud(), camera()
-    planned = plan(made, seen)
+    splats, view = cloud(), camera()
+    planned = plan(splats, view)
     g = torch.Generator().manual_seed(2)
-    values = torch.rand(len(made), 3, generator=g).requires_grad_()
-    upstream = torch.rand(seen.height, seen.width, 3, generator=g)
+    values = torch.rand(len(splats), 3, generator=g).requires_grad_()
+    upstream = torch.rand(view.height, view.width, 3, generator=g)
     image = planned.render(values)
     (grads,) = torch.autograd.grad(image, values, upstream)
     forward = (image.detach().double() * upstream.double()).sum()
@@ -58,11 +58,11 @@ def test_the_backward_is_the_adjoint_of_the_forward():
 
 
 def test_gradients_are_close_to_those_of_the_rasteriser():
-    made, seen = cloud(), camera()
+    splats, view = cloud(), camera()
     upstream = torch.rand(37, 45, 2, generator=torch.Generator().manual_seed(3))
     grads = []
-    for draw in (plan(made, seen).render, lambda v: rasterize(made, v, seen).values):
-        values = torch.zeros(len(made), 2, requires_grad=True)
+    for draw in (plan(splats, view).render, lambda v: rasterize(splats, v, view).values):
+        values = torch.zeros(len(splats), 2, requires_grad=True)
         grads += torch.autograd.grad(draw(values), values, upstream)
     assert (grads[0] - grads[1]).abs().max() < 5e-3 * grads[1].abs().max()
 
@@ -75,11 +75,11 @@ def test_no_gaussians_and_wrong_values():
 
 
 def test_bytes_do_not_depend_on_the_thread_count():
-    made, values = cloud(), torch.rand(300, 3, generator=torch.Generator().manual_seed(4))
-    found = []
+    splats, values = cloud(), torch.rand(300, 3, generator=torch.Generator().manual_seed(4))
+    result = []
     for threads in (1, 2):
         leaf = values.clone().requires_grad_()
         with kernels_on(threads):
-            image = plan(made, camera()).render(leaf)
-            found.append((image.detach(), *torch.autograd.grad(image.sum(), leaf)))
-    assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
+            image = plan(splats, camera()).render(leaf)
+            result.append((image.detach(), *torch.autograd.grad(image.sum(), leaf)))
+    assert all(torch.equal(a, b) for a, b in zip(*result, strict=True))

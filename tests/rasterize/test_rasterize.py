@@ -37,19 +37,19 @@ EXACT = PRESETS["exact"]
 @pytest.mark.parametrize("name", names())
 def test_exact(name):
     """Without cut-offs the cpu backend is the reference, but for rounding."""
-    errors, most = measure(name, "exact"), bounds(name, "exact")
-    assert most.values <= 1e-4
-    assert errors.values < most.values
-    assert errors.alpha < most.alpha
-    assert errors.depth < most.depth
+    errors, maximum = measure(name, "exact"), bounds(name, "exact")
+    assert maximum.values <= 1e-4
+    assert errors.values < maximum.values
+    assert errors.alpha < maximum.alpha
+    assert errors.depth < maximum.depth
 
 
 @pytest.mark.parametrize("name", [n for n in names() if n != ALL_CUT])
 def test_fast(name):
-    errors, most = measure(name, "fast"), bounds(name, "fast")
-    assert errors.values < most.values
-    assert errors.alpha < most.alpha
-    assert errors.depth < most.depth
+    errors, maximum = measure(name, "fast"), bounds(name, "fast")
+    assert errors.values < maximum.values
+    assert errors.alpha < maximum.alpha
+    assert errors.depth < maximum.depth
 
 
 def test_fast_leaves_out_thousands_that_are_each_under_the_cut():
@@ -58,34 +58,36 @@ def test_fast_leaves_out_thousands_that_are_each_under_the_cut():
     Where their alphas are above it, long sums hold: measured 1e-4, from the early stop.
     """
     name = ALL_CUT
-    made = case(name)
+    output = case(name)
     assert measure(name, "fast").alpha > 0.5
-    fast, true = (rasterize(made.gaussians, made.values, made.camera, backend=b) for b in BACKENDS)
+    fast, true = (
+        rasterize(output.gaussians, output.values, output.camera, backend=b) for b in BACKENDS
+    )
     assert (fast.values[11, 15] - true.values[11, 15]).abs().max() < 5e-4
 
 
 # The reference, and the cut-offs, against the formulas spelt out one number at a time.
 
 
-def plain(made: Gaussians, values: torch.Tensor, seen: Camera, chosen: Settings):
+def plain(output: Gaussians, values: torch.Tensor, view: Camera, chosen: Settings):
     """Image [H, W, C], alpha [H, W] and mean depth [H, W] in plain float64 loops, with cut-offs."""
-    world_to_camera, (fx, skew, cx), (_, fy, cy) = seen.w2c, *seen.K[:2]
+    world_to_camera, (fx, skew, cx), (_, fy, cy) = view.w2c, *view.K[:2]
 
     def project(point):
         x, y, z = (r[:3] @ point + r[3] for r in world_to_camera[:3])
         return np.array([(fx * x + skew * y) / z + cx, fy * y / z + cy]), x / z, y / z, z
 
     drawn = []
-    for i, numbers in enumerate(zip(*(t.double().numpy() for _, t in made.items()), strict=True)):
+    for i, numbers in enumerate(zip(*(t.double().numpy() for _, t in output.items()), strict=True)):
         mean, scale, quat, opacity = numbers[:4]
         place, x, y, z = project(mean)
         if z <= chosen.near:
             continue
         # The derivative of projection, by differences, where the affine approximation is taken.
-        half_x, half_y = seen.width / (2 * fx), seen.height / (2 * fy)
-        x = min(max(x, -cx / fx - 0.3 * half_x), (seen.width - cx) / fx + 0.3 * half_x)
-        y = min(max(y, -cy / fy - 0.3 * half_y), (seen.height - cy) / fy + 0.3 * half_y)
-        near_it = (seen.c2w @ [x * z, y * z, z, 1])[:3]
+        half_x, half_y = view.width / (2 * fx), view.height / (2 * fy)
+        x = min(max(x, -cx / fx - 0.3 * half_x), (view.width - cx) / fx + 0.3 * half_x)
+        y = min(max(y, -cy / fy - 0.3 * half_y), (view.height - cy) / fy + 0.3 * half_y)
+        near_it = (view.c2w @ [x * z, y * z, z, 1])[:3]
         step = 1e-5 * z
         J = np.stack(
             [
@@ -103,10 +105,10 @@ def plain(made: Gaussians, values: torch.Tensor, seen: Camera, chosen: Settings)
         drawn.append((np.float32(z), i, z, place, np.linalg.inv(cov), opacity))
     drawn.sort(key=lambda splat: splat[:2])
 
-    image = np.zeros((seen.height, seen.width, values.shape[1]))
-    alpha, depth = np.zeros((2, seen.height, seen.width))
-    for row in range(seen.height):
-        for column in range(seen.width):
+    image = np.zeros((view.height, view.width, values.shape[1]))
+    alpha, depth = np.zeros((2, view.height, view.width))
+    for row in range(view.height):
+        for column in range(view.width):
             light = 1.0
             for _, i, z, place, precision, opacity in drawn:
                 d = np.array([column + 0.5, row + 0.5]) - place
@@ -125,20 +127,20 @@ def plain(made: Gaussians, values: torch.Tensor, seen: Camera, chosen: Settings)
 
 def plain_scene() -> tuple[Gaussians, torch.Tensor, Camera]:
     """Everything a camera can have, and a splat or two of every kind."""
-    seen = camera(14, 10, 12, cx=4, cy=7, skew=1.5, c2w=rotated(3, (1, 2, 3)), aspect=1.3)
-    made, values = cloud(40, 3, 0.6, seen, 3)
-    made.opacities[:20] = 0.3 + 0.7 * made.opacities[:20]
-    made.means[5] = torch.from_numpy(seen.center + seen.c2w[:3, :3] @ [3, 2, 0.5])  # off-axis
-    made.means[6] = torch.from_numpy(seen.center - seen.c2w[:3, 2])  # behind
-    made.means[7] = torch.from_numpy(seen.center + 0.1 * seen.c2w[:3, 2])  # before 0.2
-    return made, values, seen
+    view = camera(14, 10, 12, cx=4, cy=7, skew=1.5, c2w=rotated(3, (1, 2, 3)), aspect=1.3)
+    output, values = cloud(40, 3, 0.6, view, 3)
+    output.opacities[:20] = 0.3 + 0.7 * output.opacities[:20]
+    output.means[5] = torch.from_numpy(view.center + view.c2w[:3, :3] @ [3, 2, 0.5])  # off-axis
+    output.means[6] = torch.from_numpy(view.center - view.c2w[:3, 2])  # behind
+    output.means[7] = torch.from_numpy(view.center + 0.1 * view.c2w[:3, 2])  # before 0.2
+    return output, values, view
 
 
 @pytest.mark.parametrize("chosen", [EXACT, replace(EXACT, alpha_max=0.6)])
 def test_reference_is_the_formula(chosen):
-    made, values, seen = plain_scene()
-    image, alpha, depth = plain(made, values, seen, chosen)
-    drawn = rasterize(made, values, seen, backend="reference", settings=chosen)
+    output, values, view = plain_scene()
+    image, alpha, depth = plain(output, values, view, chosen)
+    drawn = rasterize(output, values, view, backend="reference", settings=chosen)
     # Measured 4e-11, from the differences.
     np.testing.assert_allclose(drawn.values, image, atol=1e-8)
     np.testing.assert_allclose(drawn.alpha, alpha, atol=1e-8)
@@ -155,10 +157,10 @@ def test_reference_is_the_formula(chosen):
     ids=["3dgs", "fast", "coarse"],
 )
 def test_cpu_cuts_exactly_where_the_settings_say(chosen):
-    made, values, seen = plain_scene()
-    image, alpha, depth = plain(made, values, seen, chosen)
-    drawn = rasterize(made, values, seen, backend="cpu", settings=chosen)
-    exact = rasterize(made, values, seen, backend="cpu", settings="exact")
+    output, values, view = plain_scene()
+    image, alpha, depth = plain(output, values, view, chosen)
+    drawn = rasterize(output, values, view, backend="cpu", settings=chosen)
+    exact = rasterize(output, values, view, backend="cpu", settings="exact")
     assert (drawn.values - exact.values).abs().max() > 3e-5  # there is something to cut
     # Measured 2e-7, and 4e-7 in depth.
     np.testing.assert_allclose(drawn.values, image, atol=2e-6)
@@ -175,10 +177,10 @@ def test_cpu_cuts_exactly_where_the_settings_say(chosen):
      "image_of_17x33", "astronomical_and_microscopic", "no_channel", "nothing"],
 )  # fmt: skip
 def test_median_depth(name):
-    made = case(name)
+    output = case(name)
     fast, true = (
         rasterize(
-            made.gaussians, made.values, made.camera, backend=b, settings="exact", median=True
+            output.gaussians, output.values, output.camera, backend=b, settings="exact", median=True
         ).median
         for b in BACKENDS
     )
@@ -197,11 +199,16 @@ LABEL_TOLERANCE = 5e-6
      "no_channel", "nothing"],
 )  # fmt: skip
 def test_labels(name, count):
-    made = case(name)
-    labels = (torch.arange(len(made.gaussians)) * 7 % (count + 1)).int()
+    output = case(name)
+    labels = (torch.arange(len(output.gaussians)) * 7 % (count + 1)).int()
     fast, true = (
         rasterize(
-            made.gaussians, made.values, made.camera, backend=b, settings="exact", labels=labels
+            output.gaussians,
+            output.values,
+            output.camera,
+            backend=b,
+            settings="exact",
+            labels=labels,
         )
         for b in BACKENDS
     )
@@ -211,7 +218,7 @@ def test_labels(name, count):
     best, second, _ = true.label_weights.unbind(-1)
     clear = best - second > 2 * LABEL_TOLERANCE
     assert torch.equal(fast.label[clear], true.label[clear])
-    plain = rasterize(made.gaussians, made.values, made.camera, settings="exact")
+    plain = rasterize(output.gaussians, output.values, output.camera, settings="exact")
     assert torch.equal(plain.values, fast.values)
     assert plain.label is None
     assert plain.label_weights is None
@@ -219,21 +226,21 @@ def test_labels(name, count):
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_label_with_most_of_the_light_wins_and_ties_go_to_the_lowest(backend):
-    made = splats(
+    output = splats(
         [[0, 0, 2.0], [0, 0, 3.0], [0, 0, 5.0], [0, 0, 6.0]], 1e6, [0.25, 0.3333333, 0.5, 1]
     )
 
-    def seen(*labels):
+    def view(*labels):
         drawn = rasterize(
-            made, torch.ones(4, 1), camera(), backend=backend,
+            output, torch.ones(4, 1), camera(), backend=backend,
             labels=torch.tensor(labels, dtype=torch.int32),
         )  # fmt: skip
         return int(drawn.label[12, 16]), drawn.label_weights[12, 16].tolist()
 
     # A quarter each. Two together lead; nothing that is not labelled has a say.
-    assert seen(9, 4, 9, 7) == (9, pytest.approx([0.5, 0.25, 1], abs=1e-6))
-    assert seen(0, 0, 0, 7) == (7, pytest.approx([0.25, 0, 0.25], abs=1e-6))
-    assert seen(0, 0, 0, 0) == (0, [0, 0, 0])
+    assert view(9, 4, 9, 7) == (9, pytest.approx([0.5, 0.25, 1], abs=1e-6))
+    assert view(0, 0, 0, 7) == (7, pytest.approx([0.25, 0, 0.25], abs=1e-6))
+    assert view(0, 0, 0, 0) == (0, [0, 0, 0])
     equal = splats([[0, 0, 2.0], [0, 0, 3.0]], 1e9, [0.5, 1.0])
     for labels in ([2, 1], [1, 2]):
         drawn = rasterize(
@@ -244,7 +251,7 @@ def test_the_label_with_most_of_the_light_wins_and_ties_go_to_the_lowest(backend
 
 
 @pytest.mark.parametrize(
-    ("labels", "found"),
+    ("labels", "result"),
     [
         (torch.zeros(4, dtype=torch.int32), r"torch.int32 \(4,\)"),
         (torch.zeros(5), r"torch.float32 \(5,\)"),
@@ -252,60 +259,60 @@ def test_the_label_with_most_of_the_light_wins_and_ties_go_to_the_lowest(backend
         (torch.tensor([0, 1, 2**24, 0, 0], dtype=torch.int32), "0 to 16777216"),
     ],
 )
-def test_labels_that_are_none_are_refused(labels, found):
-    made, values = cloud(5)
-    with pytest.raises(InputError, match=f"rasterize labels: found {found}"):
-        rasterize(made, values, camera(), labels=labels)
+def test_labels_that_are_none_are_refused(labels, result):
+    output, values = cloud(5)
+    with pytest.raises(InputError, match=f"rasterize labels: found {result}"):
+        rasterize(output, values, camera(), labels=labels)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_median_depth_is_where_half_the_light_is_gone(backend):
-    made = splats([[0, 0, 2.0], [0, 0, 3.0], [0, 0, 5.0]], 100.0, [0.3, 0.4, 0.5])
-    drawn = rasterize(made, torch.ones(3, 1), camera(), backend=backend, median=True)
+    output = splats([[0, 0, 2.0], [0, 0, 3.0], [0, 0, 5.0]], 100.0, [0.3, 0.4, 0.5])
+    drawn = rasterize(output, torch.ones(3, 1), camera(), backend=backend, median=True)
     assert drawn.median[12, 16] == 3  # 0.3, then 0.58
-    thin = rasterize(made[:1], torch.ones(1, 1), camera(), backend=backend, median=True)
+    thin = rasterize(output[:1], torch.ones(1, 1), camera(), backend=backend, median=True)
     assert thin.median.max() == 0
-    assert rasterize(made, torch.ones(3, 1), camera(), backend=backend).median is None
+    assert rasterize(output, torch.ones(3, 1), camera(), backend=backend).median is None
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("chosen", ["fast", "3dgs"])
 def test_no_values_means_the_colour_from_here(backend, chosen):
-    made, _ = cloud(40)
+    output, _ = cloud(40)
     sh = torch.randn(40, 16, 3, generator=torch.Generator().manual_seed(0))
-    made = replace(made, sh=sh)
-    drawn = rasterize(made, None, camera(), backend=backend, settings=chosen)
-    rgb = colors(made, camera())
-    expected = rasterize(made, rgb, camera(), backend=backend, settings=chosen)
+    output = replace(output, sh=sh)
+    drawn = rasterize(output, None, camera(), backend=backend, settings=chosen)
+    rgb = colors(output, camera())
+    expected = rasterize(output, rgb, camera(), backend=backend, settings=chosen)
     assert torch.equal(drawn.values, expected.values)
     assert drawn.values.shape == (24, 32, 3)
 
 
 def test_auto_is_the_cpu_backend_for_tensors_on_the_cpu():
-    made, values = cloud(40)
-    chosen, named = (rasterize(made, values, camera(), backend=b) for b in ("auto", "cpu"))
+    output, values = cloud(40)
+    chosen, named = (rasterize(output, values, camera(), backend=b) for b in ("auto", "cpu"))
     assert torch.equal(chosen.values, named.values)
 
 
 def test_equal_depths_keep_the_order_given():
-    made = splats([[0, 0, 3.0]] * 2, 1.0, 1.0)
+    output = splats([[0, 0, 3.0]] * 2, 1.0, 1.0)
     for backend in BACKENDS:
-        middle = rasterize(made, torch.eye(2), camera(31, 23), backend=backend).values[11, 15]
+        middle = rasterize(output, torch.eye(2), camera(31, 23), backend=backend).values[11, 15]
         assert middle[0] > 0.999
         assert middle[1] == 0
 
 
 def test_near_plane_is_where_the_settings_put_it():
-    made = splats([[0, 0, 1.0], [0, 0, 1.001]], 0.01)
-    drawn = rasterize(made, torch.eye(2), camera(), settings=Settings(near=1.0))
+    output = splats([[0, 0, 1.0], [0, 0, 1.001]], 0.01)
+    drawn = rasterize(output, torch.eye(2), camera(), settings=Settings(near=1.0))
     assert drawn.values[..., 0].max() == 0
     assert drawn.values[..., 1].max() > 0.3
 
 
 def test_depth_is_that_of_a_solid_plane():
-    seen = camera()
-    points = seen.unproject(np.full((24, 32), 2.5)).reshape(-1, 3)
-    image = rasterize(splats(points, 2.5 / 30, 0.99), torch.ones(len(points), 1), seen)
+    view = camera()
+    points = view.unproject(np.full((24, 32), 2.5)).reshape(-1, 3)
+    image = rasterize(splats(points, 2.5 / 30, 0.99), torch.ones(len(points), 1), view)
     assert (image.depth - 2.5).abs().max() < 1e-6
 
 
@@ -324,8 +331,8 @@ seeds = st.integers(0, 10_000)
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 60), seeds)
 def test_premultiplied_values_never_exceed_alpha(n, seed):
-    made, values = cloud(n, seed)
-    image = rasterize(made, values, camera())
+    output, values = cloud(n, seed)
+    image = rasterize(output, values, camera())
     assert (image.values <= image.alpha[..., None] + 1e-6).all()
     assert image.alpha.max() <= 1 + 1e-6
     assert image.alpha.min() >= 0
@@ -334,10 +341,11 @@ def test_premultiplied_values_never_exceed_alpha(n, seed):
 @settings(max_examples=20, deadline=None)
 @given(st.integers(1, 60), seeds)
 def test_drawing_is_linear_in_the_values(n, seed):
-    made, values = cloud(n, seed)
-    other = values.flip(1)
+    output, values = cloud(n, seed)
+    alternative = values.flip(1)
     a, b, both = (
-        rasterize(made, v, camera()).values for v in (values, other, 2 * values - 3 * other)
+        rasterize(output, v, camera()).values
+        for v in (values, alternative, 2 * values - 3 * alternative)
     )
     assert (both - (2 * a - 3 * b)).abs().max() < 5e-6
 
@@ -346,22 +354,24 @@ def test_drawing_is_linear_in_the_values(n, seed):
 @given(st.integers(2, 60), seeds)
 def test_the_order_of_the_input_changes_no_byte(n, seed):
     """No two depths here are equal."""
-    made, values = cloud(n, seed)
+    output, values = cloud(n, seed)
     order = torch.randperm(n, generator=torch.Generator().manual_seed(seed))
     labels = (torch.arange(n) % 5).int()
-    one = rasterize(made, values, camera(), median=True, labels=labels)
-    other = rasterize(made[order], values[order], camera(), median=True, labels=labels[order])
-    for name, drawn in vars(one).items():
-        assert torch.equal(drawn, getattr(other, name)), name
+    item = rasterize(output, values, camera(), median=True, labels=labels)
+    alternative = rasterize(
+        output[order], values[order], camera(), median=True, labels=labels[order]
+    )
+    for name, drawn in vars(item).items():
+        assert torch.equal(drawn, getattr(alternative, name)), name
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(1, 60), seeds)
 def test_one_channel_does_not_depend_on_its_neighbours(n, seed):
-    made, values = cloud(n, seed, channels=11)
-    together = rasterize(made, values, camera()).values
+    output, values = cloud(n, seed, channels=11)
+    together = rasterize(output, values, camera()).values
     for c in range(11):
-        alone = rasterize(made, values[:, c : c + 1], camera()).values
+        alone = rasterize(output, values[:, c : c + 1], camera()).values
         assert torch.equal(together[..., c], alone[..., 0])
 
 
@@ -372,19 +382,19 @@ def test_no_finite_input_gives_nan(seed, preset):
     rng = np.random.default_rng(seed)
 
     def sizes(low, high, *shape):
-        found = 10 ** rng.uniform(low, high, shape) * rng.choice([-1, 1], shape)
-        return torch.from_numpy(np.where(rng.random(shape) < 0.1, 0, found)).float()
+        result = 10 ** rng.uniform(low, high, shape) * rng.choice([-1, 1], shape)
+        return torch.from_numpy(np.where(rng.random(shape) < 0.1, 0, result)).float()
 
-    made = splats(
+    output = splats(
         means=sizes(-10, 15, 30, 3),
         scales=sizes(-12, 12, 30, 3).abs(),
         opacities=sizes(-9, 0, 30).abs(),
         quats=sizes(-30, 30, 30, 4),
     )
-    made.quats[(made.quats == 0).all(1)] = 1
-    seen = camera(24, 17, 10 ** rng.uniform(0, 5), c2w=rotated(seed))
+    output.quats[(output.quats == 0).all(1)] = 1
+    view = camera(24, 17, 10 ** rng.uniform(0, 5), c2w=rotated(seed))
     labels = (torch.arange(30) % 4).int()
-    image = rasterize(made, torch.ones(30, 2), seen, settings=preset, median=True, labels=labels)
+    image = rasterize(output, torch.ones(30, 2), view, settings=preset, median=True, labels=labels)
     for name, drawn in vars(image).items():
         assert torch.isfinite(drawn).all(), name
         assert drawn.min() >= 0, name
@@ -396,52 +406,52 @@ def test_no_finite_input_gives_nan(seed, preset):
 
 @pytest.mark.parametrize("preset", ["fast", "exact"])
 def test_bytes_do_not_depend_on_the_threads(preset):
-    made, values = cloud(300, seen=camera(100, 80, 90))
+    output, values = cloud(300, view=camera(100, 80, 90))
 
     labels = (torch.arange(300) % 40).int()
 
     def draw():
-        seen = camera(100, 80, 90)
-        return rasterize(made, values, seen, settings=preset, median=True, labels=labels)
+        view = camera(100, 80, 90)
+        return rasterize(output, values, view, settings=preset, median=True, labels=labels)
 
     with kernels_on(1):
         first = draw()
     for threads in (1, 2, 2, 7):
         with kernels_on(threads):
-            again = draw()
+            rerun = draw()
         for name, drawn in vars(first).items():
-            assert torch.equal(drawn, getattr(again, name)), (name, threads)
+            assert torch.equal(drawn, getattr(rerun, name)), (name, threads)
 
 
 def test_inputs_of_other_dtypes_are_taken():
-    made, values = cloud(40)
+    output, values = cloud(40)
     values = values.half()
-    drawn = rasterize(made, values.float(), camera())
-    double = {name: t.double() for name, t in made.items() if name != "source"}
-    wide = Gaussians(**double, source=made.source)
-    again = rasterize(wide, values, camera())
-    assert again.values.dtype == torch.float32
-    assert torch.equal(again.values, drawn.values)
+    drawn = rasterize(output, values.float(), camera())
+    double = {name: t.double() for name, t in output.items() if name != "source"}
+    wide = Gaussians(**double, source=output.source)
+    rerun = rasterize(wide, values, camera())
+    assert rerun.values.dtype == torch.float32
+    assert torch.equal(rerun.values, drawn.values)
     assert rasterize(wide, values, camera(), backend="reference").values.dtype == torch.float64
 
 
 def test_inputs_need_not_be_contiguous():
-    made, values = cloud(40)
+    output, values = cloud(40)
     spread = {}
-    for name, t in made.items():
+    for name, t in output.items():
         wide = torch.zeros(*t.shape, 2, dtype=t.dtype)
         wide[..., 1] = t
         spread[name] = wide[..., 1]
-    drawn = rasterize(made, values, camera())
-    again = rasterize(Gaussians(**spread), values.T.contiguous().T, camera())
-    assert torch.equal(again.values, drawn.values)
+    drawn = rasterize(output, values, camera())
+    rerun = rasterize(Gaussians(**spread), values.T.contiguous().T, camera())
+    assert torch.equal(rerun.values, drawn.values)
 
 
 def test_inputs_are_left_alone():
-    made, values = cloud(40)
-    before = {name: t.clone() for name, t in [*made.items(), ("values", values)]}
-    rasterize(made, values, camera(), median=True)
-    for name, t in [*made.items(), ("values", values)]:
+    output, values = cloud(40)
+    before = {name: t.clone() for name, t in [*output.items(), ("values", values)]}
+    rasterize(output, values, camera(), median=True)
+    for name, t in [*output.items(), ("values", values)]:
         assert torch.equal(t, before[name]), name
 
 
@@ -452,19 +462,19 @@ def test_inputs_are_left_alone():
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("field", ["means", "scales", "quats", "opacities"])
 def test_not_finite_is_refused_with_field_and_index(field, bad, backend):
-    made, values = cloud(5)
-    getattr(made, field)[3] = bad
+    output, values = cloud(5)
+    getattr(output, field)[3] = bad
     with pytest.raises(InputError, match=rf"gaussians {field}\[3\]: holds NaN or infinity"):
-        rasterize(made, values, camera(), backend=backend)
+        rasterize(output, values, camera(), backend=backend)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_values_that_are_not_finite_are_refused(bad, backend):
-    made, values = cloud(5)
+    output, values = cloud(5)
     values[2, 4] = bad
     with pytest.raises(InputError, match=r"rasterize values\[2\]: holds NaN or infinity"):
-        rasterize(made, values, camera(), backend=backend)
+        rasterize(output, values, camera(), backend=backend)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -478,25 +488,25 @@ def test_values_that_are_not_finite_are_refused(bad, backend):
     ],
 )
 def test_out_of_range_is_refused_with_field_and_index(field, bad, expected, backend):
-    made, values = cloud(5)
-    getattr(made, field)[4] = bad
+    output, values = cloud(5)
+    getattr(output, field)[4] = bad
     with pytest.raises(InputError, match=rf"gaussians {field}\[4\]: found .*{expected}"):
-        rasterize(made, values, camera(), backend=backend)
+        rasterize(output, values, camera(), backend=backend)
 
 
 @pytest.mark.parametrize("shape", [(4, 5), (5,), (5, 2, 2), (0, 3)])
 def test_values_of_the_wrong_shape_are_refused(shape):
-    made, _ = cloud(5)
+    output, _ = cloud(5)
     with pytest.raises(InputError, match=r"rasterize values: found shape .*expected \(5, C\)"):
-        rasterize(made, torch.zeros(shape), camera())
+        rasterize(output, torch.zeros(shape), camera())
 
 
 def test_unknown_names_are_refused_with_those_that_are_known():
-    made, values = cloud(5)
+    output, values = cloud(5)
     with pytest.raises(InputError, match="expected one of cpu, cuda, reference"):
-        rasterize(made, values, camera(), backend="opengl")
+        rasterize(output, values, camera(), backend="opengl")
     with pytest.raises(InputError, match="'slow': expected one of fast, exact, 3dgs"):
-        rasterize(made, values, camera(), settings="slow")
+        rasterize(output, values, camera(), settings="slow")
 
 
 @pytest.mark.parametrize(

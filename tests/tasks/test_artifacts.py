@@ -54,12 +54,12 @@ def test_a_sample_with_all_its_truths(sample, store):
 
 
 def test_cameras_that_were_found_say_so_in_the_store_too(sample, store):
-    said = Estimated((0.9, 1.2), "EXIF", 0.8)
+    message = Estimated((0.9, 1.2), "EXIF", 0.8)
     left, right = sample.context
-    camera = replace(left.camera, estimated=said)
+    camera = replace(left.camera, estimated=message)
     partly = replace(sample, context=(replace(left, camera=camera), right), found={"k1": {"a": 0}})
     back = sample_from_arrays(through(store, "sample", sample_to_arrays(partly)))
-    assert [view.camera.estimated for view in back.context] == [said, None]
+    assert [view.camera.estimated for view in back.context] == [message, None]
     assert back.found == {"k1": {"a": 0}}
     assert not {"estimated", "found"} & sample_to_arrays(sample).keys()
 
@@ -91,8 +91,8 @@ def test_targets_have_a_size_of_their_own(store):
     np.testing.assert_array_equal(target.image, full.image)
     np.testing.assert_array_equal(target.camera.K, full.camera.K)
     cropped = scene.sample(["view_00", "view_02"], size=(30, 20))
-    again = sample_from_arrays(through(store, "sample", sample_to_arrays(cropped)))
-    assert [v.window for v in again.context] == [v.window for v in cropped.context] != [None, None]
+    rerun = sample_from_arrays(through(store, "sample", sample_to_arrays(cropped)))
+    assert [v.window for v in rerun.context] == [v.window for v in cropped.context] != [None, None]
     truth = truth_from_instances(small)
     stored = truth_from_arrays(through(store, "truth", truth_to_arrays(truth, small)))
     assert {m.shape for m in stored.masks["view_01"].values()} == {(32, 48)}
@@ -100,9 +100,9 @@ def test_targets_have_a_size_of_their_own(store):
 
 def test_targets_of_two_sizes_are_refused_in_words(sample):
     (target,) = sample.targets
-    other = replace(sample, targets=(target, replace(target.resized(16, 24), name="b")))
+    second = replace(sample, targets=(target, replace(target.resized(16, 24), name="b")))
     with pytest.raises(InputError, match="'b' is 24x16 and 'view_01' is 48x32; give a size"):
-        sample_to_arrays(other)
+        sample_to_arrays(second)
 
 
 def test_truth_with_and_without_boxes(sample, store):
@@ -117,8 +117,8 @@ def test_truth_with_and_without_boxes(sample, store):
     boxes = {v: {q: rng.random((i % 3, 4)) for i, q in enumerate(m)} for v, m in masks.items()}
     arrays = through(store, "truth", truth_to_arrays(Truth(masks, boxes), sample))
     for view, by_query in truth_from_arrays(arrays).boxes.items():
-        for query, found in by_query.items():
-            np.testing.assert_array_equal(found, boxes[view][query])
+        for query, results in by_query.items():
+            np.testing.assert_array_equal(results, boxes[view][query])
 
 
 def test_a_scene_without_truth(sample, store):

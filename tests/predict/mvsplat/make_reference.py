@@ -33,16 +33,16 @@ def digest(lines: list[str]) -> str:
 def main(parity: str, names: str, wigner: str) -> None:
     stored = torch.load(parity, weights_only=True)
     floor = stored["noise_floor_absmax_mkldnn_off"]
-    kept = {f"input/{name}": value[0].numpy() for name, value in stored["inputs"].items()}
+    remaining = {f"input/{name}": value[0].numpy() for name, value in stored["inputs"].items()}
     for name, value in stored["outputs"].items():
-        kept[f"{name}"] = value.numpy().ravel()[places(name, value.numel())]
-        kept[f"floor/{name}"] = np.float32(floor[name])
+        remaining[f"{name}"] = value.numpy().ravel()[places(name, value.numel())]
+        remaining[f"floor/{name}"] = np.float32(floor[name])
     lines = [line for line in Path(names).read_text().splitlines() if not line.startswith("#")]
-    kept["names"] = np.array(digest(lines))
+    remaining["names"] = np.array(digest(lines))
     rotations = np.load(wigner)
     for key in ("R", "dirs", *(f"{kind}{d}" for kind in "DY" for d in range(4))):
-        kept[f"e3nn/{key}"] = rotations[key]
-    np.savez_compressed(FILE, **kept)
+        remaining[f"e3nn/{key}"] = rotations[key]
+    np.savez_compressed(FILE, **remaining)
 
 
 if __name__ == "__main__":

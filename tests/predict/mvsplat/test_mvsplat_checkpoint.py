@@ -31,11 +31,11 @@ def test_all_that_does_not_fit_is_named(weights):
     state["backbone.backbone.conv2.bias"] = torch.zeros(64)
     with pytest.raises(InputError) as caught:
         with_weights(state, PUBLISHED, "odd.ckpt")
-    said = str(caught.value)
-    assert "odd.ckpt" in said
-    assert "16 missing: backbone.transformer.layers.5.self_attn.q_proj.weight, " in said
-    assert "1 unexpected: extra.weight" in said
-    assert "1 of another shape: backbone.backbone.conv2.bias (64,) for (128,)" in said
+    message = str(caught.value)
+    assert "odd.ckpt" in message
+    assert "16 missing: backbone.transformer.layers.5.self_attn.q_proj.weight, " in message
+    assert "1 unexpected: extra.weight" in message
+    assert "1 of another shape: backbone.backbone.conv2.bias (64,) for (128,)" in message
 
 
 class Harmful:

@@ -40,18 +40,18 @@ NOISE = 5
 
 
 @pytest.fixture(scope="module")
-def found(network, reference, cameras) -> dict[str, np.ndarray]:
+def result(network, reference, cameras) -> dict[str, np.ndarray]:
     """What our network says at every stage, in the shapes of the reference."""
-    seen: dict[str, torch.Tensor] = {}
+    observed: dict[str, torch.Tensor] = {}
     depth = network.depth_predictor
 
     def see_inputs(name):
-        return lambda _, inputs: seen.__setitem__(name, inputs[0].clone())
+        return lambda _, inputs: observed.__setitem__(name, inputs[0].clone())
 
     def see_outputs(*names):
         def hook(_, __, outputs):
             outputs = outputs if isinstance(outputs, tuple) else (outputs,)
-            seen.update(zip(names, [o.clone() for o in outputs], strict=True))
+            observed.update(zip(names, [o.clone() for o in outputs], strict=True))
 
         return hook
 
@@ -66,10 +66,10 @@ def found(network, reference, cameras) -> dict[str, np.ndarray]:
     ]
     images = torch.from_numpy(reference["input/image"])
     with torch.no_grad():
-        said = network(images, cameras, near=1.0, far=100.0)
+        message = network(images, cameras, near=1.0, far=100.0)
         lifted = [
             adapter.gaussians_of(disparity, raw, camera, PUBLISHED)
-            for disparity, raw, camera in zip(said.disparity, said.raw, cameras, strict=True)
+            for disparity, raw, camera in zip(message.disparity, message.raw, cameras, strict=True)
         ]
     for hook in hooks:
         hook.remove()
@@ -77,19 +77,19 @@ def found(network, reference, cameras) -> dict[str, np.ndarray]:
     count = len(fields["means"])
     gaussians = Gaussians(
         **fields,
-        opacities=said.opacity.flatten(),
+        opacities=message.opacity.flatten(),
         source=torch.arange(count, dtype=torch.int32),
     )
     # Of 84 and 25 numbers ours leaves out those that nothing draws.
     raw = torch.full((count, 84), torch.nan)
-    raw[:, depth.kept] = said.raw.reshape(count, -1)
+    raw[:, depth.kept] = message.raw.reshape(count, -1)
     # And ours are coefficients of another basis.
     cycled = torch.from_numpy(harmonics.turned(adapter.CYCLE)).float()
     sh = torch.full((count, 3, 25), torch.nan)
     sh[..., :16] = gaussians.sh.mT @ cycled.T
-    seen |= {
-        "depths": 1 / said.disparity,
-        "densities": said.opacity,
+    observed |= {
+        "depths": 1 / message.disparity,
+        "densities": message.opacity,
         "raw_gaussians": raw,
         "scales_local": gaussians.scales,
         "means": gaussians.means,
@@ -97,12 +97,12 @@ def found(network, reference, cameras) -> dict[str, np.ndarray]:
         "harmonics": sh,
         "opacities": gaussians.opacities,
     }
-    return {name: value.numpy() for name, value in seen.items()}
+    return {name: value.numpy() for name, value in observed.items()}
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_is_the_reference(found, reference, stage):
-    ours = found[stage].ravel()[places(stage, found[stage].size)]
+def test_a_stage_is_the_reference(result, reference, stage):
+    ours = result[stage].ravel()[places(stage, result[stage].size)]
     left_out = np.isnan(ours)
     assert left_out.mean() < 0.4
     off = np.abs(ours - reference[stage])[~left_out].max()
@@ -161,16 +161,16 @@ def test_colours_from_anywhere_are_those_of_the_published_formula():
 
 def test_lifted_gaussians_have_these_colours():
     """As the renderer sees them, in float32: positions, order of channels and 0.5 included."""
-    one = camera(size=(8, 8), focal=10.0, x=0.4, y=-0.2, turn=0.5)
+    first = camera(size=(8, 8), focal=10.0, x=0.4, y=-0.2, turn=0.5)
     generator = torch.Generator().manual_seed(0)
     raw = torch.randn(8, 8, 9 + 48, generator=generator)
-    fields = adapter.gaussians_of(torch.full((8, 8), 0.5), raw, one, PUBLISHED)
+    fields = adapter.gaussians_of(torch.full((8, 8), 0.5), raw, first, PUBLISHED)
     rest = {"opacities": torch.ones(64), "source": torch.arange(64, dtype=torch.int32)}
     gaussians, eye = Gaussians(**fields, **rest), np.array([0.3, 1.0, -0.7])
-    window = replace(one, c2w=np.block([[np.eye(3), eye[:, None]], [0, 0, 0, 1]]))
+    window = replace(first, c2w=np.block([[np.eye(3), eye[:, None]], [0, 0, 0, 1]]))
     d = gaussians.means.double().numpy() - eye
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    Y = e3nn_basis(d * [-1, 1, -1] @ one.c2w[:3, :3])
+    Y = e3nn_basis(d * [-1, 1, -1] @ first.c2w[:3, :3])
     Y *= np.repeat([1, 0.025, 0.00625, 0.0015625], [1, 3, 5, 7])
     predicted = raw.double().numpy().reshape(64, 57)[:, 9:].reshape(64, 16, 3)
     published = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", Y, predicted))

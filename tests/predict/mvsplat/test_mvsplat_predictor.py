@@ -22,24 +22,24 @@ def predict(checkpoint):
 
 def pair(height: int = 64, width: int = 64, **settings: float) -> Sample:
     size = height, width
-    given = {"size": size, "focal": 80.0} | settings
-    return sample(camera(**given), camera(x=0.4, turn=-0.1, **given))
+    scene = {"size": size, "focal": 80.0} | settings
+    return sample(camera(**scene), camera(x=0.4, turn=-0.1, **scene))
 
 
-def scaled(given: Sample, factor: float) -> Sample:
-    def view(one: View) -> View:
-        c2w = one.camera.c2w.copy()
+def scaled(scene: Sample, factor: float) -> Sample:
+    def view(first: View) -> View:
+        c2w = first.camera.c2w.copy()
         c2w[:3, 3] *= factor
-        z = {n: getattr(one.camera, n) for n in ("near", "far")}
+        z = {n: getattr(first.camera, n) for n in ("near", "far")}
         z = {name: None if value is None else value * factor for name, value in z.items()}
-        return replace(one, camera=replace(one.camera, c2w=c2w, **z), depth=None)
+        return replace(first, camera=replace(first.camera, c2w=c2w, **z), depth=None)
 
-    return replace(given, context=tuple(map(view, given.context)))
+    return replace(scene, context=tuple(map(view, scene.context)))
 
 
-def distances(gaussians: Gaussians, given: Sample) -> np.ndarray:
-    H, W = given.context[0].image.shape[:2]
-    centres = np.stack([view.camera.center for view in given.context])
+def distances(gaussians: Gaussians, scene: Sample) -> np.ndarray:
+    H, W = scene.context[0].image.shape[:2]
+    centres = np.stack([view.camera.center for view in scene.context])
     mine = centres[gaussians.source.numpy() // (H * W)]
     return np.linalg.norm(gaussians.means.numpy() - mine, axis=1)
 
@@ -47,8 +47,8 @@ def distances(gaussians: Gaussians, given: Sample) -> np.ndarray:
 def test_gaussians_lie_on_the_rays_of_their_pixels(predict):
     # 70 x 90 is cropped to 64 x 80, three rows and five columns off the first; principal points
     # are off the centre.
-    given = pair(70, 90, principal=(40.0, 39.0), near=1.0, far=40.0)
-    gaussians = predict(given)
+    scene = pair(70, 90, principal=(40.0, 39.0), near=1.0, far=40.0)
+    gaussians = predict(scene)
     gaussians.check()
     assert len(gaussians) == 2 * 64 * 80
     source = gaussians.source.numpy()
@@ -56,54 +56,54 @@ def test_gaussians_lie_on_the_rays_of_their_pixels(predict):
     view, pixel = np.divmod(source, 70 * 90)
     row, column = np.divmod(pixel, 90)
     assert (row.min(), row.max(), column.min(), column.max()) == (3, 66, 5, 84)
-    for i, context in enumerate(given.context):
-        found, z = context.camera.project(gaussians.means.numpy()[view == i].astype(np.float64))
+    for i, context in enumerate(scene.context):
+        result, z = context.camera.project(gaussians.means.numpy()[view == i].astype(np.float64))
         assert (z > 0).all()
-        off = found - np.stack([column, row], 1)[view == i] - 0.5
+        off = result - np.stack([column, row], 1)[view == i] - 0.5
         assert np.abs(off).max() < 0.501
-    far = distances(gaussians, given)
+    far = distances(gaussians, scene)
     assert far.min() > 0.999
     assert far.max() < 40.001
 
 
 def test_the_crop_is_what_counts(predict):
-    given = pair(70, 90, near=1.0, far=100.0)
+    scene = pair(70, 90, near=1.0, far=100.0)
 
     def crop(view: View) -> View:
         window = view.image[3:67, 5:85]
         return View(view.name, view.camera.cropped(5, 3, 80, 64), window)
 
-    whole = predict(given)
-    cropped = predict(replace(given, context=tuple(map(crop, given.context))))
+    full = predict(scene)
+    cropped = predict(replace(scene, context=tuple(map(crop, scene.context))))
     for name in ("means", "scales", "quats", "opacities", "sh"):
-        assert torch.equal(getattr(whole, name), getattr(cropped, name))
+        assert torch.equal(getattr(full, name), getattr(cropped, name))
 
 
 @pytest.mark.parametrize("near", [None, 1.3])
 def test_gaussians_scale_with_the_scene(predict, near):
-    given = pair(96, 128, near=near)
+    scene = pair(96, 128, near=near)
     if near is None:
         # By matches, and not by the distance between the views, which is 0.4.
-        assert 1.5 < estimate_near(given.context) < 2.5
-    one, ten = predict(given), predict(scaled(given, 10.0))
+        assert 1.5 < estimate_near(scene.context) < 2.5
+    first, ten = predict(scene), predict(scaled(scene, 10.0))
     # The same numbers to rounding: matches are triangulated in float64.
-    torch.testing.assert_close(ten.means, 10 * one.means, rtol=1e-4, atol=1e-3)
-    torch.testing.assert_close(ten.scales, 10 * one.scales, rtol=1e-4, atol=0)
-    torch.testing.assert_close(ten.sh, one.sh, rtol=0, atol=1e-3)
-    torch.testing.assert_close(ten.opacities, one.opacities, rtol=0, atol=1e-4)
+    torch.testing.assert_close(ten.means, 10 * first.means, rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(ten.scales, 10 * first.scales, rtol=1e-4, atol=0)
+    torch.testing.assert_close(ten.sh, first.sh, rtol=0, atol=1e-3)
+    torch.testing.assert_close(ten.opacities, first.opacities, rtol=0, atol=1e-4)
 
 
 def test_without_matches_the_baseline_is_the_unit():
-    given = pair()
+    scene = pair()
     blank = [
         replace(view, image=np.full_like(view.image, 90 + 20 * i))
-        for i, view in enumerate(given.context)
+        for i, view in enumerate(scene.context)
     ]
     assert estimate_near(blank) == pytest.approx(0.4)
 
 
 def test_the_world_frame_does_not_matter(predict):
-    given = pair(near=1.0)
+    scene = pair(near=1.0)
     turn = np.eye(4)
     turn[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
     turn[:3, 3] = 3.0, -2.0, 5.0
@@ -111,17 +111,17 @@ def test_the_world_frame_does_not_matter(predict):
     def move(view: View) -> View:
         return replace(view, camera=replace(view.camera, c2w=turn @ view.camera.c2w))
 
-    here = predict(given)
-    there = predict(replace(given, context=tuple(map(move, given.context))))
+    here = predict(scene)
+    inside = predict(replace(scene, context=tuple(map(move, scene.context))))
     moved = here.means @ torch.from_numpy(turn[:3, :3].T).float() + torch.tensor([3.0, -2.0, 5.0])
-    torch.testing.assert_close(there.means, moved, rtol=0, atol=2e-4)
-    torch.testing.assert_close(there.scales, here.scales, rtol=1e-4, atol=1e-6)
+    torch.testing.assert_close(inside.means, moved, rtol=0, atol=2e-4)
+    torch.testing.assert_close(inside.scales, here.scales, rtol=1e-4, atol=1e-6)
 
 
 def test_three_views(predict):
     size = {"size": (64, 64), "focal": 80.0, "near": 1.0}
-    given = sample(camera(**size), camera(x=0.4, **size), camera(y=0.3, turn=0.1, **size))
-    gaussians = predict(given)
+    scene = sample(camera(**size), camera(x=0.4, **size), camera(y=0.3, turn=0.1, **size))
+    gaussians = predict(scene)
     gaussians.check()
     assert gaussians.source.tolist() == list(range(3 * 64 * 64))
 
@@ -133,9 +133,9 @@ def test_the_smallest_image(predict):
 
 
 def test_the_same_twice(predict):
-    given = pair(near=1.0)
-    for (name, one), (_, two) in zip(predict(given).items(), predict(given).items(), strict=True):
-        assert torch.equal(one, two), name
+    scene = pair(near=1.0)
+    for (name, first), (_, two) in zip(predict(scene).items(), predict(scene).items(), strict=True):
+        assert torch.equal(first, two), name
 
 
 def test_training_may_go_on_from_the_gaussians(predict):
@@ -146,13 +146,13 @@ def test_training_may_go_on_from_the_gaussians(predict):
 
 
 def test_bfloat16_is_near(predict, checkpoint):
-    given = pair(near=1.0)
-    exact = predict(given)
-    half = load_predictor("mvsplat", checkpoint=checkpoint, precision="bfloat16")(given)
+    scene = pair(near=1.0)
+    exact = predict(scene)
+    half = load_predictor("mvsplat", checkpoint=checkpoint, precision="bfloat16")(scene)
     half.check()
     assert {value.dtype for _, value in half.items()} == {torch.float32, torch.int32}
-    depth, other = distances(exact, given), distances(half, given)
-    off = np.abs(other / depth - 1)
+    depth, second = distances(exact, scene), distances(half, scene)
+    off = np.abs(second / depth - 1)
     # Measured with these weights: 0.2 % and 2 %; opacity 0.003.
     assert off.mean() < 0.01
     assert off.max() < 0.06
@@ -161,18 +161,18 @@ def test_bfloat16_is_near(predict, checkpoint):
 
 def test_fewer_candidates_are_near(predict, checkpoint):
     # With these poses a candidate moves a point by at most 0.06 pixels of the features.
-    given = pair(near=1.0)
-    exact = distances(predict(given), given)
-    auto = load_predictor("mvsplat", checkpoint=checkpoint, depth_candidates="auto")(given)
-    off = np.abs(distances(auto, given) / exact - 1)
+    scene = pair(near=1.0)
+    exact = distances(predict(scene), scene)
+    auto = load_predictor("mvsplat", checkpoint=checkpoint, depth_candidates="auto")(scene)
+    off = np.abs(distances(auto, scene) / exact - 1)
     assert 0 < off.max() < 0.02
     assert off.mean() < 0.003
 
 
 def test_it_is_drawn_as_any_gaussians_are(predict):
-    given = pair(near=1.0)
-    window = given.context[0].camera.cropped(28, 28, 8, 8)
-    render = rasterize(predict(given), None, window, backend="reference", settings="3dgs")
+    scene = pair(near=1.0)
+    window = scene.context[0].camera.cropped(28, 28, 8, 8)
+    render = rasterize(predict(scene), None, window, backend="reference", settings="3dgs")
     assert bool(torch.isfinite(render.values).all())
     assert float(render.alpha.mean()) > 0.5
 

@@ -48,26 +48,26 @@ def test_windows_are_those_of_swin(shifted, views):
     layer = transformer.Attention(16, feed_forward=False).double().requires_grad_(False)
     # Neither merges nor normalises: what comes out is the attention alone.
     layer.merge = layer.norm1 = torch.nn.Identity()
-    x, other = torch.randn(2, views, 12, 20, 16, dtype=torch.float64)
-    seen = torch.tensor([[j for j in range(views) if j != i] for i in range(views)])
+    x, second = torch.randn(2, views, 12, 20, 16, dtype=torch.float64)
+    view = torch.tensor([[j for j in range(views) if j != i] for i in range(views)])
     parts = transformer.parts(12, 20, 2, shifted, views - 1, torch.device("cpu"))
     assert len(parts) == (9 if shifted else 4)
-    found = layer(x, other, seen, parts) - x
-    q, k, v = layer.q_proj(x), layer.k_proj(other)[seen], layer.v_proj(other)[seen]
-    torch.testing.assert_close(found, swin_attention(q, k, v, 2, shifted))
+    result = layer(x, second, view, parts) - x
+    q, k, v = layer.q_proj(x), layer.k_proj(second)[view], layer.v_proj(second)[view]
+    torch.testing.assert_close(result, swin_attention(q, k, v, 2, shifted))
 
 
 def test_a_view_attends_to_all_others():
     torch.manual_seed(0)
     block = transformer.Block(16).requires_grad_(False)
     x = torch.randn(3, 4, 4, 16)
-    whole = block(x, 2, shifted=False)
+    full = block(x, 2, shifted=False)
     for changed in range(3):
-        other = x.clone()
-        other[changed] += 1
-        differs = (block(other, 2, shifted=False) - whole).abs().amax((1, 2, 3)) > 1e-4
+        second = x.clone()
+        second[changed] += 1
+        differs = (block(second, 2, shifted=False) - full).abs().amax((1, 2, 3)) > 1e-4
         assert differs.all()
-    torch.testing.assert_close(block(x[[0, 2, 1]], 2, shifted=False), whole[[0, 2, 1]])
+    torch.testing.assert_close(block(x[[0, 2, 1]], 2, shifted=False), full[[0, 2, 1]])
 
 
 RIGS = {
@@ -92,8 +92,8 @@ def plain_correlation(features, cameras, disparities):
             motion = torch.from_numpy(cameras[j].w2c @ cameras[i].c2w)
             for d, disparity in enumerate(disparities.double()):
                 points = pixels @ K_i.inverse().T / disparity @ motion[:3, :3].T + motion[:3, 3]
-                seen = points @ K_j.T
-                grid = seen[..., :2] / seen[..., 2:].clamp(min=cost_volume.MIN_DEPTH)
+                view = points @ K_j.T
+                grid = view[..., :2] / view[..., 2:].clamp(min=cost_volume.MIN_DEPTH)
                 warped = F.grid_sample(
                     features[j : j + 1].double(), (grid / size * 2 - 1)[None], align_corners=True
                 )[0]
@@ -137,11 +137,11 @@ def test_strips_leave_no_seams(network, monkeypatch):
     disparities = cost_volume.spread(1.0, 100.0, 128)
     heads = network.depth_predictor.heads
     with torch.no_grad():
-        whole = heads(images, features, detail, coarse[:, 0], disparities)
+        full = heads(images, features, detail, coarse[:, 0], disparities)
         monkeypatch.setattr("slgaussian.predict.mvsplat.depth.STRIP", 20)
         strips = heads(images, features, detail, coarse[:, 0], disparities)
-    for one, other in zip(whole, strips, strict=True):
-        torch.testing.assert_close(one, other, rtol=0, atol=5e-6)
+    for first, second in zip(full, strips, strict=True):
+        torch.testing.assert_close(first, second, rtol=0, atol=5e-6)
 
 
 def test_position_code_repeats_in_no_direction():
