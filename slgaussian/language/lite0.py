@@ -28,16 +28,16 @@ EPSILON = 1e-3
 class _Unpickler(pickle.Unpickler):
     """Reads a state dict whose tensors become (dtype, key of the storage, offset, shape, strides).
 
-    No name is looked up in a module, so nothing in the file is ever run.
+    No name is looked up in a module, so nothing in a file is ever run; KeyError for another name.
     """
 
     def find_class(self, module: str, name: str) -> Any:
         return {
-            "OrderedDict": OrderedDict,
-            "FloatStorage": np.dtype("<f4"),
-            "LongStorage": np.dtype("<i8"),
-            "_rebuild_tensor_v2": lambda storage, *layout: (*storage, *layout[:3]),
-        }[name]
+            "collections.OrderedDict": OrderedDict,
+            "torch.FloatStorage": np.dtype("<f4"),
+            "torch.LongStorage": np.dtype("<i8"),
+            "torch._utils._rebuild_tensor_v2": lambda storage, *layout: (*storage, *layout[:3]),
+        }[f"{module}.{name}"]
 
     def persistent_load(self, pid: tuple[Any, ...]) -> tuple[np.dtype[Any], str]:
         return pid[1], pid[2]
@@ -47,11 +47,11 @@ def read_weights(file: Path) -> dict[str, np.ndarray]:
     """Read the tensors of the weights' file, whose digest the caller has checked, by name."""
     with file.open("rb") as stream:
         for _ in range(3):  # magic number, version, sizes of C types
-            pickle.load(stream)
+            _Unpickler(stream).load()
         tensors = _Unpickler(stream).load()
         dtypes = {key: dtype for dtype, key, *_ in tensors.values()}
         storages = {}
-        for key in pickle.load(stream):
+        for key in _Unpickler(stream).load():
             (count,) = struct.unpack("<q", stream.read(8))
             storages[key] = stream.read(count * dtypes[key].itemsize)
     return {

@@ -8,9 +8,9 @@ from flows.runners.progress import Progress
 from slgaussian.storage.store import ArtifactStore
 
 
-def tiny(value: int, extra: int, log: Path, sleep: float = 0.0, **mask: str) -> tuple:
+def tiny(value: int, extra: int, log: Path, sleep: float = 0.0, **where: str) -> tuple:
     """What the pipeline of a scene is called with; :func:`tiny_stages.note` reads ``where``."""
-    return value, extra, {"log": str(log), "sleep": str(sleep), **mask}
+    return value, extra, {"log": str(log), "sleep": str(sleep), **where}
 
 
 def run_tiny(

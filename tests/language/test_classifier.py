@@ -1,3 +1,5 @@
+import pickle
+
 import cv2
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from torch.nn import functional as F
 
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
-from slgaussian.language import classifier, weights
+from slgaussian.language import classifier, lite0, weights
 from slgaussian.language.class_evidence import STEP, evidence, quantised
 from slgaussian.language.nouns import noun_classes
 
@@ -158,6 +160,13 @@ def test_refuses_other_weights(tmp_path):
     (tmp_path / "weights.pth").write_bytes(b"others")
     with pytest.raises(InputError, match=r"is not the file of .* install it again"):
         classifier.Classifier(tmp_path / "weights.pth")
+
+
+def test_weights_that_name_code_run_nothing(tmp_path):
+    file = tmp_path / "weights.pth"
+    file.write_bytes(pickle.dumps(cv2.imread))
+    with pytest.raises(KeyError, match="imread"):
+        lite0.read_weights(file)
 
 
 @pytest.mark.parametrize(
