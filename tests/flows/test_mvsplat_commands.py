@@ -51,11 +51,10 @@ def field_words(photos: Path, *words) -> list:
     return ["field", *pair, "--cameras", photos, "--set", "near=0.8", *words]
 
 
-def test_field_with_a_checkpoint(photos, checkpoint, digest, tmp_path, monkeypatch, capsys):
+def test_field_with_a_checkpoint(photos, checkpoint, digest, tmp_path, monkeypatch):
     inputs = ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={checkpoint}"]
     inputs += ["--set", "mvsplat.depth_candidates=auto", "-o", tmp_path / "field"]
     assert run(monkeypatch, *field_words(photos, *inputs)) == 0
-    assert "with mvsplat, regions, geometric" in capsys.readouterr().err
     field = SemanticField.load(tmp_path / "field")
     assert field.settings["predictor"] == "mvsplat"
     local = {"checkpoint": digest, "precision": "float32", "depth_candidates": "auto"}
