@@ -57,7 +57,7 @@ class Parted:
     held_out: pa.Table
 
     def counts(self) -> dict[str, int]:
-        """How many lessons and clips each has."""
+        """Count the lessons and clips of each."""
         return {
             f"{name} {kind}": count
             for name, table in vars(self).items()
@@ -70,7 +70,7 @@ class Parted:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """What a training made: weights as a safetensors file, its course, how they were judged.
+    """Result of a training: weights as a safetensors file, its course, and judgements.
 
     ``outcome`` has all artifacts.
     """
@@ -188,15 +188,15 @@ def parted(lessons: pa.Table, share: float) -> Parted:
     for row in rows:
         sides[held_out(row["clip"], share)].append(row)
     parts = [pa.Table.from_pylist(sides[side], schema=schema) for side in (False, True)]
-    made = Parted(*parts)
-    counts = made.counts()
+    result = Parted(*parts)
+    counts = result.counts()
     if not all(counts.values()):
         raise InputError(
             f"held_out {share:g}: found {counts['learnt clips']} clips with lessons to learn from "
             f"and {counts['held_out clips']} to judge by, expected one of each at least; give more "
             "clips, or another share"
         )
-    return made
+    return result
 
 
 def train_on(
@@ -244,26 +244,26 @@ def train_on(
     }
     learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
     checkpoints = home_of(store).parent / "checkpoints"
-    asked = learnt, held_out, began, before, settings, manifest, checkpoints
-    task = SceneTask("branch", learn_and_judge, asked)
+    arguments = learnt, held_out, began, before, settings, manifest, checkpoints
+    task = SceneTask("branch", learn_and_judge, arguments)
     with _TrainingProgress(1, len(STAGES), verbose=verbose) as progress:
-        made, failure = compute_scene(task, store, 1, progress.update)
+        artifacts, failure = compute_scene(task, store, 1, progress.update)
     progress.summary()
     if failure is not None:
         raise InputError(failure.reason)
-    course = ArtifactRef("metrics", **made["train"].meta["metrics"])
-    metrics, judgements = store.get(course), store.get(made["judge"])
-    about = {
+    course = ArtifactRef("metrics", **artifacts["train"].meta["metrics"])
+    metrics, judgements = store.get(course), store.get(artifacts["judge"])
+    statement = {
         "data": {"lessons": learnt.digest, "held_out": held_out.digest, "card": card},
         **manifest,
         "metrics": _metrics(metrics, judgements),
     }
     return Trained(
-        save_branch(branch_from_arrays(store.get(made["train"])), about),
+        save_branch(branch_from_arrays(store.get(artifacts["train"])), statement),
         metrics,
         judgements,
-        store.get(made["training_report"])["html"].tobytes(),
-        Outcome({"branch": made}),
+        store.get(artifacts["training_report"])["html"].tobytes(),
+        Outcome({"branch": artifacts}),
     )
 
 
@@ -296,10 +296,10 @@ def learn_and_judge(
     checkpoints: Path,
 ) -> None:
     """Learn, be judged on what was held out, and report: the stages of a training."""
-    asked = settings.codes, settings.seed
+    arguments = settings.codes, settings.seed
     branch = train_stage(learnt, start, settings, checkpoints)
-    judgements = judge(held_out, branch, before, *asked)
-    training_report(judgements, held_out, branch, *asked, manifest)
+    judgements = judge(held_out, branch, before, *arguments)
+    training_report(judgements, held_out, branch, *arguments, manifest)
 
 
 class _TrainingProgress(Progress):

@@ -117,19 +117,19 @@ def judge(
 ) -> ArtifactRef:
     """Scores of the branch, of the weights ``before`` it and of controls: spec ``judgements``."""
     store = run.store
-    shown = StoredLessons(store, store.get(lessons))
+    stored = StoredLessons(store, store.get(lessons))
     lifts = liftings(store, branch, before)
     rows: list[dict[str, Any]] = []
-    for index, (clip, lesson) in enumerate(zip(shown.clips, shown, strict=True)):
-        run.report(f"lesson {index + 1} of {len(shown)}")
+    for index, (clip, lesson) in enumerate(zip(stored.clips, stored, strict=True)):
+        run.report(f"lesson {index + 1} of {len(stored)}")
         for kind in LABELS:
             labels = labels_of(lesson, kind, seed)
             for name, iou in label_iou(lesson, lifts, labels, codes, seed).items():
-                known = None if math.isnan(iou) else iou
+                judged = None if math.isnan(iou) else iou
                 row = {"sample": lesson.sample, "clip": clip, "labels": kind, "lifting": name}
-                rows.append({**row, "iou": known})
+                rows.append({**row, "iou": judged})
     table = pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
-    return store.put("judgements", table, {"lessons": len(shown)})
+    return store.put("judgements", table, {"lessons": len(stored)})
 
 
 def liftings(
@@ -191,21 +191,21 @@ def _examples(
     """The lessons of the greatest, middle and least gain over no branch."""
     ious: dict[str, dict[str, float]] = {}
     for row in judgements.to_pylist():
-        own = ious.setdefault(row["sample"], {})
+        by_object = ious.setdefault(row["sample"], {})
         if row["labels"] == SHOWN and row["iou"] is not None:
-            own[row["lifting"]] = row["iou"]
+            by_object[row["lifting"]] = row["iou"]
     places = {sample: index for index, sample in enumerate(ious)}
-    known = [sample for sample, own in ious.items() if own]
-    known.sort(key=lambda sample: (ious[sample]["hard"] - ious[sample]["branch"], sample))
-    chosen = dict.fromkeys(known[i] for i in (0, len(known) // 2, -1)) if known else {}
+    judged = [sample for sample, by_object in ious.items() if by_object]
+    judged.sort(key=lambda sample: (ious[sample]["hard"] - ious[sample]["branch"], sample))
+    chosen = dict.fromkeys(judged[i] for i in (0, len(judged) // 2, -1)) if judged else {}
     lifts = {name: lift for name, lift in lifts.items() if name in ("hard", "branch")}
-    made = []
+    drawn_lessons = []
     for sample in chosen:
         lesson = lessons[places[sample]]
         labels = labels_of(lesson, SHOWN, seed)
         predicted = novel_labels(lesson, lifts, labels, codes, seed)
         middle = len(lesson.targets) // 2
-        made.append(
+        drawn_lessons.append(
             Example(
                 sample,
                 SHOWN,
@@ -215,7 +215,7 @@ def _examples(
                 ious[sample],
             )
         )
-    return made
+    return drawn_lessons
 
 
 def read_set(folder: Path, split: str, store: ArtifactStore) -> pa.Table:
@@ -254,10 +254,10 @@ def lesson_of(samples: TrainingSet, index: int) -> Lesson:
             geometry["K"], geometry["c2w"], geometry["near_far"].tolist(), strict=True
         )
     )
-    kept = {name: torch.from_numpy(gaussians[name]) for name in GEOMETRY}
+    tensors = {name: torch.from_numpy(gaussians[name]) for name in GEOMETRY}
     return Lesson(
         samples.rows["sample"][index].as_py(),
-        Gaussians(**kept, sh=torch.zeros(len(kept["means"]), 0, 3)),
+        Gaussians(**tensors, sh=torch.zeros(len(tensors["means"]), 0, 3)),
         labels["labels"][:count],
         cameras[count:],
         labels["labels"][count:],

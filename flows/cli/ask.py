@@ -68,16 +68,18 @@ def query(
     answers, rows = [], []
     cameras = choose_cameras(field, opened.cameras, view, camera, between)
     for name, shot in cameras.items():
-        seen = render_view(field, opened, shot)
-        results = seen.query_all(accepted, **rules) if accepted else []
-        results += [replace(seen.like(*crop, **rules), text=file) for file, crop in crops.items()]
+        rendered = render_view(field, opened, shot)
+        results = rendered.query_all(accepted, **rules) if accepted else []
+        results += [
+            replace(rendered.like(*crop, **rules), text=file) for file, crop in crops.items()
+        ]
         hits = {hit.text: hit for hit in results}
         for text in [*texts, *crops]:
             answer = _answer(text, hits.get(text), refused.get(text))
             picture = None if out is None else str(out)
             answers.append({"view": name, **answer, "picture": picture})
         if out is not None:
-            rows += [_hit_picture(name, seen, hit) for hit in hits.values()]
+            rows += [_hit_picture(name, rendered, hit) for hit in hits.values()]
     if out is not None:
         write_picture(out, *rows)
     if as_json:
@@ -153,10 +155,13 @@ def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
     lines.append(answer["summary"])
     if answer["objects"]:
         best = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"][:BEST])
-        more = f" and {len(answer['objects']) - BEST} more" if answer["objects"][BEST:] else ""
+        others_note = (
+            f" and {len(answer['objects']) - BEST} more" if answer["objects"][BEST:] else ""
+        )
         if answer["point"]:
             lines.append(
-                f"objects  {best}{more}; point x {answer['point'][0]}, y {answer['point'][1]}"
+                f"objects  {best}{others_note}; point x {answer['point'][0]}, "
+                f"y {answer['point'][1]}"
             )
         else:
             lines.append(f"most like it  {best}")
@@ -177,7 +182,7 @@ def _describe_words(answer: Mapping[str, Any]) -> Sequence[str]:
     if answer["unknown"]:
         lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
     for reason in dict.fromkeys(answer["unused"].values()):
-        unused = [word for word, other in answer["unused"].items() if other == reason]
+        unused = [word for word, cause in answer["unused"].items() if cause == reason]
         lines.append(f"set aside: {', '.join(unused)} ({reason})")
     return [*lines, f"so this looked for: {answer['read_as']}"] if lines else []
 
@@ -253,11 +258,11 @@ def segment(
     accepted, refused = opening.sort_texts(opened, texts)
     chosen = opening.choose_cameras(field, opened.cameras, view and [view], camera, between)
     ((name, shot),) = chosen.items()
-    seen = opening.render_view(field, opened, shot)
-    hits = seen.query_all(accepted, **rules)
+    rendered = opening.render_view(field, opened, shot)
+    hits = rendered.query_all(accepted, **rules)
     # A text has the label of its place among all texts, from 1.
     numbers = [texts.index(text) + 1 for text in accepted]
-    labels = np.array([0, *numbers], np.int32)[seen.segment(accepted, **rules)]
+    labels = np.array([0, *numbers], np.int32)[rendered.segment(accepted, **rules)]
     best = np.stack([hit.relevancy for hit in hits]).max(0)
     pixels = np.bincount(labels.ravel(), minlength=len(texts) + 1)
     total = np.bincount(labels.ravel(), best.ravel(), minlength=len(texts) + 1)
@@ -268,14 +273,14 @@ def segment(
             "share": pixels[label] / labels.size,
             "relevancy": total[label] / pixels[label] if pixels[label] else None,
             "verdict": verdict,
-            "objects": [int(id_) for id_ in np.unique(seen.ids[labels == label]) if id_],
+            "objects": [int(id_) for id_ in np.unique(rendered.ids[labels == label]) if id_],
         }
         for label, verdict in zip(
             [*numbers, 0], [*(hit.verdict for hit in hits), None], strict=True
         )
     ]
     if out is not None:
-        write_picture(out, _labels_picture(name, seen, labels, rows))
+        write_picture(out, _labels_picture(name, rendered, labels, rows))
         write_file(out.with_suffix(".ids.png"), encode_ids(labels)[1])
     lines = [("label", "text", "pixels", "relevancy", "verdict", "objects"), *map(_cells, rows)]
     rows += [{"text": text, "refused": reason} for text, reason in refused.items()]

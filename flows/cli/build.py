@@ -107,7 +107,7 @@ def field(
     lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
     if verbose:
         lines += [quality.summary(), *FieldStatistics(**built.settings["account"]).lines()]
-        steps = ", ".join(f"{step} {taken:.2f}" for step, taken in seconds.items())
+        steps = ", ".join(f"{step} {spent:.2f}" for step, spent in seconds.items())
         lines.append(f"seconds: {steps}")
     lines.append(quality.verdict().sentence())
     if built.settings["encoder"] == "lexicon" and find_weights() is None:
@@ -175,9 +175,9 @@ def cameras(
         nerfstudio.write(out, files, estimate)
         turned = [name for name, file in files.items() if unposed.is_turned(file)]
         if turned:
-            more = f" and {len(turned) - 1} more" if turned[1:] else ""
+            rest = f" and {len(turned) - 1} more" if turned[1:] else ""
             typer.echo(
-                f"warning: {turned[0]}{more} are stored turned, and the cameras are those of "
+                f"warning: {turned[0]}{rest} are stored turned, and the cameras are those of "
                 "upright photographs: for programs that do not turn them, save upright copies",
                 err=True,
             )
@@ -264,10 +264,10 @@ def masks(
             rows.append((view.name, files[view.name], str((areas > 0).sum()), labelled))
         look = pictures.side_by_side(panels)
         (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
-        about: dict[str, Any] = {c.kind: c.name for c in components}
-        about |= {"replicas": method.replicas, "votes": method.votes}
-        about |= {c.name: c.identity() for c in components if c.settings}
-        text = {"size": [height, width], "views": files, "settings": about}
+        identities: dict[str, Any] = {c.kind: c.name for c in components}
+        identities |= {"replicas": method.replicas, "votes": method.votes}
+        identities |= {c.name: c.identity() for c in components if c.settings}
+        text = {"size": [height, width], "views": files, "settings": identities}
         (draft / MASKS).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
     typer.echo(table_text(rows, "<<"))
     shared = len(maps.ids) - len(maps.seen_once)

@@ -199,11 +199,11 @@ def remove(
     rules, opened = open_field(field, options.settings_from(ctx, Method), words)
     hits = {text: find_objects(opened, text, rules) for text in texts}
     labels, removed = opened.labels(), set[int]()
-    for text, meant in hits.items():
-        ids = {id_ for id_, _ in meant} - removed
+    for text, objects_hit in hits.items():
+        ids = {id_ for id_, _ in objects_hit} - removed
         removed |= ids
         count = int(np.isin(labels, list(ids)).sum())
-        meaning = f"objects {_listed(meant)}" if meant else "nothing found"
+        meaning = f"objects {_listed(objects_hit)}" if objects_hit else "nothing found"
         typer.echo(f"{text!r}: {meaning}, {count:,} Gaussians")
     if removed:
         opened.without(removed).dropped().save(out)
@@ -259,17 +259,17 @@ def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> H
     from slgaussian.language.objectmap import ObjectMap
     from slgaussian.language.query import Rules, ask
 
-    there = {int(id_) for id_ in field.bank.ids} - field.removed
+    present = {int(id_) for id_ in field.bank.ids} - field.removed
     if text.strip().isdecimal():
-        if int(text) not in there:
+        if int(text) not in present:
             raise InputError(
                 f"{text!r}: is no object of the field; `slgaussian objects list` has them"
             )
         return ((int(text), 1.0),)
     labels = field.labels()
     labels = np.where(np.isin(labels, list(field.removed)), 0, labels)
-    seen = ObjectMap(labels[None], field.bank.ids)
-    (answer,) = ask([text], seen, field.reader, Rules(**rules))
+    object_map = ObjectMap(labels[None], field.bank.ids)
+    (answer,) = ask([text], object_map, field.reader, Rules(**rules))
     return field.find(text, **rules) if answer.shown else ()
 
 
@@ -306,10 +306,10 @@ def _sure_words(
     """Return the words with which a query in a context view finds each object, surest first."""
     from slgaussian.objects import words_for
 
-    asked = list(dict.fromkeys([*field.taught, *(texts or words_for(field.encoder))]))
+    candidate_texts = list(dict.fromkeys([*field.taught, *(texts or words_for(field.encoder))]))
     surest: dict[tuple[int, str], float] = {}
     for camera in list(field.cameras.values())[:SURE_VIEWS]:
-        for hit in field.render(camera).query_all(asked, **rules):
+        for hit in field.render(camera).query_all(candidate_texts, **rules):
             if hit.found:
                 mask = 1.0 if hit.confidence is None else hit.confidence.mask
                 surest |= {

@@ -59,9 +59,9 @@ def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
         values = names_of(name) + ((AUTO,) if name == "encoder" else ())
         text = f"{', '.join(values[:-1])} or {values[-1]}."
     if not field.is_required() and field.default not in (None, False, []):
-        shown = field.default
-        shown = "x".join(map(str, shown)) if isinstance(shown, tuple) else shown
-        text += f" [default: {shown}]"
+        value = field.default
+        value = "x".join(map(str, value)) if isinstance(value, tuple) else value
+        text += f" [default: {value}]"
     return typer.Option(
         f"--{name.replace('_', '-')}",
         metavar=None if field.annotation is bool else f"<{name}>",

@@ -75,8 +75,8 @@ def load_photographs(
             names = _keyframes(names, looks, keyframes, [scene.cameras[name] for name in names])
         files = {name: dict(views)[name] for name in names}
         if refine:
-            there = {name: file for name, file in files.items() if file.is_file()}
-            scene, estimate = unposed.refined(scene, names, there)
+            existing = {name: file for name, file in files.items() if file.is_file()}
+            scene, estimate = unposed.refined(scene, names, existing)
             _print_cameras(estimate, verbose)
             names = list(scene.cameras)
     places = {n: str(file.absolute()) if file.is_file() else n for n, file in files.items()}
@@ -102,8 +102,8 @@ def _print_cameras(estimate: EstimatedCameras, verbose: bool) -> None:
 def print_warnings(warnings: Sequence[str], verbose: bool) -> None:
     """Print warnings: all, or else the first and how many there are more."""
     for warning in warnings if verbose else warnings[:1]:
-        more = f" (and {len(warnings) - 1} more, with -v)" if warnings[1:] else ""
-        print(f"warning: {warning}{'' if verbose else more}", file=sys.stderr)
+        rest = f" (and {len(warnings) - 1} more, with -v)" if warnings[1:] else ""
+        print(f"warning: {warning}{'' if verbose else rest}", file=sys.stderr)
 
 
 def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[str, Path]]:

@@ -92,12 +92,12 @@ def render(
     film = orbit is not None or path is not None
     check_picture(out, FILMS if film else PICTURES)
     ways = {"--orbit": orbit, "--path": path, "--view": view, "--between": between}
-    given = [name for name, value in ways.items() if value]
-    if film and given[1:]:
-        raise InputError(f"{given[0]}: is a way to look of its own; leave out {given[1]}")
+    chosen = [name for name, value in ways.items() if value]
+    if film and chosen[1:]:
+        raise InputError(f"{chosen[0]}: is a way to look of its own; leave out {chosen[1]}")
     for name, file, kinds in (("--depth", depth, WRITTEN), ("--ids", ids, (".png",))):
         if file is not None and (film or len(view or ()) > 1):
-            raise InputError(f"{name}: is of one view; leave out {given[0]}, or name one view")
+            raise InputError(f"{name}: is of one view; leave out {chosen[0]}, or name one view")
         if file is not None:
             check_picture(file, kinds)
     if depth is not None and depth.suffix.lower() == ".exr":
@@ -153,23 +153,23 @@ def _draw_panels(see: Callable[[str], Shot], names: Sequence[str]) -> Iterator[n
     for name in names:
         rgb, depth, ids = see(name)
         painted = pictures.paint_depth(depth, near, far)
-        shown = [
+        panels = [
             (f"rendering, {name}", rgb),
             ("depth, scene units", pictures.with_depth_scale(painted, near, far)),
         ]
         if ids is not None:
-            shown.append(("objects", pictures.paint_labels(ids, rgb)))
-        yield pictures.side_by_side(shown)
+            panels.append(("objects", pictures.paint_labels(ids, rgb)))
+        yield pictures.side_by_side(panels)
 
 
 def _look_at_field(field: SemanticField, codes: bool, camera: Camera) -> Shot:
     import numpy as np
 
-    seen, rgb = field.render(camera), np.zeros((camera.height, camera.width, 3), np.uint8)
+    rendered, rgb = field.render(camera), np.zeros((camera.height, camera.width, 3), np.uint8)
     if codes:
         drawn = np.rint(field.render_codes(camera).clip(0, 1) * 255)
         rgb[..., : drawn.shape[-1]] = drawn
-    return Shot(rgb if codes else seen.rgb, seen.depth, seen.ids)
+    return Shot(rgb if codes else rendered.rgb, rendered.depth, rendered.ids)
 
 
 def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
@@ -179,8 +179,8 @@ def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
     from slgaussian.labels import VISIBLE
     from slgaussian.rasterize.picture import picture, seen_colors
 
-    seen = picture(gaussians, seen_colors(gaussians, camera), camera)
-    visible = seen.alpha >= VISIBLE
+    rendered = picture(gaussians, seen_colors(gaussians, camera), camera)
+    visible = rendered.alpha >= VISIBLE
     if not visible.any():
         middle = ", ".join(f"{x:.3g}" for x in gaussians.means.median(0).values.tolist())
         typer.echo(
@@ -190,8 +190,8 @@ def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
             err=True,
         )
     # Over black, as such files are trained; where little is seen, the mean depth means nothing.
-    rgb = np.rint(seen.values.clip(0, 1) * 255).astype(np.uint8)
-    return Shot(rgb, np.where(visible, seen.depth, 0), None)
+    rgb = np.rint(rendered.values.clip(0, 1) * 255).astype(np.uint8)
+    return Shot(rgb, np.where(visible, rendered.depth, 0), None)
 
 
 @options.configured()

@@ -16,11 +16,11 @@ def table_text(rows: Iterable[Sequence[str]], sides: str = "<") -> str:
     ``sides`` has ``<`` (left) or ``>`` (right) for each column; those that it does not name are to
     the right.
     """
-    header, *others = rows
+    header, *body = rows
     table = Table(box=None, pad_edge=False)
     for title, side in zip(header, sides.ljust(len(header), ">"), strict=True):
         table.add_column(title, justify="left" if side == "<" else "right")
-    for cells in others:
+    for cells in body:
         table.add_row(*cells)
     width = None if sys.stdout.isatty() else UNBOUNDED
     console = Console(width=width, markup=False, emoji=False, highlight=False)
