@@ -198,11 +198,11 @@ def test_an_artifact_that_is_damaged_while_a_run_is_on_is_made_again_and_counted
     log, halved = tmp_path / "log", tiny_stages.halve.compute
     spoilt = []
 
-    def spoil(run, output, mask):
+    def spoil(run, output, where):
         if not spoilt:
             spoilt.append(output.uri)
             (Path(store.path) / output.uri).write_bytes(b"spoilt")
-        return halved(run, output, mask)
+        return halved(run, output, where)
 
     monkeypatch.setattr(tiny_stages.halve, "compute", spoil)
     report = Progress(1, 3, stream=io.StringIO())
@@ -219,9 +219,9 @@ def test_what_is_damaged_again_and_again_fails_the_scene(store, tmp_path, monkey
 
     halved = tiny_stages.halve.compute
 
-    def spoil(run, output, mask):
+    def spoil(run, output, where):
         (Path(store.path) / output.uri).write_bytes(b"spoilt")
-        return halved(run, output, mask)
+        return halved(run, output, where)
 
     monkeypatch.setattr(tiny_stages.halve, "compute", spoil)
     outcome = run_tiny(store, {"a": tiny(6, 1, tmp_path / "log")})

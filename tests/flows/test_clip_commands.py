@@ -207,7 +207,7 @@ def test_a_model_that_changes_during_a_run_is_refused(model, tmp_path):
     context, method = RunContext(store), Method(codes="grid")
     sample = store.put("sample", sample_to_arrays(room_sample()))
     base = geometry.compute(context, sample, method.predictor, 0)
-    ids = masks.compute(context, sample, base, method.proposer, method.tracker, 1)
+    ids = masks.compute(context, sample, base, method.proposer, method.tracker, 1, "views")
     local = {"encoder": "clip", "clip": {"model": model_digest(model)}}
 
     def remembered(place):

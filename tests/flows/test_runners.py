@@ -68,12 +68,12 @@ def refs_of(store: ArtifactStore) -> dict[str, dict]:
     return {name: [ref["spec"], ref["uri"], ref["digest"]] for name, ref in read.items()}
 
 
-def plans_of(folder: Path, **mask: str) -> dict:
+def plans_of(folder: Path, **where: str) -> dict:
     log = folder / "log"
     return {
         "a": tiny(6, 1, log),
         "bad": tiny(-1, 1, log),
-        "mortal": tiny(20, 1, log, **mask),
+        "mortal": tiny(20, 1, log, **where),
         "defect": tiny(666, 1, log),
         "b": tiny(30, 2, log),
     }

@@ -102,7 +102,7 @@ def test_a_model_that_changes_during_a_run_is_refused(folders, tmp_path):
 
     def labelled(place):
         proposer = Component.stored("proposer", local, {"model": str(place)})
-        return masks.compute(context, sample, base, proposer, method.tracker, 1)
+        return masks.compute(context, sample, base, proposer, method.tracker, 1, "views")
 
     assert labelled(folders["sam"]).meta["objects"] >= 1
     second = shutil.copytree(folders["sam"], tmp_path / "other")

@@ -51,14 +51,14 @@ def test_the_folder_is_known_by_its_content_and_refused_if_it_changes(ids, tmp_p
     context = RunContext(store)
     sample = store.put("sample", sample_to_arrays(room_sample()))
     base = geometry.compute(context, sample, method.predictor, 0)
-    output = masks.compute(context, sample, base, method.proposer, method.tracker, 5)
+    output = masks.compute(context, sample, base, method.proposer, method.tracker, 5, "views")
     labels = store.get(output)["labels"]
     np.testing.assert_array_equal(labels, [view.instances for view in room_sample().context])
     np.save(ids / "view_00.npy", np.zeros((64, 64), np.int32))
     with pytest.raises(InputError, match="was changed after the run had begun"):
-        masks.compute(context, sample, base, method.proposer, method.tracker, 5)
+        masks.compute(context, sample, base, method.proposer, method.tracker, 5, "views")
     rerun = Component.of("tracker", "precomputed", {"folder": ids})
-    output = masks.compute(context, sample, base, method.proposer, rerun, 5)
+    output = masks.compute(context, sample, base, method.proposer, rerun, 5, "views")
     assert output.meta["objects"] > 0
 
 

@@ -18,22 +18,22 @@ def labels(value: int) -> dict[str, np.ndarray]:
     return {"labels": full, "margin": np.zeros((1, 4, 5), np.float32)}
 
 
-def note(run: RunContext, mask: dict[str, str]) -> None:
+def note(run: RunContext, where: dict[str, str]) -> None:
     """One line in the log for every real execution, which is the last if the call is deadly."""
-    if "log" in mask:
-        with Path(mask["log"]).open("a") as log:
+    if "log" in where:
+        with Path(where["log"]).open("a") as log:
             log.write(f"{run.scene} {run.stage}\n")
-    if mask.get("deadly") == run.stage:
+    if where.get("deadly") == run.stage:
         os.kill(os.getpid(), signal.SIGKILL)
-    if "deadly once" in mask and not Path(mask["deadly once"]).exists():
-        Path(mask["deadly once"]).touch()
+    if "deadly once" in where and not Path(where["deadly once"]).exists():
+        Path(where["deadly once"]).touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    time.sleep(float(mask.get("sleep", 0)))
+    time.sleep(float(where.get("sleep", 0)))
 
 
 @stage("make", version=1, unkeyed=("where",))
-def make(run: RunContext, value: int, mask: dict[str, str]) -> ArtifactRef:
-    note(run, mask)
+def make(run: RunContext, value: int, where: dict[str, str]) -> ArtifactRef:
+    note(run, where)
     if value < 0:
         raise InputError(f"value {value}: expected a positive number")
     if value == 666:
@@ -44,21 +44,21 @@ def make(run: RunContext, value: int, mask: dict[str, str]) -> ArtifactRef:
 
 
 @stage("halve", version=1, unkeyed=("where",))
-def halve(run: RunContext, output: ArtifactRef, mask: dict[str, str]) -> ArtifactRef:
+def halve(run: RunContext, output: ArtifactRef, where: dict[str, str]) -> ArtifactRef:
     """Half, rounded down: 4 and 5 give the same."""
-    note(run, mask)
+    note(run, where)
     value = int(run.store.get(output)["labels"].max())
     return run.store.put("labels", labels(value // 2))
 
 
 @stage("add", version=1, unkeyed=("where",))
-def add(run: RunContext, half: ArtifactRef, extra: int, mask: dict[str, str]) -> ArtifactRef:
-    note(run, mask)
+def add(run: RunContext, half: ArtifactRef, extra: int, where: dict[str, str]) -> ArtifactRef:
+    note(run, where)
     value = int(run.store.get(half)["labels"].max())
     return run.store.put("labels", labels(value + extra))
 
 
-def tiny_pipeline(value: int, extra: int, mask: dict[str, str]) -> None:
-    output = make(value, mask)
-    half = halve(output, mask)
-    add(half, extra, mask)
+def tiny_pipeline(value: int, extra: int, where: dict[str, str]) -> None:
+    output = make(value, where)
+    half = halve(output, where)
+    add(half, extra, where)
