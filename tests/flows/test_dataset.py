@@ -292,7 +292,7 @@ def test_the_branch_is_trained_on_a_set_and_its_weights_say_so(output, tmp_path)
     calls = report["settings"]
     assert (calls["batch"], calls["architecture"]["widths"]) == (2, [4, 8])
     result = report["metrics"]["held out iou"]["as found"]
-    assert set(result) == {"hard", "filled", "identity", "branch"}
+    assert set(result) == {"hard", "filled", "branch"}
     rows = trained.judgements.to_pylist()
     assert {row["clip"] for row in rows} == {"https://video/0", "https://video/1"}
     ious = [r["iou"] for r in rows if (r["labels"], r["lifting"]) == ("as found", "filled")]
