@@ -163,7 +163,7 @@ def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
                 f"objects  {best}{others_note}; point x {answer['point'][0]}, "
                 f"y {answer['point'][1]}"
             )
-        else:
+        elif answer["read_as"]:
             lines.append(f"most like it  {best}")
     return "\n".join([*lines, *_describe_words(answer)])
 
@@ -184,7 +184,9 @@ def _describe_words(answer: Mapping[str, Any]) -> Sequence[str]:
     for reason in dict.fromkeys(answer["unused"].values()):
         unused = [word for word, cause in answer["unused"].items() if cause == reason]
         lines.append(f"set aside: {', '.join(unused)} ({reason})")
-    return [*lines, f"so this looked for: {answer['read_as']}"] if lines else []
+    if lines and answer["read_as"]:
+        lines.append(f"so this looked for: {answer['read_as']}")
+    return lines
 
 
 def _read_crop(file: Path) -> tuple[np.ndarray, np.ndarray | None]:

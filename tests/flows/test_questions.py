@@ -93,6 +93,9 @@ def test_which_words_count_is_said(field, ask, monkeypatch, capsys):
     assert "so this looked for: red wall" in printed
     assert run(monkeypatch, "query", field, "red wall") in (0, 3)
     assert "looked for" not in capsys.readouterr().out
+    assert run(monkeypatch, "query", field, "quixotic") == 3
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(":")[0] for line in lines] == ["cannot tell", "not known and left out"]
 
 
 @pytest.mark.parametrize(
