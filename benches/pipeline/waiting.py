@@ -150,7 +150,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         field = ("field", *photos, "--cameras", cameras, "-o", f"{place}/{{}}")
         in_turn(field, folders, 0)  # something to ask
-        query = ("query", f"{place}/{{}}", "chair")
+        query = ("query", f"{place}/{{}}", "blue carpet")
         commands = {
             "field, a pair": field,
             "field, no cameras": ("field", *photos, "-o", f"{place}/no-cameras-{{}}"),
