@@ -223,8 +223,8 @@ class SemanticField:
 
     def describe(self, texts: Sequence[str], **rules: Any) -> list[Description]:
         """Describe the scene: every object with the best of ``texts``, whatever the view."""
-        found = describe(texts, self.reader, Rules(**rules))
-        return [one for one in found if one.id not in self.removed]
+        descriptions = describe(texts, self.reader, Rules(**rules))
+        return [description for description in descriptions if description.id not in self.removed]
 
     def find(self, text: str, **rules: Any) -> tuple[tuple[int, float], ...]:
         """The objects that ``text`` describes, whatever the view: (id, relevancy), best first.
@@ -423,8 +423,8 @@ class SemanticField:
 
     def like_object(self, object_id: int) -> tuple[tuple[int, float], ...]:
         """Rank all other objects by likeness to an object: (id, relevancy), as :meth:`like`."""
-        found = self._ranked(*self.object_words(object_id))
-        return tuple(one for one in found if one[0] != object_id)
+        ranked = self._ranked(*self.object_words(object_id))
+        return tuple(match for match in ranked if match[0] != object_id)
 
     def picture_words(
         self, image: np.ndarray, mask: np.ndarray | None = None

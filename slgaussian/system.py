@@ -1,4 +1,4 @@
-"""What is not the same on Linux, macOS and Windows, in one place."""
+"""Differences between Linux, macOS and Windows, in one place."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 HANDS_OVER_SOCKETS = sys.platform != "win32"
-"""Whether a process can start another with an open socket of its own."""
+"""True where a process can start another with an open socket of its own."""
 
 
 def cores() -> int:
@@ -24,7 +24,7 @@ def cores() -> int:
 
 
 def processor() -> str:
-    """Return what the processor calls itself."""
+    """Return the name of the processor."""
     with suppress(OSError):  # not Linux
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):
@@ -33,15 +33,15 @@ def processor() -> str:
 
 
 def user() -> str:
-    """Return the name of who runs this, or a number without a name, as in a container."""
+    """Return the name of the user, or the number where there is no name, as in a container."""
     try:
         return getpass.getuser()
     except (ImportError, KeyError, OSError):
         return str(os.getuid()) if hasattr(os, "getuid") else "unknown"
 
 
-def held(name: str) -> int:
-    """Return the bytes that /proc/self/status says of ``VmRSS`` (now), ``VmHWM`` (most) or another.
+def memory_status(name: str) -> int:
+    """Return bytes by /proc/self/status: ``VmRSS`` (resident), ``VmHWM`` (its peak) or another.
 
     Not ``getrusage``, whose peak a process has from the one that started it. OSError where there is
     no such file, as on all systems but Linux.
@@ -53,7 +53,7 @@ def held(name: str) -> int:
 
 
 def forget_peak() -> None:
-    """Let ``VmHWM`` begin with what is held now; OSError where there is none."""
+    """Reset ``VmHWM`` to the resident memory of now; OSError where there is none."""
     Path("/proc/self/clear_refs").write_text("5")
 
 

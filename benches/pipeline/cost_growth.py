@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from benches.common.harness import parser, publish, table
+from slgaussian import system
 from slgaussian.benchmark import resident_memory
 
 RANGES: Mapping[str, tuple[float, ...]] = {
@@ -147,13 +148,13 @@ def point(what: str, size: float) -> dict[str, float]:
     work = job(what, size)
     spent: list[float] = []
     resident_memory.give_back()
-    given = resident_memory.held("VmRSS")
-    resident_memory.forget_peak()
+    given = system.memory_status("VmRSS")
+    system.forget_peak()
     while not spent or (len(spent) < TIMES and spent[0] < SHORT):
         start = time.process_time()
         work()
         spent.append(time.process_time() - start)
-    more = max(resident_memory.held("VmHWM") - given, 0)
+    more = max(system.memory_status("VmHWM") - given, 0)
     return {"size": size, "seconds": float(np.median(spent)), "megabytes": more / 1e6}
 
 

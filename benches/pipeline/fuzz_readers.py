@@ -32,7 +32,7 @@ import pyarrow as pa
 import torch
 
 from benches.common.harness import parser, publish, table
-from slgaussian.benchmark.resident_memory import forget_peak, held
+from slgaussian.system import forget_peak, memory_status
 from tests.small_files import FORMATS, new_folder, trial, verdict
 
 ROOM = 2**30
@@ -63,10 +63,10 @@ KINDS = {
 
 def measured(name: str, number: int, seed: int, folder: Path) -> Found:
     forget_peak()
-    before, begun = held("VmRSS"), time.process_time()
+    before, begun = memory_status("VmRSS"), time.process_time()
     kind, said = verdict(name, number, seed, folder)
     seconds = time.process_time() - begun
-    return Found(number, kind, said, seconds, max(0, held("VmHWM") - before))
+    return Found(number, kind, said, seconds, max(0, memory_status("VmHWM") - before))
 
 
 def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int) -> None:
@@ -76,7 +76,7 @@ def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int)
     os.dup2(nothing, 1)
     os.dup2(nothing, 2)  # decoders have much to say about damaged files
     warnings.simplefilter("ignore")
-    most = held("VmSize") + ROOM
+    most = memory_status("VmSize") + ROOM
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with os.fdopen(out, "w") as lines:

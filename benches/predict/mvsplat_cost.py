@@ -21,12 +21,12 @@ from benches.common.harness import error, parser, publish, table
 from benches.common.photograph_pairs import SIZE
 from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian import datasets
-from slgaussian.benchmark.resident_memory import held
 from slgaussian.cameras.paths import between
 from slgaussian.kernels import threads
 from slgaussian.predict import load_predictor
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.rasterize import rasterize
+from slgaussian.system import memory_status
 
 ROUNDS = 3
 PRECISIONS = ("float32", "bfloat16")
@@ -54,7 +54,7 @@ def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
     start = time.perf_counter(), time.process_time()
     gaussians = predict(sample)
     row |= {"seconds": time.perf_counter() - start[0], "cpu": time.process_time() - start[1]}
-    row["peak"] = held("VmHWM") / 1e6
+    row["peak"] = memory_status("VmHWM") / 1e6
     means = gaussians.means.numpy().reshape(2, -1, 3)
     centres = np.stack([camera.center for camera in cameras])
     distance = np.linalg.norm(means - centres[:, None], axis=-1)

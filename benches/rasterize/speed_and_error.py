@@ -27,12 +27,12 @@ import torch
 from benches.common.harness import error, ms, parser, publish, table, times_in_turn
 from benches.common.photograph_pairs import DATA_HELP, load_samples, photographs
 from benches.rasterize.plain_loop import splat_in_order
-from slgaussian.benchmark.resident_memory import forget_peak, held
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import threads
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import PRESETS, Settings, plan, rasterize
 from slgaussian.scene import Camera, Sample
+from slgaussian.system import forget_peak, memory_status
 
 DEFAULT = Settings()
 FINE = {"alpha_min": 2.0**-20, "sigmas": math.inf, "pass_min": 0.0}
@@ -182,10 +182,13 @@ def memory(file: str, job: str) -> dict[str, float]:
     values = torch.from_numpy(arrays.pop("values"))
     subject = Subject(job, Gaussians.from_arrays(arrays), values, camera)
     JOBS[job](replace(subject.part(5000), camera=camera.resized(32, 32)))
-    before = held("VmRSS")
+    before = memory_status("VmRSS")
     forget_peak()
     result = JOBS[job](subject)
-    found = {"peak": (held("VmHWM") - before) / 1e6, "kept": (held("VmRSS") - before) / 1e6}
+    found = {
+        "peak": (memory_status("VmHWM") - before) / 1e6,
+        "kept": (memory_status("VmRSS") - before) / 1e6,
+    }
     del result
     return found
 

@@ -21,7 +21,7 @@ from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.index import read_index
-from slgaussian.benchmark.resident_memory import forget_peak, give_back, held
+from slgaussian.benchmark.resident_memory import give_back
 from slgaussian.build import label_views, lift_field, predict, remember
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.method import Method
@@ -29,6 +29,7 @@ from slgaussian.errors import InputError
 from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.masks import load_proposer
+from slgaussian.system import forget_peak, memory_status
 
 SETS = {"office": "office", "procedural": "rooms"}
 """Data sets, and what the table calls them."""
@@ -84,7 +85,7 @@ def run_alone(name: str, data: Path) -> None:
     classes = tuple(sorted({text for masks in truth.values() for text in masks}))
     inputs = Inputs(sample, field, gaussians, label_maps, load_proposer("regions"), classes=classes)
     give_back()
-    before = held("VmRSS")
+    before = memory_status("VmRSS")
     forget_peak()
     answering = ROWS[name].load()(inputs)
     for target in sample.targets:
@@ -95,7 +96,7 @@ def run_alone(name: str, data: Path) -> None:
             except InputError:  # not understood
                 continue
             hit.mask, hit.relevancy, hit.point  # noqa: B018  (drawn when first looked at)
-    print((held("VmHWM") - before) / 2**20)
+    print((memory_status("VmHWM") - before) / 2**20)
 
 
 COLUMNS: dict[str, tuple[str, Format]] = {"method": ("method", str)}

@@ -6,7 +6,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from slgaussian.system import forget_peak, held, trim_memory
+from slgaussian.system import forget_peak, memory_status, trim_memory
 
 
 def give_back() -> None:
@@ -65,6 +65,6 @@ class Peak:
 
 def _held(name: str) -> int | None:
     try:
-        return held(name)
+        return memory_status(name)
     except OSError:
         return None

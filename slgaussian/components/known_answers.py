@@ -51,8 +51,8 @@ def find_coins(proposer: Any) -> str:
     with torch.inference_mode():
         for mask, middle in zip(masks, middles, strict=True):
             logits = encoded.segment(middle[None, ::-1] + 0.5)[0][0]
-            found = encoded.enlarge(logits).cpu().numpy() > 0
-            right += max(_iou(one, mask) for one in found) >= ALIKE
+            proposed = encoded.enlarge(logits).cpu().numpy() > 0
+            right += max(_iou(candidate, mask) for candidate in proposed) >= ALIKE
     return f"finds {right} of {len(masks)} coins (trained: nearly all)"
 
 
@@ -66,9 +66,9 @@ def follow_coins(tracker: Any) -> str:
     K = np.array([[width, 0, width / 2], [0, width, height / 2], [0, 0, 1.0]])
     camera = Camera(K, np.eye(4), width, height)
     tracker.add(SeenView(View("first", camera, image)), coins)
-    found = tracker.propagate(SeenView(View("second", camera, np.roll(image, SHIFT, 1))))
+    propagated = tracker.propagate(SeenView(View("second", camera, np.roll(image, SHIFT, 1))))
     moved = np.roll(coins, SHIFT, 1)
-    right = sum(_iou(found == n, moved == n) >= ALIKE for n in range(1, coins.max() + 1))
+    right = sum(_iou(propagated == n, moved == n) >= ALIKE for n in range(1, coins.max() + 1))
     return f"follows {right} of {coins.max()} coins (trained: nearly all)"
 
 
@@ -81,8 +81,8 @@ def order_depths(predictor: Any) -> str:
     seen = SceneGeometry.of(sample.context, predictor(sample)).frames[0]
     depth, truth = seen.require_depth(), sample.context[0].depth
     assert truth is not None  # the left view has it
-    known = (depth > 0) & (truth > 0)
-    order = stats.spearmanr(depth[known], truth[known]).statistic if known.any() else 0.0
+    measured = (depth > 0) & (truth > 0)
+    order = stats.spearmanr(depth[measured], truth[measured]).statistic if measured.any() else 0.0
     return f"orders depths of a motorcycle by {order:.2f} of 1 (planesweep: 0.94)"
 
 
