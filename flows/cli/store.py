@@ -26,11 +26,11 @@ def inspect(
     path: Annotated[Path, typer.Argument(help="File or folder to inspect.")],
     as_json: options.AsJson = False,
 ) -> None:
-    """Show the data spec, origin and digest of a file, and check it.
+    """Show the spec, fields and origin of a file, and check it.
 
-    Takes a table (Parquet), arrays (NPZ), weights (safetensors) or JSON, or a folder, such as a
-    field or the results of a run, file by file. The exit status is 1 if a file is damaged or not
-    what its spec says.
+    Takes a table (Parquet), arrays (NPZ), weights (safetensors), JSON, Gaussians (PLY, SPZ), or a
+    folder, such as a field or the results of a run, file by file. The exit status is 1 if a file is
+    damaged or not what its spec says.
 
     \b
     slgaussian inspect results/samples.parquet
@@ -45,7 +45,7 @@ def inspect(
         state = "BAD" if file["problem"] else file["spec"]
         typer.echo(f"{file['path']}: {state} {file['digest'][:12]}")
         typer.echo(f"  {file['problem'] or file['meaning']}")
-        for name, value in file["made"].items():
+        for name, value in {**file["fields"], **file["made"]}.items():
             typer.echo(f"  {name}: {value if isinstance(value, str) else json.dumps(value)}")
     raise typer.Exit(any(file["problem"] for file in files))
 

@@ -9,30 +9,32 @@ from typing import Any
 from safetensors import deserialize
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.formats import strict_json
+from slgaussian.formats import ply, spz, strict_json
 from slgaussian.storage import encoding
 from slgaussian.storage.documents import read_document
 from slgaussian.storage.specs import load_spec, mismatch, parse_label, spec_names
 
-SUFFIXES = (".npz", ".parquet", ".json", ".jsonl", ".safetensors")
+SPLATS = {".ply": ply.describe, ".spz": spz.describe}
+SUFFIXES = (".npz", ".parquet", ".json", ".jsonl", ".safetensors", *SPLATS)
 REPAIR = "fetch or make it again"
 
 
 def inspect(path: Path) -> list[dict[str, Any]]:
     """Inspect a file, or each file of a folder that slgaussian wrote; InputError if none is.
 
-    Each has a ``path``, ``spec``, ``meaning``, ``made`` (what it says that made it) and ``digest``,
-    the SHA-256 of the content of a table or arrays, of other files themselves. ``problem`` is empty
-    unless it is damaged or not what its spec asks.
+    Each has a ``path``, ``spec``, ``meaning``, ``fields`` (unit and meaning by name), ``made`` (its
+    origin as the file states it) and ``digest``, the SHA-256 of the content of a table or arrays,
+    of other files themselves. ``problem`` is empty unless it is damaged or breaks its spec.
     """
     files = sorted(path.rglob("*.*")) if path.is_dir() else [path]
     inspected = []
     for file in files:
-        row = {"path": str(file), "spec": "", "meaning": "", "digest": "", "problem": ""}
+        row: dict[str, Any] = {"path": str(file), "spec": "", "meaning": "", "fields": {}}
+        row |= {"digest": "", "made": {}, "problem": ""}
         try:
-            inspected.append({**row, "made": {}, **_read(file)})
+            inspected.append(row | _read(file))
         except SpecError as error:
-            inspected.append({**row, "made": {}, "problem": str(error)})
+            inspected.append(row | {"problem": str(error)})
         except InputError:
             if not path.is_dir():  # else somebody else's, such as the index that a run was given
                 raise
@@ -46,6 +48,8 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: found suffix {path.suffix!r}, expected {', '.join(SUFFIXES)}")
     try:
         data = path.read_bytes()
+        if path.suffix in SPLATS:
+            return {**SPLATS[path.suffix](path), "digest": hashlib.sha256(data).hexdigest()}
         if path.suffix == ".safetensors":
             deserialize(data)
             metadata = strict_json.parse(data[8 : 8 + int.from_bytes(data[:8], "little")])
@@ -58,6 +62,8 @@ def _read(path: Path) -> dict[str, Any]:
         label = metadata.get("spec", "")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a file") from error
+    except InputError as error:  # of a file of splats, which says what is wrong
+        raise SpecError(str(error)) from error
     except Exception as error:  # a damaged file raises almost anything
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise SpecError(f"{path}: is damaged ({reason}); {REPAIR}") from error
@@ -80,4 +86,12 @@ def _read(path: Path) -> dict[str, Any]:
         origin = {key: metadata[key] for key in keys if key in metadata}
     if len(path.stem) == len(digest) and path.stem != digest:
         raise mismatch(file, "digest", digest[:12], "that of its name")
-    return {"spec": spec.label, "meaning": spec.doc, "digest": digest, "made": origin}
+    entries = {**spec.fields, **spec.columns, **spec.keys}
+    fields = {name: f"[{entry.unit or entry.type}] {entry.doc}" for name, entry in entries.items()}
+    return {
+        "spec": spec.label,
+        "meaning": spec.doc,
+        "fields": fields,
+        "digest": digest,
+        "made": origin,
+    }
