@@ -44,7 +44,7 @@ OTHERS = "teach it by examples, or build the field with --encoder clip, which kn
 MENTIONED = 3
 """Unknown words of a text that are mentioned."""
 
-REMEMBERED = 64
+REMEMBERED = 4096
 """Texts whose reading is kept."""
 
 POSITIVE = 0.8

@@ -299,11 +299,8 @@ class BankReader(TextReader):
 
         Zero where the noun is none of its classes, or nothing was classified.
         """
-        nats = self.class_evidence(text)
-        if nats is None:
-            return np.zeros(self._present.shape)
         strength = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
-        leads: np.ndarray = strength * np.tanh(nats / CLASS_SCALE)
+        leads: np.ndarray = strength * np.tanh(self.class_evidence(text) / CLASS_SCALE)
         return leads
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
@@ -319,16 +316,16 @@ class BankReader(TextReader):
         objects = self.bank.class_scores[: len(self.bank)][self.bank.present]
         return float(log_probability(objects, classes).max())
 
-    def class_evidence(self, text: str) -> np.ndarray | None:
+    def class_evidence(self, text: str) -> np.ndarray:
         """Compute how much likelier the noun's classes are there than in whole photographs, nats.
 
         float64 [M, V] over ``bank.nodes``, see :func:`slgaussian.language.class_evidence.evidence`;
-        None if there are none, or nothing was classified. InputError if the text cannot be used.
+        zeros if there are none, or nothing was classified. InputError if the text cannot be used.
         """
         bank = self.bank
         classes = getattr(self.encoder, "classes", lambda _: ())(text)
         if not classes or bank.class_scores is None or bank.photograph_scores is None:
-            return None
+            return np.zeros(self._present.shape)
         return evidence(bank.class_scores, bank.photograph_scores, classes)
 
     def relevancies(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
@@ -336,14 +333,16 @@ class BankReader(TextReader):
         relevancies: np.ndarray = sigmoid(rules.temperature * self.gaps(texts, rules))
         return relevancies
 
-    def chosen(self, text: str, gaps: np.ndarray, areas: np.ndarray, rules: Rules) -> np.ndarray:
-        """Choose the objects of an answer, bool [N].
+    def chosen(
+        self, texts: Sequence[str], gaps: np.ndarray, areas: np.ndarray, rules: Rules
+    ) -> np.ndarray:
+        """Choose the objects of answers, bool [Q, N].
 
         Parameters
         ----------
-        text : str
-        gaps : float64 [N]
-            Its gaps; -inf is what cannot be meant.
+        texts : sequence of str
+        gaps : float64 [Q, N]
+            Their gaps; -inf is what cannot be meant.
         areas : int64 [N]
             Pixels of each object in the view that is asked.
         rules : Rules
@@ -351,15 +350,17 @@ class BankReader(TextReader):
         if rules.threshold is not None:
             above: np.ndarray = gaps > _least_gap(rules)
             return above
+        best = gaps.max(1, where=areas > 0, initial=-np.inf, keepdims=True)
+        chosen = near_best(gaps, best, rules.share)
         wholes, ranking = self.bank.wholes, getattr(self.encoder, "ranking", None)
-        ranks = self._who(text) == "known" and not unmeasured(self.encoder, rules)
-        if wholes is None or ranking is None or not ranks:
-            return near_best(gaps, gaps[areas > 0].max(initial=-np.inf), rules.share)
-        plain = self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors([text]))[0]
-        plain = np.where(gaps > -np.inf, plain, -np.inf)
-        evidence = self.class_evidence(text)
-        evidence = None if evidence is None else evidence[: len(self.bank)]
-        return wholes.choose(plain, evidence, areas, ranking, rules.share)
+        ranked = [k for k, text in enumerate(texts) if self._who(text) == "known"]
+        if ranked and wholes and ranking and not unmeasured(self.encoder, rules):
+            known = [texts[k] for k in ranked]
+            plain = self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors(known))
+            plain = np.where(gaps[ranked] > -np.inf, plain, -np.inf)
+            evidence = np.stack([self.class_evidence(text)[: len(self.bank)] for text in known])
+            chosen[ranked] = wholes.choose(plain, evidence, areas, ranking, rules.share)
+        return chosen
 
     def understood(self, text: str) -> Understood:
         """Read ``text``: what counts and what does not; InputError if nothing can use it."""
@@ -575,23 +576,26 @@ def ask(
     InputError
         If there is no text, or the encoder cannot use one.
     """
-    return [
-        answer(text, gaps, seen, reader, rules)
-        for text, gaps in zip(texts, reader.gaps(texts, rules), strict=True)
-    ]
+    gaps = reader.gaps(texts, rules)
+    chosen = reader.chosen(texts, gaps, seen.areas, rules)
+    return [_answer(*each, seen, reader, rules) for each in zip(texts, gaps, chosen, strict=True)]
 
 
-def answer(
-    text: str, gaps: np.ndarray, seen: ObjectMap, reader: BankReader, rules: Rules
+def _answer(
+    text: str,
+    gaps: np.ndarray,
+    chosen: np.ndarray,
+    seen: ObjectMap,
+    reader: BankReader,
+    rules: Rules,
 ) -> QueryResult:
-    """Answer a text, given its gaps float64 [N]; -inf is what cannot be meant."""
+    """Answer a text by its gaps float64 [N], -inf is what cannot be meant, and the chosen [N]."""
     kind = LangSplatResult if rules.protocol == "langsplat" else QueryResult
     calibration = reader.encoder.calibration
     doubt = unmeasured(reader.encoder, rules)
     visible = np.flatnonzero(seen.areas)
     ranked = visible[np.argsort(-gaps[visible], kind="stable")]
     ranked = ranked[gaps[ranked] > -np.inf]
-    chosen = reader.chosen(text, gaps, seen.areas, rules)
     as_good = ranked[chosen[ranked]] if chosen[ranked].any() else ranked
     best = gaps[as_good].max(initial=-np.inf)
     as_good = as_good[gaps[as_good] >= min(AS_GOOD * best, best)]
@@ -631,7 +635,7 @@ def find(
     """
     gaps = np.where(among, reader.gaps([text], rules)[0], -np.inf)
     everywhere = np.where(among, LEAST_PIXELS, 0)
-    matching = np.flatnonzero(reader.chosen(text, gaps, everywhere, rules) & among)
+    matching = np.flatnonzero(reader.chosen([text], gaps[None], everywhere, rules)[0] & among)
     scores = sigmoid(rules.temperature * gaps)
     ranked = matching[np.argsort(-gaps[matching], kind="stable")]
     return tuple((int(reader.bank.ids[i]), float(scores[i])) for i in ranked)

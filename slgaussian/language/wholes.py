@@ -149,19 +149,20 @@ class Wholes:
     def choose(
         self,
         gaps: np.ndarray,
-        evidence: np.ndarray | None,
+        evidence: np.ndarray,
         areas: np.ndarray,
         ranking: Ranking,
         share: float = NEAR_BEST,
     ) -> np.ndarray:
-        """Choose the objects of one answer.
+        """Choose the objects of the answers to Q texts.
 
         Parameters
         ----------
-        gaps : float64 [N]
-            Of the objects to the text, without class evidence; -inf for what cannot be meant.
-        evidence : float64 [N, V] or None
-            For the classes of the text, in nats; NaN where a view does not hold an object.
+        gaps : float64 [Q, N]
+            Of the objects to the texts, without class evidence; -inf for what cannot be meant.
+        evidence : float64 [Q, N, V]
+            For the classes of the texts, in nats; NaN where a view does not hold an object, 0 for a
+            text without classes.
         areas : int64 [N]
             Pixels of each object in the view that is asked.
         ranking : Ranking
@@ -170,53 +171,61 @@ class Wholes:
 
         Returns
         -------
-        bool [N]
-            The best guess, however badly it fits; without any if nothing is visible.
+        bool [Q, N]
+            The best guesses, however badly they fit; without any if nothing is visible.
         """
-        visible = (areas > 0) & (gaps > -np.inf)
-        top = max(float(gaps[visible].max(initial=-np.inf)), LEAST_BEST)
-        finite_gaps = np.where(gaps > -np.inf, gaps, UNSEEN)
+        known = gaps > -np.inf
+        visible = known & (areas > 0)
+        top = gaps.max(1, where=visible, initial=LEAST_BEST, keepdims=True)
+        finite_gaps = np.where(known, gaps, UNSEEN)
         near = near_best(gaps, top, share)
-        sets, numbers_of_sets, around, places = self._candidates
-        visible_sets = sets @ np.where(visible, areas, 0) >= LEAST_PIXELS
-        sets, numbers_of_sets, around = (
-            sets[visible_sets],
-            numbers_of_sets[visible_sets],
-            around[visible_sets],
-        )
-        standing = self._standing[places[visible_sets]]
-        if (near & visible).any():
-            sets = np.concatenate([sets, near[None]])
-            numbers_of_sets = np.concatenate(
-                [numbers_of_sets, self._numbers(near[None].astype(float))]
-            )
-            around = np.concatenate([around, self._around(near[None].astype(float))])
-            standing = np.append(standing, 0.0)
-        if not len(sets):
-            return near & visible
-        area = np.exp(numbers_of_sets[:, 0])
-        mean = _times(sets, self._area * finite_gaps) / area
-        fits = self._area * np.maximum(finite_gaps, 0) * visible
-        numbers = [
-            np.maximum(mean / top, -2),
-            np.maximum(_times(around, finite_gaps) / top, -2),
-            mean,
-            _times(sets, fits) / max(fits.sum(), 1e-12),
-            sets[:, np.where(visible, gaps, -np.inf).argmax()],
-            (sets[:, visible] == near[visible]).all(1),
-        ]
-        if evidence is None:
-            numbers += [np.zeros(len(sets))] * 2
-        else:
-            evidence = np.nan_to_num(evidence * self.shares).mean(1) / np.maximum(self._area, 1e-12)
-            evidence = np.clip(evidence, *EVIDENCE)
-            fits = self._area * np.maximum(evidence, 0) * visible
-            mean = _times(sets, self._area * evidence) / area
-            numbers += [mean, _times(sets, fits) / max(fits.sum(), 1e-12)]
-        table = np.column_stack([*numbers, numbers_of_sets[:, :3], standing, numbers_of_sets[:, 3]])
-        score = _times(table, np.array(ranking))
-        chosen: np.ndarray = sets[score.argmax()] > 0
-        return chosen & (gaps > -np.inf)
+        near_visible = near & visible
+        best = np.eye(len(areas))[np.where(visible, gaps, -np.inf).argmax(1)]
+        evidence = np.nan_to_num(evidence * self.shares).mean(2) / np.maximum(self._area, 1e-12)
+        evidence = np.clip(evidence, *EVIDENCE)
+
+        def score(
+            sets: np.ndarray, numbers: np.ndarray, around: np.ndarray, standing: np.ndarray | float
+        ) -> np.ndarray:
+            """Score sets [1 or Q, G, N], the same or others for each text: float64 [Q, G]."""
+
+            def recall(values: np.ndarray) -> np.ndarray:
+                fits = self._area * np.maximum(values, 0) * visible
+                return _times(sets, fits) / np.maximum(fits.sum(1, keepdims=True), 1e-12)
+
+            size, outline, edge, agreement = np.moveaxis(numbers, 2, 0)
+            mean = _times(sets, self._area * finite_gaps) / np.exp(size)
+            shared = _times(sets, near_visible)
+            features = {
+                "fit": np.maximum(mean / top, -2),
+                "around": np.maximum(_times(around, finite_gaps) / top, -2),
+                "lead": mean,
+                "recall": recall(finite_gaps),
+                "best": _times(sets, best),
+                "near_best": (shared == near_visible.sum(1, keepdims=True))
+                & (shared == _times(sets, visible)),
+                "evidence": _times(sets, self._area * evidence) / np.exp(size),
+                "evidence_recall": recall(evidence),
+                "size": size,
+                "outline": outline,
+                "edge": edge,
+                "standing": standing,
+                "agreement": agreement,
+            }
+            weighted = (getattr(ranking, name) * values for name, values in features.items())
+            return sum(weighted, np.zeros_like(mean))
+
+        sets, numbers, around, places = self._candidates
+        scores = score(sets[None], numbers[None], around[None], self._standing[places])
+        scores[_times(sets[None], np.where(visible, areas, 0)) < LEAST_PIXELS] = -np.inf
+        own = near.astype(np.float64)
+        of_near = score(own[:, None], self._numbers(own)[:, None], self._around(own)[:, None], 0.0)
+        of_near[~near_visible.any(1)] = -np.inf
+        scores = np.concatenate([scores, of_near], 1)
+        winner = scores.argmax(1)
+        chosen = np.concatenate([sets > 0, np.zeros((1, len(areas)), bool)])[winner]
+        chosen |= near & (winner == len(sets))[:, None]
+        return chosen & known & (scores.max(1) > -np.inf)[:, None]
 
     @cached_property
     def _area(self) -> np.ndarray:
@@ -248,7 +257,7 @@ class Wholes:
         """``size``, ``outline``, ``edge`` and ``agreement`` of sets [G, N]: float64 [G, 4]."""
         length, strength = self._beside
         around, strong = (
-            _times(sets, table.sum(1)) - np.einsum("gn,gn->g", _beside(sets, table), sets)
+            np.einsum("gn,gn->g", table.sum(1) - _beside(sets, table), sets)
             for table in (length, strength)
         )
         at_edge, in_views = sets @ self.at_edge, sets @ self.shares
@@ -268,15 +277,18 @@ class Wholes:
         return ring / np.maximum(ring.sum(1, keepdims=True), 1e-9)
 
 
-def near_best(gaps: np.ndarray, best: float, share: float = NEAR_BEST) -> np.ndarray:
-    """Take the objects with a gap above 0 and at least a share of the ``best``: bool [N]."""
+def near_best(gaps: np.ndarray, best: np.ndarray | float, share: float = NEAR_BEST) -> np.ndarray:
+    """Take the objects with a gap above 0 and at least a share of the ``best``: bool [..., N]."""
     selected: np.ndarray = (gaps > 0) & (gaps >= share * best)
     return selected
 
 
-def _times(rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Sum ``values`` [N] by ``rows`` [G, N]; no BLAS product, which varies with threads."""
-    sums: np.ndarray = np.einsum("gn,n->g", rows, values)
+def _times(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Sum ``values`` [Q, N] over ``sets`` [1 or Q, G, N]: [Q, G].
+
+    No BLAS product, which varies with threads.
+    """
+    sums: np.ndarray = np.einsum("qgn,qn->qg", sets, values)
     return sums
 
 

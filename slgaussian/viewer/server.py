@@ -111,7 +111,7 @@ class LiveField:
         gaps, present = every[self._rows], ~np.isin(self.ids, list(self.field.removed))
         areas = np.zeros(len(every), int)
         areas[self._rows[present]] = LEAST_PIXELS
-        selected = reader.chosen(text, every, areas, Rules())[self._rows] & present
+        selected = reader.chosen([text], every[None], areas, Rules())[0, self._rows] & present
         answerable = np.isfinite(gaps) & present
         return {
             "text": text,

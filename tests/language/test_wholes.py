@@ -37,9 +37,10 @@ def mug():
 
 
 def taken(wholes, gaps, evidence=None, areas=AREAS, ranking=RANKING):
-    evidence = None if evidence is None else np.stack([evidence, evidence], 1)
-    chosen = wholes.choose(np.array(gaps, float), evidence, np.asarray(areas), ranking)
-    return np.flatnonzero(chosen).tolist()
+    evidence = np.zeros(len(gaps)) if evidence is None else evidence
+    of_views = np.stack([evidence, evidence], 1)
+    chosen = wholes.choose(np.array([gaps], float), of_views[None], np.asarray(areas), ranking)
+    return np.flatnonzero(chosen[0]).tolist()
 
 
 def test_two_parts_of_one_thing_are_taken_though_one_of_them_fits_badly(mug):
@@ -85,13 +86,14 @@ def test_the_choice_is_that_of_the_formulas(seed):
         pairs,
         rng.uniform(1, 90, (len(pairs), 2)).astype(np.float32),
     )
-    gaps = np.where(rng.random(n) < 0.15, -np.inf, rng.normal(0, 0.1, n))
-    areas, evidence = rng.integers(0, 300, n), rng.normal(0, 4, (n, 2))
-    evidence[rng.random((n, 2)) < 0.2] = np.nan
+    gaps = np.where(rng.random((5, n)) < 0.15, -np.inf, rng.normal(0, 0.1, (5, n)))
+    areas, evidence = rng.integers(0, 300, n), rng.normal(0, 4, (5, n, 2))
+    evidence[rng.random((5, n, 2)) < 0.2] = np.nan
+    evidence[0] = 0
     ranking = Ranking(*rng.normal(0, 1, len(Ranking._fields)))
-    for given in (evidence, None):
-        chosen = wholes.choose(gaps, given, areas, ranking)
-        assert np.array_equal(chosen, plainly(wholes, gaps, given, areas, ranking))
+    chosen = wholes.choose(gaps, evidence, areas, ranking)
+    for text in zip(chosen, gaps, evidence, strict=True):
+        assert np.array_equal(text[0], plainly(wholes, *text[1:], areas, ranking))
 
 
 def plainly(wholes, gaps, evidence, areas, ranking):
@@ -114,10 +116,8 @@ def plainly(wholes, gaps, evidence, areas, ranking):
         candidates.append((alike, 0.0))
     sums = dict(zip(map(tuple, wholes.borders.tolist()), wholes.border_sums.tolist(), strict=True))
     best_place = max(visible, key=lambda i: (gaps[i], -i), default=None)
-    ev = None
-    if evidence is not None:
-        known = np.where(np.isnan(evidence), 0, evidence) * share
-        ev = np.clip(known.sum(1) / np.maximum(share.sum(1), 1e-12), *EVIDENCE)
+    evidence = np.where(np.isnan(evidence), 0, evidence) * share
+    ev = np.clip(evidence.sum(1) / np.maximum(share.sum(1), 1e-12), *EVIDENCE)
     best, best_score = set(), -np.inf
     for node, stands in candidates:
         area = sum(size[i] for i in node)
@@ -144,8 +144,8 @@ def plainly(wholes, gaps, evidence, areas, ranking):
             recall(gap),
             best_place in node,
             node & visible == alike & visible,
-            0 if ev is None else sum(size[i] * ev[i] for i in node) / area,
-            0 if ev is None else recall(ev),
+            sum(size[i] * ev[i] for i in node) / area,
+            recall(ev),
             np.log(area),
             strength / max(length, 1),
             edge / max(length + edge, 1),

@@ -125,9 +125,9 @@ def answers_of(
     if len(ids):
         reader, areas = field.reader, np.zeros(len(field.bank), int)
         areas[rows] = LEAST_PIXELS
-        of_texts = zip(texts, reader.gaps(texts, Rules()), strict=True)
-        answers = [(row, reader.chosen(text, row, areas, Rules())) for text, row in of_texts]
-        gaps, selected = np.array(answers).transpose(1, 0, 2)[..., rows]
+        gaps = reader.gaps(texts, Rules())
+        selected = reader.chosen(texts, gaps, areas, Rules())[:, rows]
+        gaps = gaps[:, rows]
     known_as = texts, gaps.astype(np.float32), selected > 0, kinds, spellings, skipped
     read = [field.reader.understood(text) for text in texts]
     measurements = tuple(reading.measurements for reading in read)
