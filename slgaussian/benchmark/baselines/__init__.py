@@ -60,7 +60,8 @@ class Row:
 
     ``about`` describes it in a line, and of what is not the original says that it is not. ``rules``
     are those of :class:`slgaussian.language.query.Rules` that it is asked by in place of the run's.
-    A ``variant`` is the field with one part changed: no other method, though it may be better.
+    A ``variant`` is the field with one part changed: no other method, though it may be better. A
+    ``slow`` one takes minutes a scene: it runs by its name and is not among all.
     """
 
     method: str
@@ -68,6 +69,7 @@ class Row:
     settings: Mapping[str, Any] = field(default_factory=dict)
     rules: Mapping[str, Any] = field(default_factory=dict)
     variant: bool = False
+    slow: bool = False
 
     def load(self) -> Method:
         """Make the method; raises as :func:`load_method`."""
@@ -98,6 +100,12 @@ ROWS = {
         "langsplat-like",
         "not LangSplat: the same, by masks that agree across views",
         {"association": True},
+    ),
+    "langsplat-like, optimised": Row(
+        "langsplat-like",
+        "not LangSplat: the same, on Gaussians optimised for the scene",
+        {"optimised": True},
+        slow=True,
     ),
     "lerf-like": Row(
         "lerf-like", "not LERF: a pyramid of crops of each view, lifted a pixel, no training"

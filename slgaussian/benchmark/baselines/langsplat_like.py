@@ -1,10 +1,10 @@
 """LangSplat-like: an autoencoder's codes on the Gaussians, decoded and scored pixel by pixel.
 
 LangSplat (arXiv 2312.16084) optimises Gaussians for the scene, then a code a Gaussian, for each of
-three granularities of masks. Here the Gaussians are the predicted ones, each has the code of its
-source pixel, and there is one granularity: the masks that the other methods have too. In the
-paper's ablation that is the row with the feed-forward model alone; with masks that agree across
-views it is the row above the last.
+three granularities of masks. Here there is one granularity: the masks that the other methods have
+too. ``optimised`` is the first row of the paper's ablation. Otherwise the Gaussians are the
+predicted ones, each with the code of its source pixel: the row with the feed-forward model alone,
+and with masks that agree across views the row above the last.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ from slgaussian.benchmark.baselines.autoencoder import Autoencoder, train_autoen
 from slgaussian.benchmark.baselines.dense import DenseView
 from slgaussian.benchmark.baselines.drawn import draw_picture, draw_vectors, reduced
 from slgaussian.benchmark.baselines.inputs import Inputs
+from slgaussian.benchmark.baselines.optimised import optimise_codes, optimise_gaussians
 from slgaussian.errors import InputError
+from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import seed_for
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
@@ -33,16 +35,23 @@ class LangSplatLike:
     association : bool
         Whether masks are those that agree across views, or each view's own. Each view keeps its own
         vector of an object in either case.
-    steps : int
-        Of the autoencoder's training; InputError below 1.
+    optimised : bool
+        Whether Gaussians and codes are optimised for the scene
+        (:mod:`slgaussian.benchmark.baselines.optimised`), or taken as predicted.
+    steps, geometry_steps : int
+        Of the training of the autoencoder, and of optimised codes; and of optimised Gaussians.
+        InputError below 1.
     """
 
     association: bool = False
+    optimised: bool = False
     steps: int = 1000
+    geometry_steps: int = 2000
 
     def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise InputError(f"langsplat-like steps: found {self.steps}, expected at least 1")
+        for name in ("steps", "geometry_steps"):
+            if (count := getattr(self, name)) < 1:
+                raise InputError(f"langsplat-like {name}: found {count}, expected at least 1")
 
     def __call__(self, inputs: Inputs) -> _Codes:
         """Train the autoencoder of a scene, and give each Gaussian its code."""
@@ -55,23 +64,29 @@ class LangSplatLike:
         table[1:, :, 3] = bank.present
         rows = np.searchsorted(bank.ids, labels.labels) + 1
         rows[labels.labels == 0] = 0
-        carried = [table[of_view, v].reshape(-1, 4) for v, of_view in enumerate(rows)]
-        return _Codes(inputs, network, np.concatenate(carried))
+        maps = np.stack([table[of_view, v] for v, of_view in enumerate(rows)])
+        gaussians, carried = inputs.gaussians, maps.reshape(-1, 4)
+        if self.optimised:
+            views = inputs.sample.context
+            gaussians = optimise_gaussians(views, seed, self.geometry_steps)
+            codes = optimise_codes(gaussians, views, maps[..., :3], self.steps)
+            carried = np.pad(codes, ((0, 0), (0, 1)), constant_values=1)
+        return _Codes(inputs, gaussians, network, carried)
 
 
 @dataclass(frozen=True, eq=False)
 class _Codes:
-    """``carried`` float32 [V * H * W, 4], by context pixel: a code and 1, or zeros."""
+    """``carried`` float32 [P, 4], by ``source`` of the Gaussians: a code and 1, or zeros."""
 
     inputs: Inputs
+    gaussians: Gaussians
     network: Autoencoder
     carried: np.ndarray
 
     def render(self, camera: Camera) -> DenseView:
-        gaussians = self.inputs.gaussians
-        picture = draw_picture(gaussians, camera)
+        picture = draw_picture(self.gaussians, camera)
         small = reduced(camera, self.inputs.bank.features.shape[2])
-        drawn = draw_vectors(gaussians, small, [lambda at, a, b: self.carried[at, a:b]], 4)[0]
+        drawn = draw_vectors(self.gaussians, small, [lambda at, a, b: self.carried[at, a:b]], 4)[0]
         codes, weight = drawn[..., :3], drawn[..., 3:]
         codes = np.divide(codes, weight, out=np.zeros_like(codes), where=weight > 0)
         vectors = self.network.decode(codes.reshape(-1, 3)).reshape(1, *codes.shape[:2], -1)

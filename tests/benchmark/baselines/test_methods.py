@@ -36,6 +36,7 @@ LEAST_IOU = {
 
 QUICK = {
     "langsplat-like": {"steps": 200},
+    "langsplat-like, optimised": {"steps": 400, "geometry_steps": 300},
     "lerf-like": {"scales": (0.25, 0.5)},
     "3d-ovs-like": {"parts": (5, 7)},
 }

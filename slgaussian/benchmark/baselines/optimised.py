@@ -1,0 +1,210 @@
+"""Gaussians optimised for one scene from its photographs, and codes optimised through them.
+
+The geometry of LangSplat (arXiv 2312.16084) and of its kin: 3D Gaussian splatting (Kerbl et al.
+2023), section 5, with the rates and bounds of gsplat's ``simple_trainer`` (Apache-2.0). Gaussians
+with a large pixel gradient are doubled, large ones in halves, and faint ones are removed, again and
+again in the first half of the steps. What differs: the loss is L1 without SSIM, which would take
+half of the time; points are matches triangulated by the given cameras; colours do not depend on the
+view, which two views cannot tell; the optimiser starts anew after each refinement; opacities are
+not reset; there are some thousand steps, as two photographs are learned by heart sooner.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch.nn import functional as F
+
+from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.cameras.relative import Relative
+from slgaussian.gaussians import SH_C0, Gaussians, rotation_matrices
+from slgaussian.kernels.threads import LARGE_THREADS, fixed
+from slgaussian.rasterize import rasterize
+from slgaussian.rasterize.planned import plan
+from slgaussian.scene import View
+
+LEAST_POINTS = 1000
+"""Points at the start; where matches give fewer, random ones at a half to twice their median depth
+are added."""
+
+UNKNOWN_DEPTH = 10
+"""Median depth without matches, in distances between the first and the last camera."""
+
+INLIER = 2.0
+"""Pixels from its epipolar line within which a match is a point."""
+
+RATES = {"means": 1.6e-4, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh": 2.5e-3}
+"""Of Adam; that of the means is a fraction of the scene's extent, and falls to a hundredth."""
+
+CODE_RATE = 2.5e-3
+REFINE_FROM, REFINE_EVERY = 100, 50
+GROWS, LARGE, FAINT = 2e-4, 0.01, 0.005
+"""Least gradient by which a Gaussian is doubled, per image of width 2; standard deviation, as a
+fraction of the extent, above which it is halved; opacity below which it is removed."""
+
+
+def optimise_gaussians(views: Sequence[View], seed: int, steps: int) -> Gaussians:
+    """Fit Gaussians to photographs with cameras, one a step in turn; the same bytes for one seed.
+
+    Returns Gaussians whose ``source`` counts them from 0.
+    """
+    generator = torch.Generator().manual_seed(seed % 2**63)
+    photographs = [torch.from_numpy(view.image.astype(np.float32) / 255) for view in views]
+    points, colours = _starting_points(views, np.random.default_rng(seed))
+    centres = np.stack([view.camera.c2w[:3, 3] for view in views])
+    extent = float(np.median(np.linalg.norm(points[:, None] - centres, axis=2)))
+    nearest = cKDTree(points).query(points, 4)[0][:, 1:]
+    spacing = np.sqrt((nearest**2).mean(1)).clip(1e-7 * extent)
+    count = len(points)
+    parameters = {
+        "means": torch.tensor(points, dtype=torch.float32),
+        "scales": torch.tensor(np.log(spacing)[:, None].repeat(3, 1), dtype=torch.float32),
+        "quats": F.normalize(torch.rand(count, 4, generator=generator) + 1e-3, dim=1),
+        "opacities": torch.full((count,), 0.1).logit(),
+        "sh": torch.tensor((colours - 0.5) / SH_C0, dtype=torch.float32)[:, None],
+    }
+    with fixed(LARGE_THREADS):
+        return _fitted(parameters, views, photographs, extent, generator, steps)
+
+
+def _fitted(
+    parameters: dict[str, torch.Tensor],
+    views: Sequence[View],
+    photographs: Sequence[torch.Tensor],
+    extent: float,
+    generator: torch.Generator,
+    steps: int,
+) -> Gaussians:
+    optimiser, gradients = _adam(parameters, extent), torch.zeros(2, len(parameters["means"]))
+    for step in range(steps):
+        optimiser.param_groups[0]["lr"] = RATES["means"] * extent * 0.01 ** (step / steps)
+        view, photograph = views[step % len(views)], photographs[step % len(views)]
+        drawn = rasterize(_gaussians(parameters), None, view.camera)
+        loss = (drawn.values - photograph).abs().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        if step < steps // 2:
+            size = _pixel_gradients(parameters["means"], view)
+            gradients += torch.stack([size, (size > 0).float()])
+            if step >= REFINE_FROM and step % REFINE_EVERY == 0:
+                mean = gradients[0] / gradients[1].clamp(min=1)
+                parameters = _refined(parameters, mean > GROWS, LARGE * extent, generator)
+                optimiser = _adam(parameters, extent)
+                gradients = torch.zeros(2, len(parameters["means"]))
+    with torch.no_grad():
+        return _gaussians({name: value.detach() for name, value in parameters.items()})
+
+
+def optimise_codes(
+    gaussians: Gaussians, views: Sequence[View], codes: np.ndarray, steps: int
+) -> np.ndarray:
+    """Fit a code a Gaussian, float32 [N, D], to maps of codes through the renderer, by L1.
+
+    ``codes`` is float32 [V, H, W, D]; pixels without one are zeros and are left out.
+    """
+    plans = [plan(gaussians, view.camera) for view in views]
+    wanted = torch.from_numpy(codes)
+    known = wanted.abs().sum(-1, keepdim=True) > 0
+    carried = torch.zeros(len(gaussians), codes.shape[-1], requires_grad=True)
+    optimiser = torch.optim.Adam([carried], lr=CODE_RATE)
+    with fixed(LARGE_THREADS):
+        for step in range(steps):
+            k = step % len(views)
+            off = (plans[k].render(carried) - wanted[k]).abs() * known[k]
+            optimiser.zero_grad()
+            off.mean().backward()
+            optimiser.step()
+    return carried.detach().numpy()
+
+
+def _starting_points(
+    views: Sequence[View], generator: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return points float64 [N, 3] and their colours [N, 3] in [0, 1]."""
+    graph, points, colours, depths = MatchGraph.of(views), [], [], list[np.ndarray]()
+    baseline = float(np.linalg.norm(views[0].camera.center - views[-1].camera.center))
+    for i, j in graph.matches:
+        at_a, at_b = graph.points(i, j)
+        relative = Relative.between(views[i].camera, views[j].camera)
+        inverse = relative.triangulate(at_a, at_b)
+        fits = np.abs(relative.epipolar_distance(at_a, at_b)) < INLIER
+        fits &= (inverse > 0) & (relative.reversed().triangulate(at_b, at_a) > 0)
+        depths.append(1 / inverse[fits])
+        points.append(_points(views[i], at_a[fits], depths[-1]))
+        colours.append(_colours(views[i], at_a[fits]))
+    middle = (
+        np.median(np.concatenate(depths)) if sum(map(len, depths)) else UNKNOWN_DEPTH * baseline
+    )
+    missing = LEAST_POINTS - sum(map(len, points))
+    for view in views if missing > 0 else ():
+        size = -(-missing // len(views))
+        pixels = generator.random((size, 2)) * [view.camera.width, view.camera.height]
+        points.append(_points(view, pixels, middle * 2.0 ** generator.uniform(-1, 1, size)))
+        colours.append(_colours(view, pixels))
+    return np.concatenate(points), np.concatenate(colours)
+
+
+def _points(view: View, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    rays = np.c_[pixels, np.ones(len(pixels))] @ np.linalg.inv(view.camera.K).T
+    return view.camera.center + (rays * depth[:, None]) @ view.camera.c2w[:3, :3].T
+
+
+def _colours(view: View, pixels: np.ndarray) -> np.ndarray:
+    column, row = pixels.astype(int).T
+    return (
+        view.image[row.clip(0, view.camera.height - 1), column.clip(0, view.camera.width - 1)] / 255
+    )
+
+
+def _gaussians(parameters: dict[str, torch.Tensor]) -> Gaussians:
+    """Gaussians of logarithms of scales, logits of opacities, and the rest as it is."""
+    return Gaussians(
+        means=parameters["means"],
+        scales=parameters["scales"].exp(),
+        quats=F.normalize(parameters["quats"], dim=1),
+        opacities=parameters["opacities"].sigmoid(),
+        sh=parameters["sh"],
+        source=torch.arange(len(parameters["means"]), dtype=torch.int32),
+    )
+
+
+def _adam(parameters: dict[str, torch.Tensor], extent: float) -> torch.optim.Adam:
+    rates = {**RATES, "means": RATES["means"] * extent}
+    groups = [{"params": [parameters[n].requires_grad_()], "lr": rates[n]} for n in RATES]
+    return torch.optim.Adam(groups, eps=1e-15)
+
+
+def _pixel_gradients(means: torch.Tensor, view: View) -> torch.Tensor:
+    """Return lengths [N] of the gradient by the projected centre, the image being 2 wide."""
+    assert means.grad is not None
+    c2w = torch.from_numpy(view.camera.c2w).float()
+    across = means.grad @ c2w[:3, :2]
+    depth = ((means.detach() - c2w[:3, 3]) @ c2w[:3, 2]).clamp(min=0)
+    half = torch.tensor([view.camera.width, view.camera.height]) / 2
+    focal = torch.from_numpy(np.diag(view.camera.K)[:2].copy()).float()
+    return (across * depth[:, None] * half / focal).norm(dim=1)
+
+
+def _refined(
+    parameters: dict[str, torch.Tensor],
+    grows: torch.Tensor,
+    large: float,
+    generator: torch.Generator,
+) -> dict[str, torch.Tensor]:
+    """Return Gaussians of which some are doubled and the faint ones gone."""
+    with torch.no_grad():
+        splits = grows & (parameters["scales"].max(1).values.exp() > large)
+        stays = torch.cat([~splits, grows, splits])
+        table = {n: torch.cat([v, v, v]) for n, v in parameters.items()}
+        halves = torch.cat([torch.zeros_like(splits), splits, splits])
+        steps = torch.randn(int(halves.sum()), 3, generator=generator)
+        steps *= table["scales"][halves].exp()
+        turned = rotation_matrices(table["quats"][halves]) @ steps[..., None]
+        table["means"][halves] += turned[..., 0]
+        table["scales"][halves] -= np.log(1.6)
+        stays &= table["opacities"].sigmoid() > FAINT
+        return {name: value[stays].clone() for name, value in table.items()}
