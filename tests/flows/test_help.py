@@ -196,6 +196,7 @@ def test_the_completion_of_a_shell_is_installed(shell, tmp_path):
         (["demo", "--seed", "1", "--set", "seed=2"], "--set: seed is given twice"),
         (["demo", "--set", "seed=1", "--set", "seed.a=2"], "--set: seed.a is given twice"),
         (["demo", "--set", "sam.point=4"], "unknown key 'sam.point'; did you mean 'points'?"),
+        (["benchmark", "--predictor", "x"], "give the setting as --set predictor=VALUE"),
         (["demo", "--sam-points", "4"], "; rare settings are given with --set KEY=VALUE"),
         (["demo", "--set", "lifting=branch"], "no weights are given; train some"),
     ],
