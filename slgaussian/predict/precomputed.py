@@ -73,7 +73,8 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
     told apart by its array ``names`` or, without one, by the order of the views; or a folder that
     holds a file for each view, called like it: for ``images/0013.jpg`` it is ``images/0013.png``,
     or else ``0013.png``, or another of :data:`slgaussian.masks.configs.DEPTHS`, and confidence
-    ``0013_conf.png``. Of several scenes, each may have a folder of its name there.
+    ``0013_conf.png``. Of several scenes, each may have a folder of its name there; samples that
+    are cut from one place, ``hall_0003_0007``, share that of the place, ``hall``.
 
     Pixels without depth are completed as those that a sweep does not answer. A pixel of a
     confidence that other views mostly contradict is a guess.
@@ -115,8 +116,10 @@ def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
         return _of_views(place, [view.name for view in sample.context])
     if not place.is_dir():
         raise InputError(f"{place}: is no folder and no .npz; give one of both")
-    own = place / sample.scene
-    place = own if own.is_dir() else place
+    named = [
+        d for d in place.iterdir() if d.is_dir() and f"{sample.scene}_".startswith(f"{d.name}_")
+    ]
+    place = max(named, key=lambda folder: len(folder.name), default=place)
     return [_find_map(place, view.name) for view in sample.context]
 
 

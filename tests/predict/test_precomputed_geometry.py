@@ -17,6 +17,7 @@ from slgaussian.formats.depth_maps import read_map, write_map
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict import load_predictor
 from slgaussian.predict.planesweep import PlaneSweep, sweep
+from slgaussian.predict.precomputed import find_maps
 from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Sample, View
 
@@ -107,6 +108,19 @@ def test_files_of_a_map_are_read(tmp_path, kind):
 def test_a_map_that_a_png_cannot_hold_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"d\.png: depth reaches 70, and a \.png holds at most 65"):
         write_map(tmp_path / "d.png", np.full((3, 4), 70, np.float32))
+
+
+def test_samples_of_one_place_share_its_folder(tmp_path, steep):
+    for place, scale in (("hall", 1), ("hall_old", 3)):
+        (tmp_path / place).mkdir()
+        for number, depth in enumerate(true_depth(steep)):
+            np.save(tmp_path / place / f"{number}.npy", depth * scale)
+    views = [replace(view, name=str(i)) for i, view in enumerate(steep.context)]
+    for scene, scale in (("hall", 1), ("hall_0000_0001", 1), ("hall_old_0000_0001", 3)):
+        maps = find_maps(tmp_path, Sample(scene, tuple(views)))
+        assert np.allclose([m.depth for m in maps], true_depth(steep) * scale)
+    with pytest.raises(InputError, match=r"has no depth of view '0'"):
+        find_maps(tmp_path, Sample("hallway", tuple(views)))
 
 
 def test_a_folder_of_millimetres_at_half_the_size_is_read_below_the_scene(tmp_path, steep):
