@@ -2,14 +2,11 @@
 
 import importlib
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from benches.common import harness, photograph_pairs
-from benches.views import numbers_of_views
 
 ROOT = Path(__file__).parents[1]
 BENCHES = sorted((ROOT / "benches").rglob("*.py"))
@@ -30,13 +27,6 @@ def test_another_folder_than_data_is_one_sentence(tmp_path):
     assert photograph_pairs.photographs(str(tmp_path / "office")) == tmp_path / "office"
     with pytest.raises(SystemExit, match=f"did you mean {tmp_path}"):
         photograph_pairs.data_folder("office/pairs.json")(str(tmp_path / "office"))
-
-
-def test_a_bench_ends_so_before_it_works(tmp_path):
-    command = [sys.executable, "-m", "benches.language.answer_confidence", tmp_path]
-    made = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert made.returncode == 1 and made.stderr.startswith("error: DATA: ")
-    assert made.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize("bench", BENCHES, ids=lambda file: file.stem)
@@ -101,24 +91,3 @@ def test_blocks_of_a_page_are_of_benches_that_write_to_it(page):
         assert bench.rpartition(".")[2] == name
         source = (ROOT / (bench.replace(".", "/") + ".py")).read_text()
         assert page.name in source
-
-
-def test_targets_of_rooms_are_apart_from_the_context_views_of_every_number():
-    steps = list(range(numbers_of_views.ARC + 1))
-    for number in numbers_of_views.NUMBERS:
-        context = numbers_of_views.evenly(steps, number)
-        assert len(set(context)) == number and {context[0], context[-1]} == {0, steps[-1]}
-        assert min(abs(a - b) for a in context for b in numbers_of_views.TARGETS) >= 7
-
-
-def test_gains_of_more_views_are_of_the_windows_that_both_numbers_can_do():
-    cost = {"gaussians": 100, "seconds": 1.0, "ssim": 0.5}
-    rows = [
-        {"of": of, "views": views, "psnr": psnr, **cost}
-        for of, views, psnr in (("a", 2, 20.0), ("b", 2, 22.0), ("a", 4, 23.0), ("c", 4, 40.0))
-    ]
-    rows.append({"of": "b", "views": 4, "refused": "do not overlap"})
-    two, four = numbers_of_views.summary(rows)
-    assert (two["scenes"], two["psnr"], "gain" in two) == (2, 21.0, False)
-    assert (four["scenes"], four["refused"], four["psnr"]) == (1, 1, 23.0)
-    assert (four["gain"], four["worst"]) == (3.0, 3.0)

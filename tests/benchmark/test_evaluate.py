@@ -94,12 +94,6 @@ def test_what_the_frame_does_not_show_is_reported_and_not_scored(result):
     assert untold["frame"] == "halfway"
 
 
-def test_words_left_out_of_a_query_are_noted(room):
-    mask = next(iter(room.truth["view_01"].values()))
-    result = room.evaluate({"view_01": {"green qqwx": mask}})
-    assert result.rows[0]["note"] == "unknown: qqwx"
-
-
 def test_annotated_boxes_take_the_place_of_the_masks_own(room):
     whole, nowhere = np.array([[0.0, 0, 143, 103]]), np.zeros((0, 4))
     first, *others = room.truth["view_01"]

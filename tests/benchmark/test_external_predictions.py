@@ -1,7 +1,6 @@
 """Masks that were made elsewhere: scored as a run scores its own, or refused in one sentence."""
 
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -258,15 +257,6 @@ def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, result, judged):
         read_predictions(tmp_path / "nothing")
     with pytest.raises(InputError, match="holds no mask of 3d-ovs; expected <method>/<protocol>"):
         read_predictions(tmp_path, ["3d-ovs"])
-
-
-def test_a_folder_of_other_masks_says_of_what_they_are(folder, judged):
-    shutil.rmtree(folder / "predictions" / "slgaussian" / "3d-ovs")
-    with pytest.raises(InputError, match="no mask of 3d-ovs, but of langsplat, langsplat-rescaled"):
-        read_predictions(folder, ["3d-ovs"])
-    (again,), _, predictions = scored(folder, judged)
-    assert predictions.protocols == ("slgaussian", "langsplat", "langsplat-rescaled")
-    assert all(row["class_iou"] is None for row in again.rows)
 
 
 def test_masks_say_nothing_of_a_protocol_without_masks(folder, judged):

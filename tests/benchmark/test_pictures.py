@@ -130,14 +130,6 @@ def test_drawing_leaves_the_picture_it_is_given_alone(photo):
     assert pictures.draw_point(photo, None) is photo
 
 
-def test_an_outline_goes_round_holes_too(photo):
-    mask = np.zeros((60, 80), bool)
-    mask[5:55, 5:75] = True
-    mask[25:35, 30:50] = False
-    changed = (pictures.draw_outline(photo, mask, pictures.TRUE) != photo).any(-1)
-    assert changed[24, 35:45].all()
-
-
 def test_panels_stand_side_by_side_with_one_height(photo):
     sheet = pictures.side_by_side([("photograph", photo), ("half", photo[::2, ::2])])
     assert sheet.shape[0] > 60 and sheet.shape[1] > 160

@@ -47,18 +47,6 @@ def test_auc_is_the_share_of_pairs_in_order(relevancy, truth):
     assert found + flipped == pytest.approx(1, abs=1e-12)
 
 
-@given(TIED, MASKS, st.randoms(use_true_random=False))
-def test_where_a_pixel_lies_changes_nothing(relevancy, truth, random):
-    order = list(range(truth.size))
-    random.shuffle(order)
-    one, other = (
-        ranking.rank(relevancy.ravel()[o].reshape(SHAPE), truth.ravel()[o].reshape(SHAPE))
-        for o in (list(range(truth.size)), order)
-    )
-    for score in (ranking.average_precision, ranking.area_under_roc, ranking.calibration_error):
-        assert score(one) == score(other)
-
-
 def test_empty_and_full_truths_have_what_is_defined():
     relevancy = np.linspace(0, 1, 40, dtype=np.float32).reshape(SHAPE)
     none = ranking.rank(relevancy, np.zeros(SHAPE, bool))

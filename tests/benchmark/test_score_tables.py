@@ -5,11 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.reports.score_tables import (
     SCORES,
     conditions,
-    describe,
     difference_tables,
     gain_cell,
     method_tables,
@@ -112,12 +110,6 @@ def test_a_difference_is_judged_as_it_is_printed():
     ]
     cell = difference_tables({"b": tuple(errors)})[0].lines[0].cells[1]
     assert (cell.value, cell.mark) == ("-0.200", "better")  # less of an error
-
-
-def test_likenesses_are_described_as_such():
-    for name in ROWS:
-        assert describe(name).startswith("not ") == ROWS[name].method.endswith("-like")
-    assert describe("something else") == ""
 
 
 def claim(ours, theirs, places=None):

@@ -88,18 +88,6 @@ def test_one_scene_has_no_interval_and_few_have_a_rough_one():
     assert row["level"] == LEVEL
 
 
-def test_the_interval_is_that_of_the_scenes_and_always_the_same():
-    """For many scenes 1.96 standard errors; samples of one scene do not make it narrower."""
-    rng = np.random.default_rng(0)
-    values = rng.random(200)
-    rows = ious(**{f"s{k}": [v, v, v] for k, v in enumerate(values)})
-    row = score(score_table(rows), "iou")
-    error = values.std() / np.sqrt(200)
-    assert row["low"] == pytest.approx(values.mean() - 1.96 * error, abs=0.1 * error)
-    assert row["high"] == pytest.approx(values.mean() + 1.96 * error, abs=0.1 * error)
-    assert score_table(rows).equals(score_table(rows))
-
-
 def test_places_are_drawn_and_then_their_scenes():
     places = {"a": "x", "b": "x", "c": "y", "d": "y", "e": "z"}
     rows = ious(a=[0.1], b=[0.3], c=[0.9], d=[0.5], e=[0.4])

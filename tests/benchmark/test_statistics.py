@@ -119,11 +119,6 @@ def test_a_resampling_holds_as_many_groups_as_there_are_and_of_each_what_it_has(
     assert times.min() >= 0
 
 
-def test_with_a_group_of_its_own_for_each_nothing_changes():
-    values = np.random.default_rng(3).random(9)
-    assert interval_of_mean(values, groups=range(9)) == pytest.approx(interval_of_mean(values))
-
-
 def test_a_difference_is_that_of_every_sample_and_its_interval_that_of_groups():
     gains = [0.9] * 6 + [0.0, 0.1, 0.2, 0.0, 0.1, 0.2]
     groups = ["large"] * 6 + list("abcdef")

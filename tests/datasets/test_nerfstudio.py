@@ -101,9 +101,6 @@ class TestDepth:
         with pytest.raises(InputError, match=r"d\.npy: is \d+x\d+, of another shape than its"):
             self.read(tmp_path, "d.npy")
 
-    def test_may_be_missing(self, tmp_path):
-        assert self.read(tmp_path, "gone.png") is None
-
     def test_of_three_channels_or_damaged_is_refused(self, tmp_path):
         Image.fromarray(picture()).save(tmp_path / "d.png")
         with pytest.raises(InputError, match=r"d\.png: depth is uint8 \(64, 96, 3\)"):
@@ -155,18 +152,6 @@ class TestImages:
             nerfstudio.read(file).read(name)
 
 
-class TestMissingPhotographs:
-    def test_leave_the_others_usable(self, tmp_path):
-        names = ("a.png", "b.png", "c.png", "d.png", "e.png", "f.png")
-        scene = nerfstudio.read(write(tmp_path, [frame(n) for n in names], ("b.png",)))
-        assert list(scene.cameras) == list(names)
-        assert (scene.read("b.png").image == picture()).all()
-        with pytest.raises(InputError) as caught:
-            scene.read("c.png")
-        assert str(tmp_path / "c.png") in str(caught.value)
-        assert "4 more of its 6 photographs missing: a.png, d.png, e.png, ..." in str(caught.value)
-
-
 def turned(scale: float = 1.0, nan: bool = False) -> list:
     matrix = np.eye(4)
     matrix[:3, :3] *= scale
@@ -216,7 +201,6 @@ def test_a_bad_file_ends_in_one_sentence_that_names_it(tmp_path, frames, top, se
         nerfstudio.read(file)
     assert str(caught.value).startswith(f"{file}: ")
     assert sentence in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -278,9 +262,8 @@ def test_sensor_depth_of_real_frames_warps_one_onto_another(real_data):
 @pytest.mark.parametrize("at_top", [True, False])
 def test_a_key_that_changes_the_picture_and_is_not_read_is_refused(tmp_path, key, value, at_top):
     top, own = ({key: value}, {}) if at_top else ({}, {key: value})
-    with pytest.raises(InputError, match=rf"frame 'a\.png': {key} is ") as refused:
+    with pytest.raises(InputError, match=rf"frame 'a\.png': {key} is "):
         nerfstudio.read(write(tmp_path, [frame("a.png", **own)], **top))
-    assert "\n" not in str(refused.value)
     # By itself, as a viewpoint is given.
     (tmp_path / "one.json").write_text(json.dumps(frame("a.png", **INTRINSICS, **{key: value})))
     with pytest.raises(InputError, match=rf"{key} is "):

@@ -3,10 +3,9 @@ import pytest
 from PIL import Image
 from posed_folders import HEIGHT, WIDTH, Shot, llff_row, write_model, write_pictures
 
-from slgaussian.benchmark.annotations import labelled_frames, read_labels, read_truth
+from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.datasets import load, scenes
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, View
 
 NAMES = ["00.jpg", "01.jpg", "02.jpg"]
 CLASSES = ("white sheet", "a stack of UNO cards", "hand")
@@ -63,35 +62,12 @@ class TestMasks:
         assert not masks["hand"].any()
         assert labelled_frames(labels) == {"01": tuple(sorted(CLASSES))}
 
-    def test_land_where_the_photograph_lands(self, folder):
-        labels = folder / "bed/segmentations"
-        camera = Camera(np.diag([80, 80, 1.0]), np.eye(4), WIDTH, HEIGHT)
-        image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-        view = View("01.jpg", camera, image, opaque=ring() > 0)
-        for height, width in ((32, 48), (40, 40), (100, 90)):
-            small = view.resized(height, width)
-            truth = read_truth(labels, CLASSES, [small])
-            assert np.array_equal(truth.masks["01.jpg"]["white sheet"], small.opaque)
-            assert truth.boxes == {}  # they follow from the masks
-        # 4 pixels at the left are cropped away in a square.
-        assert not read_labels(labels, "01.jpg", 40, 40)["a stack of UNO cards"].any()
-
     def test_may_be_of_another_size_than_the_photograph(self, folder):
         file = folder / "bed/segmentations/01/white sheet.png"
         large = np.kron(ring(), np.ones((4, 4), np.uint8))
         Image.fromarray(large).save(file)
         masks = read_labels(folder / "bed/segmentations", "01.jpg", WIDTH, HEIGHT)
         assert np.array_equal(masks["white sheet"], ring() > 0)
-
-    @pytest.mark.parametrize("size", [(WIDTH, HEIGHT), (HEIGHT, HEIGHT)])
-    def test_of_another_shape_than_the_photograph_are_refused(self, folder, size):
-        """Whatever part of it is judged: a square of it does not make a square mask right."""
-        labels = folder / "bed/segmentations"
-        Image.fromarray(np.full(size, 255, np.uint8)).save(labels / "01/hand.png")
-        whole = load("ovs3d", folder, "bed").read("01.jpg")
-        for view in (whole, whole.resized(40, 40)):
-            with pytest.raises(InputError, match=r"hand\.png: is \d+x\d+, of another shape"):
-                read_truth(labels, CLASSES, [view])
 
     def test_count_only_white(self, folder):
         file = folder / "bed/segmentations/01/white sheet.png"

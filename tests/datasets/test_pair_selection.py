@@ -62,28 +62,6 @@ def test_samples_of_a_walk_fit_and_share_no_frame():
     )
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 10_000))
-def test_whatever_the_walk_a_sample_fits(seed):
-    rng = np.random.default_rng(seed)
-    count = int(rng.integers(5, 30))
-    views = walk(count, turns=rng.uniform(-15, 15, count))
-    views = replace(
-        views,
-        depths=rng.uniform(2, 6, count),
-        blur=rng.uniform(0.3, 0.7, count),
-        mean=rng.uniform(0, 1, count),
-        clipped=rng.uniform(0, 0.6, count),
-    )
-    bounds = Bounds(min_overlap=0.4)
-    try:
-        pairs = choose(views, bounds)
-    except InputError:
-        return
-    for pair in pairs:
-        assert_fits(views, pair, bounds)
-
-
 def test_overlaps_are_those_of_the_plain_function():
     rng = np.random.default_rng(3)
     cameras = [camera(x, t, z) for x, t, z in rng.uniform((-1, -60, -5), (1, 60, 5), (9, 3))] + [

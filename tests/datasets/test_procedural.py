@@ -47,16 +47,6 @@ def test_a_seed_gives_the_same_bytes_whatever_the_order_and_threads():
     assert not same(reader.read(seed=4, **SMALL).read("view_00"), views[0])
 
 
-def test_a_room_is_the_same_at_any_resolution():
-    small, large = reader.read(seed=2, **SMALL), reader.read(seed=2, height=256, width=256)
-    assert small.phrases == large.phrases
-    a, b = small.cameras["view_03"], large.cameras["view_03"]
-    assert (a.c2w == b.c2w).all()
-    view = large.read("view_03")
-    assert view.image.shape == (256, 256, 3)
-    assert set(np.unique(view.instances)) <= set(large.phrases)
-
-
 def test_depth_and_ids_are_those_of_the_ray_through_the_pixel_centre(clean_ends):
     view, _ = clean_ends
     scene = reader.read(seed=5, height=208, width=288, noise=0, exposure=0)

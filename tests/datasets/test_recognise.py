@@ -160,10 +160,3 @@ def test_a_turned_photograph_is_read_as_its_camera_saw_it(tmp_path):
     assert stored_size(file, (80, 120)) == (40, 60) and stored_size(file) == (60, 40)
     Image.fromarray(stored).save(file)  # without the tag nothing is guessed
     np.testing.assert_array_equal(open_photograph(file, (40, 60))[0], stored)
-
-
-def test_a_photograph_of_a_telephone_is_named(tmp_path):
-    file = tmp_path / "IMG_1.heic"
-    file.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100))
-    with pytest.raises(InputError, match=r"in HEIC.*magick IMG_1\.heic IMG_1\.jpg"):
-        open_photograph(file)

@@ -14,7 +14,7 @@ from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.language import load_encoder
 from slgaussian.language.bank import MemoryBank
-from slgaussian.scene import Camera, Sample, Scene
+from slgaussian.scene import Camera, Sample, Scene, View
 
 ROOM = {
     "name": "room",
@@ -63,16 +63,28 @@ def save_photographs(
 ) -> Path:
     """Views as files, with their cameras in ``transforms.json``."""
     scene = room(height, width)
+    return write_photographs(folder, {f"{name}.png": scene.read(name) for name in names})
+
+
+def write_photographs(folder: Path, views: dict[str, View]) -> Path:
+    """Views as PNG files by their paths, with their cameras in ``transforms.json``."""
     frames = []
-    for name in names:
-        camera = scene.cameras[name]
-        Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
+    for name, view in views.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(view.image).save(folder / name)
+        camera = view.camera
         (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
         pose = (camera.c2w * [1, -1, -1, 1]).tolist()
-        frame = {"file_path": f"{name}.png", "transform_matrix": pose, "w": width, "h": height}
-        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
+        frame = {"file_path": name, "transform_matrix": pose, "w": camera.width}
+        frames.append({**frame, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
     (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
     return folder
+
+
+def files_below(folder: Path, hidden: tuple[str, ...] = ()) -> dict[str, bytes]:
+    """Content of all files of a folder by their paths, but of those that begin so."""
+    files = {str(p.relative_to(folder)): p for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {name: p.read_bytes() for name, p in files.items() if not name.startswith(hidden)}
 
 
 def two_walls(folder: Path) -> Path:

@@ -2,16 +2,14 @@
 
 import json
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from command import score
+from command import run, score, write_photographs
 from PIL import Image
 
-from flows.cli import app
 from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.storage.store import ArtifactStore
@@ -28,20 +26,8 @@ def room(tmp_path_factory):
 
 
 def write_room(folder: Path, seed: int) -> None:
-    (folder / "images").mkdir(parents=True)
     scene = datasets.load("procedural", seed=seed, objects=4, views=3, height=96, width=144)
-    frames = []
-    for name, camera in scene.cameras.items():
-        Image.fromarray(scene.read(name).image).save(folder / "images" / f"{name}.png")
-        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-        pose = (camera.c2w * [1, -1, -1, 1]).tolist()
-        frame = {"file_path": f"images/{name}.png", "transform_matrix": pose, "w": 144, "h": 96}
-        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
-    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
-
-
-def missing_image(folder, frame):
-    (folder / LAST).unlink()
+    write_photographs(folder, {f"images/{name}.png": scene.read(name) for name in scene.cameras})
 
 
 def cut_image(folder, frame):
@@ -49,17 +35,9 @@ def cut_image(folder, frame):
     (folder / LAST).write_bytes(data[: len(data) // 2])
 
 
-def no_image(folder, frame):
-    (folder / LAST).write_text("not a picture")
-
-
 def other_room(folder, frame):
     write_room(folder / "other", seed=5)
     shutil.copy(folder / "other" / LAST, folder / LAST)
-
-
-def same_picture(folder, frame):
-    shutil.copy(folder / "images/view_00.png", folder / LAST)
 
 
 def other_size(folder, frame):
@@ -72,59 +50,70 @@ def no_camera(folder, frame):
     frame.update(file_path="images/elsewhere.png", fl_x=90, transform_matrix=np.eye(4).tolist())
 
 
-def skewed_pose(folder, frame):
-    frame["transform_matrix"][0][1] += 0.3
+def change_pose(change):
+    def damage(folder, frame):
+        pose = np.array(frame["transform_matrix"])
+        change(pose)
+        frame["transform_matrix"] = pose.tolist()
+
+    return damage
 
 
-def scaled_pose(folder, frame):
-    frame["transform_matrix"][:3] = (2 * np.array(frame["transform_matrix"][:3])).tolist()
+def turned(degrees, move=1.0):
+    """The pose of the first photograph, turned and moved."""
+
+    def damage(folder, frame):
+        first = json.loads((folder / "transforms.json").read_text())["frames"][0]
+        angle = np.radians(degrees)
+        turn = np.eye(4)
+        turn[::2, ::2] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+        pose = np.array(first["transform_matrix"]) @ turn
+        pose[:3, 3] *= move
+        frame["transform_matrix"] = pose.tolist()
+
+    return damage
 
 
-def nan_pose(folder, frame):
-    frame["transform_matrix"][1][3] = float("nan")
-
-
-def nan_focal(folder, frame):
-    frame["fl_x"] = float("nan")
-
-
-def turned(folder, frame, degrees, move=1.0):
-    first = json.loads((folder / "transforms.json").read_text())["frames"][0]
-    angle = np.radians(degrees)
-    turn = np.eye(4)
-    turn[::2, ::2] = [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-    pose = np.array(first["transform_matrix"]) @ turn
-    pose[:3, 3] *= move
-    frame["transform_matrix"] = pose.tolist()
-
-
-def same_camera(folder, frame):
-    turned(folder, frame, 0)
-
-
-def only_turned(folder, frame):
-    turned(folder, frame, 10)
-
-
-def looks_away(folder, frame):
-    turned(folder, frame, 180, move=1.1)
-
-
+NOT_A_ROTATION = "frame 'images/view_02.png': camera c2w: its 3x3 part is not a rot"
 BAD = {
-    missing_image: ("ingest", "view_02.png: no such photograph, though transforms.json names it"),
-    cut_image: ("ingest", "view_02.png: cannot be read"),
-    no_image: ("ingest", "view_02.png: cannot be read"),
-    other_room: ("geometry", "views do not overlap or have too little texture"),
-    same_picture: ("ingest", "'images/view_00.png' and 'images/view_02.png' are the same picture"),
-    other_size: ("ingest", "view_02.png: is 48x32, but transforms.json says 144x96"),
-    no_camera: ("ingest", "images/elsewhere.png"),
-    skewed_pose: ("ingest", "frame 'images/view_02.png': camera c2w: its 3x3 part is not a rot"),
-    scaled_pose: ("ingest", "frame 'images/view_02.png': camera c2w: its 3x3 part is not a rot"),
-    nan_pose: ("ingest", "frame 'images/view_02.png': camera c2w: holds NaN"),
-    nan_focal: ("ingest", "frame 'images/view_02.png': fl_x is nan"),
-    same_camera: ("ingest", "taken from the same position"),
-    only_turned: ("ingest", "taken from the same position"),
-    looks_away: ("ingest", "do not overlap at any depth"),
+    "missing image": (
+        lambda folder, _: (folder / LAST).unlink(),
+        "ingest",
+        "view_02.png: no such photograph, though transforms.json names it",
+    ),
+    "cut image": (cut_image, "ingest", "view_02.png: cannot be read"),
+    "no image": (
+        lambda folder, _: (folder / LAST).write_text("not a picture"),
+        "ingest",
+        "view_02.png: cannot be read",
+    ),
+    "other room": (other_room, "geometry", "views do not overlap or have too little texture"),
+    "same picture": (
+        lambda folder, _: shutil.copy(folder / "images/view_00.png", folder / LAST),
+        "ingest",
+        "'images/view_00.png' and 'images/view_02.png' are the same picture",
+    ),
+    "other size": (other_size, "ingest", "view_02.png: is 48x32, but transforms.json says 144x96"),
+    "no camera": (no_camera, "ingest", "images/elsewhere.png"),
+    "skewed pose": (
+        change_pose(lambda pose: pose[0].__setitem__(1, pose[0, 1] + 0.3)),
+        "ingest",
+        NOT_A_ROTATION,
+    ),
+    "scaled pose": (change_pose(lambda pose: pose[:3].__imul__(2)), "ingest", NOT_A_ROTATION),
+    "NaN pose": (
+        change_pose(lambda pose: pose[1].__setitem__(3, np.nan)),
+        "ingest",
+        "frame 'images/view_02.png': camera c2w: holds NaN",
+    ),
+    "NaN focal length": (
+        lambda _, frame: frame.update(fl_x=float("nan")),
+        "ingest",
+        "frame 'images/view_02.png': fl_x is nan",
+    ),
+    "same camera": (turned(0), "ingest", "taken from the same position"),
+    "only turned": (turned(10), "ingest", "taken from the same position"),
+    "looks away": (turned(180, move=1.1), "ingest", "do not overlap at any depth"),
 }
 
 
@@ -132,41 +121,35 @@ BAD = {
 def rooms(room):
     """Folders by kind of damage, each a copy of the good room but for that."""
     folders = {}
-    for damage in BAD:
-        folder = room.parent / damage.__name__
-        shutil.copytree(room, folder)
+    for name, (damage, *_) in BAD.items():
+        folder = shutil.copytree(room, room.parent / name)
         meta = json.loads((folder / "transforms.json").read_text())
         damage(folder, meta["frames"][-1])
         (folder / "transforms.json").write_text(json.dumps(meta))
-        folders[damage] = folder
+        folders[name] = folder
     return folders
 
 
 def build(monkeypatch, *words) -> int:
     """Exit status of ``slgaussian field WORDS``."""
-    monkeypatch.setattr(sys, "argv", ["slgaussian", "field", *map(str, words)])
-    with pytest.raises(SystemExit) as left:
-        app.main()
-    return left.value.code or 0
+    return run(monkeypatch, "field", *words)
 
 
-@pytest.mark.parametrize("damage", BAD, ids=lambda damage: damage.__name__)
-def test_field_ends_in_one_sentence_and_writes_nothing(
-    rooms, damage, tmp_path, monkeypatch, capsys
-):
-    folder = rooms[damage]
+@pytest.mark.parametrize("name", ["cut image", "other room", "only turned", "looks away"])
+def test_field_ends_in_one_sentence_and_writes_nothing(rooms, name, tmp_path, monkeypatch, capsys):
+    folder = rooms[name]
     photos = [folder / "images/view_00.png", folder / LAST]
     status = build(monkeypatch, *photos, "--cameras", folder, "-o", tmp_path / "field")
     message = [line for line in capsys.readouterr().err.splitlines() if "building" not in line]
     assert status == 2
     assert len(message) == 1
     assert message[0].startswith("error: ")
-    assert BAD[damage][1] in message[0]
+    assert BAD[name][2] in message[0]
     assert list(tmp_path.iterdir()) == []
 
 
 def test_in_a_batch_only_the_bad_scenes_are_lost(room, rooms, tmp_path, server):
-    folders = {"good": room, **{damage.__name__: folder for damage, folder in rooms.items()}}
+    folders = {"good": room, **rooms}
     scenes = [
         {"name": name, "path": folder, "context": ["view_00.png", "view_02.png"]}
         for name, folder in folders.items()
@@ -180,9 +163,9 @@ def test_in_a_batch_only_the_bad_scenes_are_lost(room, rooms, tmp_path, server):
     rows = pq.read_table(tmp_path / "out" / "failures.parquet").to_pylist()
     results = {row["scene"]: row for row in rows}
     assert set(results) == {scene["name"] for scene in scenes} - {"good"}
-    for damage, (stage, sentence) in BAD.items():
-        assert results[damage.__name__]["stage"] == stage
-        assert sentence in results[damage.__name__]["reason"]
+    for name, (_, stage, sentence) in BAD.items():
+        assert results[name]["stage"] == stage
+        assert sentence in results[name]["reason"]
     assert not any("unexpected" in row["reason"] for row in rows)
     assert "missing a required argument: 'path'" in results["nowhere"]["reason"]
     assert "it takes nothing" in results["strange"]["reason"]

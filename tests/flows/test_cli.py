@@ -1,24 +1,22 @@
 import json
 import os
+import shutil
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import torch
-from command import run, transforms, two_walls
+from command import run, said, transforms, two_walls
 from PIL import Image
 from plyfile import PlyData
 
 from flows.config import Settings
-from flows.read_config import make_settings, read_toml
+from flows.read_config import read_toml
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply, save_ply
 from slgaussian.language.bank import MemoryBank
-
-ROOT = Path(__file__).parent.parent.parent
 
 
 @pytest.fixture(scope="module")
@@ -77,53 +75,6 @@ def test_a_query_takes_the_rules_of_a_preset_and_what_is_given_wins(field, monke
     assert score("--preset", "paper", "--set", "temperature=10") == score()
 
 
-def test_a_word_that_is_not_known_is_said(field, monkeypatch, capsys):
-    assert run(monkeypatch, "query", field, "red qwxyz") == 3
-    assert "not known and left out: qwxyz" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        ([""], "query"),
-        (["red", "--view", "9"], "'9'"),
-        (["red", "--view", "nowhere.png"], "no view 'nowhere.png'"),
-        (["red", "-o", "no/such/folder/hit.png"], "cannot be written"),
-        (["red", "--threshold", "2"], "threshold"),
-        (["red", "--set", "protocol=lerf"], "expected one of slgaussian, langsplat"),
-        (["red", "--set", "canonical=qwxyz"], "qwxyz"),
-        (["red", "--set", "absent=none"], "expected one of skip, zero"),
-        (["red", "--preset", "papr"], "did you mean 'paper'?"),
-        ([], "nothing is asked: give a TEXT, or a picture with --like"),
-        (["--like", "nowhere.png"], "nowhere.png"),
-        (["red", "--words", "nowhere.npz"], "nowhere.npz: cannot be read"),
-    ],
-)
-def test_a_bad_question_is_one_sentence(field, monkeypatch, capsys, tmp_path, words, sentence):
-    monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, "query", field, *words) == 2
-    message = capsys.readouterr()
-    assert message.err.startswith("error: ")
-    assert sentence in message.err
-    assert message.err.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_export_that_cannot_be_put_in_place_leaves_nothing(field, tmp_path, monkeypatch, capsys):
-    (tmp_path / "folder.ply").mkdir()
-    assert run(monkeypatch, "export", field, "-o", tmp_path / "folder.ply") == 2
-    assert "folder.ply: cannot be written" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["folder.ply"]
-
-
-def test_an_unknown_part_is_named_before_the_work(tmp_path, monkeypatch, capsys):
-    config = toml(tmp_path, 'lifting = "soft"\n[[scenes]]\nname="a"\ncontext=["1","2"]')
-    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
-    assert run(monkeypatch, "run", config) == 2
-    message = capsys.readouterr().err
-    assert message == "error: unknown lifting 'soft': expected one of branch, filled, hard\n"
-
-
 def test_a_store_that_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("in the way")
     config = toml(tmp_path, '[[scenes]]\nname="a"\ncontext=["1","2"]')
@@ -131,10 +82,7 @@ def test_a_store_that_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys):
     monkeypatch.delenv("PREFECT_HOME", raising=False)
     for store, sentence in [("foo://x", "store foo://x"), (tmp_path / "file", "file/.prefect")]:
         assert run(monkeypatch, "run", config, "--store", store) == 2
-        message = capsys.readouterr().err
-        assert message.startswith("error: ")
-        assert sentence in message
-        assert message.count("\n") == 1
+        assert sentence in said(capsys)
 
 
 def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
@@ -158,23 +106,6 @@ def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
     assert np.array_equal(points["x"], stored.means[:, 0]) and len(points) == len(stored)
     assert np.array_equal(points["label"], extra["label"])
     assert (points["red"][is_red] > points["blue"][is_red]).all()
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--depth", "d.npy", "--view", "0", "--view", "1"], "--depth: is of one view"),
-        (["--depth", "d.tif"], "d.tif: found '.tif', expected the name of a"),
-        (["--ids", "i.npy"], "i.npy: found '.npy', expected the name of a"),
-        (["--path", "p.json"], "end in .mp4"),
-        (["--show", "code"], "--show: found 'code', expected colours or codes"),
-    ],
-)
-def test_what_render_cannot_write_is_refused(field, tmp_path, monkeypatch, capsys, words, sentence):
-    monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, "render", field, "-o", "a.png", *words) == 2
-    assert sentence in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_codes_are_drawn_as_the_papers_feature_maps(field, tmp_path, monkeypatch):
@@ -244,48 +175,14 @@ def test_a_ply_that_is_out_of_view_is_drawn_and_said(field, tmp_path, monkeypatc
     assert (tmp_path / "a.png").is_file()
 
 
-def test_a_ply_that_cannot_be_rendered_is_one_sentence(field, tmp_path, monkeypatch, capsys):
-    subset = SemanticField.load(field).gaussians
-    save_ply(subset, tmp_path / "scene.ply")
-    save_ply(subset[:0], tmp_path / "empty.ply")
-    points = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
-    (tmp_path / "points.ply").write_text(f"ply\nformat ascii 1.0\n{points}end_header\n1 2 3\n")
-    cameras = ["--cameras", transforms(tmp_path)]
-    for words, sentence in [
-        (["scene.ply"], "a .ply has no cameras; add --camera transforms.json"),
-        (["scene.ply", *cameras, "--view", "008"], "no view '008'"),
-        (["scene.ply", "--cameras", tmp_path / "none.json"], "none.json: cannot be read"),
-        (["none.ply", *cameras], "none.ply: cannot be read"),
-        (["points.ply", *cameras], "points.ply: holds no Gaussians: lacks f_dc_0"),
-        (["empty.ply", *cameras], "empty.ply: holds no Gaussians"),
-        (["scene", *cameras], "no field.json there"),
-    ]:
-        file, *rest = words
-        words = ["render", tmp_path / file, *rest, "-o", tmp_path / "a.png"]
-        assert run(monkeypatch, *words) == 2, sentence
-        message = capsys.readouterr().err
-        assert message.startswith("error: ")
-        assert sentence in message
-        assert message.count("\n") == 1
-    assert not (tmp_path / "a.png").exists()
-
-
-def test_a_field_that_is_not_there_or_damaged_is_one_sentence(field, tmp_path, monkeypatch, capsys):
-    assert run(monkeypatch, "query", tmp_path, "red") == 2
-    assert "no field.json" in capsys.readouterr().err
+def test_a_damaged_field_is_one_sentence(field, tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")  # a view that was asked before is not read
-    for name in ("field.json", "bank.npz", "gaussians.npz"):
-        copy = tmp_path / name.replace(".", "_")
-        copy.mkdir()
-        for file in field.iterdir():
-            data = file.read_bytes()
-            (copy / file.name).write_bytes(data[: len(data) // 2] if file.name == name else data)
-        assert run(monkeypatch, "query", copy, "red") == 2
-        message = capsys.readouterr().err
-        assert message.startswith("error: ")
-        assert name in message
-        assert "build the field again" in message
-        assert message.count("\n") == 1
+    copy = shutil.copytree(field, tmp_path / "field")
+    data = (copy / "gaussians.npz").read_bytes()
+    (copy / "gaussians.npz").write_bytes(data[: len(data) // 2])
+    assert run(monkeypatch, "query", copy, "red") == 2
+    message = said(capsys)
+    assert "gaussians.npz" in message and "build the field again" in message
 
 
 @pytest.mark.parametrize(
@@ -300,22 +197,7 @@ def test_a_field_of_another_encoder_is_one_sentence(
     bank = MemoryBank(bank.ids, bank.codes, wider, bank.present)
     SemanticField(loaded.gaussians, bank, loaded.cameras, settings).save(tmp_path / "field")
     assert run(monkeypatch, "query", tmp_path / "field", "red") == 2
-    message = capsys.readouterr().err
-    assert message.startswith("error: ")
-    assert "build the field again" in message
-    assert message.count("\n") == 1
-
-
-def test_field_stops_before_the_work_when_it_cannot_end_well(tmp_path, monkeypatch, capsys):
-    (tmp_path / "file").write_text("in the way")
-    common = ["a.png", "b.png", "--cameras", tmp_path / "transforms.json"]
-    assert run(monkeypatch, "field", *common, "-o", tmp_path / "file" / "field") == 2
-    assert "cannot be written" in capsys.readouterr().err
-    assert run(monkeypatch, "field", *common, "-o", tmp_path / "file") == 2
-    assert "is not a field" in capsys.readouterr().err
-    assert run(monkeypatch, "field", *common, "-o", tmp_path / "field") == 2
-    assert "transforms.json" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    assert "build the field again" in said(capsys)
 
 
 def toml(tmp_path, text):
@@ -373,11 +255,6 @@ def test_a_slip_in_a_configuration_is_one_sentence(tmp_path, text, sentence):
     with pytest.raises(InputError, match=sentence) as error:
         read_toml(toml(tmp_path, text), {})
     assert "run.toml" in str(error.value)
-    assert "\n" not in str(error.value)
-
-
-def test_size_reads_as_height_and_width():
-    assert make_settings({"size": "64x96"}, "test").size == (64, 96)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="counts cores as Linux does")
@@ -402,52 +279,9 @@ def test_words_lists_the_vocabulary_by_family(monkeypatch, capsys):
     assert "ball (sphere" in lines["solid"]
 
 
-def test_near_and_far_reach_the_cameras():
-    from slgaussian import datasets
-
-    room = datasets.load("procedural", seed=1, height=48, width=64, objects=2)
-    sample = room.sample(["view_00", "view_03"], near=1.5, far=9.0)
-    assert {(v.camera.near, v.camera.far) for v in sample.context} == {(1.5, 9.0)}
-    with pytest.raises(InputError, match="far"):
-        room.sample(["view_00", "view_03"], near=3.0, far=2.0)
-
-
-@pytest.mark.parametrize("suffix", [".html", ".ply", ".spz"])
-def test_export_writes_by_suffix(field, tmp_path, monkeypatch, capsys, suffix):
-    out = tmp_path / f"scene{suffix}"
-    assert run(monkeypatch, "export", field, "-o", out) == 0
-    assert capsys.readouterr().out == f"{out}\n"
-    assert out.stat().st_size
-    assert [p.name for p in tmp_path.iterdir()] == [out.name]
-
-
 def test_gaussians_of_strangers_are_exported_to_look_at(field, tmp_path, monkeypatch, capsys):
     ply = tmp_path / "scene.ply"
     assert run(monkeypatch, "export", field, "-o", ply) == 0
     for suffix in (".html", ".spz"):
         assert run(monkeypatch, "export", ply, "-o", tmp_path / f"out{suffix}") == 0
-    capsys.readouterr()
-    assert run(monkeypatch, "export", ply, "--text", "red", "-o", tmp_path / "a.html") == 2
-    assert "scene.ply: a .ply answers no words" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (
-            ("-o", "scene.splat"),
-            "scene.splat: found '.splat', expected the name of the file to end in",
-        ),
-        (("-o", "scene"), "found no suffix"),
-        (("-o", "a.spz", "--text", "red"), "--text is for pages"),
-        (("-o", "a.html", "--text", "unicorn"), "no word 'unicorn' is known"),
-    ],
-)
-def test_an_export_that_cannot_be_is_one_sentence(
-    field, tmp_path, monkeypatch, capsys, words, sentence
-):
-    monkeypatch.chdir(tmp_path)
-    assert run(monkeypatch, "export", field, *words) == 2
-    message = capsys.readouterr().err
-    assert message.startswith("error: ") and sentence in message and message.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+        assert (tmp_path / f"out{suffix}").stat().st_size

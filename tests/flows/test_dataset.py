@@ -346,35 +346,3 @@ def test_what_cannot_be_is_one_sentence_before_any_work(
     report = capsys.readouterr().err
     assert sentence in report and report.startswith("error: ") and report.count("\n") == 1
     assert not list(tmp_path.glob("set/*.tar"))
-
-
-def test_other_loaders_read_the_same(output):
-    webdataset = pytest.importorskip("webdataset", reason="its loader is not installed")
-    folder, *_ = output
-    samples = TrainingSet(folder / "set")
-    by_name = {row["sample"]: number for number, row in enumerate(samples.rows.to_pylist())}
-    for shard in sorted((folder / "set").glob("*.tar")):
-        for read in webdataset.WebDataset(str(shard), shardshuffle=False).decode("rgb8"):
-            item = samples[by_name[read["__key__"]]]
-            context = item["context"]["image"][0].numpy().transpose(1, 2, 0)
-            np.testing.assert_array_equal(read["context_0.jpg"], context)
-            np.testing.assert_array_equal(
-                read["geometry.npz"]["depth"][:2], item["context"]["depth"]
-            )
-            np.testing.assert_array_equal(read["bank.npz"]["ids"], item["objects"]["ids"])
-
-
-def test_the_hub_of_hugging_face_reads_the_same(output, tmp_path):
-    hub = pytest.importorskip("datasets", reason="its loader is not installed")
-    if not hasattr(hub, "load_dataset"):
-        pytest.skip("its loader is not installed: tests/datasets was found in its place")
-    folder, *_ = output
-    samples = TrainingSet(folder / "set")
-    by_name = {row["sample"]: number for number, row in enumerate(samples.rows.to_pylist())}
-    splits = hub.load_dataset(str(folder / "set"), cache_dir=str(tmp_path))
-    read = [row for split in splits.values() for row in split]
-    assert len(read) == len(samples)
-    for row in read:
-        item = samples[by_name[row["__key__"]]]
-        np.testing.assert_array_equal(row["labels.npz"]["labels"][0], item["context"]["labels"][0])
-        assert row["about.json"]["clip"] == item["clip"]

@@ -1,15 +1,12 @@
 """What is wrong with an installation is one line each, and never hides the other lines."""
 
-from contextlib import suppress
 from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from command import run
 from packaging.requirements import Requirement
-from test_killed import wait_until, with_database
 
 from flows.cli import doctor
 from tests.masks.small_models import save_sam
@@ -106,16 +103,6 @@ def test_a_server_that_does_not_answer(tmp_path, monkeypatch, capsys):
     assert "prefect server start" in bad
 
 
-def test_a_server_of_its_own_is_started_and_stopped(server, tmp_path, monkeypatch, capsys):
-    store = with_database(tmp_path / "store", server)
-    monkeypatch.delenv("PREFECT_API_URL")
-    monkeypatch.setenv("PREFECT_HOME", str(store / ".prefect"))
-    status, told = examined(monkeypatch, capsys, "--store", store)
-    assert status == 0
-    assert told["ok"][-1] == "server Prefect's server starts and answers"
-    assert wait_until(lambda: servers_of(store) == [], 10)
-
-
 def test_the_runner_is_looked_at(server, tmp_path, monkeypatch, capsys):
     status, told = examined(monkeypatch, capsys, "--store", tmp_path, "--runner", "processes")
     assert status == 0 and told["ok"][-1] == "runner processes can be started"
@@ -150,14 +137,3 @@ def test_what_is_not_given_or_not_here_yet_is_said(server, tmp_path, monkeypatch
     assert "no weights are given" in lifting and "--set branch.weights=" in lifting
     assert "none given" in mvsplat and "--set mvsplat.checkpoint=" in mvsplat
     assert "`hf download no-such-owner/no-such-model`" in clip
-
-
-def servers_of(store):
-    """Processes that have the store's Prefect home in their environment, from the kernel."""
-    wanted = f"PREFECT_HOME={store}/.prefect".encode()
-    found = []
-    for entry in Path("/proc").iterdir():
-        with suppress(OSError):
-            if entry.name.isdigit() and wanted in (entry / "environ").read_bytes().split(b"\0"):
-                found.append(int(entry.name))
-    return found

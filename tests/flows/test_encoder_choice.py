@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("transformers")
 
-from command import room_sample, run, said, save_photographs
+from command import room_sample, run, save_photographs
 from huggingface_hub import constants, snapshot_download
 
 from flows import read_config
@@ -142,17 +142,3 @@ def test_what_is_built_knows_what_was_taken(model, tmp_path, monkeypatch, capsys
     assert capsys.readouterr().err == ""
     field = build_field(room_sample(), picked.built_by)
     assert field.settings["encoder"] == "clip"
-
-
-def test_the_help_names_it(monkeypatch, capsys):
-    for command in ("field", "demo", "doctor"):
-        assert run(monkeypatch, command, "--help") == 0
-        output = " ".join(capsys.readouterr().out.split())
-        assert "lexicon, clip or auto. [default: lexicon]" in output
-
-
-def test_a_word_like_it_is_none(monkeypatch, capsys, tmp_path):
-    config = tmp_path / "run.toml"
-    config.write_text('encoder = "automatic"\n[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n')
-    assert run(monkeypatch, "run", config, "--store", tmp_path / "store") == 2
-    assert "unknown encoder 'automatic'" in said(capsys)

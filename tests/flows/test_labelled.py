@@ -26,7 +26,7 @@ from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_from_arrays, truth_from_arrays
 from tasks.context import RunContext
-from tasks.scene import Photographs, digests_of, ingest, truth
+from tasks.scene import ingest, truth
 
 SIZE = (240, 160)
 FRAMES = [f"frame_{i:05d}.jpg" for i in range(1, 10)]
@@ -334,26 +334,3 @@ class TestHeldOut:
         assert judged == {size if isinstance(size, tuple) else (height, width)}
         if size == "at most 24x32":
             assert 2 * sample.context[0].image[..., 0].size < height * width
-
-
-class TestFileHashes:
-    def test_change_with_every_file_that_is_read_and_with_no_other(self, lerf):
-        folder = lerf / "ramen"
-
-        def hashes():
-            options, views = {"scene": "ramen"}, ("frame_00002",)
-            return Photographs("ramen", "lerf_ovs", lerf, options, views).inputs["files"]
-
-        before = hashes()
-        assert set(before) == {
-            "ramen/sparse/0/cameras.txt", "ramen/sparse/0/images.txt", f"ramen/images/{FRAMES[1]}",
-        }  # fmt: skip
-        shutil.copy(folder / "images" / FRAMES[5], folder / "images" / FRAMES[6])
-        assert hashes() == before
-        shutil.copy(folder / "images" / FRAMES[5], folder / "images" / FRAMES[1])
-        assert hashes() != before
-
-    def test_of_what_cannot_be_read_are_left_out(self, tmp_path):
-        (tmp_path / "folder").mkdir()
-        places = [tmp_path / "absent", tmp_path / "folder", tmp_path / "nul\0"]
-        assert digests_of(places, tmp_path) == {}

@@ -1,10 +1,7 @@
 """Photographs on the command line of which one is there twice, or shows another place."""
 
-import json
-
 import pytest
-from command import run, said
-from PIL import Image
+from command import run, write_photographs
 
 import slgaussian as slg
 from tests.predict import twists
@@ -19,20 +16,7 @@ def photos(tmp_path, monkeypatch):
     inputs = twists.arc(0, 3, SIZE)
     views = dict(zip(NAMES, inputs.context, strict=True))
     views |= {"copy.png": inputs.context[1], "elsewhere.png": twists.stranger(0, inputs, 0)}
-    frames = []
-    for name, view in views.items():
-        Image.fromarray(view.image).save(tmp_path / name)
-        observed = view.camera
-        (fx, _, cx), (_, fy, cy), _ = observed.K.tolist()
-        pose = (observed.c2w * [1, -1, -1, 1]).tolist()
-        frame = {
-            "file_path": name,
-            "transform_matrix": pose,
-            "w": observed.width,
-            "h": observed.height,
-        }
-        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
-    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    write_photographs(tmp_path, views)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -51,9 +35,3 @@ def test_a_copy_and_a_stranger_are_left_out_by_name(photos, monkeypatch, capsys)
     assert list(odd.cameras) == list(NAMES)
     for (name, a), (_, b) in zip(plain.gaussians.items(), odd.gaussians.items(), strict=True):
         assert (a == b).all(), name
-
-
-def test_one_name_twice_is_one_sentence(photos, monkeypatch, capsys):
-    words = ("a.png", "b.png", "a.png", "--cameras", "transforms.json", "-o", "field")
-    assert run(monkeypatch, "field", *words) == 2
-    assert "names 'a.png' twice" in said(capsys)

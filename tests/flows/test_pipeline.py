@@ -10,19 +10,17 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from command import run, said, score
+from command import files_below, run, score
 
 from flows.read_config import make_settings
-from flows.scene import STAGES, scene_task
+from flows.scene import STAGES
 from slgaussian import datasets
 from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.reports.summary import COSTS
 from slgaussian.build import build_field
-from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.kernels import threads
-from slgaussian.language.query import NEAR_BEST
 from slgaussian.storage.documents import read_document
 from slgaussian.storage.encoding import stated
 from slgaussian.storage.housekeeping import verify
@@ -31,7 +29,6 @@ from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 from tasks.benchmark import benchmark
-from tasks.scene import ingest
 
 pytestmark = pytest.mark.usefixtures("server")
 
@@ -50,12 +47,6 @@ def settings_for(folder: Path, missing: Path, **more):
     values = {"size": "64x96", "out": folder / "out", "scenes": [ROOM, bad], **more}
     values.setdefault("against", ["no-bank"])
     return make_settings(values, "test")
-
-
-def files_below(folder: Path, hidden: tuple[str, ...] = ()) -> dict[str, bytes]:
-    files = (p for p in sorted(folder.rglob("*")) if p.is_file())
-    named = {str(p.relative_to(folder)): p.read_bytes() for p in files}
-    return {name: data for name, data in named.items() if not name.startswith(hidden)}
 
 
 @pytest.fixture(scope="module")
@@ -310,64 +301,12 @@ def test_the_manifest_says_what_the_report_was_made_of(first):
     assert all(cost["view_seconds"] > 0 for cost in costs if cost["query_seconds"])
 
 
-def test_two_reports_are_compared_by_command(first, tmp_path, monkeypatch, capsys):
-    folder, missing, _ = first
-    changed = settings_for(tmp_path, missing, share=0.3)
-    score(changed, ArtifactStore(folder / "store"))
-    capsys.readouterr()
-    out = tmp_path / "changes"
-    assert run(monkeypatch, "compare", folder / "out", tmp_path / "out", "-o", out) == 0
-    told = capsys.readouterr().out
-    assert "What is compared" in told and "Methods ranked" in told
-    line = next(line for line in told.splitlines() if line.startswith("settings.share"))
-    assert line.split() == ["settings.share", str(NEAR_BEST), "0.3"]
-    assert f"page: {out / 'compare.html'}" in told
-    assert {file.name for file in out.iterdir()} == {"compare.html", "compare.md"}
-    assert run(monkeypatch, "compare", folder / "out", folder) == 2
-    assert "samples.parquet: found no such file" in said(capsys)
-
-
 def test_a_query_setting_recomputes_the_benchmark_alone(first, capsys):
     folder, missing, _ = first
     score(settings_for(folder, missing, temperature=5.0), ArtifactStore(folder / "store"))
     line = next(n for n in capsys.readouterr().err.splitlines() if n.startswith("room"))
     assert line.startswith("room  benchmark ")
     assert line.endswith("6 stages cached")
-
-
-def test_steps_hold_the_content_of_files_and_not_their_place(tmp_path):
-    import json
-    import shutil
-
-    camera = {"w": 60, "h": 40, "fl_x": 50, "transform_matrix": np.eye(4).tolist()}
-    frames = [
-        {"file_path": f"images/{n}.png", "depth_file_path": f"depth/{n}.png", **camera}
-        for n in "abc"
-    ]
-    data = tmp_path / "data"
-    (data / "images").mkdir(parents=True)
-    (data / "depth").mkdir()
-    (data / "transforms.json").write_text(json.dumps({"frames": frames}))
-    for n in "abc":
-        (data / "images" / f"{n}.png").write_bytes(n.encode())
-        (data / "depth" / f"{n}.png").write_bytes(n.encode())
-
-    def key_of(folder: Path) -> str:
-        scene = {"name": "s", "path": folder, "context": ["a.png", "b.png"]}
-        settings = make_settings({"scenes": [scene]}, "test")
-        photographs, *_ = scene_task(settings, Method(), settings.scenes[0]).arguments
-        return ingest.key({"photographs": photographs})
-
-    key = key_of(data)
-    moved = tmp_path / "moved"
-    shutil.copytree(data, moved)
-    assert key_of(moved) == key == key_of(data / "transforms.json")
-    (moved / "images" / "c.png").write_bytes(b"not asked for")
-    assert key_of(moved) == key
-    (moved / "depth" / "b.png").write_bytes(b"another depth")
-    assert key_of(moved) != key
-    (data / "images" / "a.png").write_bytes(b"another photograph")
-    assert key_of(data) != key
 
 
 def _flipped(data: bytes) -> bytes:

@@ -4,13 +4,11 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from command import run, said, save_photographs
 
 from flows import config as settings_module
-from flows.config import PRESETS, TABLES, Method, Settings, TrainSettings
+from flows.config import PRESETS, TABLES, Method, TrainSettings
 from flows.read_config import checked, make_settings, read_toml
 from slgaussian.errors import InputError
-from slgaussian.field import SemanticField
 
 FOLDER = Path(settings_module.__file__).parent / "presets"
 
@@ -77,42 +75,9 @@ def test_what_is_given_wins_key_by_key(tmp_path):
     assert "planesweep" not in second.component_values()
 
 
-@pytest.mark.parametrize("result", ["quick", "accurate", 3, ["fast"]])
-def test_a_preset_that_is_not_there_is_one_sentence(result):
-    with pytest.raises(InputError, match=r"found .*, expected one of fast, balanced, paper"):
-        make_settings({"preset": result}, "test")
-
-
-def test_a_field_says_what_ran(tmp_path, monkeypatch, capsys):
-    photos = save_photographs(tmp_path)
-    pair = photos / "view_00.png", photos / "view_02.png"
-    words = ["field", *pair, "--cameras", photos, "--set", "near=0.8", "--set", "far=12"]
-    assert run(monkeypatch, *words, "--preset", "fast", "-o", tmp_path / "field") == 0
-    field = SemanticField.load(tmp_path / "field")
-    chosen = make_settings({"preset": "fast"}, "test")
-    assert field.settings["planesweep"] == chosen.planesweep.model_dump()
-    assert {
-        name: field.settings[name] for name in chosen.component_names()
-    } == chosen.component_names()
-    assert field.settings["replicas"] == chosen.replicas
-    capsys.readouterr()
-    assert run(monkeypatch, *words, "--preset", "quick", "-o", tmp_path / "other") == 2
-    assert "expected one of fast, balanced, paper" in said(capsys)
-
-
 @pytest.mark.parametrize(
     ("size", "stored"),
     [("at most 312x432", "at most 312x432"), ("at most 0312x432", "at most 312x432")],
 )
 def test_a_size_may_be_a_bound(size, stored):
     assert make_settings({"size": size}, "test").size == stored
-
-
-@pytest.mark.parametrize("size", ["at most", "at most 3x4", "at most 312", "atmost 312x432"])
-def test_a_bound_that_is_none_is_one_sentence(size):
-    with pytest.raises(InputError, match=r"size: found .*expected height and width as in 256x256"):
-        make_settings({"size": size}, "test")
-
-
-def test_no_preset_is_the_default():
-    assert Settings().preset is None

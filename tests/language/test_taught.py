@@ -12,7 +12,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import BankReader, Rules, ask
-from slgaussian.language.taught import EVEN, SCALE, TaughtWords, encoder_identity, normal
+from slgaussian.language.taught import EVEN, SCALE, TaughtWords, encoder_identity
 from slgaussian.storage.encoding import encode_arrays
 from slgaussian.storage.specs import load_spec
 from tests.language.drawn import (
@@ -218,10 +218,6 @@ def test_no_word_is_refused(word):
         taught(word)
     with pytest.raises(InputError, match="has no example"):
         taught("owl").leads("fox", unit(1))
-
-
-def test_words_are_compared_without_case_and_spaces():
-    assert normal("  Brass\n OWL ") == "brass owl"
 
 
 def test_an_identity_has_the_settings_of_the_encoder_alone():

@@ -241,37 +241,8 @@ def test_objects_of_a_room_keep_their_ids(swapped):
     assert (maps.labels > 0).mean() > 0.99
 
 
-def test_same_bytes_again():
-    _, views = room()
-    item, two = (associate(views, Regions(), GeometricTracker()).labels.tobytes() for _ in range(2))
-    assert item == two
-
-
 def grid(rows):
     return np.array(rows, np.int32)
-
-
-def test_merge_keeps_the_old_id_of_a_piece_of_an_object():
-    carried = grid([[5, 5, 5, 5, 5, 5]])
-    assert match_detections(carried, grid([[1, 1, 2, 2, 3, 3]]), 9).tolist() == [[5, 5, 5, 5, 5, 5]]
-
-
-def test_merge_unites_by_iou_what_flow_carried_in_part():
-    carried = grid([[5, 5, 5, 0, 0, 7]])
-    assert match_detections(carried, grid([[1, 1, 1, 1, 1, 2]]), 9).tolist() == [[5, 5, 5, 5, 5, 7]]
-
-
-def test_merge_gives_new_ids_to_what_is_mostly_unknown():
-    carried = grid([[5, 0, 0, 0, 0, 0, 5, 5, 5, 5]])
-    detected = grid([[1, 1, 1, 1, 2, 2, 3, 3, 3, 3]])
-    assert match_detections(carried, detected, 9).tolist() == [[9, 9, 9, 9, 10, 10, 5, 5, 5, 5]]
-
-
-def test_merge_splits_a_region_that_was_known_as_two_objects():
-    carried = grid([[5, 5, 5, 0, 6, 6, 6, 6]])
-    assert match_detections(carried, np.ones_like(carried), 9).tolist() == [
-        [5, 5, 5, 5, 6, 6, 6, 6]
-    ]
 
 
 def row(**lengths):
@@ -282,6 +253,16 @@ def row(**lengths):
 @pytest.mark.parametrize(
     ("carried", "detected", "expected"),
     [
+        # Pieces of an object keep its id.
+        (row(a5=6), row(a1=2, b2=2, c3=2), row(a5=6)),
+        # What flow carried in part is united by IoU.
+        (row(a5=3, b0=2, c7=1), row(a1=5, b2=1), row(a5=5, b7=1)),
+        # What is mostly unknown is new.
+        (row(a5=1, b0=5, c5=4), row(a1=4, b2=2, c3=4), row(a9=4, b10=2, c5=4)),
+        # A region that was known as two objects is split.
+        (row(a5=3, b0=1, c6=4), row(a1=8), row(a5=4, c6=4)),
+        # What no region covers stays.
+        (row(a5=1, b0=1, c6=1), row(a0=3), row(a5=1, b0=1, c6=1)),
         # 6 of its 10 pixels are 5, which has 14 more: IoU 6 / 24, so 6 keeps its own.
         (row(a5=6, b6=4, c5=14), row(a1=10, b0=14), row(a5=6, b6=4, c5=14)),
         # 5 lies in it whole, and is a fifth of it: IoU 4 / 20, a new object.
@@ -300,10 +281,6 @@ def row(**lengths):
 )
 def test_merge_goes_by_the_intersection_over_the_union(carried, detected, expected):
     assert match_detections(carried, detected, 9).tolist() == expected.tolist()
-
-
-def test_merge_keeps_what_no_region_covers():
-    assert match_detections(grid([[5, 0, 6]]), grid([[0, 0, 0]]), 9).tolist() == [[5, 0, 6]]
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,11 @@ Views that differ in size, and id maps with holes, are also in the tests of each
 
 import numpy as np
 import pytest
-from drawn_views import SIZE, canvas, main_label, paste, view, with_depths
+from drawn_views import SIZE, canvas, main_label, paste, with_depths
 
-from slgaussian.errors import InputError
-from slgaussian.geometry import SeenView
 from slgaussian.masks import Proposals, load_tracker
 from slgaussian.masks.associate import associate, match_detections
 from slgaussian.masks.flatten import flatten
-from slgaussian.masks.vote import vote
 from slgaussian.scene import Camera, View
 
 WHOLE = (0, SIZE[0], 0, SIZE[1])
@@ -148,37 +145,3 @@ def test_two_thousand_masks():
     maps = associate(views, proposer, load_tracker("geometric"))
     assert maps.labels.dtype == np.int32 and len(np.unique(maps.labels[0])) == 2001
     assert 2000 <= len(maps.ids) <= 4000
-
-
-def test_ties_in_the_vote_go_to_the_earliest_copy_and_have_no_margin():
-    stack = np.array([[[7, 0]], [[3, 5]], [[3, 5]], [[7, 0]]], np.int32)
-    labels, margin = vote(stack)
-    assert labels.tolist() == [[7, 0]] and margin.tolist() == [[0, 0]]
-
-
-def test_an_id_map_with_holes_keeps_them(tmp_path):
-    ids = np.zeros(SIZE, np.uint16)
-    ids[10:50, 10:60], ids[20:30, 20:30], ids[60:100, 70:150] = 4, 0, 60_000
-    views = [view(canvas()), view(canvas(seed=1), "b")]
-    for name in "ab":
-        np.save(tmp_path / f"{name}.npy", ids)
-    maps = associate(views, None, load_tracker("precomputed", folder=tmp_path), replicas=5)
-    np.testing.assert_array_equal(maps.labels, [ids, ids])
-    assert maps.ids.tolist() == [4, 60_000]
-
-
-def test_views_of_different_size_are_one_clear_refusal():
-    views = [view(canvas()), view(canvas()[:100], "b")]
-    with pytest.raises(InputError, match=r"'b': image is \(100, 160, 3\).*bring all views to it"):
-        associate(views, Drawn(), load_tracker("geometric"))
-
-
-def test_labels_are_carried_between_views_of_different_size():
-    (a, b), proposer = scene([RED, BLUE], [RED, BLUE])
-    labels = flatten(proposer.propose(a))
-    half = SeenView(b.view.resized(90, 120), np.ones((90, 120), np.float32))
-    tracker = load_tracker("geometric")
-    tracker.add(a, labels)
-    carried = tracker.propagate(half)
-    assert carried.shape == (90, 120)
-    assert main_label(carried, (25, 55, 14, 40)) == main_label(labels, RED[0])

@@ -68,16 +68,6 @@ def test_all_levels_hold_the_objects_and_what_is_smaller_and_larger(scene):
         np.testing.assert_array_equal(first.scores, every.scores[every.levels == number])
 
 
-def test_no_two_masks_are_near_copies(scene):
-    masks = (
-        Regions(level="all").propose(SeenView.alone(scene)).masks.reshape(-1, scene[..., 0].size)
-    )
-    shared = masks.astype(float) @ masks.T.astype(float)
-    areas = np.diag(shared)
-    iou = shared / (areas[:, None] + areas - shared) - np.eye(len(areas))
-    assert iou.max() <= 0.95
-
-
 def test_most_bounds_the_number_of_masks_but_objects_stay(scene):
     objects = len(Regions().propose(SeenView.alone(scene)).masks)
     for maximum in (0, 10, 25):

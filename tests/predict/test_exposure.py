@@ -38,16 +38,20 @@ def test_gains_undo_an_exposure_difference():
     assert np.allclose(gains[0] * gains[1], 1)
 
 
-def test_along_a_walk_each_view_gets_the_exposure_of_its_neighbourhood():
-    cameras = [camera(x=0.2 * k) for k in range(3)]
+def gains_of(cameras, bright):
+    """Gains of views of a plane that were taken with so many times the light."""
     views = sample(*cameras).context
-    bright = np.array([0.72, 0.9, 1.125])
     images = [
         ((view.image // 2 + 30) * b).round().astype(np.uint8)
         for view, b in zip(views, bright, strict=True)
     ]
     answered = [np.ones(view.depth.shape, bool) for view in views]
-    gains = color_gains(images, [1 / view.depth for view in views], answered, graph_of(*cameras))
+    return color_gains(images, [1 / view.depth for view in views], answered, graph_of(*cameras))
+
+
+def test_along_a_walk_each_view_gets_the_exposure_of_its_neighbourhood():
+    bright = np.array([0.72, 0.9, 1.125])
+    gains = gains_of([camera(x=0.2 * k) for k in range(3)], bright)
     logs = np.log(bright)
     expected = np.array([logs[:2].mean(), logs.mean(), logs[1:].mean()]) - logs
     # Whole grey levels around 90: half a level is 0.5 %.
@@ -56,15 +60,8 @@ def test_along_a_walk_each_view_gets_the_exposure_of_its_neighbourhood():
 
 def test_one_view_that_is_far_off_the_others_hardly_moves_them():
     """What has its exposure wrong is brought to the others, not they half way to it."""
-    cameras = [camera(x=0.1 * k) for k in range(5)]
-    views = sample(*cameras).context
     bright = np.array([1.0, 1.0, 0.7, 1.0, 1.0])
-    images = [
-        ((view.image // 2 + 30) * b).round().astype(np.uint8)
-        for view, b in zip(views, bright, strict=True)
-    ]
-    answered = [np.ones(view.depth.shape, bool) for view in views]
-    gains = color_gains(images, [1 / view.depth for view in views], answered, graph_of(*cameras))
+    gains = gains_of([camera(x=0.1 * k) for k in range(5)], bright)
     moved = np.log(gains * bright[:, None])
     # Exposures of at most USUAL pull either way; counted in full the dark one moves them by 0.12.
     assert np.abs(moved).max() < 0.05, moved

@@ -49,11 +49,6 @@ def test_between_tiles_values_are_bilinear():
         np.testing.assert_allclose(found[mine], plain(places[mine]), atol=5 * NOISE)
 
 
-def test_one_tile_is_everywhere():
-    level = Level(np.ones((1, 1, 1, 2), np.float32), (np.array([5.0]), np.array([6.0])), (10, 12))
-    assert (level.at(np.arange(120), 0, 2) == 1).all()
-
-
 def test_tiles_are_what_the_encoder_says_of_squares(given):
     (level,) = encode_pyramid(given, [40], [0.75])
     rows, columns = tile_starts(104, 40, 30), tile_starts(144, 40, 30)

@@ -1,0 +1,426 @@
+"""Components with weights or files of their own, by command and by flow, with small real models."""
+
+import hashlib
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import command
+import numpy as np
+import pytest
+import torch
+from command import room_sample, run, said, save_photographs, score
+from PIL import Image
+from pipelines import calls_of, keyed
+
+from benches.predict.random_mvsplat_weights import recipe_weights
+from flows.config import Settings
+from flows.read_config import make_settings, read_toml
+from flows.scene import scene_task
+from slgaussian.build import build_field
+from slgaussian.components.component import Component
+from slgaussian.components.method import Method
+from slgaussian.components.pretrained import model_digest
+from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
+from slgaussian.formats.ply import load_ply
+from slgaussian.masks.configs import folder_digest, geometry_digest
+from slgaussian.rasterize import harmonics
+from slgaussian.storage.store import ArtifactStore
+from tasks.artifacts import sample_to_arrays
+from tasks.context import RunContext
+from tasks.scene import geometry, masks, supervision
+from tests.language.small_clip import save_clip
+from tests.masks.small_models import save_sam, save_sam2
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+ROOM = {**command.ROOM, "queries": ["red basket"]}
+SIZE = 192, 256
+"""Height and width of the photographs whose depth is given."""
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory) -> Path:
+    """Two photographs of 90 x 70 pixels, of which MVSplat takes the middle 80 x 64."""
+    return save_photographs(tmp_path_factory.mktemp("photos"), height=70, width=90)
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory) -> dict[str, Path]:
+    """Weights or files by the name of their component; ``depth`` is of precomputed geometry."""
+    root = tmp_path_factory.mktemp("models")
+    torch.save(recipe_weights(), root / "recipe.ckpt")
+    (root / "ids").mkdir()
+    for view in room_sample().context:
+        np.save(root / "ids" / f"{view.name}.npy", view.instances)
+    return {
+        "mvsplat": root / "recipe.ckpt",
+        "sam": save_sam(root / "sam"),
+        "sam2": save_sam2(root / "sam2"),
+        "clip": save_clip(root / "clip"),
+        "precomputed": root / "ids",
+    }
+
+
+def digest_of(name: str, place: Path) -> str:
+    if name == "mvsplat":
+        return hashlib.sha256(place.read_bytes()).hexdigest()
+    return folder_digest(place) if name == "precomputed" else model_digest(place)
+
+
+SAM = {"preset": "langsplat", "points": 3}
+CASES = {
+    # Name: kind, the setting that names its files, other settings, those that its identity adds.
+    "mvsplat": ("predictor", "checkpoint", {"depth_candidates": 8}, {"precision": "float32"}),
+    "sam": ("proposer", "model", SAM, {"level": "all", "batch": 16}),
+    "sam2": ("proposer", "model", SAM, {"level": "all", "batch": 16}),
+    "clip": (
+        "encoder", "model", {},
+        {"tokenizer": None, "crops": "masked", "batch": 4, "precision": "float32"},
+    ),
+    "precomputed": ("tracker", "folder", {}, {"geometry": None}),
+}  # fmt: skip
+STAGE_OF = {
+    "predictor": "geometry",
+    "proposer": "masks",
+    "tracker": "masks",
+    "encoder": "supervision",
+}
+
+
+def settings_for(places: dict[str, Path], *names: str, **values) -> Settings:
+    """Settings of the room with these components."""
+    for name in names:
+        kind, setting, local, _ = CASES[name]
+        values |= {kind: name, name: {setting: str(places[name]), **local, **values.get(name, {})}}
+    common = {"size": "64x64", "near": 0.8, "far": 12.0, "replicas": 1, "scenes": [ROOM]}
+    return make_settings({**common, **values}, "test")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_files_are_in_the_keys_of_their_stage_by_content(places, name, monkeypatch):
+    kind, setting, local, added = CASES[name]
+    settings = settings_for(places, name)
+    scene = settings.scenes[0]
+    steps = calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
+    default = settings_for(places)
+    plain = calls_of(scene_task(default, default.built_by, scene), monkeypatch)
+    identity = {setting: digest_of(name, places[name]), **local, **added}
+    stage = STAGE_OF[kind]
+    assert keyed(steps[stage])[kind] == {name: identity}
+    assert keyed(steps["field"])["method"][name] == identity
+    assert steps[stage][kind].places() == {setting: str(places[name])}
+    changed = {stage for stage in plain if keyed(plain[stage]) != keyed(steps[stage])}
+    assert changed - {"benchmark", "attribution"} == {stage, "field"}
+    assert name not in keyed(plain["field"])["method"] and plain[stage][kind].places() == {}
+
+
+def change(name: str, place: Path, folder: Path) -> Path:
+    """A copy of the files of a component that is not the same."""
+    copy = folder / place.name
+    if name == "mvsplat":
+        copy.write_bytes(place.read_bytes()[:-1])
+    elif name == "precomputed":
+        shutil.copytree(place, copy)
+        np.save(copy / "view_00.npy", np.ones((64, 64), np.int32))
+    else:
+        shutil.copytree(place, copy)
+        config = json.loads((copy / "config.json").read_text())
+        (copy / "config.json").write_text(json.dumps({**config, "note": 1}))
+    return copy
+
+
+@pytest.mark.parametrize("name", ["mvsplat", "sam", "clip", "precomputed"])
+def test_files_that_change_during_a_run_are_refused(places, tmp_path, name):
+    kind, setting, local, added = CASES[name]
+    store = ArtifactStore(tmp_path / "store")
+    context, method = RunContext(store), Method(codes="grid")
+    sample = store.put("sample", sample_to_arrays(room_sample()))
+    identity = {setting: digest_of(name, places[name]), **local, **added}
+
+    def compute(place: Path):
+        loaded = Component.stored(kind, {kind: name, name: identity}, {setting: str(place)})
+        parts = {k: getattr(method, k) for k in STAGE_OF} | {kind: loaded}
+        base = geometry.compute(context, sample, parts["predictor"], 0)
+        if kind == "predictor":
+            return base
+        labels = masks.compute(
+            context, sample, base, parts["proposer"], parts["tracker"], 1, "views"
+        )
+        if kind != "encoder":
+            return labels
+        return supervision.compute(context, sample, base, labels, loaded, method.codes, 0, "groups")
+
+    output = compute(places[name])
+    assert output.meta.get("gaussians") == 2 * 64 * 64 or output.meta["objects"] >= 1
+    if name == "precomputed":
+        labels = store.get(output)["labels"]
+        np.testing.assert_array_equal(labels, [v.instances for v in room_sample().context])
+    with pytest.raises(InputError, match="was changed after the run had begun"):
+        compute(change(name, places[name], tmp_path))
+
+
+def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, capsys):
+    names = ("mvsplat", "sam", "clip")
+    store = ArtifactStore(tmp_path / "store")
+    finished = score(settings_for(places, *names, out=tmp_path / "out"), store)
+    assert [result.scene for result in finished.results] == ["room"]
+    assert all(row["score"] is not None for row in finished.results[0].rows)
+    assert capsys.readouterr().err.startswith("with mvsplat, sam, geometric, clip, ")
+    page = (tmp_path / "out" / "report.html").read_text("utf-8")
+    for name in names:
+        setting = f"settings.{name}.{CASES[name][1]}"
+        assert f'{setting}</td><td class=" left">{digest_of(name, places[name])}</td>' in page
+
+    # The same files in another place: nothing is computed. Another setting: its stage is.
+    (tmp_path / "moved").mkdir()
+    moved = {name: tmp_path / "moved" / places[name].name for name in names}
+    for name in names:
+        copy = shutil.copytree if places[name].is_dir() else shutil.copy
+        copy(places[name], moved[name])
+    score(settings_for(moved, *names, out=tmp_path / "again"), store)
+    assert "room  attribution  cached" in capsys.readouterr().err
+    for out, files in (("out", places), ("again", moved)):
+        field = SemanticField.load(tmp_path / out / "fields" / "room")
+        assert field.places == {"model": str(files["clip"].resolve())}
+        assert field.describe(["red ball"])
+    for name, values, before, stage in (
+        ("clip", {"crops": "context"}, "masks", "supervision"),
+        ("sam", {"points": 2}, "geometry", "masks"),
+        ("mvsplat", {"depth_candidates": 2}, "ingest", "geometry"),
+    ):
+        changed = settings_for(moved, *names, out=tmp_path / "third", **{name: values})
+        score(changed, store, verbose=True)
+        progress = capsys.readouterr().err
+        assert f"room  {before}  cached" in progress and f"room  {stage}  cached" not in progress
+    # No artifact and no record says where the files are.
+    for file in Path(store.path).rglob("*"):
+        assert not file.is_file() or str(places["sam"].parent).encode() not in file.read_bytes()
+
+
+def field_words(photos: Path, *words) -> list:
+    pair = (photos / "view_00.png", photos / "view_02.png")
+    return ["field", *pair, "--cameras", photos, "--set", "near=0.8", *words]
+
+
+def test_a_field_by_mvsplat_has_a_gaussian_at_every_pixel_but_the_edge(
+    photos, places, tmp_path, monkeypatch
+):
+    words = ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={places['mvsplat']}"]
+    words += ["--set", "mvsplat.depth_candidates=auto", "-o", tmp_path / "field"]
+    assert run(monkeypatch, *field_words(photos, *words)) == 0
+    field = SemanticField.load(tmp_path / "field")
+    assert field.settings["predictor"] == "mvsplat"
+    assert field.settings["mvsplat"]["depth_candidates"] == "auto"
+    assert str(places["mvsplat"].parent) not in (tmp_path / "field" / "field.json").read_text()
+    view, pixel = np.divmod(field.gaussians.source.numpy(), 70 * 90)
+    row, column = np.divmod(pixel, 90)
+    assert np.bincount(view).tolist() == [64 * 80] * 2
+    assert (row.min(), row.max(), column.min(), column.max()) == (3, 66, 5, 84)
+    # What other programs read shows the same colours, from anywhere.
+    assert run(monkeypatch, "export", tmp_path / "field", "-o", tmp_path / "scene.ply") == 0
+    read, _ = load_ply(tmp_path / "scene.ply")
+    camera = field.cameras["view_00.png"]
+    observed = harmonics.colors(field.gaussians, camera)
+    torch.testing.assert_close(harmonics.colors(read, camera), observed, rtol=0, atol=1e-6)
+    assert (observed - field.gaussians.colors()).abs().max() > 0.01
+
+
+@pytest.mark.parametrize("name", ["sam", "sam2", "precomputed"])
+def test_a_field_says_which_files_made_its_masks(places, tmp_path, name):
+    kind, setting, local, _ = CASES[name]
+    settings = {name: {setting: places[name], **local}}
+    field = build_field(room_sample(), Method(replicas=1, settings=settings, **{kind: name}))
+    field.save(tmp_path / "field")
+    stored = SemanticField.load(tmp_path / "field").settings
+    assert stored[kind] == name
+    assert stored[name].items() >= {setting: digest_of(name, places[name]), **local}.items()
+    assert str(places[name]) not in (tmp_path / "field" / "field.json").read_text()
+    if name == "precomputed":
+        ids = np.unique([view.instances for view in room_sample().context])
+        np.testing.assert_array_equal(field.bank.ids, ids[ids > 0])
+
+
+def test_a_field_is_built_of_depth_and_cameras_of_a_file(tmp_path, monkeypatch):
+    """An NPZ in the layout of Depth Anything 3, with its photographs beside it."""
+    views = [command.room(*SIZE).read(name) for name in ROOM["context"]]
+    for view in views:
+        Image.fromarray(view.image).save(tmp_path / f"{view.name}.png")
+    arrays = {"depth": [v.depth for v in views], "conf": np.ones((2, *SIZE), np.float32)}
+    arrays |= {"extrinsics": [v.camera.w2c[:3] for v in views]}
+    file = tmp_path / "results.npz"
+    np.savez(file, **arrays, intrinsics=[v.camera.K for v in views])
+    words = ["--predictor", "precomputed", "--set", f"precomputed.geometry={file}"]
+    photos = [tmp_path / f"{view.name}.png" for view in views]
+    assert run(monkeypatch, "field", *photos, *words, "-o", tmp_path / "field") == 0
+    field = SemanticField.load(tmp_path / "field")
+    assert field.settings["precomputed"]["geometry"] == geometry_digest(file)
+    assert field.settings["quality"]["confirmed"] > 0.8
+    for view in views:
+        camera = field.cameras[f"{view.name}.png"]
+        np.testing.assert_allclose(camera.c2w, view.camera.c2w, atol=1e-6)
+        assert np.median(np.abs(field.render(camera).depth / view.depth - 1)) < 0.02
+
+
+@pytest.fixture(scope="module")
+def clip_field(places, photos, tmp_path_factory) -> Path:
+    """A field that ``slgaussian field`` built with CLIP."""
+    folder = tmp_path_factory.mktemp("made") / "field"
+    words = ["--set", "far=12", "--set", "replicas=1", "--encoder", "clip"]
+    words += ["--set", f"clip.model={places['clip']}", "--set", "clip.crops=context"]
+    with pytest.MonkeyPatch.context() as patch:
+        assert run(patch, *field_words(photos, *words, "-o", folder)) == 0
+    return folder
+
+
+def test_a_field_answers_with_the_model_that_built_it_wherever_it_is(
+    clip_field, places, monkeypatch, capsys, tmp_path
+):
+    info = json.loads((clip_field / "field.json").read_text())
+    assert info["settings"]["clip"]["model"] == model_digest(places["clip"])
+    assert info["places"] == {"model": str(places["clip"].resolve())}
+    assert SemanticField.load(clip_field).bank.features.shape[1:] == (2, 24)
+    question = ["red basket", "--json"]
+    assert run(monkeypatch, "query", clip_field, *question) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert 0 < answer["score"] < 1 and answer["unknown"] == [] and answer["point"] is not None
+
+    # The model has moved: the field still draws, and is asked with the place.
+    model = ["--set", f"clip.model={shutil.copytree(places['clip'], tmp_path / 'moved')}"]
+    info["places"] = {"model": str(tmp_path / "gone")}
+    field = shutil.copytree(clip_field, tmp_path / "field")
+    (field / "field.json").write_text(json.dumps(info))
+    assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png") == 0
+    capsys.readouterr()
+    assert run(monkeypatch, "query", field, *question) == 2
+    assert f"no longer at {tmp_path / 'gone'}; say where it is, as in --set clip" in said(capsys)
+    assert run(monkeypatch, "query", field, *question, *model) == 0
+    assert json.loads(capsys.readouterr().out) == answer
+    assert run(monkeypatch, "objects", "list", field, "red", "box", *model) == 0
+    second = change("clip", places["clip"], tmp_path)
+    for model, sentence in (
+        (second, f"model {second}: is not what the field was built"),
+        ("no/such/place", "model no/such/place: there is no such folder"),
+    ):
+        assert run(monkeypatch, "query", clip_field, "red", "--set", f"clip.model={model}") == 2
+        assert sentence in said(capsys)
+    assert run(monkeypatch, "query", clip_field, "word " * 100) == 2
+    assert "tokens, but the model reads at most 77" in said(capsys)
+
+
+def test_a_field_is_loaded_in_python_with_the_place_of_its_model(clip_field, places, tmp_path):
+    info = json.loads((clip_field / "field.json").read_text())
+    folder = shutil.copytree(clip_field, tmp_path / "field")
+    (folder / "field.json").write_text(json.dumps({**info, "places": {}}))
+    loaded = SemanticField.load(folder, encoder={"model": places["clip"]})
+    camera = loaded.cameras["view_00.png"]
+    hits = [f.render(camera).query("red basket") for f in (loaded, SemanticField.load(clip_field))]
+    assert np.array_equal(hits[0].scores, hits[1].scores)
+    with pytest.raises(InputError, match="needs its model, which is not stored with a field; say"):
+        SemanticField.load(folder).render(camera).query("red basket")
+    with pytest.raises(InputError, match=r"unknown key 'clip\.weights'"):
+        replace(loaded, places={**loaded.places, "weights": "w"}).encoder  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("assignments", "sentence"),
+    [
+        ("predictor=mvsplat", "mvsplat checkpoint: none given; download re10k.ckpt"),
+        ("predictor=mvsplat mvsplat.checkpoint=none.ckpt", "there is no such file"),
+        ("predictor=mvsplat mvsplat.checkpoint=page.ckpt", "page.ckpt: is damaged"),
+        ("predictor=mvsplat mvsplat.checkpoint=MVSPLAT mvsplat.precision=half", "precision: found"),
+        ("mvsplat.precision=bfloat16", "but no part is 'mvsplat' (found predictor 'planes"),
+        (
+            "predictor=mvsplat mvsplat.checkpoint=MVSPLAT mvsplat.depth_candidates=129",
+            "mvsplat depth_candidates: found 129, expected 2 to 128 or",
+        ),
+        ("encoder=clip clip.model=no/such/folder", "there is no such folder"),
+        ("encoder=clip clip.model=CLIP clip.crops=x", "crops: found 'x'"),
+        ("encoder=clip clip.model=CLIP clip.batch=0", "batch: found 0"),
+        ("clip.batch=2", "settings of 'clip' are given, but no part is 'clip'"),
+        ("proposer=sam", "sam model: none given; give a folder, or a name on the hub as"),
+        ("proposer=sam sam.model=no/such/folder", "there is no such folder"),
+        ("proposer=sam2 sam2.model=SAM", "is of type 'sam', but sam2 needs"),
+        ("proposer=sam sam.model=SAM sam.preset=x", "preset: found 'x'"),
+        ("proposer=sam sam.points=few", "sam points: found 'few'"),
+        ("tracker=sam2-video", "sam2-video model: none given; give a folder, or a name"),
+        ("tracker=precomputed", "precomputed folder: none given"),
+        ("tracker=precomputed precomputed.folder=no", "there is no folder 'no'"),
+        ("sam2_video.batch=4", "settings of 'sam2_video' are given, but no part"),
+    ],
+)
+def test_a_run_that_cannot_be_does_not_begin(
+    places, tmp_path, monkeypatch, capsys, assignments, sentence
+):
+    monkeypatch.chdir(tmp_path)
+    Path("page.ckpt").write_text("<html>Sign in to download</html>")
+    Path("run.toml").write_text('[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n')
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")  # never asked
+    for name in ("mvsplat", "clip", "sam"):
+        assignments = assignments.replace(f"={name.upper()}", f"={places[name]}")
+    words = [word for value in assignments.split() for word in ("--set", value)]
+    assert run(monkeypatch, "run", "run.toml", "--store", "store", *words) == 2
+    assert sentence in said(capsys)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.ckpt", "run.toml"]
+
+
+TABLES = """
+predictor = "mvsplat"
+tracker = "sam2-video"
+[mvsplat]
+checkpoint = "weights/re10k.ckpt"
+precision = "bfloat16"
+[clip]
+model = "clip.bin"
+tokenizer = "a/b"
+[sam]
+model = "weights"
+[sam2]
+model = "facebook/sam2.1-hiera-tiny"
+[sam2_video]
+model = "weights"
+batch = 4
+[precomputed]
+folder = "ids"
+"""
+
+
+def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(tmp_path):
+    (tmp_path / "weights").mkdir()
+    (tmp_path / "clip.bin").touch()
+    file = tmp_path / "run.toml"
+    file.write_text(TABLES)
+    read = read_toml(file, {"mvsplat": {"precision": "float32", "depth_candidates": "64"}})
+    weights = str(tmp_path / "weights")
+    assert read.mvsplat.model_dump() == {
+        "checkpoint": tmp_path / "weights/re10k.ckpt",
+        "precision": "float32",
+        "depth_candidates": 64,
+    }
+    assert (read.clip.model, read.clip.tokenizer) == (str(tmp_path / "clip.bin"), "a/b")
+    assert (read.sam.model, read.sam2.model) == (weights, "facebook/sam2.1-hiera-tiny")
+    assert read.component_values()["sam2-video"] == {"model": weights, "batch": 4}
+    assert read.precomputed.folder == tmp_path / "ids"
+    other = {"mvsplat": {"checkpoint": "elsewhere.ckpt"}}
+    assert read_toml(file, other).mvsplat.checkpoint == Path("elsewhere.ckpt")
+    # A file may keep the table of a part that is not chosen; an option without effect is a slip.
+    assert "mvsplat" not in read_toml(file, {"predictor": "planesweep"}).component_values()
+    with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
+        read_toml(file, {"predictor": "planesweep", **other})
+
+
+@pytest.mark.parametrize(
+    ("table", "sentence"),
+    [
+        ("mvsplat = 3", "mvsplat: found 3; expected a table"),
+        ("[mvsplat]\ndepth_candidates = 64.5", "depth_candidates: found 64.5, expected a whole"),
+        ("[mvsplat]\ncheckpoint = 3", "mvsplat checkpoint: found 3, expected a path"),
+        ('[mvsplat]\nweights = "a"', "unknown key 'mvsplat.weights'; the keys are checkpoint, "),
+    ],
+)
+def test_a_slip_in_a_table_is_one_sentence(tmp_path, table, sentence):
+    (tmp_path / "run.toml").write_text(f"{table}\n")
+    with pytest.raises(InputError, match=sentence):
+        read_toml(tmp_path / "run.toml", {})

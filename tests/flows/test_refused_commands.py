@@ -1,0 +1,91 @@
+"""What the commands on a field and on a PLY refuse: one sentence, status 2, and no file."""
+
+import shlex
+
+import pytest
+from command import run, said, transforms, two_walls
+
+from slgaussian.field import SemanticField
+from slgaussian.formats.ply import save_ply
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a field, PLYs, a camera file and a name that is taken."""
+    folder = tmp_path_factory.mktemp("place")
+    gaussians = SemanticField.load(two_walls(folder / "field")).gaussians
+    save_ply(gaussians, folder / "scene.ply")
+    save_ply(gaussians[:0], folder / "empty.ply")
+    points = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    (folder / "points.ply").write_text(f"ply\nformat ascii 1.0\n{points}end_header\n1 2 3\n")
+    (folder / "folder.ply").mkdir()
+    transforms(folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("query field ''", "query"),
+        ("query field red --view 9", "'9'"),
+        ("query field red --view nowhere.png", "no view 'nowhere.png'"),
+        ("query field red -o no/such/folder/hit.png", "cannot be written"),
+        ("query field red -o a.bmp", "name of a picture to end in .png or .jpg or .jpeg"),
+        ("query field red --threshold 2", "threshold"),
+        ("query field red --set protocol=lerf", "expected one of slgaussian, langsplat"),
+        ("query field red --set canonical=qwxyz", "qwxyz"),
+        ("query field red --set absent=none", "expected one of skip, zero"),
+        ("query field red --preset papr", "did you mean 'paper'?"),
+        ("query field", "nothing is asked: give a TEXT, or a picture with --like"),
+        ("query field --like nowhere.png", "nowhere.png"),
+        ("query field red --words nowhere.npz", "nowhere.npz: cannot be read"),
+        ("query field red --camera none.json", "none.json: cannot be read"),
+        ("query no red", "no: no field.json there"),
+        ("segment field red -o a", "found 'no suffix'"),
+        ("segment field red --between 0 1 1.5 -o a.png", "from 0 to 1"),
+        ("segment field red --between 0 7 0.5 -o a.png", "no view '7'"),
+        ("segment field red --between 0 1 0.5 --view 1 -o a.png", "--view and --between"),
+        ("render field -o a.gif", "expected the name of a picture"),
+        ("render field -o none/a.png", "cannot be written"),
+        ("render field -o a.png --depth d.npy --view 0 --view 1", "--depth: is of one view"),
+        ("render field -o a.png --depth d.tif", "d.tif: found '.tif', expected the name of a"),
+        ("render field -o a.png --ids i.npy", "i.npy: found '.npy', expected the name of a"),
+        ("render field -o a.png --path p.json", "end in .mp4"),
+        ("render field -o a.png --show code", "--show: found 'code', expected colours or codes"),
+        ("render field -o a.png --orbit 4", "expected the name of a film to end in .mp4"),
+        ("render field -o a.mp4 --orbit 1", "greater than or equal to 2"),
+        ("render field -o a.mp4 --orbit 4 --view 1", "leave out --view"),
+        ("render scene.ply -o a.png", "a .ply has no cameras; add --camera transforms.json"),
+        ("render scene.ply --cameras transforms.json --view 008 -o a.png", "no view '008'"),
+        ("render scene.ply --cameras none.json -o a.png", "none.json: cannot be read"),
+        ("render none.ply --cameras transforms.json -o a.png", "none.ply: cannot be read"),
+        ("render points.ply --cameras transforms.json -o a.png", "no Gaussians: lacks f_dc_0"),
+        ("render empty.ply --cameras transforms.json -o a.png", "empty.ply: holds no Gaussians"),
+        ("export field -o folder.ply", "folder.ply: cannot be written"),
+        ("export field -o scene.splat", "scene.splat: found '.splat', expected the name of the"),
+        ("export field -o scene", "found no suffix"),
+        ("export field -o a.spz --text red", "--text is for pages"),
+        ("export field -o a.html --text unicorn", "no word 'unicorn' is known"),
+        ("export scene.ply -o a.html --text red", "scene.ply: a .ply answers no words"),
+        ("objects list field -o a.txt", "expected the name of a picture to end in .png"),
+        ("objects list field -o a.png", "leave out the picture"),
+        ("objects extract field 7 -o x.ply", "'7': is no object of the field"),
+        ("objects remove field 9 -o no", "'9': is no object"),
+        ("objects remove field red -o field", "is the field itself"),
+        ("objects teach field zorp --at 48 3", "--at 48 3: is outside view 'images/001.png'"),
+        ("objects teach field zorp --at 8 16 --view 7", "no view '7'"),
+        ("objects teach field '  ' --at 8 16", "expected 1 to 80 letters"),
+        ("objects teach field zorp", "say either where it is, with --at X Y, or --forget"),
+        ("objects teach field zorp --forget --at 8 16", "say either where it is"),
+        ("objects teach field zorp --forget", "'zorp': is no taught word; those there are: none"),
+        ("field a.png b.png --cameras none.json -o scene.ply", "is not a field"),
+        ("field a.png b.png --cameras none.json -o scene.ply/field", "cannot be written"),
+        ("field a.png b.png --cameras none.json -o new", "none.json"),
+    ],
+)
+def test_a_command_that_cannot_be_is_one_sentence(place, monkeypatch, capsys, line, sentence):
+    monkeypatch.chdir(place)
+    before = sorted(place.rglob("*"))
+    assert run(monkeypatch, *shlex.split(line)) == 2
+    assert sentence in said(capsys)
+    assert sorted(place.rglob("*")) == before
