@@ -1,31 +1,26 @@
 """Write `reference/files.md`: every file that the program stores, from `data_specs/`."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
-from slgaussian.storage.specs import UNITS, Entry, Spec, load_spec, spec_names
+from slgaussian.storage.specs import UNITS, Spec, load_spec, spec_names
 
 PAGE = Path(__file__).parent / "reference" / "files.md"
 
 INTRODUCTION = """\
-Made by `python docs/make_files.py` from `data_specs/`, which every file is checked against when it
-is written and when it is read. The TOML file of a spec has the type, unit, bounds and meaning of
-each field, and so have the metadata of every stored file.
+Made by `python docs/make_files.py` from `data_specs/`. Every file is checked against its spec when
+it is written and when it is read. The TOML file of a spec has the type, unit, bounds and meaning
+of each field; so have the metadata of every stored file, and `slgaussian inspect FILE` prints
+them.
 
-- **Tables** are Parquet. Arrow's metadata of the schema have `spec`, `meaning`, `made` and, where
-  they are known, `source` and `licence`; those of each column `meaning`, `unit`, `low`, `high` and
-  `values`.
-- **Arrays** are NPZ, with the same in a member `about.json`.
+- **Tables** are Parquet; the metadata are those of the Arrow schema and of its columns.
+- **Arrays** are NPZ; the metadata are in the member `about.json`.
 - **Documents** are JSON.
 
-`made` names the program, the stage and its version, its settings (files and weights by their
-content), the specs of what it was made of, and the versions of software: nothing of when or where.
-A file says its spec as `slgaussian/labels@1`: a version is raised when older files are no longer
-what the spec says. A file of a later version is refused, and so is an older one that does not
-pass; files from before specs were named are read if they pass. `slgaussian inspect FILE` checks a
-file and shows its spec, what made it and its digest.
-How to read it without this program:
-[storage](../guides/storage.md#a-file-by-itself)."""
+`made` in the metadata names the program, the stage with its version and settings (files and
+weights by their content), the specs of the inputs, and the versions of software; no time and no
+place. A file names its spec as `slgaussian/labels@1`. The version is raised when older files no
+longer fit the spec. A file of a later version, or one that does not fit its spec, is refused. How
+to read a file without this program: [storage](../guides/storage.md#a-file-by-itself)."""
 
 KINDS = {
     "Tables": lambda spec: spec.columns,
@@ -40,20 +35,15 @@ def markdown() -> str:
     text = ["# Every stored file", INTRODUCTION, f"Units:\n\n{units}"]
     specs = [load_spec(name) for name in spec_names()]
     for kind, entries_of in KINDS.items():
-        rows = [_row(spec, entries_of(spec)) for spec in specs if entries_of(spec)]
-        text += [
-            f"## {kind}",
-            "\n".join(["| spec | holds | fields |", "| --- | --- | --- |", *rows]),
-        ]
+        rows = [_row(spec) for spec in specs if entries_of(spec)]
+        text += [f"## {kind}", "\n".join(["| spec | content |", "| --- | --- |", *rows])]
     return "\n\n".join(text) + "\n"
 
 
-def _row(spec: Spec, entries: Mapping[str, Entry] | bool) -> str:
+def _row(spec: Spec) -> str:
     file = f"<br>`{spec.file}`" if spec.file else ""
-    names = ", ".join(f"`{name}`" for name in entries) if isinstance(entries, Mapping) else "any"
     doc = spec.doc.replace("|", "\\|").replace("<", "&lt;")
-    link = f"[{spec.name}@{spec.version}](../../data_specs/{spec.name}.toml)"
-    return f"| {link}{file} | {doc} | {names} |"
+    return f"| [{spec.name}@{spec.version}](../../data_specs/{spec.name}.toml){file} | {doc} |"
 
 
 if __name__ == "__main__":
