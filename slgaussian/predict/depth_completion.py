@@ -138,7 +138,9 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
         rows, columns = np.nonzero(left)
         if len(rows) < fewest:
             break
-        guesses = np.concatenate([_square_planes(left, inverse_depth, size) for size in SQUARES])
+        guesses = np.concatenate(
+            [_square_planes(rows, columns, inverse_depth, size) for size in SQUARES]
+        )
         if not len(guesses):
             break
         stride = max(1, len(rows) // JUDGES)
@@ -146,7 +148,7 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
         y, x = rows[judges], columns[judges]
         points, w = np.stack([x, y, np.ones(len(x))], 1), inverse_depth[y, x].astype(np.float64)
         first = np.argsort(-_support(guesses, points, w, tolerance), kind="stable")[:REFITTED]
-        refitted = np.stack([_refit(plane, points, w, tolerance) for plane in guesses[first]])
+        refitted = _refit(guesses[first], points, w, tolerance)
         plane = refitted[_support(refitted, points, w, tolerance).argmax()]
         explained = left & (np.abs(_plane_depths(plane, *left.shape) - inverse_depth) < tolerance)
         if explained.sum() < fewest:
@@ -156,59 +158,64 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
     return np.array(planes).reshape(-1, 3)
 
 
-def _square_planes(keep: np.ndarray, inverse_depth: np.ndarray, size: int) -> np.ndarray:
-    """Fit least-squares planes to the squares of ``size`` pixels that have enough answered pixels,
-    float64 [K, 3]."""
-    across = -(-keep.shape[1] // size)
-    y, x = np.nonzero(keep)
+def _square_planes(
+    y: np.ndarray, x: np.ndarray, inverse_depth: np.ndarray, size: int
+) -> np.ndarray:
+    """Fit least-squares planes to the squares of ``size`` pixels that have enough of the pixels in
+    rows ``y`` and columns ``x``, float64 [K, 3]."""
+    across = -(-inverse_depth.shape[1] // size)
     square = y // size * across + x // size
     numbers = np.arange(square.max() + 1)
     column, row = (numbers % across + 0.5) * size, (numbers // across + 0.5) * size
-    u, v, w = x - column[square], y - row[square], inverse_depth[y, x].astype(np.float64)
-
-    def summed(terms: np.ndarray) -> np.ndarray:
-        return np.bincount(square, terms, len(numbers))
-
-    count = summed(np.ones(len(u)))
-    full = np.maximum(count, 1)
-    mean_u, mean_v, mean_w = (summed(axis) / full for axis in (u, v, w))
-    uu = summed(u * u) - count * mean_u * mean_u
-    uv = summed(u * v) - count * mean_u * mean_v
-    vv = summed(v * v) - count * mean_v * mean_v
-    uw = summed(u * w) - count * mean_u * mean_w
-    vw = summed(v * w) - count * mean_v * mean_w
-    det = uu * vv - uv * uv
-    good = (count >= size * size / 8) & (det > 1e-3 * (uu + vv) ** 2)
-    det = np.where(good, det, 1.0)
-    a, b = (vv * uw - uv * vw) / det, (uu * vw - uv * uw) / det
-    return np.stack([a, b, mean_w - a * (mean_u + column) - b * (mean_v + row)], 1)[good]
+    terms = _moments(x - column[square], y - row[square], inverse_depth[y, x].astype(np.float64))
+    sums = np.stack([np.bincount(square, term, len(numbers)) for term in terms])
+    planes, roundness = _planes_of_moments(sums)
+    planes[:, 2] -= planes[:, 0] * column + planes[:, 1] * row
+    return planes[(sums[0] >= size * size / 8) & (roundness > 1e-3)]
 
 
-def _refit(plane: np.ndarray, points: np.ndarray, w: np.ndarray, tolerance: float) -> np.ndarray:
-    """Refit a plane to its inliers among the points [M, 3] up to :data:`REFITS` times."""
-    for _ in range(REFITS):
-        agrees = np.abs(points @ plane - w) < tolerance
-        if agrees.sum() < 3:
-            break
-        plane = _least_squares_plane(points[agrees], w[agrees], plane)
-    return plane
+def _refit(planes: np.ndarray, points: np.ndarray, w: np.ndarray, tolerance: float) -> np.ndarray:
+    """Refit planes [P, 3] to their inliers among the points [M, 3] :data:`REFITS` times.
 
-
-def _least_squares_plane(points: np.ndarray, w: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """Fit a plane to points [M, 3] with inverse depths ``w``; ``plane`` if they are collinear.
-
-    Solves centred normal equations by hand: three unknowns are not worth waking BLAS threads for.
+    Planes of collinear inliers stay. No BLAS product: so few unknowns are not worth waking its
+    threads for, and its last digit depends on them.
     """
-    middle, level = points.mean(0), w.mean()
-    x, y, _ = (points - middle).T
-    off = w - level
-    xx, xy, yy = (x * x).sum(), (x * y).sum(), (y * y).sum()
-    det = xx * yy - xy * xy
-    if det <= 1e-9 * (xx + yy) ** 2:
-        return plane
-    a = (yy * (x * off).sum() - xy * (y * off).sum()) / det
-    b = (xx * (y * off).sum() - xy * (x * off).sum()) / det
-    return np.array([a, b, level - a * middle[0] - b * middle[1]])
+    x, y, _ = points.T
+    middle_x, middle_y = x.mean(), y.mean()
+    terms = np.stack(_moments(x - middle_x, y - middle_y, w))
+    for _ in range(REFITS):
+        a, b, c = planes.T[..., None]
+        inliers = np.abs(a * x + b * y + c - w) < tolerance
+        fitted, roundness = _planes_of_moments(np.einsum("pm,km->kp", inliers * 1.0, terms))
+        fitted[:, 2] -= fitted[:, 0] * middle_x + fitted[:, 1] * middle_y
+        planes = np.where(roundness[:, None] > 1e-9, fitted, planes)
+    return planes
+
+
+def _moments(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the terms whose sums over points :func:`_planes_of_moments` takes."""
+    return np.ones_like(u), u, v, w, u * u, u * v, v * v, u * w, v * w
+
+
+def _planes_of_moments(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve centred normal equations for planes ``w = p @ (u, v, 1)`` from sums [9, P].
+
+    Returns
+    -------
+    planes : float64 [P, 3]
+    roundness : float64 [P]
+        Determinant over squared trace of the scatter of the points: 0 where they are collinear or
+        none, 0.25 in a disc. Planes of roundness 0 mean nothing.
+    """
+    count, u, v, w, uu, uv, vv, uw, vw = sums
+    mean_u, mean_v, mean_w = (axis / np.maximum(count, 1) for axis in (u, v, w))
+    uu, uv, vv = uu - u * mean_u, uv - u * mean_v, vv - v * mean_v
+    uw, vw = uw - u * mean_w, vw - v * mean_w
+    det = uu * vv - uv * uv
+    roundness = det / np.maximum((uu + vv) ** 2, 1e-30)
+    det = np.where(roundness > 0, det, 1.0)
+    a, b = (vv * uw - uv * vw) / det, (uu * vw - uv * uw) / det
+    return np.stack([a, b, mean_w - a * mean_u - b * mean_v], 1), roundness
 
 
 @kernel
