@@ -311,12 +311,7 @@ class TestDamage:
             ("cameras", "75", "0.8", "focal length x is 0.8, for 96x64 pixels a field"),
             ("cameras", "75", "75000", "expected 3 to 175; it is likely of a larger photograph"),
             ("cameras", "75 40 30", "75 400 30", "principal point is (400, 30)"),
-            (
-                "cameras",
-                "2 SIMPLE_PINHOLE",
-                "7 SIMPLE_PINHOLE",
-                "taken with camera 2, which cameras",
-            ),
+            ("cameras", "2 SIMPLE_PINHOLE", "7 SIMPLE_PINHOLE", "taken with camera 2"),
             ("images", " deep/a.png", " b.png", "two images are called 'b.png'"),
             ("images", " deep/a.png", "", "image 2 has no name"),
             ("images", "2 1 0 -0 0", "2 1 1 0 0", "is no unit quaternion"),

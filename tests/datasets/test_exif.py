@@ -20,55 +20,34 @@ def pixels():
     return found
 
 
-@pytest.mark.parametrize(
-    ("own", "focal"),
-    [
-        ({TAGS.FocalLengthIn35mmFilm: 26}, 26 * DIAGONAL / 43.27),
-        ({TAGS.FocalLengthIn35mmFilm: 36, TAGS.DigitalZoomRatio: 1.5}, 36 * DIAGONAL / 43.27),
-        ({TAGS.FocalLengthIn35mmFilm: 0}, None),
-        ({TAGS.FocalLengthIn35mmFilm: 2}, None),
-        ({TAGS.FocalLengthIn35mmFilm: 2000}, None),
-        ({TAGS.FocalLength: 4.2}, None),
-        # 4000 pixels of a sensor 8 mm wide, stored here at 400.
-        (
-            {
-                TAGS.FocalLength: 6.0,
-                TAGS.FocalPlaneXResolution: 5000.0,
-                TAGS.FocalPlaneYResolution: 5000.0,
-                TAGS.FocalPlaneResolutionUnit: 3,
-                TAGS.ExifImageWidth: 4000,
-                TAGS.ExifImageHeight: 3000,
-            },
-            300.0,
-        ),
-        (
-            {
-                TAGS.FocalLength: 6.0,
-                TAGS.FocalPlaneXResolution: 5000.0,
-                TAGS.FocalPlaneYResolution: 2500.0,
-                TAGS.FocalPlaneResolutionUnit: 3,
-                TAGS.ExifImageWidth: 4000,
-                TAGS.ExifImageHeight: 3000,
-            },
-            None,
-        ),
-        (
-            {
-                TAGS.FocalLengthIn35mmFilm: 26,
-                TAGS.ExifImageWidth: 400,
-                TAGS.ExifImageHeight: 400,
-            },
-            None,
-        ),
-    ],
-    ids=[
-        "film", "zoomed", "zero", "too short", "too long", "millimetres alone", "sensor",
-        "half the rows", "cropped",
-    ],
-)  # fmt: skip
+FILM, WIDE, HIGH = TAGS.FocalLengthIn35mmFilm, TAGS.ExifImageWidth, TAGS.ExifImageHeight
+SENSOR = {
+    # 4000 pixels of a sensor 8 mm wide, stored here at 400.
+    TAGS.FocalLength: 6.0,
+    TAGS.FocalPlaneXResolution: 5000.0,
+    TAGS.FocalPlaneYResolution: 5000.0,
+    TAGS.FocalPlaneResolutionUnit: 3,
+    WIDE: 4000,
+    HIGH: 3000,
+}
+HEADERS = {
+    "film": ({FILM: 26}, 26 * DIAGONAL / 43.27),
+    "zoomed": ({FILM: 36, TAGS.DigitalZoomRatio: 1.5}, 36 * DIAGONAL / 43.27),
+    "zero": ({FILM: 0}, None),
+    "too short": ({FILM: 2}, None),
+    "too long": ({FILM: 2000}, None),
+    "millimetres alone": ({TAGS.FocalLength: 4.2}, None),
+    "sensor": (SENSOR, 300.0),
+    "half the rows": (SENSOR | {TAGS.FocalPlaneYResolution: 2500.0}, None),
+    "cropped": ({FILM: 26, WIDE: 400, HIGH: 400}, None),
+}
+
+
+@pytest.mark.parametrize("header", HEADERS)
 @pytest.mark.parametrize("orientation", [1, 6])
-def test_focal_length(tmp_path, pixels, own, focal, orientation):
-    found = photograph(taken(tmp_path / "a.jpg", pixels, orientation, own=own), "a")
+def test_focal_length(tmp_path, pixels, header, orientation):
+    tags, focal = HEADERS[header]
+    found = photograph(taken(tmp_path / "a.jpg", pixels, orientation, own=tags), "a")
     assert found.focal == (None if focal is None else pytest.approx(focal))
 
 

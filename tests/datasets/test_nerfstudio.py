@@ -178,11 +178,7 @@ def turned(scale: float = 1.0, nan: bool = False) -> list:
         ([frame("a.png")], {"fl_x": None}, "neither fl_x nor camera_angle_x"),
         ([frame("a.png")], {"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' cannot be read"),
         ([frame("gone.png")], {"w": None}, "neither w and h nor a photograph"),
-        (
-            [frame("a.png", fl_x=80.0, camera_angle_x=1.2)],
-            {},
-            "fl_x says a focal length of 80 pixels",
-        ),
+        ([frame("a.png", fl_x=80.0, camera_angle_x=1.2)], {}, "fl_x says a focal length of 80"),
         ([frame("a.png", camera_angle_y=60.0)], {}, "camera_angle_y is 60, expected radians below"),
         ([frame("a.png", x_fov=200.0)], {}, "x_fov is 200, expected degrees below 180"),
         ([frame("a.png", camera_model="OPENCV", is_fisheye=True)], {}, "contradict each other"),

@@ -80,13 +80,10 @@ class TestMasks:
         ("change", "sentence"),
         [
             (lambda f: (f / "01/hand.png").unlink(), r"hand\.png: no such mask; every labelled"),
-            (
-                lambda f: (f / "01/hand.png").write_text("no"),
-                r"hand\.png: cannot be read \(no image",
-            ),
+            (lambda f: (f / "01/hand.png").write_text("no"), r"hand\.png: cannot be read"),
             (
                 lambda f: Image.fromarray(ring() // 255).save(f / "01/hand.png"),
-                r"hand\.png: its brightest pixel is 1, expected 255",
+                "brightest pixel is 1",
             ),
             (lambda f: (f / "classes.txt").write_text(" \n"), r"classes\.txt: found \[\], expect"),
             (lambda f: (f / "classes.txt").write_text("hand\nhand"), r"classes\.txt: found"),

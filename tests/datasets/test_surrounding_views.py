@@ -118,10 +118,7 @@ def test_the_rule_is_described_with_all_its_settings():
         (views(path(2)), "0 of 2 views are sharp"),
         (views([camera((0, 0, 0))] * 5), "0 pairs of views fit"),
         (views(path()[:11]), "none of them have it between them"),
-        (
-            views([*path()[:10], camera((1, 0, 0), 60), *path()[11:]]),
-            "but see less than 0.9 of it",
-        ),
+        (views([*path()[:10], camera((1, 0, 0), 60), *path()[11:]]), "but see less than 0.9 of it"),
     ],
 )
 def test_without_a_pair_the_reason_is_said(clip, reason):

@@ -34,6 +34,11 @@ def run(monkeypatch, *words) -> int:
     return left.value.code or 0
 
 
+def settings(**values: object) -> list[str]:
+    """``--set KEY=VALUE`` for each."""
+    return [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+
+
 def score(settings, store, verbose: bool = False):
     """What the flow of ``slgaussian run`` returns for settings, in a store."""
     from flows.benchmark import score_scenes

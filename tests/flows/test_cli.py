@@ -240,10 +240,7 @@ def test_a_configuration_is_read_with_paths_from_its_folder(tmp_path):
         ("scenes = [3]", "scenes.0: found 3; expected a table"),
         ("out = 3", "out: found 3; expected a path, in quotes"),
         ('[[scenes]]\nname="a"\ncontext=["1"]', "scenes.0.context: .*expected at least 2"),
-        (
-            '[[scenes]]\nname="a"\ncontext=["1","2"]\nqueries=[" "]',
-            "scenes.0.queries.0: found ' '; expected some text",
-        ),
+        ('[[scenes]]\nname="a"\ncontext=["1","2"]\nqueries=[" "]', "scenes.0.queries.0: found"),
         ("seed = ", "not valid TOML"),
         (
             '[[scenes]]\nname="a"\ncontext=["1","2"]\n[[scenes]]\nname="a"\ncontext=["1","2"]',

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import skimage.data
-from command import run, said
+from command import run, said, settings
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -264,21 +264,11 @@ class TestPublished:
             "context": FRAMES[2:7:4], "target": [FRAMES[4]],
         }  # fmt: skip
         index = {"version": 2, "format": "lerf_ovs", "rule": {}, "left_out": {}}
-        file = lerf / "pairs.json"
+        file, out = lerf / "pairs.json", lerf / "out"
         file.write_text(json.dumps(index | {"scenes": {"teatime-frame_00005": pair}}))
-        words = (
-            "benchmark",
-            "--data",
-            lerf,
-            "--pairs",
-            file,
-            "--set",
-            "replicas=1",
-            "--size",
-            "96x144",
-        )
-        out = lerf / "out"
-        assert run(monkeypatch, *words, "--store", lerf / "store", "-o", out) == 0
+        words = ("--data", lerf, "--pairs", file, *settings(replicas=1), "--size", "96x144")
+        places = ("--store", lerf / "store", "-o", out)
+        assert run(monkeypatch, "benchmark", *words, *places) == 0
         page = (out / "report.md").read_text()
         tables = page[page.index("## The paper's tables") :].split("## Scene by scene")[0]
         assert "teatime | 21.64 (data not present)" in tables

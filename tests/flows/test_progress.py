@@ -60,12 +60,6 @@ def test_what_a_terminal_would_obey_is_shown_and_markup_is_text():
     assert "bad \\x1b[31m [red]name[/red] :smile:" in stream.getvalue()
 
 
-def test_long_lines_are_not_broken():
-    stream = io.StringIO()
-    Progress(1, 1, stream=stream).line("word " * 100)
-    assert stream.getvalue().count("\n") == 1
-
-
 def test_what_is_lost_or_repeated_is_counted_once():
     progress = Progress(2, 2, stream=io.StringIO())
     progress.update(StageEvent("a", "ingest", "completed"))

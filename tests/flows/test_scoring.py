@@ -17,7 +17,7 @@ from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
 from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.storage.specs import load_spec
-from tests.flows.command import ROOM, room, run, said, write_photographs
+from tests.flows.command import ROOM, room, run, said, settings, write_photographs
 from tests.formats.test_resampling import box_sums
 from tests.run_lengths import encode
 
@@ -69,18 +69,9 @@ def data(folder: Path, pairs: bool = True) -> list:
 
 def benchmark(labelled: Path, package: Path, out: Path) -> None:
     """A run in a process of its own, in which the package is installed."""
-    words = [
-        "benchmark",
-        *data(labelled),
-        "--set",
-        "near=0.8",
-        "--set",
-        "far=12",
-        "--set",
-        "replicas=1",
-    ]
-    words += ["--against", "colours", "-o", out, "--store"]
-    argv = ["slgaussian", *map(str, words), str(out.parent / "store")]
+    words = ["benchmark", *data(labelled), *settings(near=0.8, far=12, replicas=1)]
+    words += ["--against", "colours", "-o", out, "--store", out.parent / "store"]
+    argv = ["slgaussian", *map(str, words)]
     code = f"import sys; sys.argv = {argv}\nfrom flows.cli.app import main; main()"
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, package)))}
     done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
@@ -255,22 +246,18 @@ def test_perfect_masks_are_scored_as_perfect(tmp_path, monkeypatch, capsys, labe
 
 
 def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeypatch, capsys):
-    empty = tmp_path / "empty"
+    empty, other, out = tmp_path / "empty", tmp_path / "other.json", tmp_path / "out"
     empty.mkdir()
-    (tmp_path / "other.json").write_text(
-        json.dumps([{"scene": "a", "frame": "b", "query": "c", "size": [1, 1], "counts": [1]}])
-    )
-    out = tmp_path / "out"
+    entry = {"scene": "a", "frame": "b", "query": "c", "size": [1, 1], "counts": [1]}
+    other.write_text(json.dumps([entry]))
+    asked = data(labelled)
     for words, sentence in (
-        ((made, *data(labelled), "--protocol", "threshold-free"), "of which masks say nothing"),
-        ((made, *data(labelled), "--protocol", "langsplt"), "did you mean 'langsplat'"),
-        ((made, *data(labelled)[:-1], "32x32"), "has 64x64 pixels, height first, and its view is"),
-        ((made, *data(labelled)[:-1], "original"), "size: found 'original', expected HEIGHTxWIDTH"),
-        ((empty, *data(labelled)), "holds no mask of slgaussian or langsplat"),
-        (
-            (tmp_path / "other.json", *data(labelled)),
-            "no mask is of what is asked (found 'c' in b of a)",
-        ),
+        ((made, *asked, "--protocol", "threshold-free"), "of which masks say nothing"),
+        ((made, *asked, "--protocol", "langsplt"), "did you mean 'langsplat'"),
+        ((made, *asked[:-1], "32x32"), "has 64x64 pixels, height first, and its view is"),
+        ((made, *asked[:-1], "original"), "size: found 'original', expected HEIGHTxWIDTH"),
+        ((empty, *asked), "holds no mask of slgaussian or langsplat"),
+        ((other, *asked), "no mask is of what is asked (found 'c' in b of a)"),
         ((made, "--data", labelled), "data format 'nerfstudio' has no labels of its own"),
         ((made,), "nothing to do"),
     ):
@@ -278,6 +265,6 @@ def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeyp
         assert sentence in said(capsys)
         assert not out.exists()
     before = (made / "samples.parquet").read_bytes()
-    assert run(monkeypatch, "score", made, *data(labelled), "-o", made) == 2
+    assert run(monkeypatch, "score", made, *asked, "-o", made) == 2
     assert "holds what a run left" in said(capsys)
     assert (made / "samples.parquet").read_bytes() == before

@@ -67,25 +67,6 @@ def test_what_one_machine_made_another_finds(bucket, tmp_path):
     assert "make         3 cached" in second.stderr
 
 
-@pytest.mark.usefixtures("server")
-def test_what_is_lost_or_damaged_is_made_again_and_nothing_else(store, tmp_path, monkeypatch):
-    assert ran(store, tmp_path / "log") == ALL
-    assert ran(store, tmp_path / "log") == []
-    outcome = run_tiny(store, {"a": tiny(6, 1, tmp_path / "log")})
-    uri = outcome.refs["a"]["halve"].uri
-    full = store.read(uri)
-    store.remove([uri])
-    assert ran(store, tmp_path / "log") == ["a halve"]
-
-    # Damage shows only to who reads it; then the run goes back to who made it.
-    monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "another machine"))
-    store.fs.pipe_file(f"{store.path}/{uri}", full[:100] + b"?" + full[101:])
-    assert ran(ArtifactStore(store.root), tmp_path / "log", extra=2) == [
-        "a add", "a add", "a halve",
-    ]  # fmt: skip
-    assert store.read(uri) == full
-
-
 class Trap:
     def __reduce__(self):
         return (Path.touch, (Path(os.environ["TRAP"]),))

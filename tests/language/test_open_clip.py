@@ -268,16 +268,10 @@ def changed(tensors, how):
 @pytest.mark.parametrize(
     ("how", "says"),
     [
-        (
-            "lacks",
-            "lacks 2 of the tensors of open_clip's ViTs, such as transformer.resblocks.1.ln_1",
-        ),
+        ("lacks", "lacks 2 of the tensors of open_clip's ViTs"),
         ("more", ": has 1 that they have not, such as visual.transformer"),
         ("siglip", ": has 1 that they have not, such as logit_bias; expected"),
-        (
-            "other",
-            "lacks .* and has 4 that they have not, such as visual.trunk.0; expected an open_clip",
-        ),
+        ("other", "lacks .* and has 4 that they have not, such as visual.trunk.0"),
         ("shape", "do not fit each other"),
         ("rank", r"visual.conv1.weight is \(128, 192\), expected 4 axes"),
         ("grid", "do not fit each other"),

@@ -142,13 +142,6 @@ def test_boxes_hold_their_masks_tightly(name):
         assert inner[0].any() and inner[-1].any() and inner[:, 0].any() and inner[:, -1].any()
 
 
-def test_of_identical_masks_the_best_then_the_earliest_stays():
-    masks = np.repeat(SETS["one"], 4, 0)
-    assert mask_nms(masks, np.array([0.5, 0.9, 0.9, 0.1]), 0.8).tolist() == [1]
-    assert mask_nms(masks, np.full(4, 0.5), 0.8, 0.5).tolist() == [0]
-    assert mostly_visible(masks, 0.8).tolist() == [0]
-
-
 def test_a_part_goes_only_with_nested():
     full, part = np.zeros((2, *SIZE), bool)
     full[:, :40] = True

@@ -173,11 +173,7 @@ def _rgb_16_bits(file):
         ("a.npy", lambda f: np.save(f, np.full(SIZE, 2**31)), "found ids from 2147483648"),
         ("a.npy", lambda f: np.save(f, np.zeros((4, *SIZE), int)), r"expected ids \[H, W\]"),
         ("a.npy", lambda f: np.save(f, np.zeros((0, 3), int)), r"expected ids \[H, W\]"),
-        (
-            "a.npy",
-            lambda f: np.save(f, np.zeros(SIZE[::-1], int).T[:20]),
-            "160x20, of another shape",
-        ),
+        ("a.npy", lambda f: np.save(f, np.zeros(SIZE[::-1], int).T[:20]), "160x20, of another"),
         ("a.png", lambda f: Image.new("RGBA", SIZE[::-1]).save(f), "PNG of RGBA with 8 bits"),
         ("a.npy", lambda f: np.save(f, np.zeros(SIZE[::-1], int)), "120x160, of another shape"),
         ("a.png", _rgb_16_bits, "PNG of RGB with 16 bits"),

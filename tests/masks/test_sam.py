@@ -267,16 +267,8 @@ def test_a_damaged_folder_is_one_sentence(folders, tmp_path, capfd, how, says):
         ("sam", {"model": "nowhere"}, "there is no such folder"),
         ("sam", {"model": __file__}, "is a file, or of open_clip; sam expected"),
         ("sam", {"model": "sam", "preset": "dino"}, "found 'dino', expected one of sam, sam2, lan"),
-        (
-            "sam2",
-            {"model": "sam2", "level": "xl"},
-            "sam2 level: found 'xl', expected one of s",
-        ),
-        (
-            "sam",
-            {"model": "sam", "points": 0},
-            "points: found 0, expected a whole number from 1",
-        ),
+        ("sam2", {"model": "sam2", "level": "xl"}, "sam2 level: found 'xl', expected one of s"),
+        ("sam", {"model": "sam", "points": 0}, "points: found 0, expected a whole number from 1"),
         ("sam", {"model": "sam", "batch": 0}, "sam batch: found 0, expected a whole number"),
         ("sam", {"model": "sam", "device": "tpu"}, "sam device 'tpu': cannot be used"),
     ],

@@ -175,8 +175,3 @@ def test_a_bad_record_is_no_result_and_is_named(local, data):
     assert list(verify(local).damaged) == [record.file.uri]
     assert collect(local, -60, delete=True).records == 1
     assert names(local) == set()
-
-
-def test_an_empty_store_has_nothing(store):
-    assert collect(store, 0, delete=True).kept == 0
-    assert verify(store).sound == 0

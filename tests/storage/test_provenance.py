@@ -235,13 +235,3 @@ def test_who_comes_in_between_is_heard(tmp_path, monkeypatch):
         ref = store.put("labels", labels())
     assert stated(store.read(ref.uri))["made"]["stage"] == "a"
     assert [file.name for file in tmp_path.rglob("*.*")] == [ref.uri.split("/")[-1]]
-
-
-def test_a_file_that_cannot_be_read_is_replaced(tmp_path, monkeypatch):
-    store = ArtifactStore(tmp_path / "store")
-    ref = store.put("labels", labels())
-    (tmp_path / "store" / ref.uri).unlink()
-    (tmp_path / "store" / ref.uri).symlink_to(tmp_path / "nowhere")
-    with making(MADE):
-        store.put("labels", labels())
-    assert stated(store.read(ref.uri))["made"]["stage"] == "masks"

@@ -71,11 +71,6 @@ def test_a_record_without_a_stamp_is_as_good(store, ref):
     assert noted(store) is not None
 
 
-def test_an_artifact_that_is_gone_is_none(store, ref):
-    store.remove([ref.uri])
-    assert Records(store).find(KEY) is None
-
-
 def test_a_record_whose_parts_are_gone_damaged_or_elsewhere_is_none(store, ref, tmp_path):
     """A part is looked at even where the artifact itself is known by its time."""
     part = store.put("weights", {"safetensors": np.arange(9, dtype=np.uint8)})
