@@ -8,14 +8,14 @@ PAGE = Path(__file__).parent / "reference" / "components.md"
 
 HEAD = """# Components and their fields
 
-Made by `python docs/make_components.py` from what the components declare. `slgaussian doctor
---components` says the same of an installation, with the components of other packages.
+Made by `python docs/make_components.py`. `slgaussian doctor --components` prints the same of an
+installation, with the components of other packages.
 
-A field such as `depth_candidates` of `planesweep` is `--set planesweep.depth_candidates=64` on the
-command line, `depth_candidates` in the table `[planesweep]` of a configuration file (the table of
-`sam2-video` is `[sam2_video]`), and in Python
-`slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. A file, folder or model is known by
-its content in cache keys and results, wherever it is. How a component is added:
+The field `depth_candidates` of `planesweep` is `--set planesweep.depth_candidates=64` on the
+command line, `depth_candidates` in the table `[planesweep]` of a configuration file
+(`[sam2_video]` for `sam2-video`), and in Python
+`slg.Method(settings={"planesweep": {"depth_candidates": 64}})`. Cache keys and results record a
+file, folder or model by its content. How a component is added:
 [architecture](../architecture.md#where-to-add-a-part)."""
 
 if __name__ == "__main__":

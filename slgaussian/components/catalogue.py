@@ -24,13 +24,11 @@ def list_components() -> str:
                 text.append(str(error))
                 continue
             text.append(_first_sentence(config))
-            rows = ["| field | value | default | |", "| --- | --- | --- | --- |"]
+            fields = []
             for key, field in config.model_fields.items():
-                value = "" if field.default is None else f"`{field.default}`"
-                rows.append(
-                    f"| `{key}` | {expected(config, key)} | {value} | {field.description} |"
-                )
-            text += ["\n".join(rows)] if config.model_fields else []
+                default = "" if field.default is None else f"; default `{field.default}`"
+                fields.append(f"- `{key}`: {expected(config, key)}{default}. {field.description}")
+            text += ["\n".join(fields)] if fields else []
     return "\n\n".join(text) + "\n"
 
 

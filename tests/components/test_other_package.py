@@ -56,7 +56,7 @@ def test_the_page_about_the_architecture_shows_it_whole():
 def test_it_is_listed_with_the_others(asked):
     listed = " ".join(asked(command("doctor", "--components")).split())
     assert "### regions (default)" in listed and "### ink" in listed
-    assert "| `40.0` | Greatest distance from a colour. |" in listed
+    assert "default `40.0`. Greatest distance from a colour." in listed
     schema = json.loads(asked(command("doctor", "--schema")))
     assert schema["$defs"]["Ink"]["properties"]["within"]["maximum"] == 442
 
