@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from flows.cli.app import main
 from flows.clip_sources import Packed, pack, scenes_of
 from flows.config import PackSettings
 from slgaussian.cameras.estimated import EstimatedCameras
@@ -82,28 +81,3 @@ def test_a_source_that_cannot_be_read_costs_itself_alone(photos, tmp_path):
     packed = pack([str(photos), "procedural:1"], tmp_path / "chunks", SMALL)
     assert packed.clips == 1 and "1.png" in packed.left_out[0]
     assert list(re10k.read_index(tmp_path / "chunks")) == ["procedural_1"]
-
-
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["procedural:4-3"], "procedural:4-3: found no seeds"),
-        (["procedural:x"], "procedural:x: found no seeds"),
-        (["procedural:1", "procedural:1-2"], "its clip would be called 'procedural_1'"),
-        (["procedural:1", "--set", "size=2x3"], "size: found '2x3'; expected height and width"),
-        (["procedural:1", "--set", "views=1"], "ingest: views: found 1; "),
-        (["procedural:1", "--set", "chunk_mb=0"], "ingest: chunk_mb: found 0"),
-        (["procedural:1", "--set", "predictor=mvsplat"], "ingest: unknown key 'predictor'"),
-        (["procedural:1", "s3://bucket/chunks"], "found 2 sources, chunks among them"),
-        (["nowhere"], "nowhere: is not there; expected a folder of photographs"),
-    ],
-)
-def test_what_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys, words, sentence):
-    out = tmp_path / "corpus"
-    monkeypatch.setattr("sys.argv", ["slgaussian", "ingest", *words, "-o", str(out)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 2
-    report = capsys.readouterr().err
-    assert sentence in report and report.startswith("error: ") and report.count("\n") == 1
-    assert not out.exists()

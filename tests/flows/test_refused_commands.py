@@ -1,4 +1,4 @@
-"""What the commands on a field and on a PLY refuse: one sentence, status 2, and no file."""
+"""What commands refuse before any work: one sentence, status 2, and no file."""
 
 import shlex
 
@@ -81,6 +81,21 @@ def place(tmp_path_factory):
         ("field a.png b.png --cameras none.json -o scene.ply", "is not a field"),
         ("field a.png b.png --cameras none.json -o scene.ply/field", "cannot be written"),
         ("field a.png b.png --cameras none.json -o new", "none.json"),
+        ("ingest procedural:4-3 -o new", "procedural:4-3: found no seeds"),
+        ("ingest procedural:x -o new", "procedural:x: found no seeds"),
+        ("ingest procedural:1 procedural:1-2 -o new", "its clip would be called 'procedural_1'"),
+        ("ingest procedural:1 --set size=2x3 -o new", "size: found '2x3'; expected height and"),
+        ("ingest procedural:1 --set views=1 -o new", "ingest: views: found 1; "),
+        ("ingest procedural:1 --set chunk_mb=0 -o new", "ingest: chunk_mb: found 0"),
+        ("ingest procedural:1 --set predictor=mvsplat -o new", "ingest: unknown key 'predictor'"),
+        ("ingest procedural:1 s3://bucket/chunks -o new", "found 2 sources, chunks among them"),
+        ("ingest nowhere -o new", "nowhere: is not there; expected a folder of photographs"),
+        ("dataset new nowhere", "nowhere: is not there; expected a folder of photographs"),
+        ("dataset new procedural:4-3", "procedural:4-3: found no seeds"),
+        ("dataset new procedural:1 --targets 0", "dataset: targets: found 0"),
+        ("dataset new procedural:1 --set images=bmp", "dataset: images: found 'bmp'"),
+        ("dataset new procedural:1 procedural:0-1", "its clip would be called 'procedural_1'"),
+        ("dataset new procedural:1 --set min_overlap=2", "dataset: min_overlap: found 2"),
     ],
 )
 def test_a_command_that_cannot_be_is_one_sentence(place, monkeypatch, capsys, line, sentence):

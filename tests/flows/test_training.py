@@ -205,13 +205,8 @@ def test_a_loss_that_is_no_number_is_one_sentence(tmp_path, monkeypatch, capsys)
 def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, capsys, more, expected):
     lessons_of(tmp_path, range(6))
     monkeypatch.chdir(tmp_path)
-    assert (
-        run(
-            monkeypatch,
-            *command(tmp_path, "out", *(FEW[:2] if "held_out=0.001" in more else FEW), *more),
-        )
-        == 2
-    )
+    few = FEW[:2] if "held_out=0.001" in more else FEW
+    assert run(monkeypatch, *command(tmp_path, "out", *few, *more)) == 2
     assert expected in capsys.readouterr().err
 
 
