@@ -212,6 +212,12 @@ def test_a_folder_without_permission_is_an_input_error(tmp_path):
         ArtifactStore(tmp_path / "store").check_writable()
 
 
+def test_a_store_below_a_file_is_an_input_error(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(InputError, match=r"cannot write there .*--store"):
+        ArtifactStore(tmp_path / "file" / "store").check_writable()
+
+
 def test_check_writable_leaves_no_trace(store):
     store.check_writable()
     assert store.fs.find(store.path) == []
