@@ -167,13 +167,14 @@ def _anneal(
         start += balls[4, e] * _crowd(e, codes, balls)
     depths = np.empty(n + count, np.float32)
     depths[:] = np.nan
+    none = depths[:0]
     for step in range(len(movers)):
         i, target = movers[step], targets[step]
         j, source = owners[target], assignment[i]
         if j == i:
             continue
         heat = start * hot * (cold / hot) ** (step / len(movers))
-        before = _part(i, j, pairs, starts, touching, codes, balls, depths, True, np.inf)
+        before = _part(i, j, pairs, starts, touching, codes, balls, depths, np.inf)
         # What is added is never below zero, but for rounding: beyond this no luck is enough.
         bound = before - heat * np.log(luck[step]) + ROUNDING * before
         _move(i, target, points, assignment, owners, pairs, starts, touching, codes, balls)
@@ -181,7 +182,7 @@ def _anneal(
             _move(j, source, points, assignment, owners, pairs, starts, touching, codes, balls)
         else:
             owners[source] = -1
-        worse = _part(i, j, pairs, starts, touching, codes, balls, depths, False, bound) - before
+        worse = _part(i, j, pairs, starts, touching, codes, balls, none, bound) - before
         if worse > 0 and luck[step] >= np.exp(-worse / heat):
             _move(i, source, points, assignment, owners, pairs, starts, touching, codes, balls)
             if j >= 0:
@@ -201,7 +202,7 @@ def _move(i, target, points, assignment, owners, pairs, starts, touching, codes,
         _blow(touching[at], pairs, codes, balls)
 
 
-@kernel
+@kernel(inline="always")
 def _blow(e, pairs, codes, balls):
     """Make the ball of pair ``e`` anew; half way through a swap it may be a point."""
     a, b = pairs[e]
@@ -212,7 +213,7 @@ def _blow(e, pairs, codes, balls):
     balls[3, e] = np.float32(1) / (radius * np.float32(MARGIN))
 
 
-@kernel
+@kernel(inline="always")
 def _crowd(e, codes, balls):
     """Sum how deep all codes are in the ball of pair ``e``: 1 in the middle, 0 from the edge on.
 
@@ -228,7 +229,7 @@ def _crowd(e, codes, balls):
     return vsum(total)
 
 
-@kernel
+@kernel(inline="always")
 def _deep(e, i, codes, balls):
     far = abs(codes[0, i] - balls[0, e]) + abs(codes[1, i] - balls[1, e])
     far += abs(codes[2, i] - balls[2, e])
@@ -236,12 +237,13 @@ def _deep(e, i, codes, balls):
 
 
 @kernel
-def _part(i, j, pairs, starts, touching, codes, balls, depths, keep, bound):
+def _part(i, j, pairs, starts, touching, codes, balls, depths, bound):
     """The part of the weighted crowding that depends on the codes of i and j; j may be -1.
 
-    It stops where the sum is above ``most``. Nearly all moves are taken back, so that what objects
-    and pairs add, with ``keep``, is read from ``depths`` or stored there; NaN is unknown.
+    It stops where the sum is above ``bound``. Nearly all moves are taken back, so that what objects
+    and pairs add is read from ``depths`` or stored there, unless it is empty; NaN is unknown.
     """
+    keep = len(depths) > 0
     total = np.float32(0)
     for k in (i, j):
         if k >= 0:
@@ -274,7 +276,7 @@ def _part(i, j, pairs, starts, touching, codes, balls, depths, keep, bound):
     return total
 
 
-@kernel
+@kernel(inline="always")
 def _everywhere(i, codes, balls):
     """Sum how deep the code of i is in all balls, by their weights."""
     x, y, z = codes[0, i], codes[1, i], codes[2, i]

@@ -221,7 +221,7 @@ def _draw_backward(
         strip = take(counter)
 
 
-@kernel
+@kernel(inline="always")
 def weigh_block(block, work, alpha_max, pass_min):
     """Write the weights of one block of a loaded tile, a vector for each splat of its list.
 
@@ -250,14 +250,14 @@ def weigh_block(block, work, alpha_max, pass_min):
     return j, light, solid
 
 
-@kernel
+@kernel(inline="always")
 def _corner(block):
     """Return the first pixel of a block relative to the first of its tile's middle row."""
     left, top = corner_of(block, 0, -(TILE_HEIGHT // 2))
     return np.float32(left), np.float32(top)
 
 
-@kernel
+@kernel(inline="always")
 def _offsets(left, top, local):
     """How far pixels are right of where a splat crosses their row, and below its centre.
 
@@ -269,7 +269,7 @@ def _offsets(left, top, local):
     return e - vload(DOWN, 0) * slant, d
 
 
-@kernel
+@kernel(inline="always")
 def _sum_block(block, used, channels, work, sums):
     """Compute weighted sums of the values of the splats of a list, a vector for each channel."""
     first = block * len(work.keys)
@@ -291,7 +291,7 @@ def _sum_block(block, used, channels, work, sums):
         vstore(sums, (c + 3) * LANES, e)
 
 
-@kernel
+@kernel(inline="always")
 def _median_block(block, used, channels, work):
     """Return the z of the splat at which transmittance reaches one half; 0 where it does not."""
     first = block * len(work.keys)
@@ -307,7 +307,7 @@ def _median_block(block, used, channels, work):
     return median
 
 
-@kernel
+@kernel(inline="always")
 def _elect(block, used, work, entries, labels, places, heard, votes, elected):
     """Find the label with the greatest sum of weights, that sum, the second, and the total.
 

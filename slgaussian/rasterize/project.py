@@ -166,12 +166,12 @@ def _project(counter, means, scales, quats, opacities, values, eye, splats, boxe
         part = take(counter)
 
 
-@kernel
+@kernel(inline="always")
 def _column(parameters, column):
     return vwiden(vload(parameters, column * LANES))
 
 
-@kernel
+@kernel(inline="always")
 def _is_valid(parameters):
     """Test that parameters are finite, scales and opacities in range, and quaternions nonzero."""
     scale_x, scale_y, scale_z = (
@@ -197,7 +197,7 @@ def _is_valid(parameters):
     return vall(fine & (opacity >= 0.0) & (opacity <= 1.0))
 
 
-@kernel
+@kernel(inline="always")
 def _is_finite(numbers, start, end):
     """Test that ``numbers`` float32 are finite from ``start`` to ``end``."""
     totals, total, at = vzero(), np.float32(0), start
@@ -210,7 +210,7 @@ def _is_finite(numbers, start, end):
     return total == 0 and vall(totals >= np.float32(0))
 
 
-@kernel
+@kernel(inline="always")
 def _project_vector(parameters, eye, outputs):
     """Convert columns of parameters to those of splats and boxes."""
     x, y, z = _to_camera(
@@ -249,13 +249,13 @@ def _project_vector(parameters, eye, outputs):
     _store_pixels(v, vwhere(visible, _root(reach * yy), -1.0), eye.height, outputs, 10)
 
 
-@kernel
+@kernel(inline="always")
 def _root(x):
     # To the digits of float32, which is what the rest of the way has.
     return vwiden(vsqrt(vnarrow(x)))
 
 
-@kernel
+@kernel(inline="always")
 def _store_pixels(centre, reach, size, outputs, column):
     """Store the half-open range of pixels with centres within ``reach``; empty if negative."""
     low = vceil(clamp(centre - reach - 0.5, 0.0, size))
@@ -400,7 +400,7 @@ def _three(row):
 # From here to the covariance, numbers are float64 scalars or vectors.
 
 
-@kernel
+@kernel(inline="always")
 def clamp(x, low, high):
     """Clamp ``x`` to ``low`` and ``high``."""
     x = vwhere(x > low, x, low)
@@ -423,12 +423,12 @@ def _to_camera(x, y, z, eye):
     )
 
 
-@kernel
+@kernel(inline="always")
 def _to_pixel(x, y, eye):
     return eye.fx * x + eye.skew * y + eye.cx, eye.fy * y + eye.cy
 
 
-@kernel
+@kernel(inline="always")
 def _image_rows(x, y, z, eye):
     """Return the Jacobian of image x and y by the world position: two rows of three."""
     tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
@@ -450,7 +450,7 @@ def _image_rows(x, y, z, eye):
     )
 
 
-@kernel
+@kernel(inline="always")
 def _rotation(w, x, y, z):
     """Return the rows of the rotation matrix of a quaternion of any nonzero length."""
     t = 2.0 / (w * w + x * x + y * y + z * z)
@@ -511,7 +511,7 @@ def _spread(A, R, s0, s1, s2):
     )
 
 
-@kernel
+@kernel(inline="always")
 def _covariance(px, py):
     """Return xx, xy, yy and the determinant of the sum of the outer products of three axes.
 

@@ -107,7 +107,7 @@ class Workspace(NamedTuple):
     weights: np.ndarray
 
 
-@kernel
+@kernel(inline="always")
 def make_workspace(n, channels):
     """Make a :class:`Workspace` for at most ``n`` splats of ``channels`` values."""
     return Workspace(
@@ -157,7 +157,7 @@ def strips_of(bins: Bins) -> int:
     return -(-bins.across * bins.down // STRIP)
 
 
-@kernel
+@kernel(inline="always")
 def tile_range(box):
     """Return the half-open ranges of tiles, across and down, that a pixel box touches."""
     if box[1] <= box[0] or box[3] <= box[2]:
@@ -182,7 +182,7 @@ def count_tiles(boxes):
     return firsts
 
 
-@kernel
+@kernel(inline="always")
 def fullest(bins):
     """Return the number of splats of the fullest tile, at least one."""
     maximum = 1
@@ -191,7 +191,7 @@ def fullest(bins):
     return maximum
 
 
-@kernel
+@kernel(inline="always")
 def load_tile(tile, bins, splats, boxes, values, work):
     """Fill the workspace with the splats of ``tile``; returns its left and top pixel.
 
@@ -250,7 +250,7 @@ def load_tile(tile, bins, splats, boxes, values, work):
     return left, top
 
 
-@kernel
+@kernel(inline="always")
 def corner_of(block, left, top):
     """Return the first pixel of a block of the tile whose first pixel is ``left, top``."""
     return left + block % BLOCKS_ACROSS * BLOCK, top + block // BLOCKS_ACROSS * BLOCK
