@@ -20,7 +20,7 @@ from slgaussian.language.confidence import OFTEN, USUAL, Confidence, confidence,
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.relevancy import ABSENT, SOFT, Scorer, check_temperature, sigmoid
 from slgaussian.language.taught import TaughtWords, normal, spelled
-from slgaussian.language.wholes import LEAST_PIXELS, NEAR_BEST, near_best
+from slgaussian.language.wholes import LEAST_PIXELS, NEAR_BEST, Candidates, near_best
 
 AS_GOOD = 0.9
 """The largest of the objects whose gap reaches this fraction of the best gap is pointed at."""
@@ -356,11 +356,18 @@ class BankReader(TextReader):
         ranked = [k for k, text in enumerate(texts) if self._who(text) == "known"]
         if ranked and wholes and ranking and not unmeasured(self.encoder, rules):
             known = [texts[k] for k in ranked]
-            plain = self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors(known))
-            plain = np.where(gaps[ranked] > -np.inf, plain, -np.inf)
-            evidence = np.stack([self.class_evidence(text)[: len(self.bank)] for text in known])
-            chosen[ranked] = wholes.choose(plain, evidence, areas, ranking, rules.share)
+            chosen[ranked] = self.candidates(known, gaps[ranked], areas, rules).best(ranking)
         return chosen
+
+    def candidates(
+        self, texts: Sequence[str], gaps: np.ndarray, areas: np.ndarray, rules: Rules
+    ) -> Candidates:
+        """Describe what may be the answers to texts of known words; arguments as :meth:`chosen`."""
+        assert self.bank.wholes is not None
+        plain = self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors(texts))
+        plain = np.where(gaps > -np.inf, plain, -np.inf)
+        evidence = np.stack([self.class_evidence(text)[: len(self.bank)] for text in texts])
+        return self.bank.wholes.candidates(plain, evidence, areas, rules.share)
 
     def understood(self, text: str) -> Understood:
         """Read ``text``: what counts and what does not; InputError if nothing can use it."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ UNSEEN = -0.2
 
 
 class Ranking(NamedTuple):
-    """Weights of the numbers of a candidate: of its gaps, of class evidence, of it as a whole.
+    """Numbers of a candidate, of its gaps, class evidence and itself as a whole, or their weights.
 
     Attributes
     ----------
@@ -69,19 +69,44 @@ class Ranking(NamedTuple):
         Its smallest over its largest area in a photograph.
     """
 
-    fit: float
-    around: float
-    lead: float
-    recall: float
-    best: float
-    near_best: float
-    evidence: float
-    evidence_recall: float
-    size: float
-    outline: float
-    edge: float
-    standing: float
-    agreement: float
+    fit: Any
+    around: Any
+    lead: Any
+    recall: Any
+    best: Any
+    near_best: Any
+    evidence: Any
+    evidence_recall: Any
+    size: Any
+    outline: Any
+    edge: Any
+    standing: Any
+    agreement: Any
+
+
+class Candidates(NamedTuple):
+    """What may be the answers to Q texts: G sets of objects each.
+
+    Attributes
+    ----------
+    features : float64 [Q, G, 13]
+        In the order of :class:`Ranking`.
+    objects : bool [Q, G, N]
+    possible : bool [Q, G]
+        Whether enough of the set is visible.
+    """
+
+    features: np.ndarray
+    objects: np.ndarray
+    possible: np.ndarray
+
+    def best(self, ranking: Ranking) -> np.ndarray:
+        """Return the objects of the best set of each text, bool [Q, N], however badly it fits;
+        none if nothing is visible."""
+        scores = np.einsum("qgf,f->qg", self.features, np.array(ranking))
+        scores[~self.possible] = -np.inf
+        winners: np.ndarray = self.objects[np.arange(len(scores)), scores.argmax(1)]
+        return winners & self.possible.any(1, keepdims=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,15 +171,14 @@ class Wholes:
             return None
         return Wholes(**{f.name: arrays.pop(f"whole_{f.name}") for f in fields(Wholes)})
 
-    def choose(
+    def candidates(
         self,
         gaps: np.ndarray,
         evidence: np.ndarray,
         areas: np.ndarray,
-        ranking: Ranking,
         share: float = NEAR_BEST,
-    ) -> np.ndarray:
-        """Choose the objects of the answers to Q texts.
+    ) -> Candidates:
+        """Describe the candidates for the answers to Q texts.
 
         Parameters
         ----------
@@ -165,14 +189,8 @@ class Wholes:
             text without classes.
         areas : int64 [N]
             Pixels of each object in the view that is asked.
-        ranking : Ranking
         share : float
             See :func:`near_best`.
-
-        Returns
-        -------
-        bool [Q, N]
-            The best guesses, however badly they fit; without any if nothing is visible.
         """
         known = gaps > -np.inf
         visible = known & (areas > 0)
@@ -184,10 +202,10 @@ class Wholes:
         evidence = np.nan_to_num(evidence * self.shares).mean(2) / np.maximum(self._area, 1e-12)
         evidence = np.clip(evidence, *EVIDENCE)
 
-        def score(
+        def describe(
             sets: np.ndarray, numbers: np.ndarray, around: np.ndarray, standing: np.ndarray | float
         ) -> np.ndarray:
-            """Score sets [1 or Q, G, N], the same or others for each text: float64 [Q, G]."""
+            """Describe sets [1 or Q, G, N], the same or others for each text: [Q, G, 13]."""
 
             def recall(values: np.ndarray) -> np.ndarray:
                 fits = self._area * np.maximum(values, 0) * visible
@@ -196,36 +214,38 @@ class Wholes:
             size, outline, edge, agreement = np.moveaxis(numbers, 2, 0)
             mean = _times(sets, self._area * finite_gaps) / np.exp(size)
             shared = _times(sets, near_visible)
-            features = {
-                "fit": np.maximum(mean / top, -2),
-                "around": np.maximum(_times(around, finite_gaps) / top, -2),
-                "lead": mean,
-                "recall": recall(finite_gaps),
-                "best": _times(sets, best),
-                "near_best": (shared == near_visible.sum(1, keepdims=True))
+            features = Ranking(
+                fit=np.maximum(mean / top, -2),
+                around=np.maximum(_times(around, finite_gaps) / top, -2),
+                lead=mean,
+                recall=recall(finite_gaps),
+                best=_times(sets, best),
+                near_best=(shared == near_visible.sum(1, keepdims=True))
                 & (shared == _times(sets, visible)),
-                "evidence": _times(sets, self._area * evidence) / np.exp(size),
-                "evidence_recall": recall(evidence),
-                "size": size,
-                "outline": outline,
-                "edge": edge,
-                "standing": standing,
-                "agreement": agreement,
-            }
-            weighted = (getattr(ranking, name) * values for name, values in features.items())
-            return sum(weighted, np.zeros_like(mean))
+                evidence=_times(sets, self._area * evidence) / np.exp(size),
+                evidence_recall=recall(evidence),
+                size=size,
+                outline=outline,
+                edge=edge,
+                standing=standing,
+                agreement=agreement,
+            )
+            return np.stack([np.broadcast_to(values, mean.shape) for values in features], 2)
 
         sets, numbers, around, places = self._candidates
-        scores = score(sets[None], numbers[None], around[None], self._standing[places])
-        scores[_times(sets[None], np.where(visible, areas, 0)) < LEAST_PIXELS] = -np.inf
-        own = near.astype(np.float64)
-        of_near = score(own[:, None], self._numbers(own)[:, None], self._around(own)[:, None], 0.0)
-        of_near[~near_visible.any(1)] = -np.inf
-        scores = np.concatenate([scores, of_near], 1)
-        winner = scores.argmax(1)
-        chosen = np.concatenate([sets > 0, np.zeros((1, len(areas)), bool)])[winner]
-        chosen |= near & (winner == len(sets))[:, None]
-        return chosen & known & (scores.max(1) > -np.inf)[:, None]
+        near_sets = near.astype(np.float64)
+        near_numbers, near_around = self._numbers(near_sets), self._around(near_sets)
+        features = [
+            describe(sets[None], numbers[None], around[None], self._standing[places]),
+            describe(near_sets[:, None], near_numbers[:, None], near_around[:, None], 0.0),
+        ]
+        possible = _times(sets[None], np.where(visible, areas, 0)) >= LEAST_PIXELS
+        objects = np.broadcast_to(sets > 0, (len(gaps), *sets.shape))
+        return Candidates(
+            np.concatenate(features, 1),
+            np.concatenate([objects, near[:, None]], 1) & known[:, None],
+            np.concatenate([possible, near_visible.any(1, keepdims=True)], 1),
+        )
 
     @cached_property
     def _area(self) -> np.ndarray:

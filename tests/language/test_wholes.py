@@ -39,7 +39,9 @@ def mug():
 def taken(wholes, gaps, evidence=None, areas=AREAS, ranking=RANKING):
     evidence = np.zeros(len(gaps)) if evidence is None else evidence
     of_views = np.stack([evidence, evidence], 1)
-    chosen = wholes.choose(np.array([gaps], float), of_views[None], np.asarray(areas), ranking)
+    chosen = wholes.candidates(np.array([gaps], float), of_views[None], np.asarray(areas)).best(
+        ranking
+    )
     return np.flatnonzero(chosen[0]).tolist()
 
 
@@ -91,7 +93,7 @@ def test_the_choice_is_that_of_the_formulas(seed):
     evidence[rng.random((5, n, 2)) < 0.2] = np.nan
     evidence[0] = 0
     ranking = Ranking(*rng.normal(0, 1, len(Ranking._fields)))
-    chosen = wholes.choose(gaps, evidence, areas, ranking)
+    chosen = wholes.candidates(gaps, evidence, areas).best(ranking)
     for text in zip(chosen, gaps, evidence, strict=True):
         assert np.array_equal(text[0], plainly(wholes, *text[1:], areas, ranking))
 
