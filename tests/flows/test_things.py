@@ -48,7 +48,7 @@ def test_what_is_in_a_field_is_listed(field, ask, monkeypatch, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines[:3]] == ["object", "1", "2"]
     assert "red" in lines[1] and "blue" in lines[2]
-    assert lines[1].endswith("images/001.png, images/002.png")
+    assert lines[1].endswith("1.15 x 0.00 x 1.55  images/001.png, images/002.png")
     assert lines[-1] == "Sizes are in scene units, those of the given cameras."
     status, things = ask("objects", "list", field, "blue", "red wall")
     assert status == 0 and [first["id"] for first in things] == [RED, BLUE]

@@ -5,7 +5,7 @@ Views that differ in size, and id maps with holes, are also in the tests of each
 
 import numpy as np
 import pytest
-from drawn_views import SIZE, canvas, main_label, paste, with_depths
+from drawn_views import SIZE, canvas, main_label, paste, view, with_depths
 
 from slgaussian.masks import Proposals, load_tracker
 from slgaussian.masks.associate import associate, match_detections
@@ -145,3 +145,14 @@ def test_two_thousand_masks():
     maps = associate(views, proposer, load_tracker("geometric"))
     assert maps.labels.dtype == np.int32 and len(np.unique(maps.labels[0])) == 2001
     assert 2000 <= len(maps.ids) <= 4000
+
+
+def test_an_id_map_with_holes_keeps_them(tmp_path):
+    ids = np.zeros(SIZE, np.uint16)
+    ids[10:50, 10:60], ids[20:30, 20:30], ids[60:100, 70:150] = 4, 0, 60_000
+    views = [view(canvas()), view(canvas(seed=1), "b")]
+    for name in "ab":
+        np.save(tmp_path / f"{name}.npy", ids)
+    maps = associate(views, None, load_tracker("precomputed", folder=tmp_path), replicas=5)
+    np.testing.assert_array_equal(maps.labels, [ids, ids])
+    assert maps.ids.tolist() == [4, 60_000]
