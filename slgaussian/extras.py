@@ -1,12 +1,8 @@
 """Packages that optional parts need, as the installed package itself declares them."""
 
-from __future__ import annotations
-
 from importlib.metadata import PackageNotFoundError, requires
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from packaging.requirements import Requirement
+from packaging.requirements import Requirement
 
 PACKAGE = "slgaussian"
 
@@ -19,8 +15,6 @@ def requirements(extra: str | None = None) -> list[Requirement]:
     importlib.metadata.PackageNotFoundError
         If slgaussian runs from its sources and is not installed.
     """
-    from packaging.requirements import Requirement
-
     declared = [Requirement(line) for line in requires(PACKAGE) or []]
     if extra is None:
         return [needs for needs in declared if needs.marker is None]

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
+from scipy.spatial.transform import Rotation
 
 from slgaussian.io import short_repr
 
@@ -47,8 +48,6 @@ class PosePrior:
 
     def pull(self, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return distances of poses in standard deviations [V, 6], and derivatives [V, 6, 6]."""
-        from scipy.spatial.transform import Rotation  # slow to import, and seldom needed
-
         back = R.transpose(0, 2, 1)
         turned = Rotation.from_matrix(R @ self.R.transpose(0, 2, 1)).as_rotvec()
         moved = -(back @ t[:, :, None])[..., 0] - self.centers

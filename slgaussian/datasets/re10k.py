@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import fsspec
 import numpy as np
 from PIL import Image
 
@@ -190,8 +191,6 @@ def read_chunk(file: str | Path) -> list[Clip]:
     InputError
         If the file cannot be read, is cut short, or holds something else.
     """
-    import fsspec  # slow to import, and seldom needed
-
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
             data = stream.read()
@@ -405,8 +404,6 @@ def encoded(clips: Sequence[Clip]) -> bytes:
 
 def read_json(file: str | Path) -> dict[str, Any]:
     """Read a JSON object by key from a file or fsspec URL; InputError if it is none."""
-    import fsspec  # slow to import, and seldom needed
-
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
             content = strict_json.parse(stream.read())

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.predict.unproject import THICKNESS
@@ -75,15 +75,13 @@ def continue_surfaces(
             if j != i:
                 unseen &= _is_unseen(means, camera_j, inverse_depths[j])
         width = SPREAD * BLOCK * depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
-        turn = cv2.Rodrigues(camera.c2w[:3, :3])[0][:, 0]
-        angle = np.linalg.norm(turn)
-        quat = [np.cos(angle / 2), *(turn * np.sinc(angle / 2 / np.pi) / 2)]
+        turn = Rotation.from_matrix(camera.c2w[:3, :3]).as_quat()[[3, 0, 1, 2]]
         scales = width[:, None] * (1, 1, THICKNESS)
         source = (i * camera.height + row) * camera.width + column
         fields = {
             "means": means,
             "scales": scales,
-            "quats": np.tile(quat, (len(means), 1)),
+            "quats": np.tile(turn, (len(means), 1)),
             "opacities": opacity,
             "sh": rgb,
         }

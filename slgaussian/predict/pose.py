@@ -21,12 +21,6 @@ PRIOR_DIRECTION = np.radians(5.0)
 """Assumed standard deviations of a given relative pose. The direction of a short baseline is its
 least certain part."""
 
-OUTLYING = 0.5
-"""Scale of the Cauchy distribution of epipolar distances, pixels, and of the step in deviations."""
-
-ITERATIONS, TOLERANCE, NUDGE = 50, 1e-5, 1e-6
-"""Of the refinement, in standard deviations; the last is the step of numerical derivatives."""
-
 
 def refine(prior: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
     """Refine rotation and translation direction by the Sampson distance of matches.
@@ -49,25 +43,17 @@ def refine(prior: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
     # Two axes orthogonal to the direction of translation.
     across = np.linalg.svd(direction[None])[2][1:]
 
-    deviation = np.repeat([PRIOR_ROTATION, PRIOR_DIRECTION], [3, 2])
-
     def moved(step: np.ndarray) -> Relative:
-        step = step * deviation
         turned = direction + step[3:] @ across
         R = cv2.Rodrigues(step[:3])[0] @ prior.R
         return replace(prior, R=R, t=turned * (length / np.linalg.norm(turned)))
 
-    def residuals(step: np.ndarray) -> np.ndarray:
-        return np.concatenate([moved(step).epipolar_distance(ref, src), step])
+    deviation = np.repeat([PRIOR_ROTATION, PRIOR_DIRECTION], [3, 2])
 
-    # Gauss-Newton with the weights of a Cauchy distribution; the prior keeps it well-conditioned.
-    step = np.zeros(5)
-    for _ in range(ITERATIONS):
-        at = residuals(step)
-        slopes = np.stack([residuals(step + h) - at for h in NUDGE * np.eye(5)]) / NUDGE
-        weighted = slopes / (1 + (at / OUTLYING) ** 2)
-        change = np.linalg.solve(weighted @ slopes.T, -weighted @ at)
-        step = step + change
-        if np.abs(change).max() < TOLERANCE:
-            break
-    return moved(step)
+    def residuals(step: np.ndarray) -> np.ndarray:
+        return np.concatenate([moved(step).epipolar_distance(ref, src), step / deviation])
+
+    from scipy.optimize import least_squares  # slow to import, and needed only here
+
+    fit = least_squares(residuals, np.zeros(5), loss="cauchy", f_scale=0.5, x_scale=deviation)
+    return moved(fit.x)

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slgaussian.cameras.bundle import Bundle, PosePrior, adjust
 from slgaussian.cameras.tracks import join_tracks, triangulate
@@ -101,11 +101,12 @@ def anchor_cameras(
         Weights of the mean around each view; rows sum to 1.
     """
     R = np.array([camera.c2w[:3, :3] for camera in cameras])
-    corrections = [b.c2w[:3, :3] @ a.c2w[:3, :3].T for a, b in zip(cameras, refined, strict=True)]
-    turns = np.array([cv2.Rodrigues(correction)[0][:, 0] for correction in corrections])
+    turns = Rotation.from_matrix(
+        [b.c2w[:3, :3] @ a.c2w[:3, :3].T for a, b in zip(cameras, refined, strict=True)]
+    ).as_rotvec()
     moves = np.array([b.center - a.center for a, b in zip(cameras, refined, strict=True)])
     turns, moves = turns - closeness @ turns, moves - closeness @ moves
-    rotations = np.array([cv2.Rodrigues(turn)[0] for turn in turns]) @ R
+    rotations = Rotation.from_rotvec(turns).as_matrix() @ R
     centers = np.array([camera.center for camera in cameras]) + moves
     return [with_pose(*parts) for parts in zip(cameras, rotations, centers, strict=True)]
 
