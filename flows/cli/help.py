@@ -45,14 +45,12 @@ def usage_sentence(error: TyperException) -> str:
         names = [name for param in context.command.get_params(context) for name in param.opts]
         option = error.option_name  # type: ignore[attr-defined]  # what has possibilities has it
         sentence = f"no such option {option}{did_you_mean(option, names)}"
-        if option.startswith("--") and "--set" in names:
-            from flows.config import Settings
-
-            field = option.removeprefix("--").replace("-", "_")
-            if field in Settings.model_fields:
-                sentence = f"no such option {option}; give the setting as --set {field}=VALUE"
-            elif "did you mean" not in sentence:
-                sentence += "; rare settings are given with --set KEY=VALUE"
+        field = option.removeprefix("--").replace("-", "_")
+        model = getattr(context.command.callback, "settings_model", None)
+        if model and field in model.model_fields:
+            sentence = f"no such option {option}; give the setting as --set {field}=VALUE"
+        elif model and option.startswith("--") and "did you mean" not in sentence:
+            sentence += "; rare settings are given with --set KEY=VALUE"
     sentence = sentence.replace(". Did you mean", "; did you mean")
     sentence = re.sub(r"^\w|: [A-Z]", lambda begin: begin[0].lower(), sentence)
     return sentence if context is None else f"{sentence} (see `{context.command_path} --help`)"

@@ -15,6 +15,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
 MAGIC, VERSION = 0x5053474E, 3
+CHUNK = 2**20
 COLOUR = 0.15
 
 MOST_BITS = 20
@@ -92,15 +94,16 @@ def describe(path: str | Path) -> dict[str, Any]:
     InputError if the file is damaged, cut short, or of another version.
     """
     try:
-        data = gzip.decompress(Path(path).read_bytes())
-        magic, version, n, degree, bits, *_ = struct.unpack_from("<IIIBBBB", data)
+        with gzip.open(path) as stream:
+            magic, version, n, degree, bits, *_ = struct.unpack("<IIIBBBB", stream.read(16))
+            length = 16 + sum(map(len, iter(partial(stream.read, CHUNK), b"")))
     except (EOFError, OSError, struct.error, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: is not a whole .spz file ({reason}); copy it again") from error
     size = 16 + n * (20 + 3 * ((degree + 1) ** 2 - 1))
-    if (magic, version) != (MAGIC, VERSION) or degree > 3 or len(data) != size:
+    if (magic, version) != (MAGIC, VERSION) or degree > 3 or length != size:
         raise InputError(
-            f"{path}: found magic {magic:#x}, version {version}, degree {degree} and {len(data)} "
+            f"{path}: found magic {magic:#x}, version {version}, degree {degree} and {length} "
             f"bytes, expected {MAGIC:#x}, {VERSION}, at most 3 and {size}; export it again"
         )
     fields = {

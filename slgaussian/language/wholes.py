@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,7 +40,7 @@ UNSEEN = -0.2
 
 
 class Ranking(NamedTuple):
-    """Numbers of a candidate, of its gaps, class evidence and itself as a whole, or their weights.
+    """Weights of the features of a candidate: of its gaps, of class evidence, of it as a whole.
 
     Attributes
     ----------
@@ -69,19 +69,19 @@ class Ranking(NamedTuple):
         Its smallest over its largest area in a photograph.
     """
 
-    fit: Any
-    around: Any
-    lead: Any
-    recall: Any
-    best: Any
-    near_best: Any
-    evidence: Any
-    evidence_recall: Any
-    size: Any
-    outline: Any
-    edge: Any
-    standing: Any
-    agreement: Any
+    fit: float
+    around: float
+    lead: float
+    recall: float
+    best: float
+    near_best: float
+    evidence: float
+    evidence_recall: float
+    size: float
+    outline: float
+    edge: float
+    standing: float
+    agreement: float
 
 
 class Candidates(NamedTuple):
@@ -214,23 +214,24 @@ class Wholes:
             size, outline, edge, agreement = np.moveaxis(numbers, 2, 0)
             mean = _times(sets, self._area * finite_gaps) / np.exp(size)
             shared = _times(sets, near_visible)
-            features = Ranking(
-                fit=np.maximum(mean / top, -2),
-                around=np.maximum(_times(around, finite_gaps) / top, -2),
-                lead=mean,
-                recall=recall(finite_gaps),
-                best=_times(sets, best),
-                near_best=(shared == near_visible.sum(1, keepdims=True))
+            features: dict[str, np.ndarray | float] = {
+                "fit": np.maximum(mean / top, -2),
+                "around": np.maximum(_times(around, finite_gaps) / top, -2),
+                "lead": mean,
+                "recall": recall(finite_gaps),
+                "best": _times(sets, best),
+                "near_best": (shared == near_visible.sum(1, keepdims=True))
                 & (shared == _times(sets, visible)),
-                evidence=_times(sets, self._area * evidence) / np.exp(size),
-                evidence_recall=recall(evidence),
-                size=size,
-                outline=outline,
-                edge=edge,
-                standing=standing,
-                agreement=agreement,
-            )
-            return np.stack([np.broadcast_to(values, mean.shape) for values in features], 2)
+                "evidence": _times(sets, self._area * evidence) / np.exp(size),
+                "evidence_recall": recall(evidence),
+                "size": size,
+                "outline": outline,
+                "edge": edge,
+                "standing": standing,
+                "agreement": agreement,
+            }
+            columns = (np.broadcast_to(features[name], mean.shape) for name in Ranking._fields)
+            return np.stack([*columns], 2)
 
         sets, numbers, around, places = self._candidates
         near_sets = near.astype(np.float64)

@@ -7,6 +7,7 @@ under the right reading, depth takes each from one view to where the other shows
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -58,6 +59,9 @@ SAME_UNIT = 0.03
 
 LEVELS = 10
 """Steps of confidence that are judged, each of as many pixels."""
+
+FRAMES = re.compile(r"_\d{4,}_\d{4,}$")
+"""End of the name of a sample that is cut from a place: its frames, as in ``hall_0003_0007``."""
 
 Matches = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 """Matching points float64 [M, 2] and [M, 2], pixels, of pairs of views."""
@@ -116,10 +120,8 @@ def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
         return _of_views(place, [view.name for view in sample.context])
     if not place.is_dir():
         raise InputError(f"{place}: is no folder and no .npz; give one of both")
-    named = [
-        d for d in place.iterdir() if d.is_dir() and f"{sample.scene}_".startswith(f"{d.name}_")
-    ]
-    place = max(named, key=lambda folder: len(folder.name), default=place)
+    folders = (place / name for name in (sample.scene, FRAMES.sub("", sample.scene)))
+    place = next((folder for folder in folders if folder.is_dir()), place)
     return [_find_map(place, view.name) for view in sample.context]
 
 

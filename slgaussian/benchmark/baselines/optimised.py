@@ -2,11 +2,11 @@
 
 The geometry of LangSplat (arXiv 2312.16084) and of its kin: 3D Gaussian splatting (Kerbl et al.
 2023), section 5, with the rates and bounds of gsplat's ``simple_trainer`` (Apache-2.0). Gaussians
-with a large pixel gradient are doubled, large ones in halves, and faint ones are removed, again and
-again in the first half of the steps. What differs: the loss is L1 without SSIM, which would take
-half of the time; points are matches triangulated by the given cameras; colours do not depend on the
+with a large pixel gradient are cloned, or split where they are large, and faint ones are removed,
+all in the first half of the steps. What differs: the loss is L1 without SSIM, which would take half
+of the time; points are matches triangulated by the given cameras; colours do not depend on the
 view, which two views cannot tell; the optimiser starts anew after each refinement; opacities are
-not reset; there are some thousand steps, as two photographs are learned by heart sooner.
+not reset; there are some thousand steps and not 30,000.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from slgaussian.rasterize.planned import plan
 from slgaussian.scene import View
 
 LEAST_POINTS = 1000
-"""Points at the start; where matches give fewer, random ones at a half to twice their median depth
-are added."""
+"""Points at the start. Where matches give fewer, random ones are added, at a half to twice the
+median depth of the matches."""
 
 UNKNOWN_DEPTH = 10
 """Median depth without matches, in distances between the first and the last camera."""
@@ -40,16 +40,30 @@ RATES = {"means": 1.6e-4, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh"
 """Of Adam; that of the means is a fraction of the scene's extent, and falls to a hundredth."""
 
 CODE_RATE = 2.5e-3
+"""Of Adam, for codes."""
+
 REFINE_FROM, REFINE_EVERY = 100, 50
-GROWS, LARGE, FAINT = 2e-4, 0.01, 0.005
-"""Least gradient by which a Gaussian is doubled, per image of width 2; standard deviation, as a
-fraction of the extent, above which it is halved; opacity below which it is removed."""
+"""First step after which Gaussians are doubled and removed, and steps from one time to the next."""
+
+LEAST_GRADIENT, LARGE, FAINT = 2e-4, 0.01, 0.005
+"""Mean gradient above which a Gaussian is doubled, in an image of width 2; standard deviation, as a
+fraction of the extent, above which it is split in two; opacity below which it is removed."""
 
 
 def optimise_gaussians(views: Sequence[View], seed: int, steps: int) -> Gaussians:
-    """Fit Gaussians to photographs with cameras, one a step in turn; the same bytes for one seed.
+    """Fit Gaussians to photographs with cameras, one a step in turn, by Adam.
 
-    Returns Gaussians whose ``source`` counts them from 0.
+    Parameters
+    ----------
+    views : sequence of View
+    seed : int
+        Of random points, rotations and splits; the same seed leaves the same bytes.
+    steps : int
+
+    Returns
+    -------
+    Gaussians
+        Harmonics of degree 0; ``source`` numbers them from 0.
     """
     generator = torch.Generator().manual_seed(seed % 2**63)
     photographs = [torch.from_numpy(view.image.astype(np.float32) / 255) for view in views]
@@ -67,10 +81,10 @@ def optimise_gaussians(views: Sequence[View], seed: int, steps: int) -> Gaussian
         "sh": torch.tensor((colours - 0.5) / SH_C0, dtype=torch.float32)[:, None],
     }
     with fixed(LARGE_THREADS):
-        return _fitted(parameters, views, photographs, extent, generator, steps)
+        return _fit(parameters, views, photographs, extent, generator, steps)
 
 
-def _fitted(
+def _fit(
     parameters: dict[str, torch.Tensor],
     views: Sequence[View],
     photographs: Sequence[torch.Tensor],
@@ -78,7 +92,10 @@ def _fitted(
     generator: torch.Generator,
     steps: int,
 ) -> Gaussians:
-    optimiser, gradients = _adam(parameters, extent), torch.zeros(2, len(parameters["means"]))
+    """Descend from ``parameters``, the arguments of :func:`_gaussians`; ``extent`` is of the scene
+    in scene units."""
+    optimiser = _adam(parameters, extent)
+    gradients = torch.zeros(2, len(parameters["means"]))  # sums, and numbers of views
     for step in range(steps):
         optimiser.param_groups[0]["lr"] = RATES["means"] * extent * 0.01 ** (step / steps)
         view, photograph = views[step % len(views)], photographs[step % len(views)]
@@ -88,11 +105,11 @@ def _fitted(
         loss.backward()
         optimiser.step()
         if step < steps // 2:
-            size = _pixel_gradients(parameters["means"], view)
-            gradients += torch.stack([size, (size > 0).float()])
+            lengths = _pixel_gradients(parameters["means"], view)
+            gradients += torch.stack([lengths, (lengths > 0).float()])
             if step >= REFINE_FROM and step % REFINE_EVERY == 0:
                 mean = gradients[0] / gradients[1].clamp(min=1)
-                parameters = _refined(parameters, mean > GROWS, LARGE * extent, generator)
+                parameters = _refined(parameters, mean > LEAST_GRADIENT, LARGE * extent, generator)
                 optimiser = _adam(parameters, extent)
                 gradients = torch.zeros(2, len(parameters["means"]))
     with torch.no_grad():
@@ -107,16 +124,16 @@ def optimise_codes(
     ``codes`` is float32 [V, H, W, D]; pixels without one are zeros and are left out.
     """
     plans = [plan(gaussians, view.camera) for view in views]
-    wanted = torch.from_numpy(codes)
-    known = wanted.abs().sum(-1, keepdim=True) > 0
+    targets = torch.from_numpy(codes)
+    labelled = targets.abs().sum(-1, keepdim=True) > 0
     carried = torch.zeros(len(gaussians), codes.shape[-1], requires_grad=True)
     optimiser = torch.optim.Adam([carried], lr=CODE_RATE)
     with fixed(LARGE_THREADS):
         for step in range(steps):
             k = step % len(views)
-            off = (plans[k].render(carried) - wanted[k]).abs() * known[k]
+            loss = ((plans[k].render(carried) - targets[k]).abs() * labelled[k]).mean()
             optimiser.zero_grad()
-            off.mean().backward()
+            loss.backward()
             optimiser.step()
     return carried.detach().numpy()
 
@@ -125,8 +142,8 @@ def _starting_points(
     views: Sequence[View], generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return points float64 [N, 3] and their colours [N, 3] in [0, 1]."""
-    graph, points, colours, depths = MatchGraph.of(views), [], [], list[np.ndarray]()
-    baseline = float(np.linalg.norm(views[0].camera.center - views[-1].camera.center))
+    graph = MatchGraph.of(views)
+    points, colours, depths = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for i, j in graph.matches:
         at_a, at_b = graph.points(i, j)
         relative = Relative.between(views[i].camera, views[j].camera)
@@ -136,28 +153,29 @@ def _starting_points(
         depths.append(1 / inverse[fits])
         points.append(_points(views[i], at_a[fits], depths[-1]))
         colours.append(_colours(views[i], at_a[fits]))
-    middle = (
-        np.median(np.concatenate(depths)) if sum(map(len, depths)) else UNKNOWN_DEPTH * baseline
-    )
-    missing = LEAST_POINTS - sum(map(len, points))
+    count = sum(map(len, depths))
+    baseline = np.linalg.norm(views[0].camera.center - views[-1].camera.center)
+    middle = np.median(np.concatenate(depths)) if count else UNKNOWN_DEPTH * baseline
+    missing = LEAST_POINTS - count
     for view in views if missing > 0 else ():
-        size = -(-missing // len(views))
-        pixels = generator.random((size, 2)) * [view.camera.width, view.camera.height]
-        points.append(_points(view, pixels, middle * 2.0 ** generator.uniform(-1, 1, size)))
+        share = -(-missing // len(views))
+        pixels = generator.random((share, 2)) * [view.camera.width, view.camera.height]
+        points.append(_points(view, pixels, middle * 2.0 ** generator.uniform(-1, 1, share)))
         colours.append(_colours(view, pixels))
     return np.concatenate(points), np.concatenate(colours)
 
 
 def _points(view: View, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Lift pixels [M, 2] to world points [M, 3] by their z-depths [M]."""
     rays = np.c_[pixels, np.ones(len(pixels))] @ np.linalg.inv(view.camera.K).T
     return view.camera.center + (rays * depth[:, None]) @ view.camera.c2w[:3, :3].T
 
 
 def _colours(view: View, pixels: np.ndarray) -> np.ndarray:
-    column, row = pixels.astype(int).T
-    return (
-        view.image[row.clip(0, view.camera.height - 1), column.clip(0, view.camera.width - 1)] / 255
-    )
+    """Return the colours [M, 3] in [0, 1] at pixels [M, 2]."""
+    limits = view.camera.width - 1, view.camera.height - 1
+    column, row = np.clip(pixels.astype(int), 0, limits).T
+    return view.image[row, column] / 255
 
 
 def _gaussians(parameters: dict[str, torch.Tensor]) -> Gaussians:
@@ -191,14 +209,18 @@ def _pixel_gradients(means: torch.Tensor, view: View) -> torch.Tensor:
 
 def _refined(
     parameters: dict[str, torch.Tensor],
-    grows: torch.Tensor,
+    doubles: torch.Tensor,
     large: float,
     generator: torch.Generator,
 ) -> dict[str, torch.Tensor]:
-    """Return Gaussians of which some are doubled and the faint ones gone."""
+    """Return the parameters after one refinement.
+
+    Those that ``doubles`` bool [N] marks are cloned, or split if their largest standard deviation
+    is above ``large``, scene units; faint ones are removed.
+    """
     with torch.no_grad():
-        splits = grows & (parameters["scales"].max(1).values.exp() > large)
-        stays = torch.cat([~splits, grows, splits])
+        splits = doubles & (parameters["scales"].max(1).values.exp() > large)
+        stays = torch.cat([~splits, doubles, splits])
         table = {n: torch.cat([v, v, v]) for n, v in parameters.items()}
         halves = torch.cat([torch.zeros_like(splits), splits, splits])
         steps = torch.randn(int(halves.sum()), 3, generator=generator)
