@@ -15,16 +15,33 @@ from slgaussian.rasterize.planned import plan
 
 def test_gaussians_fit_their_photographs_better_with_more_steps(room):
     views = room.sample.context
+    few, many = (optimised.optimise_gaussians(views, 0, steps) for steps in (20, 250))
+    many.check()
+    before, after = (
+        np.mean([metrics.psnr(draw_picture(g, v.camera).rgb, v.image) for v in views])
+        for g in (few, many)
+    )
+    assert after > 16 and after > before + 2 and len(many) > len(few)
 
-    def psnr(steps: int) -> float:
-        gaussians = optimised.optimise_gaussians(views, 0, steps)
-        gaussians.check()
-        return np.mean(
-            [metrics.psnr(draw_picture(gaussians, v.camera).rgb, v.image) for v in views]
-        )
 
-    few, many = psnr(20), psnr(250)
-    assert many > 16 and many > few + 2
+def test_a_refinement_clones_splits_and_removes():
+    deviation, opacity = torch.tensor([0.1, 0.1, 2, 2]), torch.tensor([0.5, 0.001, 0.5, 0.5])
+    parameters = {
+        "means": torch.arange(4.0)[:, None].repeat(1, 3) * 100,
+        "scales": deviation.log()[:, None].repeat(1, 3),
+        "quats": torch.eye(4)[[0, 0, 0, 0]],
+        "opacities": opacity.logit(),
+        "sh": torch.zeros(4, 1, 3),
+    }
+    doubles = torch.tensor([True, True, True, False])
+    refined = optimised._refined(parameters, doubles, 1.0, torch.Generator().manual_seed(0))
+    x = refined["means"][:, 0]
+    # The first twice in its place, none of the faint one, halves of the third beside it.
+    assert sorted((x / 100).round().tolist()) == [0, 0, 2, 2, 3]
+    assert x.unique().tolist()[0] == 0 and len(x.unique()) == 4
+    widths = refined["scales"].exp()[:, 0]
+    assert torch.allclose(widths[(x / 100).round() == 2], torch.tensor(2 / 1.6))
+    assert torch.allclose(widths[(x / 100).round() != 2], torch.tensor([0.1, 2, 0.1]))
 
 
 def test_photographs_without_matches_start_at_random(room):
@@ -39,8 +56,8 @@ def test_photographs_without_matches_start_at_random(room):
 def test_codes_are_recovered_through_the_renderer(room):
     views, gaussians = room.sample.context, room.gaussians
     ids = room.label_maps.labels % 3
-    codes = np.eye(4, 3, dtype=np.float32)[ids]  # one id in three has none
-    codes = codes[..., :3] * (ids < 2)[..., None]
+    codes = np.eye(4, 3, dtype=np.float32)[ids]
+    codes *= (ids < 2)[..., None]  # one id in three has none
     carried = optimised.optimise_codes(gaussians, views, codes, 500)
     drawn = plan(gaussians, views[0].camera).render(torch.from_numpy(carried)).numpy()
     known = codes[0].any(-1)
