@@ -201,11 +201,6 @@ class Tab:
             mobile=False,
         )
 
-    def keep_downloads(self, folder: Path) -> None:
-        """Write what the page downloads to a folder, without asking."""
-        values = {"downloadPath": str(folder), "browserContextId": self._context}
-        self._protocol.call("Browser.setDownloadBehavior", {"behavior": "allow", **values})
-
     def evaluate(self, script: str) -> Any:
         """The value of an expression in the page, a promise awaited; PageError if it throws."""
         answer = self.call(

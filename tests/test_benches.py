@@ -29,21 +29,6 @@ def test_another_folder_than_data_is_one_sentence(tmp_path):
         photograph_pairs.data_folder("office/pairs.json")(str(tmp_path / "office"))
 
 
-@pytest.mark.parametrize("bench", BENCHES, ids=lambda file: file.stem)
-def test_no_bench_takes_any_folder_as_data(bench):
-    taken = re.findall(r'add_argument\(\s*"(?:--)?data"[^)]*type=Path', bench.read_text())
-    assert taken == []
-
-
-def test_no_bench_has_the_name_of_another_module():
-    """A traceback, an editor's tab and a search show the name without its folder."""
-    packages = ("slgaussian", "flows", "tasks")
-    others = {file.stem for name in packages for file in (ROOT / name).rglob("*.py")}
-    names = [file.stem for file in BENCHES]
-    assert len(set(names)) == len(names)
-    assert not others & set(names)
-
-
 def module(bench):
     return ".".join(bench.relative_to(ROOT).with_suffix("").parts)
 

@@ -1,21 +1,18 @@
 """The front door: which settings of parts it takes, and how they are written down."""
 
 import hashlib
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from slgaussian import datasets
-from slgaussian.build import build_field, label_views, predict, remember
-from slgaussian.cameras.match_graph import MatchGraph
+from slgaussian.build import build_field
 from slgaussian.cameras.quality import Quality
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
-from slgaussian.geometry import SceneGeometry
 from slgaussian.scene import Sample
 from slgaussian.storage.statistics import FieldStatistics
 from slgaussian.viewer.page.scene_page import scene_page
@@ -52,11 +49,6 @@ def test_files_are_written_down_by_content(tmp_path):
     expected = {"checkpoint": digest, "precision": "float32", "depth_candidates": 64}
     assert Method("mvsplat", settings=settings).identity()["mvsplat"] == expected
     assert settings["mvsplat"]["checkpoint"] == str(file)
-
-
-def test_what_cannot_be_written_down_is_refused():
-    with pytest.raises(InputError, match="float32 is not JSON serializable; give plain numbers"):
-        Method(settings={"planesweep": {"near": np.float32(1.5)}})
 
 
 def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
@@ -127,28 +119,6 @@ def test_the_seed_reaches_the_codes_and_not_the_depth(pair, of_first):
     assert other["bank features"] == of_first["bank features"]
 
 
-def test_what_is_transparent_becomes_nothing(tmp_path):
-    room = datasets.load("procedural", seed=1, objects=4, views=2, height=64, width=96)
-    sample = room.sample(list(room.cameras))
-    opaque = np.ones((64, 96), bool)
-    opaque[:, :30] = False
-    cut = replace(
-        sample,
-        context=tuple(
-            replace(view, image=view.image * opaque[..., None], opaque=opaque)
-            for view in sample.context
-        ),
-    )
-    field = build_field(
-        cut, Method(replicas=1, settings={"planesweep": {"near": 0.9, "far": 20.0}})
-    )
-    source = field.gaussians.source.numpy()
-    assert len(source) and opaque.ravel()[source % opaque.size].all()
-    seen = field.render(next(iter(field.cameras.values())))
-    assert (seen.alpha[:, :20] < 0.5).all() and not seen.ids[:, :20].any()
-    assert (seen.alpha[8:-8, 50:-8] > 0.5).mean() > 0.9
-
-
 def test_a_field_keeps_what_it_needs_or_all(pair):
     few, every = (build_field(pair, Method(replicas=1, keep=keep)) for keep in ("needed", "all"))
     height, width = pair.context[0].image.shape[:2]
@@ -165,47 +135,6 @@ def test_a_field_keeps_what_it_needs_or_all(pair):
     assert set(few.labels()) == set(every.labels())
     with pytest.raises(InputError, match="keep: found 'al', expected needed or all"):
         Method(keep="al")
-
-
-def test_masks_and_bank_look_at_every_photograph_once(pair, monkeypatch):
-    """Counts of what takes longest, of two views; none grows with the number of objects."""
-    from slgaussian.geometry import boundaries, room, seen
-    from slgaussian.language import silhouettes
-    from slgaussian.masks import segmentation
-
-    calls = Counter()
-
-    def counted(module, name):
-        real = getattr(module, name)
-
-        def call(*words, **options):
-            calls[name] += 1
-            return real(*words, **options)
-
-        monkeypatch.setattr(module, name, call)
-
-    for module, name in (
-        (boundaries, "half_disc"),
-        (boundaries, "texture_codes"),
-        (seen, "texture_codes"),
-        (segmentation, "watershed"),
-        (room, "_normals"),
-        (silhouettes, "match"),
-    ):
-        counted(module, name)
-    method = Method()
-    geometry = SceneGeometry.of(
-        pair.context, predict(pair, MatchGraph.of(pair.context), method.predictor, 0).gaussians
-    )
-    maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
-    remember(pair, geometry, maps, method.encoder, method.codes, 0)
-    assert calls == {
-        "half_disc": 2 * 5,
-        "texture_codes": 2 * 2,  # of the borders, which are kept across fields, and of the rest
-        "watershed": 3,  # leaves of both views, and of the second for the tracker
-        "_normals": 2 * 2,  # of the room, in few places, and of the view
-        "match": 2,
-    }
 
 
 def test_one_number_says_what_a_second_view_confirms():

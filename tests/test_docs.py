@@ -2,7 +2,6 @@
 
 import ast
 import json
-import platform
 import re
 import shlex
 import tomllib
@@ -13,7 +12,6 @@ import typer
 import yaml
 
 import slgaussian
-from benches.common.harness import measured
 from flows.cli.app import app
 
 ROOT = Path(__file__).parents[1]
@@ -207,20 +205,11 @@ def test_a_measured_page_says_when_of_which_commit_and_where(page):
     assert MEASURED_ON.search(read(page)), "run its maker, which writes that line"
 
 
-def test_makers_write_that_line_without_the_name_of_a_machine():
-    assert MEASURED_ON.fullmatch(measured())
-    assert platform.node() not in measured()
-
-
 def test_the_page_of_commands_has_each_of_them_once():
     listed = re.findall(
         r"^\| `slgaussian (\w+)` \|", read(ROOT / "docs/reference/commands.md"), re.M
     )
     assert sorted(listed) == sorted(COMMANDS.commands)
-
-
-def test_the_readme_is_short():
-    assert len(read(ROOT / "README.md").split()) <= 1000
 
 
 def test_one_version_is_cited_and_described():
@@ -229,13 +218,3 @@ def test_one_version_is_cited_and_described():
     assert cited["version"] == version == slgaussian.__version__
     assert f"\n## {version} - " in read(ROOT / "CHANGELOG.md")
     assert {"cff-version", "message", "title", "authors"} <= set(cited)
-
-
-def test_a_wrong_command_line_is_noticed():
-    assert problem('slgaussian query field/ "red ball" -o hit.png  # a picture') is None
-    assert "fielt" in problem("slgaussian fielt a.jpg")
-    assert "--camera-file" in problem("slgaussian field a.jpg b.jpg --camera-file c.json")
-    assert "--out" in problem("slgaussian field a.jpg b.jpg --out")
-    assert problem_of_bench("benches.scores.answer_scores DATA [-o docs/measured]") is None
-    assert "answer_score" in problem_of_bench("benches.scores.answer_score DATA")
-    assert "--page" in problem_of_bench("benches.scores.answer_scores DATA --page x.md")

@@ -10,7 +10,6 @@ import pytest
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.field import SemanticField
-from slgaussian.language.query import Rules
 from tests.square import (
     BLUE,
     COLOURS,
@@ -120,14 +119,6 @@ def test_a_name_means_the_object_that_has_it_and_no_other(field, tmp_path):
     hit = away.render(away.cameras["a"]).query("die wiese")
     assert not hit.found and hit.verdict == "not here" and away.find("die wiese") == ()
     assert named.named(GREEN, "").render(named.cameras["a"]).query("die wiese").kind == "taught"
-
-
-def test_names_known_and_taught_in_one_question_answer_as_alone(field):
-    named = field.named(GREEN, "meadow").teach("zorp", BLUE)
-    texts = ["red", "meadow", "zorp", "green"]
-    together = named.reader.gaps(texts, Rules())
-    for text, gaps in zip(texts, together, strict=True):
-        np.testing.assert_array_equal(named.reader.gaps([text], Rules())[0], gaps)
 
 
 def test_only_some_objects(field):

@@ -1,10 +1,7 @@
 """A small part of ``benches/pipeline/fuzz_readers.py``; the table is ``docs/measured/fuzz.md``."""
 
-import random
-
 import pytest
 
-from tests.damaged_bytes import damaged
 from tests.small_files import FORMATS, verdict
 
 SEED, COUNT = 1, 12
@@ -20,9 +17,3 @@ def test_a_damaged_file_is_read_or_named(name, tmp_path, recwarn):
     assert [said for kind, said in found if kind not in ("accepted", "refused")] == []
     assert "refused" in {kind for kind, _ in found}
     FORMATS[name].read(folder)  # whole again
-
-
-def test_the_same_number_is_the_same_damage():
-    data = bytes(range(256)) * 4
-    first, again = (damaged(data, "x.bin", random.Random("0 x 3")) for _ in range(2))
-    assert first == again != data

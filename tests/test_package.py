@@ -30,11 +30,6 @@ def test_importing_the_package_is_light():
     subprocess.run([sys.executable, "-c", heavy], cwd=ROOT, check=True)
 
 
-def test_an_unknown_attribute_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no_such_thing"):
-        _ = slgaussian.no_such_thing
-
-
 def test_rasterize_is_the_call_however_often_it_is_looked_up():
     for _ in range(2):
         assert callable(slgaussian.rasterize)

@@ -99,16 +99,6 @@ def test_many_starts_that_end_alike_leave_room_for_the_other_answer_of_a_plane()
     assert others and min(other.turned_from(best) for other in others) > 3
 
 
-def test_two_lenses_keep_their_own_focal_lengths():
-    R = Rotation.from_euler("y", -14, degrees=True).as_matrix()
-    t = np.array([1.0, 0.3, 0.4])
-    views = TwoViews(R, t / np.linalg.norm(t), np.array([700.0, 1000.0]), np.zeros(0))
-    x, y = seen(views, 600, 3, 0.1)
-    told = FocalPrior(np.log([720.0, 980.0]), np.full(2, 0.05), shared=False)
-    best = solve(x, y, told)[0][0]
-    assert best.focals == pytest.approx([700, 1000], rel=0.03)
-
-
 @pytest.mark.parametrize("zoom", [1.0, 1.5])
 def test_zoom_between_two_photographs_is_seen(zoom):
     """Of one lens by all that is known."""
@@ -131,24 +121,6 @@ def test_points_behind_the_cameras_count_as_lost():
     np.testing.assert_allclose(reversed_.distance(x, y), -views.distance(x, y))
     right, wrong = (posterior(v, x, y, known, 0.5) for v in (views, reversed_))
     assert wrong > 50 * right
-
-
-def test_nothing_is_said_of_seven_matches():
-    x, y = seen(two_views(1), 7, 1, 0.0)
-    assert solve(x, y, prior(0.0))[0] == []
-
-
-def test_same_matches_same_bytes():
-    x, y = seen(two_views(4), 200, 4, 0.5)
-    first, second = (solve(x, y, prior(0.3))[0][0] for _ in range(2))
-    assert first.R.tobytes() == second.R.tobytes()
-    assert first.covariance.tobytes() == second.covariance.tobytes()
-
-
-def test_depth_is_no_plane():
-    views = two_views(6)
-    x, y = seen(views, 300, 6, 0.2)
-    assert why_no_depth(x, y, prior(0.3), 300)[1] is None
 
 
 def test_turn_is_told_from_plane():

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from slgaussian import datasets
@@ -91,15 +90,6 @@ def test_one_of_another_room_is_left_out_as_if_not_given(seed, why, photographs,
     assert some.as_json()["left_out"] == some.left_out
 
 
-def test_two_of_three_are_judged_as_two(photographs):
-    taken, _ = photographs
-    other = replace(room(7)[0][0], name="elsewhere.jpg")
-    some, two = find_cameras([other, *taken[:2]]), find_cameras(taken[:2])
-    for name, camera in two.cameras.items():
-        assert some.cameras[name].c2w.tobytes() == camera.c2w.tobytes()
-    assert some.confidence == two.confidence
-
-
 def test_halves_of_two_places_are_refused_piece_by_piece(photographs):
     taken, _ = photographs
     others = [replace(p, name=f"other_{p.name}") for p in room(7)[0]]
@@ -114,20 +104,6 @@ def saved_again(photograph):
     image = photograph.image.copy()
     image[0, 0] ^= 1
     return replace(photograph, image=image, name="twin.jpg")
-
-
-def test_a_refusal_of_the_rest_says_what_was_left_out(photographs):
-    taken, _ = photographs
-    other = replace(room(7)[0][0], name="elsewhere.jpg")
-    twin = saved_again(taken[0])
-    with pytest.raises(InputError, match=r"^1 of 4 .*'elsewhere.jpg' .* and then .*one place"):
-        find_cameras([taken[0], twin, taken[1], other])
-
-
-def test_nothing_placed_is_refused(photographs, monkeypatch):
-    monkeypatch.setattr(multi_view, "place", lambda *_: None)
-    with pytest.raises(InputError, match="3 photographs: no two of them tell cameras; 'view_0"):
-        find_cameras(photographs[0])
 
 
 def test_the_first_two_may_not_be_one(photographs):
@@ -145,18 +121,6 @@ def test_many_photographs_are_not_all_solved_with_all():
     pairs = worth_solving([Described.of(window) for window in windows])
     assert {(k, k + 1) for k in range(9)} <= set(pairs)
     assert len(pairs) <= 30
-
-
-def test_what_is_solved_hangs_together():
-    """Two bundles of windows, each of which is more alike in itself than to the other."""
-    texture = np.random.default_rng(0).integers(0, 255, (60, 160, 3), dtype=np.uint8)
-    strip = np.kron(texture, np.ones((4, 4, 1), np.uint8))
-    places = [start + 12 * k for start in (0, 220) for k in range(4)]
-    windows = [Photograph(str(x), strip[:, x : x + 300], 300, 240) for x in places]
-    pairs = np.array(worth_solving([Described.of(window) for window in windows])).T
-    graph = np.zeros((8, 8))
-    graph[tuple(pairs)] = 1
-    assert connected_components(graph, directed=False)[0] == 1
 
 
 def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):

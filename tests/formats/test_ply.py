@@ -158,17 +158,6 @@ def test_unknown_properties_are_kept_in_their_own_type(tmp_path):
     assert again.source.tolist() == [0, 1, 2]
 
 
-def test_a_list_property_is_kept_too(tmp_path):
-    data = columns(2, 1)
-    table = np.empty(2, [*((name, "f4") for name in data), ("parts", "O")])
-    for name, values in data.items():
-        table[name] = values
-    table["parts"] = [np.array([1, 2], "i4"), np.array([3], "i4")]
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(str(tmp_path / "a.ply"))
-    _, extra = load_ply(tmp_path / "a.ply")
-    assert [part.tolist() for part in extra["parts"]] == [[1, 2], [3]]
-
-
 def test_the_3d_filter_widens_and_fades(tmp_path):
     """As its equation says (Mip-Splatting, eq. 9), by matrices and determinants in float64."""
     made = some(6, count=1, scales=torch.exp(torch.randn(6, 3) - 2), opacities=torch.rand(6))
@@ -204,18 +193,6 @@ def test_a_comment_on_antialiasing_is_heeded(tmp_path, comment, refused):
         return
     with pytest.raises(InputError, match=r"says .* trained with anti-aliasing"):
         load_ply(tmp_path / "a.ply")
-
-
-def test_names_of_others_that_change_no_picture_are_extra(tmp_path):
-    names = ["red", "class_id", "object_label", "obj_dc_3", "confidence", "nz", "semantic_0"]
-    _, extra = load_ply(write(tmp_path / "a.ply", columns() | dict.fromkeys(names, np.ones(5))))
-    assert extra.keys() == set(names) - {"nz"}
-
-
-def test_infinite_logits_of_opacity_are_zero_and_one(tmp_path):
-    data = columns(2)
-    data["opacity"] = np.array([-np.inf, np.inf])
-    assert load_ply(write(tmp_path / "a.ply", data))[0].opacities.tolist() == [0, 1]
 
 
 def test_no_gaussians_make_a_file_without_vertices(tmp_path):

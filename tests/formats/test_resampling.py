@@ -140,14 +140,6 @@ class TestDepth:
         assert (view.opaque != straight)[known].mean() < 0.005
 
 
-def test_a_view_of_a_view_shows_the_part_that_its_camera_sees():
-    full = photographed()
-    twice = full.resized(50, 50).resized(30, 20)
-    shown = twice.shown
-    for axis, ends in ((0, (shown.left, shown.right)), (1, (shown.top, shown.bottom))):
-        assert edges(twice, full, axis)[[0, -1]] == pytest.approx(ends, abs=1e-9)
-
-
 @pytest.mark.parametrize(
     ("size", "fits"),
     [

@@ -104,18 +104,3 @@ def test_texture_codes_say_direction_and_strength_of_an_edge(degrees, step, leve
     across = x * np.cos(np.radians(degrees)) + y * np.sin(np.radians(degrees))
     code = texture_codes((30 + step * (across > 0)).astype(np.float32))[15, 15]
     assert code // 3 == (0 if level == 0 else 1 + 4 * (level - 1) + degrees // 45)
-
-
-def test_texture_codes_say_whether_a_spot_is_darker_or_lighter():
-    for sign, step in enumerate((-30, 0, 30)):
-        light = np.full((31, 31), 50, np.float32)
-        light[14:17, 14:17] += step
-        assert texture_codes(light)[15, 15] == sign
-
-
-def test_half_disc_of_two_halves_is_strongest_along_their_border():
-    codes = np.zeros((20, 20), np.uint8)
-    codes[:, 10:] = 1
-    strength = half_disc(codes, 2, 4, ordered=False)
-    assert strength.argmax(0)[10, 10] == 4  # the vertical diameter
-    assert strength[:, 10, 2].max() == 0

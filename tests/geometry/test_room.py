@@ -117,19 +117,3 @@ def test_without_a_floor_nothing_is_said_of_heights(room):
     result = find_room(cameras, walls)
     assert np.isnan(result.floor) and result.unit > 0
     assert np.isnan(result.place(cameras[0], walls[0]).height).all()
-
-
-def test_no_depth_at_all(room):
-    cameras, depths = room
-    nothing = [np.zeros_like(depth) for depth in depths]
-    result = find_room(cameras, nothing)
-    place = result.place(cameras[0], nothing[0])
-    assert np.linalg.norm(result.up) == pytest.approx(1)
-    for valid in (place.points, place.height, place.level):
-        assert np.isnan(valid).all()
-
-
-def test_same_bytes_again(room):
-    cameras, depths = room
-    first, second = (find_room(cameras, depths).place(cameras[1], depths[1]) for _ in range(2))
-    assert first.height.tobytes() == second.height.tobytes()

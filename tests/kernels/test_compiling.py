@@ -1,6 +1,5 @@
 """Who waits for kernels to be compiled is told so, and nobody else."""
 
-import io
 import logging
 import os
 import subprocess
@@ -12,8 +11,6 @@ import numba
 import pytest
 from numba.core.compiler_lock import global_compiler_lock
 
-from flows.runners import progress
-from flows.runners.progress import Waiting
 from slgaussian.kernels import compiling
 
 FIRST_USE = """
@@ -52,15 +49,6 @@ def test_a_kernel_is_told_while_it_is_compiled_and_never_again(at_once):
         kernel(2)
         assert report == []
     new_kernel()(1)
-    assert report == []
-
-
-def test_a_small_kernel_is_not_worth_a_word(monkeypatch):
-    monkeypatch.setattr(compiling, "SILENT", 60.0)
-    compiling.watch()
-    report = []
-    with compiling.told_to(report.append):
-        new_kernel()(1)
     assert report == []
 
 
@@ -109,17 +97,6 @@ def test_the_first_command_says_so_and_the_second_does_not(tmp_path):
     assert "compiling" not in message[1]
 
 
-def test_where_there_is_no_terminal_a_line_comes_now_and_then(monkeypatch):
-    stream = io.StringIO()
-    waiting = Waiting(stream)
-    for text in ("one", "two", "", "three"):
-        waiting(text)
-    assert stream.getvalue() == "one\n"
-    monkeypatch.setattr(progress, "PATIENCE", 0.0)
-    waiting("four")
-    assert stream.getvalue() == "one\nfour\n"
-
-
 def test_the_clock_stands_still_while_a_kernel_is_compiled():
     compiling.watch()
     kernel, spent, start, ticks = (
@@ -132,12 +109,3 @@ def test_the_clock_stands_still_while_a_kernel_is_compiled():
     took, counted = time.perf_counter() - start, compiling.clock() - ticks
     compiled = compiling.spent() - spent
     assert 0 < compiled < took and counted == pytest.approx(took - compiled, abs=1e-3)
-
-
-def test_what_another_thread_compiles_is_none_of_this_one():
-    compiling.watch()
-    before = compiling.spent()
-    second = threading.Thread(target=lambda: new_kernel()(1))
-    second.start()
-    second.join()
-    assert compiling.spent() == before

@@ -8,22 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian import datasets
-from slgaussian.kernels.seeding import content_of, held_out, hold_out, rng_for, seed_for
+from slgaussian.kernels.seeding import content_of, held_out, hold_out, seed_for
 from slgaussian.scene import Sample
 from tasks.artifacts import sample_from_arrays, sample_to_arrays
 
 
 def test_a_seed_is_the_same_everywhere():
     assert seed_for(0, "room", "codes") == 9262441233058351170
-
-
-def test_run_scene_and_stage_each_matter():
-    seeds = {seed_for(*key) for key in [(0, "a", "x"), (1, "a", "x"), (0, "b", "x"), (0, "a", "y")]}
-    assert len(seeds) == 4
-
-
-def test_generators_repeat():
-    assert rng_for(3, "a", "x").random() == rng_for(3, "a", "x").random()
 
 
 @pytest.fixture(scope="module")

@@ -30,20 +30,6 @@ def test_every_portion_is_taken_once(portions, threads):
     assert (items == 1).all()
 
 
-def test_several_callers_may_share_at_once():
-    def work(items):
-        for _ in range(50):
-            share(_count, len(items), items)
-
-    items = [np.zeros(1000, np.int64) for _ in range(8)]
-    callers = [threading.Thread(target=work, args=(local,)) for local in items]
-    for caller in callers:
-        caller.start()
-    for caller in callers:
-        caller.join()
-    assert all((local == 50).all() for local in items)
-
-
 def test_several_threads_are_in_a_kernel_at_once():
     """Each waits for the other: alone, or with Python's lock kept, one would wait for ever."""
     met, both = [], threading.Barrier(2, timeout=60)

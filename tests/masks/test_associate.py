@@ -57,35 +57,6 @@ def picture(seed=0):
 WHOLE = (0, *SIZE[:1], 0, *SIZE[1:])
 
 
-def test_one_view_alone():
-    maps = associate([flat(picture())], Regions(), GeometricTracker())
-    assert maps.labels.shape == (1, *SIZE)
-    assert maps.ids.tolist() == list(range(1, maps.ids[-1] + 1))
-    assert (maps.labels > 0).all() and (maps.margin == 1).all()
-
-
-def test_identical_views_get_identical_labels():
-    maps = associate([flat(picture()), flat(picture(), "b")], Regions(), GeometricTracker())
-    np.testing.assert_array_equal(maps.labels[0], maps.labels[1])
-
-
-def test_no_proposals_at_all():
-    views = [flat(picture()), flat(picture(1), "b")]
-    maps = associate(views, Drawn([], [], [], []), GeometricTracker())
-    assert not maps.labels.any() and len(maps.ids) == 0 and (maps.margin == 1).all()
-
-
-def test_blank_images_are_one_object():
-    blank = np.full((*SIZE, 3), 200)
-    maps = associate([flat(blank), flat(blank + 1, "b")], Regions(), GeometricTracker())
-    assert all(len(np.unique(labels)) == 1 and labels[0, 0] > 0 for labels in maps.labels)
-
-
-def test_a_one_pixel_mask_is_absorbed_by_what_surrounds_it():
-    maps = associate([flat(picture())], Drawn([WHOLE, (40, 41, 40, 41)]), GeometricTracker())
-    assert (maps.labels == 1).all()  # a crumb is under 2.4 pixels here
-
-
 def test_an_object_seen_in_one_view_only_is_kept():
     first, second = picture(), picture()
     paste(second, (5, 35, 110, 150), (30, 200, 60), 9)
@@ -195,50 +166,11 @@ def test_copies_that_would_be_the_same_are_not_made_and_change_nothing(kind):
     assert subset.computed == (2 if kind is GeometricTracker else 5)
 
 
-def test_where_copies_alone_vote_no_view_overrules_them(monkeypatch):
-    views = [flat(picture(seed), name) for seed, name in enumerate("abc")]
-    monkeypatch.setattr("slgaussian.masks.associate.vote_on_objects", None)
-    associate(views, Regions(), GeometricTracker(), 5, "copies")
-    with pytest.raises(TypeError):
-        associate(views, Regions(), GeometricTracker())
-
-
-def test_geometry_asks_once_a_view_and_agrees():
-    calls = []
-
-    class Counted(GeometricTracker):
-        def propagate(self, frame):
-            calls.append(frame.view.name)
-            return super().propagate(frame)
-
-    maps = associate([flat(picture()), flat(picture(3), "b")], Regions(), Counted())
-    assert calls == ["a", "b", "b"] and (maps.margin == 1).all()
-
-
 @cache
 def room():
     scene = reader.read(seed=3, height=208, width=288, views=2)
     views = [scene.read(name) for name in scene.cameras]
     return scene, with_depths(views, [view.depth for view in views])
-
-
-@pytest.mark.parametrize("swapped", [False, True])
-def test_objects_of_a_room_keep_their_ids(swapped):
-    scene, views = room()
-    views = views[::-1] if swapped else views
-    maps = associate(views, Regions(), GeometricTracker())
-    hits = []
-    for instance, phrase in scene.phrases.items():
-        masks = [v.view.instances == instance for v in views]
-        if min(m.sum() for m in masks) >= 50 and "wall" not in phrase:
-            main = [
-                np.bincount(labels[mask]).argmax()
-                for labels, mask in zip(maps.labels, masks, strict=True)
-            ]
-            hits.append(main[0] == main[1])
-    assert len(hits) >= 8
-    assert np.mean(hits) >= 0.75  # at half the usual size; docs/measured/masks.md has the rest
-    assert (maps.labels > 0).mean() > 0.99
 
 
 def grid(rows):

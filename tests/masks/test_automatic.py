@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from slgaussian.masks.automatic import all_masks, crop_boxes, point_grid, tidy
+from slgaussian.masks.automatic import all_masks, crop_boxes, tidy
 from slgaussian.masks.configs import PRESETS, Automatic
 from slgaussian.masks.nms import mask_nms
 
@@ -119,30 +119,6 @@ def test_where_limits_the_points():
     assert result.masks.shape == (0, *SIZE) and len(result.scores) == len(result.levels) == 0
 
 
-def test_a_blank_image_and_a_single_pixel_work():
-    assert (
-        all_masks(Drawn(), np.zeros((*SIZE, 3), np.uint8), PLAIN).masks.all((1, 2)).tolist() == []
-    )
-    for layers in (0, 2):
-        tiny = all_masks(Drawn(), np.full((1, 1, 3), 60, np.uint8), replace(PLAIN, crops=layers))
-        assert tiny.masks.tolist() == [[[True]]]
-
-
-@pytest.mark.parametrize("batch", [1, 5, 64])
-def test_batches_change_nothing(batch):
-    drawn = Drawn()
-    result = all_masks(drawn, picture(), PLAIN, batch=batch)
-    assert max(map(len, drawn.points)) <= batch
-    reference = all_masks(Drawn(), picture(), PLAIN)
-    assert result.masks.tobytes() == reference.masks.tobytes()
-    assert result.scores.tobytes() == reference.scores.tobytes()
-
-
-def test_points_are_the_centres_of_cells():
-    points = point_grid(96, 128, 4)
-    assert points.tolist()[:5] == [[16, 12], [48, 12], [80, 12], [112, 12], [16, 36]]
-
-
 @pytest.mark.parametrize("size", [(96, 128), (720, 960), (5, 300), (1, 1)])
 def test_crops_cover_the_image_and_overlap(size):
     boxes = list(crop_boxes(*size, 2))
@@ -243,22 +219,3 @@ def test_tidy_as_pixel_by_pixel(seed, smallest):
     changed = not np.array_equal(mask, expected)
     assert tidy(mask, smallest) == changed
     np.testing.assert_array_equal(mask, expected)
-
-
-def test_masks_that_had_to_be_tidied_give_way():
-    class Speckled(_DrawnImage):
-        def segment(self, points):
-            clean = torch.full(SIZE, -9.0)
-            clean[10:50, 10:50] = 9
-            speckled = clean.clone()
-            speckled[20, 20] = -9
-            speckled[80, 100] = 9
-            return torch.stack([torch.stack([speckled, clean, speckled])] * len(points)), (
-                torch.tensor([[0.95, 0.9, 0.85]] * len(points))
-            )
-
-    settings = replace(PLAIN, smallest=5)
-    result = all_masks(lambda image: Speckled(None, image), picture(), settings)
-    assert result.masks.sum() == 1600 and result.levels.tolist() == [1]
-    stored = all_masks(lambda image: Speckled(None, image), picture(), PLAIN)
-    assert sorted(m.sum() for m in stored.masks) == [1600, 1600]

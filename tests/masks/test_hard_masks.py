@@ -5,7 +5,7 @@ Views that differ in size, and id maps with holes, are also in the tests of each
 
 import numpy as np
 import pytest
-from drawn_views import SIZE, canvas, main_label, paste, view, with_depths
+from drawn_views import SIZE, canvas, main_label, paste, with_depths
 
 from slgaussian.masks import Proposals, load_tracker
 from slgaussian.masks.associate import associate, match_detections
@@ -78,30 +78,12 @@ def test_swapped_views_find_the_same_objects(swapped):
     assert ids == [1, 3, 2]
 
 
-@pytest.mark.parametrize("swapped", [False, True])
-def test_an_object_that_leaves_the_view_is_kept_and_marked(swapped):
-    leaver = ((20, 80, -12, 12), (40, 190, 60), 21)
-    maps, labels = run([leaver, RED, BLUE], swapped=swapped)
-    gone = main_label(labels[0], leaver[0])
-    assert maps.seen_once.tolist() == [gone]
-    assert not (labels[1] == gone).any()
-    assert main_label(labels[0], RED[0]) == main_label(labels[1], (30, 75, 16, 56))
-
-
 def test_two_identical_objects_side_by_side_keep_their_own_ids():
     twins = [((40, 80, left, left + 28), (200, 180, 40), 31) for left in (40, 72)]
     maps, labels = run(twins)
     ids = [main_label(labels[0], box) for box, *_ in twins]
     assert len(set(ids)) == 2 and len(maps.ids) == 3
     assert ids == [main_label(labels[1], (40, 80, left, left + 28)) for left in (26, 58)]
-
-
-def test_nested_masks_stay_apart():
-    inner = ((40, 60, 40, 60), (60, 60, 200), 13)
-    _, labels = run([((25, 80, 25, 80), (200, 60, 50), 11), inner])
-    result = [main_label(labels[0], box) for box in (WHOLE, (25, 38, 25, 80), inner[0])]
-    assert len(set(result)) == 3
-    assert main_label(labels[1], (40, 60, 26, 46)) == result[2]
 
 
 def test_no_mask_in_one_view_or_in_none():
@@ -133,26 +115,3 @@ def test_one_pixel_masks_come_through_every_step_unharmed():
     specks = Drawn(*((v, [WHOLE, (50, 51, 50, 51)]) for v in views))
     maps = associate(views, specks, load_tracker("geometric"))
     assert maps.ids.tolist() == [1]  # a crumb: see flatten
-
-
-def test_two_thousand_masks():
-    things = [((20, 100, 40, 120), (190, 60, 50), 7)]
-    views, _ = scene(things, things)
-    tiles = [(y, y + 2, x, x + 4) for y in range(0, 120, 2) for x in range(0, 136, 4)][:2000]
-    moved = [(top, bottom, left - 14, right - 14) for top, bottom, left, right in tiles]
-    frame = [box for box in moved if box[3] > 0]
-    proposer = Drawn((views[0], tiles), (views[1], frame))
-    maps = associate(views, proposer, load_tracker("geometric"))
-    assert maps.labels.dtype == np.int32 and len(np.unique(maps.labels[0])) == 2001
-    assert 2000 <= len(maps.ids) <= 4000
-
-
-def test_an_id_map_with_holes_keeps_them(tmp_path):
-    ids = np.zeros(SIZE, np.uint16)
-    ids[10:50, 10:60], ids[20:30, 20:30], ids[60:100, 70:150] = 4, 0, 60_000
-    views = [view(canvas()), view(canvas(seed=1), "b")]
-    for name in "ab":
-        np.save(tmp_path / f"{name}.npy", ids)
-    maps = associate(views, None, load_tracker("precomputed", folder=tmp_path), replicas=5)
-    np.testing.assert_array_equal(maps.labels, [ids, ids])
-    assert maps.ids.tolist() == [4, 60_000]

@@ -53,13 +53,6 @@ def test_pieces_of_one_thing_are_one_group_and_the_wall_is_another(halves):
         assert wholes.at_edge.tolist() == [2 * 2 * sum(SIZE), 0, 0]
 
 
-def test_one_object_is_its_own_group(halves):
-    views, _ = halves
-    levels, wholes = group_objects(views, maps_of(*[np.full(SIZE, 5)] * 2))
-    np.testing.assert_array_equal(levels, np.zeros((len(CUTS), 1)))
-    assert wholes.members.shape == (0, 1)
-
-
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 12), st.booleans())
 def test_groups_are_connected_partitions_whatever_they_show(seed, maximum, blank):
@@ -88,15 +81,3 @@ def test_groups_are_connected_partitions_whatever_they_show(seed, maximum, blank
                     link[k] |= inside & (label == name).any()
             reach = np.linalg.matrix_power(link.astype(float), len(fixed)) > 0
             assert reach.all()
-
-
-def test_ten_thousand_objects_are_grouped():
-    labels = np.arange(10_000).reshape(100, 100).repeat(2, 0).repeat(2, 1) + 1
-    picture = np.zeros((200, 200, 3))
-    picture[:, 100:] = 255
-    levels, wholes = group_objects([view(picture)], maps_of(labels))
-    assert wholes is None
-    assert levels.shape == (len(CUTS), 10_000)
-    for numbers in levels:
-        assert set(numbers) == set(range(numbers.max() + 1))
-        assert numbers.max() < 1000

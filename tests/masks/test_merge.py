@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.geometry import SeenView
-from slgaussian.masks.hierarchy import levels_of, pick_nodes, survival
+from slgaussian.masks.hierarchy import levels_of, pick_nodes
 from slgaussian.masks.merge import (
     Cues,
     MergeTree,
@@ -103,12 +103,6 @@ def test_nodes_of_two_trees_are_near_copies_by_their_union():
     assert (True, False, False) not in result
 
 
-def test_survival_ends_where_a_node_is_merged_on():
-    parent = np.array([3, 3, 4, 4, -1], np.int32)
-    tree = MergeTree(np.array([[0, 1, 2]], np.int32), parent, np.array([0, 0, 0, 1.0, 4.0]))
-    assert survival(tree).tolist() == [0.25, 0.25, 1, 1, 1]
-
-
 @pytest.fixture(scope="module")
 def noise():
     """Six leaves of noise, some depth unknown: CIELAB, leaves, boundary, depth."""
@@ -179,14 +173,6 @@ def test_merging_in_several_views_equals_its_plain_reference(noise, cues):
     check_merging(joint, cues)
 
 
-def test_one_view_seen_as_several_is_that_view(noise):
-    alone = leaf_sums(*noise)
-    for cues in (Cues(), Cues(fill=0.5, size_power=0.1)):
-        first, three = build_tree(alone, cues), build_tree(joint_sums([alone] * 3), cues)
-        np.testing.assert_array_equal(first.parent, three.parent)
-        np.testing.assert_allclose(first.height, three.height, rtol=1e-12)
-
-
 def check_merging(sums, cues):
     """A tree over six leaves against one that is built from costs worked out anew each time."""
     tree = build_tree(sums, cues)
@@ -233,13 +219,3 @@ def test_tree_heights_rise_and_every_cut_is_a_partition(noise):
         assert labels.min() == 1 and len(np.unique(labels)) == len(nodes)
         counts.append(len(nodes))
     assert counts == sorted(counts, reverse=True)
-
-
-def test_the_cheapest_border_goes_first():
-    image = np.zeros((6, 9, 3), np.uint8)
-    image[:, :3], image[:, 3:6], image[:, 6:] = 200, 190, 20
-    leaves = np.repeat(np.arange(3, dtype=np.int32), 3)[None].repeat(6, 0)
-    lab = SeenView.alone(image).view.lab
-    tree = build_tree(leaf_sums(lab, leaves, np.zeros((6, 9), np.float32)))
-    assert tree.parent.tolist() == [3, 3, 4, 4, -1]
-    assert 0 < tree.height[3] < tree.height[4]

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import torch
 
 from slgaussian.masks.nms import (
     box_nms,
@@ -107,12 +106,6 @@ def test_intersections_are_exact(name):
     np.testing.assert_array_equal(mask_intersections(masks), expected)
 
 
-def test_intersections_in_small_blocks(monkeypatch):
-    full = mask_intersections(SETS["noise"])
-    monkeypatch.setattr("slgaussian.masks.nms.BLOCK", 999)
-    np.testing.assert_array_equal(mask_intersections(SETS["noise"]), full)
-
-
 @pytest.mark.parametrize("nested", [None, 0.5])
 @pytest.mark.parametrize("iou", [0.3, 0.8])
 @pytest.mark.parametrize("name", [name for name in SETS if name != "many"])
@@ -142,16 +135,6 @@ def test_boxes_hold_their_masks_tightly(name):
         assert inner[0].any() and inner[-1].any() and inner[:, 0].any() and inner[:, -1].any()
 
 
-def test_a_part_goes_only_with_nested():
-    full, part = np.zeros((2, *SIZE), bool)
-    full[:, :40] = True
-    part[:20, :20] = True  # a quarter of the whole
-    masks, scores = np.stack([full, part]), np.array([0.2, 0.9])
-    assert mask_nms(masks, scores, 0.8).tolist() == [1, 0]
-    assert mask_nms(masks, scores, 0.8, 0.5).tolist() == [0]
-    assert mask_nms(masks, scores, 0.8, 0.2).tolist() == [1, 0]
-
-
 @pytest.mark.parametrize("name", [name for name in SETS if name != "many"])
 @pytest.mark.parametrize("share", [0.5, 0.8, 1.0])
 def test_visible_as_pixel_by_pixel(name, share):
@@ -164,13 +147,3 @@ def test_visible_as_pixel_by_pixel(name, share):
             won[min(holders, key=lambda i: (-areas[i], i))] += 1
     expected = [i for i in range(len(masks)) if areas[i] and won[i] >= share * areas[i]]
     assert mostly_visible(masks, share).tolist() == expected
-
-
-def test_same_bytes_with_one_thread_and_two():
-    threads = torch.get_num_threads()
-    results = []
-    for count in (1, 2):
-        torch.set_num_threads(count)
-        results.append(mask_nms(SETS["many"], scores_of(SETS["many"]), 0.8, 0.5).tobytes())
-    torch.set_num_threads(threads)
-    assert results[0] == results[1]

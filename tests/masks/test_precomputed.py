@@ -184,10 +184,3 @@ def test_what_is_no_id_map_is_one_sentence(tmp_path, name, write, says):
         write(tmp_path / name)
     with pytest.raises(InputError, match=says):
         Precomputed(folder=tmp_path).propagate(view(canvas()))
-
-
-def test_two_maps_of_one_view_are_refused(tmp_path):
-    write_grey(tmp_path / "a.png", ids_of(9))
-    write_npy(tmp_path / "a.npy", ids_of(9))
-    with pytest.raises(InputError, match=r"a\.npy is there too"):
-        Precomputed(folder=tmp_path).propagate(view(canvas()))

@@ -29,12 +29,6 @@ def iou(mask, box):
     return (mask & truth).sum() / (mask | truth).sum()
 
 
-def test_finds_each_object_as_one_region(scene):
-    proposals = Regions().propose(SeenView.alone(scene))
-    assert max(iou(mask, BALL) for mask in proposals.masks) > 0.9
-    assert max(iou(mask, BOX) for mask in proposals.masks) > 0.9
-
-
 def test_objects_are_disjoint_cover_the_image_and_are_scored(scene):
     proposals = Regions().propose(SeenView.alone(scene))
     assert (proposals.levels == 1).all()
@@ -68,27 +62,6 @@ def test_all_levels_hold_the_objects_and_what_is_smaller_and_larger(scene):
         np.testing.assert_array_equal(first.scores, every.scores[every.levels == number])
 
 
-def test_most_bounds_the_number_of_masks_but_objects_stay(scene):
-    objects = len(Regions().propose(SeenView.alone(scene)).masks)
-    for maximum in (0, 10, 25):
-        masks = Regions(level="all", most=maximum).propose(SeenView.alone(scene)).masks
-        assert objects <= len(masks) <= max(maximum, objects)
-
-
-def test_a_thing_of_two_colours_is_a_group():
-    picture = canvas((150, 150, 150), contrast=2)
-    paste(picture, (30, 60, 40, 100), (200, 40, 40))
-    paste(picture, (60, 90, 40, 100), (40, 60, 190), seed=3)
-    masks = Regions(level="all").propose(view(picture)).masks
-    for box in ((30, 60, 40, 100), (60, 90, 40, 100), (30, 90, 40, 100)):
-        assert max(iou(mask, box) for mask in masks) > 0.9
-
-
-def test_an_unknown_level_is_refused():
-    with pytest.raises(InputError, match="found 'xl', expected s, m, l or all"):
-        Regions(level="xl")
-
-
 def test_where_limits_the_search(scene):
     place = np.zeros(SIZE, bool)
     place[:, 80:] = True
@@ -111,21 +84,6 @@ def test_a_blank_image_is_one_region(size, value):
         )
         assert proposals.masks.shape == (1, *size) and proposals.masks.all()
         assert proposals.scores.tolist() == [1] and proposals.levels.tolist() == [1]
-
-
-@pytest.mark.parametrize("size", [(1, 40), (40, 1), (2, 31)])
-def test_a_thin_image_has_regions(size):
-    image = np.zeros((*size, 3), np.uint8)
-    image.reshape(-1, 3)[: image.size // 6] = 255
-    proposals = Regions(level="all").propose(SeenView.alone(image))
-    assert proposals.masks.shape[1:] == size and proposals.masks.any((1, 2)).all()
-    assert (proposals.masks[proposals.levels == 1].sum(0) == 1).all()
-
-
-def test_unknown_depth_is_no_depth(scene):
-    without = Regions(level="all").propose(SeenView.alone(scene))
-    unknown = Regions(level="all").propose(SeenView.alone(scene, np.zeros(SIZE, np.float32)))
-    assert unknown.masks.tobytes() == without.masks.tobytes()
 
 
 def test_depth_parts_what_colour_cannot():

@@ -3,25 +3,20 @@
 The models are made here and saved to a folder (``small_models``); nothing is downloaded.
 """
 
-import json
 import shutil
 
 import numpy as np
 import pytest
 import torch
 import transformers
-from drawn_views import canvas, flat, paste
 from safetensors.torch import load_file, save_file
-from small_models import SIDE, sam2_config, save_sam, save_sam2
+from small_models import SIDE, save_sam, save_sam2
 
-from slgaussian.components import pretrained
 from slgaussian.components.pretrained import model_digest
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import load_proposer
-from slgaussian.masks.associate import associate
 from slgaussian.masks.configs import Automatic
-from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.sam_image import normalised, pixel_values
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
@@ -62,10 +57,6 @@ def test_sam_sees_what_the_processor_of_transformers_makes(size):
     assert used == tuple(expected["reshaped_input_sizes"][0].tolist())
     # Both resize in Pillow's integers; the rest is float32 rounding of values up to 2.7.
     torch.testing.assert_close(result, expected["pixel_values"], rtol=0, atol=1e-6)
-
-
-def test_a_very_thin_image_keeps_a_row():
-    assert pixel_values(picture((2, 500)), SIDE)[1] == (1, SIDE)
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -137,19 +128,6 @@ def test_same_bytes_again_and_with_two_threads(folders, name):
 
 
 @pytest.mark.parametrize("name", SAVE)
-def test_the_whole_path_to_label_maps(folders, name):
-    first, second = canvas(), canvas(seed=0)
-    for drawn in (first, second):
-        paste(drawn, (20, 60, 20, 70), (200, 40, 40), 1)
-        paste(drawn, (60, 100, 90, 140), (40, 60, 200), 2)
-    proposer = load_proposer(name, model=folders[name], preset=LENIENT)
-    views = [flat(first), flat(second, "b")]
-    maps = associate(views, proposer, GeometricTracker())
-    assert maps.labels.shape == (2, 120, 160) and len(maps.ids) >= 1
-    assert (maps.labels[0] == maps.labels[1]).mean() > 0.98
-
-
-@pytest.mark.parametrize("name", SAVE)
 def test_a_model_is_loaded_once(folders, name, tmp_path):
     item, alternative = (
         load_proposer(name, model=folders[name], preset=p) for p in ("sam", "sam2")
@@ -194,69 +172,6 @@ def test_settings_of_the_proposer(folders, name):
         assert result.masks.dtype == bool and result.masks.any((1, 2)).all()
 
 
-def test_a_video_model_serves_as_sam2(folders, tmp_path):
-    image_model = load_proposer("sam2", model=folders["sam2"], preset=LENIENT)
-    config = transformers.Sam2VideoConfig(
-        **sam2_config(),
-        image_size=SIDE,
-        memory_attention_hidden_size=32,
-        memory_attention_num_layers=1,
-        memory_attention_feed_forward_hidden_size=32,
-        memory_attention_rope_feat_sizes=[4, 4],
-        memory_encoder_hidden_size=32,
-        memory_encoder_output_channels=16,
-        mask_downsampler_embed_dim=32,
-        memory_fuser_embed_dim=32,
-        memory_fuser_intermediate_dim=32,
-        memory_fuser_num_layers=1,
-    )
-    model = transformers.Sam2VideoModel(config)
-    model.load_state_dict(image_model.network.state_dict(), strict=False)
-    model.save_pretrained(tmp_path)
-    proposer = load_proposer("sam2", model=tmp_path, preset=LENIENT)
-    expected, result = (p.propose(seen()).masks for p in (image_model, proposer))
-    assert result.tobytes() == expected.tobytes()
-
-
-def broken(folder, target, how):
-    """A copy of a model's folder in which something is wrong."""
-    shutil.copytree(folder, target, dirs_exist_ok=True)
-    weights = target / "model.safetensors"
-    if how == "no weights":
-        weights.unlink()
-    elif how == "no config":
-        (target / "config.json").unlink()
-    elif how == "config":
-        (target / "config.json").write_text("<html>")
-    elif how == "cut":
-        weights.write_bytes(weights.read_bytes()[:-100])
-    elif how in ("lacks", "shape"):
-        tensors = load_file(weights)
-        name = "mask_decoder.iou_token.weight"
-        tensors[name] = tensors[name][:, :-1].contiguous()
-        if how == "lacks":
-            del tensors[name]
-        save_file(tensors, weights, {"format": "pt"})
-    return target
-
-
-@pytest.mark.parametrize(
-    ("how", "says"),
-    [
-        ("no weights", "has no model.safetensors; expected a folder as save_pretrained"),
-        ("no config", "has no config.json"),
-        ("config", "cannot be read as JSON"),
-        ("cut", "cannot be loaded as SamModel"),
-        ("lacks", "lacks 1 of the tensors of SamModel, such as mask_decoder.iou_token.weight"),
-        ("shape", "cannot be loaded as SamModel"),
-    ],
-)
-def test_a_damaged_folder_is_one_sentence(folders, tmp_path, capfd, how, says):
-    with pytest.raises(InputError, match=says):
-        load_proposer("sam", model=broken(folders["sam"], tmp_path / "model", how))
-    assert capfd.readouterr() == ("", "")
-
-
 @pytest.mark.parametrize(
     ("name", "settings", "says"),
     [
@@ -279,30 +194,6 @@ def test_what_cannot_be_is_one_sentence(folders, name, settings, says):
         load_proposer(name, **settings)
 
 
-@pytest.mark.parametrize(
-    ("image", "mask", "says"),
-    [
-        (np.zeros((9, 9), np.uint8), None, "expected uint8"),
-        (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 8), bool), "region: found bool"),
-        (np.zeros((9, 9, 3), np.uint8), np.zeros((9, 9)), "region: found float64"),
-    ],
-)
-def test_an_image_that_cannot_be_is_refused(folders, image, mask, says):
-    with pytest.raises(InputError, match=says):
-        load_proposer("sam", model=folders["sam"]).propose(SeenView.alone(image), mask)
-
-
-def test_a_model_is_known_by_its_weights_and_config(folders, tmp_path):
-    digest = model_digest(folders["sam"])
-    copy = tmp_path / "copy"
-    shutil.copytree(folders["sam"], copy)
-    (copy / "README.md").write_text("about")
-    assert model_digest(copy) == digest != model_digest(folders["sam2"])
-    config = json.loads((copy / "config.json").read_text())
-    (copy / "config.json").write_text(json.dumps({**config, "note": 1}))
-    assert model_digest(copy) != digest
-
-
 def test_a_model_in_parts_is_whole(folders, tmp_path):
     network = transformers.SamModel.from_pretrained(folders["sam"])
     network.save_pretrained(tmp_path, max_shard_size="60KB")
@@ -315,12 +206,3 @@ def test_a_model_in_parts_is_whole(folders, tmp_path):
     next(tmp_path.glob("model-*.safetensors")).unlink()
     with pytest.raises(InputError, match="has no model-0"):
         model_digest(tmp_path)
-
-
-def test_loading_leaves_the_voice_of_transformers_as_it_was(folders):
-    from transformers.utils import logging
-
-    before = logging.get_verbosity(), logging.is_progress_bar_enabled()
-    load_proposer("sam", model=folders["sam"])
-    assert (logging.get_verbosity(), logging.is_progress_bar_enabled()) == before
-    assert pretrained.chosen_device("cpu") == "cpu"

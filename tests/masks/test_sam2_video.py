@@ -86,15 +86,6 @@ def test_it_carries_known_ids_only_whatever_the_batches(folder):
     np.testing.assert_array_equal(answers[0], answers[2])
 
 
-def test_three_hundred_objects(folder):
-    many = np.arange(1, 301, dtype=np.int32).reshape(15, 20).repeat(8, 0).repeat(8, 1)
-    assert many.shape == SIZE
-    tracker = Sam2Video(model=folder, batch=64, device="cpu")
-    tracker.add(view(canvas()), many)
-    assert len(tracker._groups()[0,]) == 300
-    assert tracker.propagate(view(canvas(seed=2))).max() > 255
-
-
 def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
     tracker = Sam2Video(model=folder, device="cpu")
     tracker.add(view(canvas()), labels())

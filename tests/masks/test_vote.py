@@ -38,13 +38,6 @@ def test_equals_the_plain_rule(stack):
     assert labels.dtype == np.int32 and margin.dtype == np.float32
 
 
-@given(stacks)
-def test_equal_replicas_are_unanimous(stack):
-    labels, margin = vote(np.repeat(stack[:1], 5, 0))
-    np.testing.assert_array_equal(labels, stack[0])
-    assert (margin == 1).all()
-
-
 def column(*ballots):
     return np.array(ballots, np.int32).reshape(-1, 1, 1)
 

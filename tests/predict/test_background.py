@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 from textured_planes import camera
 
-from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.predict.background import continue_surfaces
-from slgaussian.predict.unproject import unproject
 
 # Written out, not imported: a slip in the module must show here.
 BEHIND, BLOCK, MARGIN = 0.03, 4, 0.07
@@ -85,20 +83,3 @@ def test_the_wall_goes_on_behind_the_rim_of_a_box():
     assert np.allclose(z[behind], 4, rtol=1e-5)
     inner = (column >= 40) & (column < 50) & (row >= 28) & (row < 32)
     assert not inner.any()
-
-
-def test_a_slope_has_nothing_behind_it():
-    walls, colors = scene(CAMERAS[:1], False)
-    walls[0] += np.linspace(0, 0.1, SIZE[1], dtype=np.float32)
-    splats = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
-    pixels, _ = CAMERAS[0].project(splats.means.numpy().astype(np.float64))
-    assert ((pixels < 0) | (pixels > (SIZE[1], SIZE[0]))).any(1).all()
-
-
-def test_depths_of_the_views_stay_what_they_are():
-    walls, colors = scene(CAMERAS, True)
-    opacities = [np.full(SIZE, 0.5, np.float32)] * 2
-    inputs = unproject(CAMERAS, colors, walls, opacities)
-    both = Gaussians.concatenated([inputs, continue_surfaces(CAMERAS, colors, walls, [STEP] * 2)])
-    assert len(both) > len(inputs)
-    assert np.allclose(source_depths(both, CAMERAS), source_depths(inputs, CAMERAS), rtol=1e-5)

@@ -77,19 +77,6 @@ def test_cost_is_that_of_the_plain_formula(case, weight):
     assert np.median(off) == 0
 
 
-def test_true_depth_costs_least_and_outside_costs_the_constant():
-    a, b = camera(), camera(x=0.3)
-    plane = Plane(np.array([0.0, 0.0, 1.0]), 3.0)
-    ref, src = (plane.view("v", c).image[..., 1] for c in (a, b))
-    inverse_depths = np.array([0.1, 1 / 3, 0.6])
-    cost = matching_cost(ref, src, Relative.between(a, b), inverse_depths)
-    # At 1/3 the shift is 15 pixels: the first 15 columns see nothing in the source.
-    assert (cost[:, :14, 1] == OUTSIDE).all()
-    inner = cost[:, 20:]
-    assert (inner.argmin(-1) == 1).mean() > 0.99
-    assert np.median(inner[..., 1]) < 5
-
-
 def test_combined_costs_are_the_mean_of_the_better_half_of_those_that_see():
     rng = np.random.default_rng(0)
     costs = [rng.integers(0, 200, (5, 7, 11)).astype(np.uint8) for _ in range(4)]

@@ -88,26 +88,6 @@ def test_both_planes_are_found_among_outliers(seed):
         assert off < 0.002
 
 
-def test_planes_lie_where_they_lie_whatever_the_rest_of_the_image_holds():
-    """The one that most pixels lie on comes first, and one that is left alone is found exactly."""
-    _, exact, expected = two_planes()
-    keep = np.ones(exact.shape, bool)
-    keep[:, 80:100] = False
-    planes = fit_planes(exact, keep, 0.001)
-    # Where the planes cross, a few pixels of one lie on the other.
-    np.testing.assert_allclose(planes, np.stack(expected), atol=1e-4)
-    keep[:, :80] = False
-    np.testing.assert_allclose(fit_planes(exact, keep, 0.001), [expected[1]], atol=1e-6)
-
-
-@pytest.mark.parametrize("answered", [0, 2, 40])
-def test_too_few_answers_make_no_plane(answered):
-    keep = np.zeros((120, 160), bool)
-    keep.ravel()[:answered] = True
-    depth = np.ones((120, 160), np.float32)
-    assert fit_planes(depth, keep, 0.01).shape == (0, 3)
-
-
 def test_fill_continues_planes_up_to_the_image_edge_between_them():
     truth, exact, expected = two_planes()
     keep = np.ones(exact.shape, bool)
@@ -134,16 +114,6 @@ def test_fill_avoids_what_another_view_sees_through():
     assert (view[:, 60:] == np.float32(0.3)).mean() > 0.9
 
 
-def test_fill_without_planes_takes_a_level():
-    keep = np.zeros((20, 30), bool)
-    flat, blank = np.zeros((20, 30), np.float32), np.zeros((20, 30), np.uint8)
-    out = fill_depth(flat, keep, blank, np.zeros((0, 3)), STEPS, [])
-    assert np.allclose(out, 0.55)
-    keep[3, 4], depth = True, flat.copy()
-    depth[3, 4] = 0.7
-    assert np.allclose(fill_depth(depth, keep, blank, np.zeros((0, 3)), STEPS, []), 0.7)
-
-
 def plain_median(values, image, y, x):
     """Weighted median of every other pixel of one window by sorting, float64."""
     rows = slice(max(y - MEDIAN_RADIUS, 0), y + MEDIAN_RADIUS + 1)
@@ -167,16 +137,3 @@ def test_weighted_median_is_near_the_sorted_one():
     plain = [[plain_median(values, image, y, x) for x in range(50)] for y in range(40)]
     # Half a bin (a quarter step) for the bin, and the mean reaches 1.75 steps to either side.
     assert np.abs(fast - plain).max() < 2 * step
-
-
-def test_weighted_median_keeps_slopes_and_colour_edges_and_drops_outliers():
-    _, exact, _ = two_planes()
-    image = np.zeros((120, 160, 3), np.uint8)
-    image[:, :80], image[:, 80:] = (200, 30, 30), (30, 30, 200)
-    clean = exact.copy()
-    exact[50, 40] = exact[70, 120] = 0.99
-    out = weighted_median(exact, image, 0.1, 0.01)
-    inner = out[10:-10, 10:-10] - clean[10:-10, 10:-10]
-    # At the colour edge and the border the window is one-sided: a slope moves by a few columns.
-    assert np.abs(inner).max() < 0.012
-    assert np.median(np.abs(inner)) < 1e-4

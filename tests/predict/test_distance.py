@@ -29,18 +29,6 @@ def test_depths_are_those_of_what_is_matched(room):
         assert result[index] == pytest.approx(np.median(truth[row, column]), rel=0.03)
 
 
-def test_scaling_the_world_scales_the_depths(room):
-    greys, cameras, _ = room
-    far = []
-    for camera in cameras:
-        c2w = camera.c2w.copy()
-        c2w[:3, 3] *= 7
-        far.append(replace(camera, c2w=c2w))
-    np.testing.assert_allclose(
-        typical_depths(greys, far), 7 * typical_depths(greys, cameras), rtol=1e-9
-    )
-
-
 def test_without_parallax_or_matches_nothing_is_known(room):
     greys, cameras, _ = room
     beside = replace(cameras[0], c2w=cameras[0].c2w + np.eye(4, k=3) * 0.1)

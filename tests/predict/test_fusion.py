@@ -82,32 +82,6 @@ def test_a_blend_is_that_of_the_definition(views):
         assert np.abs(result - expected).max() < 2e-6
 
 
-def test_both_copies_of_a_surface_get_one_colour():
-    views = sample(*CAMERAS).context
-    depths = [1 / view.depth.astype(np.float32) for view in views]
-    H, W = depths[0].shape
-    images = [np.full((H, W, 3), level, np.float32) for level in (0.2, 0.6)]
-    mixed = blend(images, depths, [0.001] * 2, links_of(*CAMERAS))
-    relative = Relative.between(*CAMERAS)
-    y, x = np.mgrid[30:90, 40:120]
-    mask, _ = relative.project(np.stack([x, y], -1) + 0.5, depths[0][y, x])
-    inside = (mask > 1).all(-1) & (mask < (W - 1, H - 1)).all(-1)
-    column, row = mask[inside].astype(int).T
-    # The weights are looked up at pixel centres, up to half a pixel of 16 apart.
-    assert inside.mean() > 0.5
-    assert np.abs(mixed[0][y, x][inside] - mixed[1][row, column]).max() < 0.4 * 0.5 / FEATHER
-
-
-def test_without_overlap_colours_stay():
-    gap = (camera(), camera(x=50.0))
-    views = sample(camera(), camera(x=0.1)).context
-    images = [(view.image / 255).astype(np.float32) for view in views]
-    depths = [1 / view.depth.astype(np.float32) for view in views]
-    mixed = blend(images, depths, [0.001] * 2, links_of(*gap))
-    # A weight times a value over the weight: two roundings.
-    assert np.allclose(mixed, images, rtol=3e-7)
-
-
 def kept(cameras, depths, guessed=None):
     """What :func:`select_drawn` keeps if all depths are known but those of the view ``guessed``."""
     inverse = [1 / depth.astype(np.float32) for depth in depths]
@@ -164,17 +138,3 @@ def test_a_guess_is_not_drawn_in_front_of_what_a_view_before_draws():
     # Matched there, it is drawn: guesses do not refute it.
     valid[2] = inverse[2]
     assert select_drawn(graph, inverse, valid, [0.001] * 3)[2][46:74, 61:99].mean() > 0.9
-
-
-def test_a_view_of_which_nothing_is_known_draws_nothing():
-    cameras = [camera(x=x) for x in (0, 0.2, 6)]
-    depths = [view.depth for view in sample(*cameras).context]
-    keep = kept(cameras, depths, guessed=2)
-    assert keep[0].all() and keep[1].all() and not keep[2].any()
-
-
-def test_a_surface_that_one_view_before_shows_gets_its_second_copy():
-    cameras = [camera(x=0), camera(x=6), camera(x=0.4)]
-    depths = [view.depth for view in sample(*cameras).context]
-    keep = kept(cameras, depths)
-    assert keep[2].mean() > 0.9

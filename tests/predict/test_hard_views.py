@@ -14,9 +14,7 @@ import numpy as np
 import pytest
 
 from benches.views.numbers_of_views import Row, at_targets
-from slgaussian.build import build_field
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.errors import InputError
 from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.predict.view_graph import link_views, select_usable
@@ -73,15 +71,6 @@ def same_bytes(a: Sample, b: Sample) -> bool:
     )
 
 
-def test_a_photograph_given_twice_is_used_once():
-    """The very same picture from the same place is left out, and said to be."""
-    scene = room(0)
-    rerun = replace(scene.context[ODD], name="again")
-    rest, _, left = select_usable(replace(scene, context=(*scene.context, rerun)))
-    assert left == {"again": "it is the same picture as view_04, from the same place"}
-    assert rest.context == scene.context
-
-
 def test_a_stranger_is_left_out_by_name_and_the_rest_is_as_without_it():
     for seed in ROOMS:
         scene = room(seed)
@@ -91,17 +80,6 @@ def test_a_stranger_is_left_out_by_name_and_the_rest_is_as_without_it():
         assert left == {"stranger": "fewer than 12 matches with any other tell its depth"}
         assert rest.context == views
     assert same_bytes(rest, scene)
-
-
-def test_a_field_leaves_out_what_brings_nothing_and_warns():
-    scene = twists.arc(0, 3, (96, 128))
-    rerun = replace(scene.context[0], name="again")
-    odd = (rerun, twists.stranger(0, scene, 0))
-    with pytest.warns(UserWarning) as output:
-        field = build_field(replace(scene, context=(*scene.context, *odd)))
-    message = [str(first.message) for first in output if "left out" in str(first.message)]
-    assert [first.split()[0] for first in message] == ["again", "stranger"]
-    assert list(field.cameras) == [view.name for view in scene.context]
 
 
 def test_a_stranger_that_the_predictor_is_given_all_the_same_is_told_of():
@@ -175,13 +153,6 @@ def test_a_twist_costs_little(name):
     assert gaussians[0] < result["gaussians"] < gaussians[1], result
 
 
-def test_a_turned_photograph_of_another_shape_is_refused_with_the_size_to_give():
-    scene = room(0)
-    views = twists.changed(scene.context, ODD, twists.quarter_turned(scene.context[ODD]))
-    with pytest.raises(InputError, match=r"must have one size; .* --size 120x120, or size="):
-        replace(scene, context=views)
-
-
 AROUND = 12
 
 
@@ -212,9 +183,3 @@ def test_a_loop_closes():
     # 23.08, and 23.05 to 23.06 from three other beginnings; of 16 views 23.34, and 23.22 to 23.27.
     assert abs(ends["psnr"] - passes["psnr"]) < 0.3
     assert ends["depth"] < 1.2 * passes["depth"]  # 0.0234, and 0.0226 to 0.0229
-
-
-def test_a_loop_of_drifting_poses_closes():
-    """A degree and 6 cm that poses drift over 4 m cost at the end what they shift there."""
-    off = where_it_closes(twists.drifted(ring(), 1, 0.06))
-    assert off["psnr"] > closing()["psnr"] - 1  # 22.6 of 23.1; of 16 views 22.8 of 23.3

@@ -14,11 +14,9 @@ from slgaussian.predict.depth_hypotheses import (
     inverse_depth_candidates,
     inverse_depth_range,
     pixel_grid,
-    visible_share,
 )
 from slgaussian.predict.pose import refine
 from slgaussian.predict.view_graph import drop_unmatched, link_views
-from tests.matching import sift_matches
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
 B = camera(x=0.5, y=0.1, z=0.15, turn=0.1, focal=180, principal=(70, 66))
@@ -35,21 +33,6 @@ def matches(count=200, noise=0.0, seed=0):
 def linked(views, ranged=False):
     """The views linked by all of their matches."""
     return link_views(views, MatchGraph.of(views), ranged)
-
-
-def test_projection_is_that_of_the_cameras():
-    depth = np.random.default_rng(0).uniform(1, 6, (120, 160))
-    wanted, z = B.project(A.unproject(depth))
-    grid = np.stack(np.meshgrid(np.arange(160) + 0.5, np.arange(120) + 0.5), -1)
-    pixels, ratio = Relative.between(A, B).project(grid, 1 / depth)
-    assert np.allclose(pixels, wanted, atol=1e-8)
-    assert np.allclose(ratio * depth, z)
-
-
-def test_reversed_is_the_other_order():
-    back, swapped = Relative.between(A, B).reversed(), Relative.between(B, A)
-    assert np.allclose(back.infinity, swapped.infinity)
-    assert np.allclose(back.epipole, swapped.epipole)
 
 
 def test_exact_matches_lie_on_their_epipolar_lines_and_triangulate():
@@ -89,55 +72,6 @@ def test_refinement_takes_back_a_turned_pose(turn):
     assert np.linalg.norm(better.t) == pytest.approx(np.linalg.norm(initial.t))
 
 
-def test_refinement_leaves_out_gross_outliers():
-    pixels, inside, _ = matches(noise=0.1)
-    inside[:40] += np.random.default_rng(1).uniform(-60, 60, (40, 2))
-    true = Relative.between(A, B)
-    better = refine(true, pixels, inside)
-    angle = np.degrees(np.linalg.norm(cv2.Rodrigues(better.R @ true.R.T)[0]))
-    # Rotation and translation trade off within the noise of 0.1 px.
-    assert angle < 0.15
-
-
-def test_few_matches_leave_the_pose_alone():
-    pixels, inside, _ = matches(count=10)
-    initial = Relative.between(A, B)
-    assert refine(initial, pixels, inside) is initial
-
-
-def test_sift_finds_the_plane():
-    pair = sample(camera(), camera(x=0.3))
-    a, b = sift_matches(*(view.image[..., 1] for view in pair.context))
-    depth = pair.context[0].depth[a[:, 1].astype(int), a[:, 0].astype(int)]
-    w = Relative.between(*(view.camera for view in pair.context)).triangulate(a, b)
-    assert len(a) > 50
-    assert np.median(np.abs(w * depth - 1)) < 0.01
-
-
-def texture(seed: int) -> np.ndarray:
-    rough = cv2.GaussianBlur(np.random.default_rng(seed).normal(0, 1, (200, 260)), (0, 0), 2)
-    return (255 * (rough - rough.min()) / np.ptp(rough)).astype(np.uint8)
-
-
-def test_sift_matches_hardly_anything_in_what_is_something_else():
-    """Measured 5 and 6 of some 1,500 points; with a ratio of 0.95 instead of 0.8 over 210."""
-    for seed in range(2):
-        assert len(sift_matches(texture(seed), texture(100 + seed))[0]) < 40
-
-
-def test_sift_matches_are_mutual():
-    """What is shown twice is matched once; one way, twice as many points have a partner."""
-    once = texture(0)
-    twice = np.concatenate([once, once], 1)
-    assert len(sift_matches(twice, once)[0]) < 1.2 * len(sift_matches(once, once)[0])
-
-
-def test_sift_on_a_blank_image_finds_nothing():
-    blank = np.full((60, 80), 90, np.uint8)
-    a, b = sift_matches(blank, blank)
-    assert a.shape == b.shape == (0, 2)
-
-
 def test_candidates_move_a_pixel_by_about_a_pixel():
     relative = Relative.between(A, B)
     steps = inverse_depth_candidates(relative, (120, 160), 0.1, 1.0, 144)
@@ -158,29 +92,6 @@ def test_range_is_wider_than_the_matches_and_bounded_far_away():
     assert 1.2 < high <= 1.25
     low, _ = inverse_depth_range(np.full(50, 1e-6), baseline=0.3)
     assert low == pytest.approx(1 / 3000)
-
-
-def test_range_reaches_to_what_three_matches_share():
-    many = np.linspace(0.2, 0.5, 300)
-    false = [0.8, 2.0]
-    _, high = inverse_depth_range(np.append(many, false), baseline=0.3)
-    assert high == pytest.approx(1.25 * 0.5, rel=0.01)
-    _, high = inverse_depth_range(np.append(many, [0.79, 0.82, 0.85, *false]), baseline=0.3)
-    assert high == pytest.approx(1.25 * 0.85)
-
-
-def test_parallax_is_what_a_distant_point_moves():
-    pixels, _, _ = matches()
-    relative = Relative.between(A, B)
-    moved = relative.project(pixels, 1e-6)[0] - relative.project(pixels, 0.0)[0]
-    assert np.allclose(relative.parallax(pixels), np.linalg.norm(moved, axis=1) / 1e-6, rtol=1e-4)
-
-
-def test_visible_share_tells_overlap_from_none():
-    steps = np.linspace(0.2, 0.6, 5)
-    assert visible_share(Relative.between(A, B), (120, 160), steps) > 0.4
-    away = Relative.between(A, camera(x=0.5, turn=2.5))
-    assert visible_share(away, (120, 160), steps) == 0
 
 
 def test_three_views_link_to_each_other_the_best_angle_first():
@@ -219,13 +130,6 @@ def test_two_views_without_matches_are_named():
     with pytest.raises(InputError, match="'here'; 'elsewhere' has fewer than 12 matches"):
         linked([near, second])
     assert linked([near, second], ranged=True).links[0][0].source == 1
-
-
-def test_a_photograph_that_is_there_twice_is_linked_with_others_alone():
-    first, two = sample(camera(), camera(x=0.3)).context
-    links = linked([first, replace(first, name="again"), two]).links
-    assert [[link.source for link in sources] for sources in links[:2]] == [[2], [2]]
-    assert {link.source for link in links[2]} == {0, 1}
 
 
 def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():

@@ -62,10 +62,6 @@ def test_cameras_that_fit_stay():
         assert np.allclose(before.c2w, after.c2w, atol=1e-6)
 
 
-def test_without_matches_cameras_stay():
-    assert refine_cameras(TRUE, [np.zeros((0, 2))] * 4, {}) == TRUE
-
-
 def test_a_frame_turned_as_a_whole_stays_where_it_was_given():
     """Nothing says which frame is right, so the given one is kept."""
     turn, middle = np.array([0.004, -0.003, 0.002]), np.mean([c.center for c in TRUE], 0)
@@ -88,12 +84,3 @@ def test_two_cameras_meet_half_way():
     result = Relative.between(*met)
     assert np.allclose(result.R, wanted.R, atol=1e-12)
     assert np.linalg.norm(result.t - wanted.t) < 0.02 * np.linalg.norm(wanted.t)
-
-
-def test_what_neighbours_share_is_not_moved():
-    shift = np.array([0.05, 0.0, 0.02])
-    refined = [disturbed(c, np.zeros(3), shift) for c in TRUE]
-    for before, after in zip(
-        TRUE, anchor_cameras(TRUE, refined, np.full((4, 4), 0.25)), strict=True
-    ):
-        assert np.allclose(before.c2w, after.c2w, atol=1e-12)

@@ -68,17 +68,6 @@ def test_depth_of_a_sweep_read_again_makes_the_gaussians_of_the_sweep(tmp_path, 
         np.testing.assert_allclose(arrays[name], values, atol=1e-6, err_msg=name)
 
 
-def test_dense_depth_read_again_makes_the_same_gaussians_as_in_single_files(tmp_path, steep):
-    depth = true_depth(steep)
-    full = predicted(steep, saved(tmp_path, depth=depth)).to_arrays()
-    for view, values in zip(steep.context, depth, strict=True):
-        np.save(tmp_path / f"{Path(view.name).stem}.npy", values)
-    (tmp_path / "results.npz").unlink()
-    arrays = predicted(steep, tmp_path).to_arrays()
-    for name, values in full.items():
-        np.testing.assert_array_equal(arrays[name], values, err_msg=name)
-
-
 def write_exr(file: Path, depth: np.ndarray) -> None:
     pytest.importorskip("OpenEXR")
     write_map(file, depth)

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slgaussian import datasets
 from slgaussian.datasets.procedural.raycast import BOX, Solid
@@ -132,24 +131,3 @@ def _round(part: float) -> Camera:
     angle = 2 * np.pi * part
     right, forward = RADIUS * np.sin(angle), RADIUS * np.cos(angle)
     return camera(right=right, forward=forward, yaw=float(np.degrees(angle)), focal=90)
-
-
-def drifted(inputs: Sample, degrees: float, move: float) -> Sample:
-    """The loop by poses that drift along the way: at its end by an angle and by a distance.
-
-    A target's pose is off as those of its neighbours are, in the mean.
-    """
-    number = len(inputs.context)
-
-    def off(view: View, part: float) -> View:
-        turn = Rotation.from_rotvec([0, 0, np.radians(degrees * part)]).as_matrix()
-        observed, way = view.camera, np.array([1, 0, 0.5]) * move * part
-        return replace(
-            view, camera=with_pose(observed, turn @ observed.c2w[:3, :3], observed.center + way)
-        )
-
-    context = tuple(off(view, k / number) for k, view in enumerate(inputs.context))
-    closing, opposite = inputs.targets
-    last = (number - 1) / number
-    targets = off(closing, last / 2), off(opposite, 0.5 - 0.5 / number)
-    return replace(inputs, context=context, targets=targets)

@@ -394,12 +394,6 @@ def opacity_almost_1() -> Made:
 
 
 @_case
-def opacity_almost_0() -> Made:
-    """Half of the Gaussians have an opacity that float32 holds with few bits."""
-    return _with_opacity(1e-40, 18)
-
-
-@_case
 def opaque_right_at_pixel_centres() -> Made:
     """Opacity 1 with its peak on the pixel: nothing at all is let through to what follows."""
     view, r = camera(), _Random(19)
@@ -484,12 +478,6 @@ def focal_2() -> Made:
 
 
 @_case
-def focal_50() -> Made:
-    """A focal length of 50 px."""
-    return _with_focal(50.0, 27)
-
-
-@_case
 def focal_50000() -> Made:
     """A focal length of 50,000 px: a field of view of three minutes of arc."""
     return _with_focal(50_000.0, 28)
@@ -548,21 +536,9 @@ def image_of_1x1() -> Made:
 
 
 @_case
-def image_of_7x5() -> Made:
-    """Less than a tile."""
-    return _with_size(7, 5, 33)
-
-
-@_case
 def image_of_17x33() -> Made:
     """A pixel more than tiles of 8 and 16 and 32."""
     return _with_size(17, 33, 34)
-
-
-@_case
-def image_of_200x3() -> Made:
-    """Wide and flat."""
-    return _with_size(200, 3, 35)
 
 
 @_case
@@ -570,13 +546,6 @@ def principal_point_far_outside() -> Made:
     """A window cut from far off the middle of a large image."""
     view = camera(48, 32, 60, cx=-400, cy=300, c2w=rotated(36))
     return *cloud(80, 36, 0.5, view, 3), view
-
-
-@_case
-def principal_point_at_a_corner() -> Made:
-    """At the top left pixel, with some of the scene off-axis on the other sides."""
-    view = camera(48, 32, 60, cx=0.5, cy=0.5)
-    return *cloud(80, 37, 0.3, view, 3), view
 
 
 @_case
@@ -610,12 +579,6 @@ def _with_channels(channels: int, seed: int) -> Made:
 def no_channel() -> Made:
     """Alpha and depth alone."""
     return _with_channels(0, 41)
-
-
-@_case
-def one_channel() -> Made:
-    """A single value, of both signs."""
-    return _with_channels(1, 42)
 
 
 @_case

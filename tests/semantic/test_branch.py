@@ -142,25 +142,6 @@ def test_an_untrained_branch_is_the_control(kind, size):
     assert torch.equal(lifted, plain)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_weight_has_a_say(kind):
-    branch = shaken(KINDS[kind])
-    images = torch.rand(2, 9, 13, KINDS[kind].channels)
-    branch(images).square().sum().backward()
-    for name, parameter in branch.named_parameters():
-        assert parameter.grad.abs().max() > 0, name
-
-
-def test_a_view_is_treated_like_any_other():
-    images = torch.rand(3, 20, 24, SMALL.channels)
-    branch = shaken()
-    with torch.no_grad():
-        together = branch(images)
-        alone = torch.cat([branch(image[None]) for image in images])
-    # Other sums for other batches: measured 2e-7.
-    torch.testing.assert_close(together, alone, atol=2e-6, rtol=0)
-
-
 def test_the_same_seed_makes_the_same_weights_and_leaves_torch_alone():
     state = torch.random.get_rng_state()
     one, same, other = make_branch(SMALL, 1), make_branch(SMALL, 1), make_branch(SMALL, 2)
@@ -218,46 +199,12 @@ def test_a_file_that_is_no_weights_is_refused(tmp_path, content):
         load_branch(file)
 
 
-def test_a_truncated_file_is_refused(tmp_path):
-    file = tmp_path / "b.safetensors"
-    file.write_bytes(save_branch(shaken())[:-10])
-    with pytest.raises(InputError, match="cannot be read"):
-        load_branch(file)
-
-
 @pytest.mark.parametrize("dimension", [0, 1, 2])
 def test_other_codes_than_the_papers_are_refused(dimension):
     mine = lesson()
     maps = label_maps(mine.labels)
     with pytest.raises(InputError, match=f"codes of {dimension} numbers, expected 3"):
         BranchLifting(shaken())(mine.gaussians, maps, bank_of(maps.ids, dimension))
-
-
-def test_without_weights_it_says_what_to_do():
-    with pytest.raises(InputError, match="no weights are given; train some"):
-        load_lifting("branch")
-
-
-def test_code_images_know_what_has_no_object():
-    ids, codes = np.array([2, 7_000_000], np.int32), np.array([[0.1], [0.4]], np.float32)
-    labels = np.array([[0, 2, 7_000_000, 3, 8_000_000]], np.int32)
-    wanted = [[[0, 0], [0.1, 1], [0.4, 1], [0, 0], [0, 0]]]
-    np.testing.assert_array_equal(code_images(labels, ids, codes), np.array(wanted, np.float32))
-    nothing = code_images(labels, ids[:0], codes[:0])
-    assert nothing.shape == (1, 5, 2)
-    assert not nothing.any()
-
-
-def test_others_are_the_same_places_in_other_views():
-    """On a wall every pixel that another view sees as well is found there, at its place."""
-    mine = lesson()
-    others = match_across_views(mine.gaussians, mine.labels.shape)
-    seen = others.near > 0
-    assert seen.mean() > 0.8
-    of_view = others.pixels // mine.labels[0].size
-    assert (of_view[seen] != np.arange(2)[:, None, None].repeat(24, 1).repeat(32, 2)[seen]).all()
-    agree = mine.labels.ravel()[others.pixels] == mine.labels
-    assert agree[seen].mean() > 0.95  # not at borders between pixels
 
 
 @settings(max_examples=25, deadline=None)

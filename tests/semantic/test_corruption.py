@@ -51,21 +51,3 @@ def test_the_kinds_do_what_they_say():
     assert (rim[~disc] == 1).all()
     assert 0 < np.count_nonzero(rim == 0) < 0.5 * disc.sum()
     assert rim[30, 30] == 2
-
-
-def test_an_object_at_the_border_of_the_image_keeps_that_side():
-    labels = np.ones((1, 20, 20), np.int32)
-    KINDS["eroded"](labels, 0, 1, np.random.default_rng(0))
-    assert (labels == 1).all()
-
-
-def test_an_object_without_neighbours_cannot_be_merged():
-    labels = np.where(one_disc() == 2, 2, 0).astype(np.int32)
-    before = labels.copy()
-    KINDS["merged"](labels, 1, 2, np.random.default_rng(0))
-    np.testing.assert_array_equal(labels, before)
-
-
-def test_labels_without_objects_stay_so():
-    nothing = np.zeros((2, 4, 4), np.int32)
-    assert not corrupt(nothing, np.random.default_rng(0), 1.0).any()

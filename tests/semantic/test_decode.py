@@ -109,21 +109,6 @@ def test_small_pictures(size):
     np.testing.assert_array_equal(ids_of(features, mine), plain(features, mine)[0])
 
 
-def test_a_part_of_the_channels_is_taken_as_it_lies():
-    """The field hands on the last channels of a picture, without a copy."""
-    features, mine = borders(1, 20, 3)
-    wide = np.concatenate([np.ones_like(features), features], -1)
-    for a, b in zip(Decoder(mine)(features), Decoder(mine)(wide[..., 4:]), strict=True):
-        assert a.tobytes() == b.tobytes()
-
-
-def test_pure_codes_give_their_own_ids_and_are_sure():
-    rows = np.array([[0, 0, 1, 1, 2, 2]] * 2)
-    ids, confidence = Decoder(bank())(image(CODES[rows]))
-    np.testing.assert_array_equal(ids, rows + 3)
-    np.testing.assert_array_equal(confidence, np.ones((2, 6)))
-
-
 def test_a_mixture_of_two_objects_is_not_taken_for_a_third():
     """Between code 0 and code 1 lies code 2, nearest to the mixtures, an object not there."""
     share = np.array([0, 0, 0, 0.3, 0.7, 1, 1, 1])[None, :, None].repeat(3, 0)
@@ -132,51 +117,6 @@ def test_a_mixture_of_two_objects_is_not_taken_for_a_third():
     np.testing.assert_array_equal(ids, [[3, 3, 3, 3, 4, 4, 4, 4]] * 3)
     # As sure as the larger part leads the smaller.
     np.testing.assert_allclose(confidence[:, 3:5], 0.4, atol=1e-6)
-
-
-def test_a_mixture_that_hits_a_third_code_right_on_is_told_by_its_thinness():
-    share = np.array([0, 0, 0, 0.5, 1, 1, 1])[None, :, None].repeat(8, 0)
-    ids, confidence = Decoder(bank())(image((1 - share) * CODES[0] + share * CODES[1]))
-    assert set(np.unique(ids)) == {3, 4}
-    # Exactly half way: the lower one, and not sure at all.
-    np.testing.assert_array_equal(ids[:, 3], 3)
-    np.testing.assert_array_equal(confidence[:, 3], 0)
-
-
-def test_a_small_object_is_not_taken_for_a_mixture():
-    rows = np.zeros((9, 9), int)
-    rows[4:6, 4:6] = 2
-    np.testing.assert_array_equal(ids_of(image(CODES[rows]), bank()), rows + 3)
-
-
-def test_the_weight_says_what_is_an_object_and_does_not_pull_the_code():
-    ids, confidence = Decoder(bank())(image(CODES[[[1, 1, 1]] * 2], 0.6))
-    assert (ids == 4).all()
-    np.testing.assert_allclose(confidence, 0.6)
-    for faint in (0.4, 1e-7, 0.0, -0.1):
-        ids, confidence = Decoder(bank())(image(CODES[[[1, 1, 1]] * 2], faint))
-        assert not ids.any()
-        assert not confidence.any()
-
-
-def test_when_everything_is_mixed_the_nearest_code_is_all_there_is():
-    grey = np.broadcast_to(np.array([0.2, 0.2, 0.2]), (2, 3, 3))
-    assert (ids_of(image(grey), bank()) == 3).all()
-
-
-@pytest.mark.parametrize("weight", [0.0, 1.0])
-def test_one_object_alone(weight):
-    alone = bank(np.array([[0.5, 0.5, 0.5]], np.float32))
-    ids, confidence = Decoder(alone)(image(np.full((2, 2, 3), 0.4), weight))
-    assert (ids == (3 if weight else 0)).all()
-    assert (confidence == weight).all()
-
-
-def test_a_bank_without_objects_decodes_to_none():
-    nothing = bank(np.zeros((0, 3), np.float32))
-    ids, confidence = Decoder(nothing)(image(np.zeros((2, 2, 3))))
-    assert not ids.any()
-    assert not confidence.any()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -209,13 +149,6 @@ def test_the_papers_decoding_is_the_nearest_code_of_what_is_drawn(seed):
         assert ids[pixel] == mine.ids[far.argmin()]
         lead = max(0, 1 - 2 * far.min() / apart) * min(weight, 1)
         assert confidence[pixel] == pytest.approx(lead, abs=1e-6)
-
-
-def test_the_papers_decoding_refuses_what_is_no_number():
-    features = image(CODES[[[0, 1], [2, 1]]])
-    features[1, 0, 1] = np.nan
-    with pytest.raises(InputError, match="image row 1"):
-        NearestCode(bank())(features)
 
 
 def test_a_field_is_decoded_as_its_codes_say():

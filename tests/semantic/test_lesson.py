@@ -9,7 +9,6 @@ from drawn_lessons import SIZE, camera, lesson
 
 from slgaussian.errors import InputError
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 
 
@@ -30,13 +29,6 @@ def test_a_lesson_comes_back_from_the_store_as_it_was(tmp_path):
         np.testing.assert_array_equal(mine.K, other.K)
         np.testing.assert_array_equal(mine.c2w, other.c2w)
         assert (mine.near, mine.far, mine.width) == (other.near, other.far, other.width)
-
-
-def test_colours_and_features_are_not_stored():
-    made = lesson()
-    arrays = made.to_arrays()
-    assert set(arrays) == set(load_spec("lesson").fields)
-    assert Lesson.from_arrays(arrays).gaussians.features is None
 
 
 @pytest.mark.parametrize(

@@ -71,14 +71,6 @@ def test_upkeep_takes_nothing_for_damaged_that_was_cut_on_the_way(weather):
     assert own.met["less than said"] >= 5
 
 
-def test_what_is_damaged_is_still_damaged(weather):
-    _, store = weather(0.0)
-    ref = store.put("labels", labels())
-    store.fs.pipe_file(f"{store.path}/{ref.uri}", b"damaged")
-    with pytest.raises(DamagedError):
-        store.get(ref)
-
-
 def test_a_server_without_room_and_one_that_always_fails_are_one_sentence(weather, monkeypatch):
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "2")
     own, store = weather(0.0)

@@ -2,7 +2,6 @@ import json
 
 import pytest
 
-from slgaussian.benchmark.index import Index, ScenePair, write_index
 from slgaussian.errors import SpecError
 from slgaussian.storage.documents import TYPES, check_document, read_document
 from slgaussian.storage.specs import Entry, Spec, load_spec, spec_names
@@ -65,12 +64,6 @@ def test_each_line_of_a_log_is_checked_and_a_last_one_cut_short_is_none():
         read_document((whole + bad).encode(), spec, "f")
     with pytest.raises(SpecError, match=r"f: file: found no JSON \(.*expected a log of"):
         read_document(b"{\n{}\n", spec, "f")
-
-
-def test_an_index_is_what_its_spec_says(tmp_path):
-    pair = ScenePair("a", ("1", "2"), ("3",), ("cup",), "a", {"scene": "a"}, {"overlap": 0.5})
-    write_index(tmp_path / "i.json", Index((pair,), "lerf_ovs", {"name": "around"}, {"b": "why"}))
-    read_document((tmp_path / "i.json").read_bytes(), load_spec("index"), "i.json")
 
 
 @pytest.mark.parametrize("name", [name for name in spec_names() if load_spec(name).keys])

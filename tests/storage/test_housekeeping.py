@@ -1,8 +1,6 @@
 """What stays in a store, what may go, and what is found damaged."""
 
 import json
-import os
-import time
 import uuid
 from pathlib import Path
 
@@ -65,15 +63,6 @@ def test_what_is_young_stays(store):
     found = collect(store, age=3600, delete=True)
     assert (found.artifacts, found.young) == (0, 1)
     assert uris["loose"] in names(store)
-
-
-def test_what_is_put_again_is_young_again(local):
-    uris = filled(local)
-    path = Path(local.path) / uris["loose"]
-    os.utime(path, (time.time() - 7200,) * 2)
-    assert collect(local, age=3600).artifacts == 1
-    local.put("labels", labels(3))
-    assert collect(local, age=3600, delete=True).artifacts == 0
 
 
 def test_records_of_other_versions_go_with_what_only_they_name(store):

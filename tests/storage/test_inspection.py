@@ -65,20 +65,6 @@ def field(tmp_path, gaussians) -> Path:
     return tmp_path / "f"
 
 
-def test_an_artifact_is_known_from_its_file_alone(artifact):
-    (file,) = inspect(artifact)
-    assert not file["problem"] and file["spec"] == "slgaussian/labels@1"
-    assert file["digest"] == artifact.stem
-    assert file["fields"]["labels"].startswith("[id] ")
-    assert (file["made"]["stage"], file["made"]["settings"]) == ("masks", {"replicas": 3})
-
-
-def test_a_table_is_known_from_its_file_alone(tmp_path):
-    (tmp_path / "t.parquet").write_bytes(encode_table(failures("a"), load_spec("failures")))
-    (file,) = inspect(tmp_path)
-    assert not file["problem"] and file["spec"] == "slgaussian/failures@1" and file["digest"]
-
-
 def test_a_file_that_is_not_what_its_spec_says_has_a_problem(tmp_path):
     wrong = {**labels(), "margin": np.full((2, 4, 5), 7, np.float32)}
     (tmp_path / "l.npz").write_bytes(encode_arrays(wrong, load_spec("labels")))
@@ -172,11 +158,6 @@ def test_a_spec_that_nobody_knows_and_a_later_version_are_problems(tmp_path):
     spec = replace(spec, name="cakes")
     (tmp_path / "l.npz").write_bytes(encode_arrays(labels(), spec))
     assert "spec: found 'slgaussian/cakes@9', expected one" in inspect(tmp_path)[0]["problem"]
-
-
-def test_nothing_is_refused(tmp_path):
-    with pytest.raises(InputError, match=r"nowhere.npz: cannot be read \(No such file"):
-        inspect(tmp_path / "nowhere.npz")
 
 
 def test_an_auditor_needs_pyarrow_and_numpy_alone(field, tmp_path, monkeypatch, capsys):

@@ -18,17 +18,6 @@ def size_of(folder) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def test_what_was_put_is_there_until_it_is_dropped(tmp_path):
-    cache = LocalCache(tmp_path, 10**6)
-    assert cache.get("labels/aa/x.npz") is None
-    cache.put("labels/aa/x.npz", b"abc")
-    assert cache.get("labels/aa/x.npz") == b"abc"
-    assert LocalCache(tmp_path, 10**6).get("labels/aa/x.npz") == b"abc"
-    cache.drop("labels/aa/x.npz")
-    cache.drop("labels/aa/x.npz")
-    assert cache.get("labels/aa/x.npz") is None
-
-
 def test_the_bound_is_kept_and_what_is_used_stays(tmp_path):
     cache = LocalCache(tmp_path, 32 * 1000)
     cache.put("often", KB)
@@ -39,14 +28,6 @@ def test_the_bound_is_kept_and_what_is_used_stays(tmp_path):
     assert cache.get("a/199") == KB
     assert cache.get("a/0") is None
     assert size_of(tmp_path) > cache.bound / 2
-
-
-def test_what_is_too_large_is_not_kept_and_drives_nothing_out(tmp_path):
-    cache = LocalCache(tmp_path, 16 * 1000)
-    cache.put("small", KB)
-    cache.put("large", 3 * KB)
-    assert cache.get("large") is None
-    assert cache.get("small") == KB
 
 
 def test_what_a_killed_process_left_goes_and_what_is_being_written_stays(tmp_path):

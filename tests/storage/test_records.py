@@ -62,15 +62,6 @@ def test_one_that_moved_is_checked_once_and_noted(store, ref):
     assert noted(store) == [f"{file.stat().st_size} 1"] != before
 
 
-def test_a_record_without_a_stamp_is_as_good(store, ref):
-    (file,) = Path(store.path).glob("keys/train/v1/*/*.json")
-    record = json.loads(file.read_text())
-    del record["stamp"]
-    file.write_text(json.dumps(record))
-    assert Records(store).find(KEY) == ref
-    assert noted(store) is not None
-
-
 def test_a_record_whose_parts_are_gone_damaged_or_elsewhere_is_none(store, ref, tmp_path):
     """A part is looked at even where the artifact itself is known by its time."""
     part = store.put("weights", {"safetensors": np.arange(9, dtype=np.uint8)})

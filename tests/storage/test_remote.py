@@ -37,12 +37,6 @@ def test_a_url_with_credentials_is_refused_and_not_repeated(url):
             assert secret not in str(error.value)
 
 
-@pytest.mark.parametrize("url", PLAIN)
-def test_other_urls_are_left_as_they_are(url):
-    check_url(url, "store")
-    assert redacted(f"cannot read {url}: why") == f"cannot read {url}: why"
-
-
 @given(
     st.text("abcXYZ019+/=-_.%", min_size=1).filter(lambda s: not s[0].isdigit()),
     st.text("abcXYZ019", min_size=1),

@@ -63,13 +63,6 @@ def test_equal_content_is_one_file_and_other_content_another(store):
     assert len([p for p in store.fs.find(store.path) if p.endswith(".npz")]) == 2
 
 
-def test_memory_order_and_order_of_names_do_not_matter(local):
-    arrays = labels()
-    turned = {name: np.asfortranarray(arrays[name]) for name in reversed(arrays)}
-    first = path_of(local, local.put("labels", arrays)).read_bytes()
-    assert path_of(local, local.put("labels", turned)).read_bytes() == first
-
-
 @given(
     npst.arrays(
         dtype=st.sampled_from([np.uint8, np.int32, np.float32, np.float64, np.bool_, "<U3"]),
@@ -210,14 +203,3 @@ def test_a_folder_without_permission_is_an_input_error(tmp_path):
     tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
     with pytest.raises(InputError, match="cannot write"):
         ArtifactStore(tmp_path / "store").check_writable()
-
-
-def test_a_store_below_a_file_is_an_input_error(tmp_path):
-    (tmp_path / "file").write_text("not a folder")
-    with pytest.raises(InputError, match=r"cannot write there .*--store"):
-        ArtifactStore(tmp_path / "file" / "store").check_writable()
-
-
-def test_check_writable_leaves_no_trace(store):
-    store.check_writable()
-    assert store.fs.find(store.path) == []

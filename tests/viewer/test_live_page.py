@@ -85,11 +85,6 @@ def test_elsewhere_only_paths_with_the_token_are_answered(folder):
         assert client.get(path).status_code in (403, 404, 405)
 
 
-def test_the_page_may_not_be_framed_or_kept(client):
-    headers = client.get("/").headers
-    assert headers["x-frame-options"] == "DENY" and headers["cache-control"] == "no-store"
-
-
 @pytest.mark.parametrize(
     ("name", "body", "error"),
     [

@@ -17,12 +17,6 @@ def test_lightning_and_bare_dictionaries_load_alike(network, weights, tmp_path):
         assert torch.equal(value, bare[name])
 
 
-def test_half_precision_is_widened(weights):
-    half = {name: value.half() for name, value in weights.items()}
-    state = with_weights(half, PUBLISHED, "half").state_dict()
-    assert {value.dtype for value in state.values()} == {torch.float32}
-
-
 def test_all_that_does_not_fit_is_named(weights):
     state = dict(weights)
     for name in [n for n in state if n.startswith("backbone.transformer.layers.5")]:

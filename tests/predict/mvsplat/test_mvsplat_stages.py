@@ -1,6 +1,5 @@
 """Fast ways against obvious ones: windows, correlation, strips."""
 
-import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
@@ -142,10 +141,3 @@ def test_strips_leave_no_seams(network, monkeypatch):
         strips = heads(images, features, detail, coarse[:, 0], disparities)
     for first, second in zip(full, strips, strict=True):
         torch.testing.assert_close(first, second, rtol=0, atol=5e-6)
-
-
-def test_position_code_repeats_in_no_direction():
-    code = transformer.position_code(8, 6, 128, torch.device("cpu"))
-    assert code.shape == (8, 6, 128)
-    np.testing.assert_array_equal(code[0, :, :64], code[0, :1, :64].expand(6, -1))
-    assert len(torch.unique(code.reshape(48, 128), dim=0)) == 48
