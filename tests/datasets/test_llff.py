@@ -35,14 +35,6 @@ class TestCameras:
             assert np.allclose(camera.K[[0, 1], [0, 1]], 3200 / factor)
             assert np.allclose(camera.K[:2, 2] * factor, (2016, 1512))
 
-    def test_photographs_may_be_portraits_and_differ_in_size(self, tmp_path):
-        write(tmp_path, [llff_row(), llff_row()], ["a.png"])
-        Image.new("RGB", (HEIGHT, WIDTH)).save(tmp_path / "images/b.png")
-        np.save(tmp_path / "poses_bounds.npy", [llff_row(), llff_row(size=(WIDTH, HEIGHT))])
-        scene = llff.read(tmp_path)
-        assert scene.read("b.png").image.shape == (WIDTH, HEIGHT, 3)
-        assert scene.cameras["b.png"].K[0, 2] == HEIGHT / 2
-
 
 class TestDamage:
     @pytest.mark.parametrize(
@@ -50,17 +42,12 @@ class TestDamage:
         [
             (np.zeros((2, 16)), r"found float64 (2, 16), expected a row of 17 numbers"),
             (np.zeros(17), r"found float64 (17,)"),
-            (np.zeros((0, 17)), r"found float64 (0, 17)"),
-            (np.zeros((2, 17), "U3"), r"found <U3 (2, 17)"),
             ([llff_row()], "has 1 rows, but"),
-            ([llff_row()] * 3, "has 3 rows, but"),
             ([llff_row(), [*llff_row()[:15], 3, np.nan]], "row of 'b.png': holds NaN"),
             ([llff_row(), llff_row(near=3, far=2)], "row of 'b.png': camera far: found 2.0"),
             ([llff_row(), llff_row(size=(WIDTH, HEIGHT))], "'b.png': says 64x96 pixels"),
-            ([llff_row(), llff_row(size=(0, WIDTH))], "'b.png': says 96x0 pixels"),
             ([llff_row(), [0.0] * 17], "'b.png': says 0x0 pixels"),
             ([llff_row(), llff_row(focal=0.8)], "'b.png': focal length x is 0.8"),
-            ([llff_row(), llff_row(focal=5000)], "field of view of 1.1 degrees"),
             ([llff_row(), [2 * v for v in llff_row()]], "'b.png': camera c2w: its 3x3 part"),
         ],
     )
@@ -80,18 +67,6 @@ class TestDamage:
         np.save(tmp_path / "poses_bounds.npy", np.array([{}]), allow_pickle=True)
         with pytest.raises(InputError, match=r"poses_bounds\.npy: is no array of numbers"):
             llff.read(tmp_path)
-
-    def test_nothing_there_is_said(self, tmp_path):
-        with pytest.raises(InputError, match=r"poses_bounds\.npy: cannot be read \(No such file"):
-            load("llff", tmp_path)
-
-    def test_a_damaged_photograph_is_an_error_of_its_view(self, tmp_path):
-        write(tmp_path, [llff_row(), llff_row()], ["a.png", "b.png"])
-        (tmp_path / "images/b.png").write_text("hello")
-        scene = llff.read(tmp_path)
-        scene.read("a.png")
-        with pytest.raises(InputError, match=r"b\.png: cannot be read"):
-            scene.read("b.png")
 
 
 def test_matches_of_a_real_scene_lie_on_its_epipolar_lines(real_data):

@@ -57,9 +57,6 @@ def layouts(room: list[View]) -> dict[str, dict[str, np.ndarray]]:
     seen = seen_by_network(room, 504, 378)
     w2c, c2w = stacked(room, "w2c"), stacked(room, "c2w")
     return {
-        "depth anything 3": {
-            "said": "", **seen, "extrinsics": w2c[:, :3], "conf": np.ones_like(seen["depth"]),
-        },
         "vggt": {
             "said": "", "depth": seen["depth"][None, ..., None], "extrinsic": w2c[None, :, :3],
             "intrinsic": seen["intrinsics"][None],
@@ -73,16 +70,10 @@ def layouts(room: list[View]) -> dict[str, dict[str, np.ndarray]]:
         "stored": {
             "said": "as of stored", **seen, "extrinsics": w2c, "intrinsics": stacked(room, "K"),
         },
-        "millimetres": {
-            "said": "", **seen, "depth": 1000 * seen["depth"], "extrinsics": w2c,
-        },
     }  # fmt: skip
 
 
-LAYOUTS = (
-    "depth anything 3", "vggt", "dust3r", "letter-boxed", "inverted", "opengl", "stored",
-    "millimetres",
-)  # fmt: skip
+LAYOUTS = "vggt", "dust3r", "letter-boxed", "inverted", "opengl", "stored"
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -125,7 +116,6 @@ def test_names_choose_among_more_photographs(folder, room, tmp_path):
         ({"poses": None}, "holds no cameras"),
         ({"order": [1, 0, 2]}, "does not fit the photographs"),
         ({"intrinsics": np.full((3, 3, 3), 1e-4)}, "focal length x is"),
-        ({"names": ["a", "b", "c"]}, "has maps of 0 of the photographs"),
         ({"poses": np.eye(4)[None]}, "as many as maps"),
     ],
 )

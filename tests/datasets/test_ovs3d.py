@@ -62,13 +62,6 @@ class TestMasks:
         assert not masks["hand"].any()
         assert labelled_frames(labels) == {"01": tuple(sorted(CLASSES))}
 
-    def test_may_be_of_another_size_than_the_photograph(self, folder):
-        file = folder / "bed/segmentations/01/white sheet.png"
-        large = np.kron(ring(), np.ones((4, 4), np.uint8))
-        Image.fromarray(large).save(file)
-        masks = read_labels(folder / "bed/segmentations", "01.jpg", WIDTH, HEIGHT)
-        assert np.array_equal(masks["white sheet"], ring() > 0)
-
     def test_count_only_white(self, folder):
         file = folder / "bed/segmentations/01/white sheet.png"
         mask = np.where(ring() > 0, 255, 254).astype(np.uint8)

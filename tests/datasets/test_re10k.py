@@ -148,13 +148,3 @@ def test_a_camera_that_is_none_is_named(split, at, value):
     cameras[1, at] = value
     with pytest.raises(InputError, match="clip 'room2', frame 1: "):
         replace(clip, cameras=cameras).scene()
-
-
-def test_what_is_not_there_is_named(split, tmp_path):
-    with pytest.raises(InputError, match="no clip 'room9' among its 3"):
-        re10k.read(split, "room9")
-    with pytest.raises(InputError, match=r"index\.json: cannot be read"):
-        re10k.read(tmp_path, "room0")
-    (tmp_path / "index.json").write_text('{"room0": "../../etc/x.torch"}')
-    with pytest.raises(InputError, match="expected the name of a chunk"):
-        re10k.read(tmp_path, "room0")

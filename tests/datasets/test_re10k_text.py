@@ -71,14 +71,6 @@ def test_pixels_and_distortion_are_refused_and_a_missing_address_swallows_no_fra
             re10k_text.read(clip)
 
 
-def test_frames_may_lie_in_a_folder_beside_the_cameras(clip):
-    (clip.parent / "cameras/train").mkdir(parents=True)
-    (clip.parent / "frames/train").mkdir(parents=True)
-    clip.with_suffix("").rename(clip.parent / "frames/train/0123abcd")
-    file = clip.rename(clip.parent / "cameras/train/0123abcd.txt")
-    assert len(re10k_text.read(file).cameras) == 3
-
-
 def test_too_few_frames_are_one_sentence(clip):
     for file in sorted(clip.with_suffix("").iterdir())[1:]:
         file.unlink()

@@ -4,7 +4,7 @@ import io
 import tarfile
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.datasets.shards import END, key_of, pack, unpack
@@ -13,6 +13,7 @@ ENDINGS = st.from_regex(r"[a-z][a-z0-9_]{0,20}(\.[a-z]{3,4})?", fullmatch=True)
 MEMBERS = st.dictionaries(ENDINGS, st.binary(max_size=2000), min_size=1, max_size=4)
 
 
+@settings(max_examples=25)
 @given(st.dictionaries(st.text(min_size=1, max_size=90), MEMBERS, min_size=1, max_size=3))
 def test_what_is_packed_is_unpacked_and_read_by_tarfile(samples):
     parts = {name: pack(key_of(name), members) for name, members in samples.items()}

@@ -27,21 +27,3 @@ def test_the_cameras_are_those_of_the_published_calibration():
         assert np.allclose((4 * K[0, 0], 4 * K[1, 1]), 3979.911, rtol=0, atol=2e-3)
         assert np.allclose(4 * K[:2, 2] - 0.5, (cx, 1019.507), rtol=0, atol=3e-3)
     assert scene.cameras["right"].center.tolist() == [0.193001, 0, 0]
-
-
-def test_the_right_photograph_agrees_with_that_and_with_no_other_offset():
-    scene = stereo.read()
-    left, right = scene.read("left"), scene.read("right")
-    pixels, _ = right.camera.project(left.camera.unproject(left.depth))
-    rows, _ = np.indices(left.depth.shape)
-    columns = pixels[..., 0] - 0.5
-
-    def difference(shift: float) -> float:
-        at = columns + shift
-        low = np.floor(at).astype(int)
-        inside = (left.depth > 0) & (low >= 0) & (low + 1 < right.camera.width)
-        r, c, share = rows[inside], low[inside], (at - low)[inside][:, None]
-        warped = right.image[r, c] * (1 - share) + right.image[r, c + 1] * share
-        return float(np.abs(warped - left.image[inside]).mean())
-
-    assert difference(0) < min(difference(-1), difference(1), difference(-0.5), difference(0.5))

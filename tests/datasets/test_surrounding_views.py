@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.datasets.pair_selection import Bounds, Rule, Views, surround
+from slgaussian.datasets.pair_selection import Rule, Views, surround
 from slgaussian.scene import Camera, shared_view
 
 DEPTH = 3.0
@@ -74,7 +74,7 @@ def plain(clip: Views, target: int, barred, rule: Rule):
     return best
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**16), unordered=st.booleans())
 def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
     rng = np.random.default_rng(seed)
@@ -94,21 +94,6 @@ def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
             assert found.pair.context == best[1]
             assert found.pair.targets == (target,)
             assert found.reason == ""
-
-
-def test_equal_scores_go_to_the_earlier_views():
-    twice = [*path(), *path()]
-    (found,) = surround(views(twice), [10], {31}, Rule())
-    assert max(found.pair.context) < 21
-
-
-def test_the_rule_is_described_with_all_its_settings():
-    rule = Rule(Bounds(min_overlap=0.5, most=3), min_cover=0.7)
-    assert rule.described() == {
-        "name": "around", "version": 1, "min_overlap": 0.5, "max_overlap": 1.0,
-        "min_baseline": 0.08, "max_baseline": 0.4, "max_blur": 0.16, "max_clipped": 0.4,
-        "min_cover": 0.7, "max_aside": 0.3,
-    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

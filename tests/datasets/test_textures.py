@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from slgaussian.datasets.procedural import textures
 from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING, normal_at
-from slgaussian.datasets.procedural.textures import Material, albedo, linear, pack
+from slgaussian.datasets.procedural.textures import Material, albedo, pack
 
 
 def colour(material: Material, kind: int, size: tuple[float, ...], point) -> np.ndarray:
@@ -79,9 +79,3 @@ def test_a_picture_hangs_the_right_way_up_and_round():
         row, col = (1 - v) * len(photo), u * len(photo)
         patch = photo[int(row) - 1 : int(row) + 1, int(col) - 1 : int(col) + 1]
         assert seen == pytest.approx(patch.mean((0, 1)), abs=0.08)
-
-
-def test_linear_follows_the_srgb_curve():
-    assert linear([0, 1]) == pytest.approx([0, 1])
-    assert linear(0.5) == pytest.approx(0.21404, abs=1e-5)  # IEC 61966-2-1
-    assert linear(0.04045) == pytest.approx(0.04045 / 12.92, abs=1e-8)

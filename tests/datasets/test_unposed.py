@@ -4,7 +4,7 @@ import shutil
 
 import numpy as np
 import pytest
-from PIL import ExifTags, Image
+from PIL import Image
 from taken_photographs import stereo_pair, taken
 
 import slgaussian as slg
@@ -131,18 +131,6 @@ def test_images_in_memory_are_photographs_too(tmp_path, pair, asked):
             slg.photographs(*images)
 
 
-def test_sizes_and_shapes_may_be_mixed(tmp_path, pair, asked):
-    landscape, portrait = pair[0], pair[1][:, 60:240].copy()  # 200x300 and 200x180
-    large = np.asarray(Image.fromarray(portrait).resize((360, 400)))
-    files = [taken(tmp_path / "a.jpg", landscape), taken(tmp_path / "b.jpg", large, 6)]
-    for order in (files, files[::-1]):
-        sample = slg.photographs(*order)
-        assert [view.image.shape for view in sample.context] == [(200, 300, 3)] * 2
-        for view in sample.context:  # the middle stays the middle
-            np.testing.assert_allclose(view.camera.K[:2, 2], (150, 100), atol=0.5)
-    assert sample.context[0].camera.K[0, 0] == pytest.approx(0.8 * 400 * 300 / 360)
-
-
 def test_distortion_that_was_found_is_undone(folder, asked, monkeypatch, pair):
     def bent(photographs):
         found = made_up(photographs)
@@ -182,34 +170,6 @@ def test_what_cannot_be_used_is_named(folder, asked, places, said):
     Image.new("RGB", (1, 1)).save(folder / "dot.png")
     with pytest.raises(InputError, match=said):
         slg.photographs(*(folder / place for place in places))
-
-
-def test_a_photograph_by_phone_is_a_sentence_without_the_package(tmp_path, pair, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "pillow_heif", None)
-    from slgaussian.formats import images
-
-    images._reads_heic.cache_clear()
-    file = tmp_path / "IMG_1.HEIC"
-    file.write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic" + bytes(100))
-    with pytest.raises(InputError, match=r"IMG_1\.HEIC.*`pip install pillow-heif`, or convert it"):
-        unposed.photograph(file, "a")
-    images._reads_heic.cache_clear()
-
-
-def test_heic_is_read_where_a_package_does(tmp_path, pair):
-    heif = pytest.importorskip("pillow_heif")
-    exif = Image.Exif()
-    exif[ExifTags.Base.Orientation] = 6
-    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
-    stored = np.rot90(pair[0]).copy()
-    heif.from_pillow(Image.fromarray(stored)).save(tmp_path / "a.heic", exif=exif.tobytes())
-    found = unposed.photograph(tmp_path / "a.heic", "a")
-    assert (found.width, found.height) == (300, 200)
-    assert np.abs(found.image.astype(int) - pair[0]).mean() < 8
-    assert found.focal == pytest.approx(26 * np.hypot(300, 200) / 43.27)
-    assert datasets.photographs.open_photograph(tmp_path / "a.heic", upright=True)[0].shape == (
-        200, 300, 3,
-    )  # fmt: skip
 
 
 def test_an_ordinary_pair_with_the_real_finder(tmp_path):

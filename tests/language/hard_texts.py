@@ -1,4 +1,4 @@
-"""Vectors and texts on which relevancy breaks, by name, and what comes of each.
+"""Vectors on which relevancy breaks, by name, and what comes of each.
 
 Errors are absolute differences of relevancies from the printed formula in decimal arithmetic of 60
 digits.
@@ -6,7 +6,7 @@ digits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from decimal import Context, Decimal, localcontext
 from functools import cache
@@ -14,8 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from slgaussian.errors import InputError
-from slgaussian.language import Encoder
 from slgaussian.language.relevancy import relevancy
 
 TEMPERATURES = (1.0, 10.0, 100.0, 1000.0)
@@ -192,38 +190,3 @@ def error(case: Case, temperature: float, half: bool = False) -> float:
     features = case.features.astype(np.float16) if half else case.features
     got = relevancy(features, case.present, case.queries, case.canonical, temperature)
     return float(np.abs(got - reference(case, temperature)).max())
-
-
-TEXTS = {
-    "a plain one": "red ball",
-    "an unseen word": "red zyzzyva",
-    "only unseen words": "zyzzyva",
-    "empty": "",
-    "blank": " \t\n",
-    "no letters": "!? ...",
-    "10,000 words": "red ball " * 5_000,
-    "one of 100,000 letters": "r" * 100_000,
-    "capitals": "RED BALL",
-    "not ASCII, same letters": "ｒｅｄ ｂａｌｌ",
-    "another alphabet": "красный мяч",
-    "no spaces": "赤いボール",
-    "an emoji": "red 🏀",
-    "a zero byte": "red\0ball",
-    "a negation": "not red",
-    "a number": "2",
-}
-"""Texts on which encoders break, by what is hard about them."""
-
-
-def text_rows(encoder: Encoder) -> Iterator[dict]:
-    """What the encoder makes of each of :data:`TEXTS`."""
-    for name, text in TEXTS.items():
-        try:
-            (vector,) = encoder.encode_text([text])
-            left_out = ", ".join(encoder.unknown_words(text))
-            answer = f"understood, without {left_out!r}" if left_out else "understood"
-            if not np.isclose(np.linalg.norm(vector), 1, atol=1e-6):
-                answer = f"**a vector of length {np.linalg.norm(vector):.3g}**"
-        except InputError as error:
-            answer = f"refused: {str(error).partition(': ')[2]}"
-        yield {"text": name, "answer": answer}

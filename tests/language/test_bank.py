@@ -34,12 +34,6 @@ def test_an_absent_view_is_marked_absent_and_never_scored(bank, lexicon):
     assert scores[1] < 0.5
 
 
-def test_present_features_are_unit_vectors(bank):
-    lengths = np.linalg.norm(bank.features, axis=2)
-    np.testing.assert_allclose(lengths[bank.present], 1, atol=2**-11)
-    assert bank.features.dtype == np.float32
-
-
 def test_arrays_round_trip(bank, tmp_path):
     """What was stored in half precision is what was built, to the last bit."""
     arrays = bank.to_arrays()
@@ -58,19 +52,6 @@ def same_bank(one, other):
         if here is not None:
             assert there.dtype == here.dtype
             np.testing.assert_array_equal(there, here)
-
-
-def test_boxes_hold_their_objects_and_touch_them(bank):
-    both = photograph([(ball(80, 120, 30), RED), (ball(220, 120, 30), BLUE)])[1]
-    for row, number in enumerate(bank.ids):
-        x0, y0, x1, y1 = bank.boxes[row, 0]
-        assert (both[y0:y1, x0:x1] == number).sum() == (both == number).sum()
-        for edge in ((y0, None), (y1 - 1, None), (None, x0), (None, x1 - 1)):
-            line = both[edge[0]] if edge[1] is None else both[:, edge[1]]
-            assert (line == number).any()
-    assert not bank.boxes[1, 1].any()
-    without = MemoryBank(bank.ids, bank.codes, bank.features, bank.present)
-    assert MemoryBank.from_arrays(without.to_arrays()).boxes is None
 
 
 def test_a_merged_bank_knows_what_either_knew(bank, lexicon):
@@ -211,14 +192,6 @@ def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):
     alone = grouped_bank(pieces, lexicon, groups=np.arange(5)[None])
     np.testing.assert_array_equal(alone.levels, [np.arange(5)])
     assert alone.group_features.shape == (0, 2, lexicon.width)
-
-
-def test_a_group_that_a_view_does_not_hold_is_absent_there(pieces, lexicon):
-    views, maps, _, _ = pieces
-    labels = maps.labels.copy()
-    labels[1][labels[1] < 7] = 0
-    bank = grouped_bank((views, LabelMaps(labels, maps.margin), pieces[2], None), lexicon)
-    np.testing.assert_array_equal(bank.group_features.any(2), [[True, False]] * 3)
 
 
 def test_merged_banks_keep_the_groups_of_both(pieces, lexicon):

@@ -169,20 +169,6 @@ def test_weights_that_name_code_run_nothing(tmp_path):
         lite0.read_weights(file)
 
 
-@pytest.mark.parametrize(
-    ("word", "classes"),
-    [
-        ("radiator", {753, 811}),
-        ("fox", {277, 278, 279, 280}),
-        ("goldfish", {1}),
-        ("trash can", {412}),
-        ("collie", {231}),
-    ],
-)
-def test_nouns_mean_classes(word, classes):
-    assert set(noun_classes()[word]) == classes
-
-
 def test_nouns_above_mean_all_that_they_hold():
     table = noun_classes()
     assert {954, 948} <= set(table["fruit"])

@@ -75,7 +75,7 @@ def expected_crop(image, mask):
     return square
 
 
-@pytest.mark.parametrize("i", range(6))
+@pytest.mark.parametrize("i", [0, 5])
 def test_a_region_is_shown_on_a_black_square(i):
     image, mask = picture(), regions()[i]
     expected = expected_crop(image, mask)
@@ -92,23 +92,6 @@ def test_looks_count_by_the_temperature_that_the_model_learnt(clip):
     """0.07, with which CLIP begins; the published ones end at 0.01."""
     assert clip.soft == pytest.approx(np.exp(-float(clip.network.logit_scale)))
     assert clip.soft == pytest.approx(0.07, abs=0.001)
-
-
-def test_context_keeps_the_box():
-    image, mask = picture(), regions()[3]
-    rows, columns = np.nonzero(mask)
-    box = np.zeros_like(mask)
-    box[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] = True
-    found = region_crop(image, mask, SIDE, context=True)
-    assert np.array_equal(found, region_crop(image, box, SIDE, context=False))
-
-
-@pytest.mark.parametrize("where", [np.s_[:1, :1], np.s_[-1:, :], np.s_[:, 5:6], np.s_[:, :]])
-def test_thin_and_whole_regions_have_a_picture(clip, where):
-    mask = np.zeros((1, 60, 80), bool)
-    mask[0][where] = True
-    found = clip.encode_regions(picture(), mask)
-    assert np.abs(np.linalg.norm(found, axis=1) - 1).max() < NOISE
 
 
 def reference_regions(network, image, masks, context=False):
@@ -180,7 +163,7 @@ def test_same_bytes_with_two_threads(clip):
         assert all(np.array_equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
-@pytest.mark.parametrize("batch", [1, 3, 64])
+@pytest.mark.parametrize("batch", [1, 64])
 def test_the_batch_changes_rounding_alone(folder, clip, batch):
     other = load_encoder("clip", model=folder, batch=batch)
     assert other.network is clip.network  # loaded once
@@ -195,11 +178,6 @@ def test_bfloat16_is_near(folder, clip):
     found, fine = (e.encode_regions(picture(), regions()) for e in (rough, clip))
     assert 1e-5 < np.abs(found - fine).max() < 0.03  # 8 bits in each of a few dozen sums
     assert np.array_equal(rough.encode_text(TEXTS), clip.encode_text(TEXTS))
-
-
-def test_nothing_to_encode(clip):
-    assert clip.encode_regions(picture(), np.zeros((0, 60, 80), bool)).shape == (0, WIDTH)
-    assert clip.encode_text([]).shape == (0, WIDTH)
 
 
 @hypothesis_settings(max_examples=60, deadline=None)
@@ -217,7 +195,6 @@ def test_any_text_has_a_direction_or_is_refused(clip, text):
     ("text", "says"),
     [
         ("", "is empty; describe an object"),
-        (" \t\n", "is empty"),
         ("word " * 76, "tokens, but the model reads at most 77; say it in fewer words"),
         ("a" * 5000, "has 5002 tokens, but the model reads at most 77"),
         ("\ud800", "is not valid text"),
@@ -230,36 +207,14 @@ def test_a_text_that_cannot_be_read_is_refused(clip, text, says):
     assert "\n" not in str(error.value) and len(str(error.value)) < 250
 
 
-def test_a_text_of_full_length_is_read(clip):
-    longest = "a" * 75  # and two marks
-    assert np.array_equal(clip.encode_text([longest]), clip.encode_text([f" {longest} "]))
-
-
-@pytest.mark.parametrize(
-    ("image", "masks", "says"),
-    [
-        (np.zeros((9, 9), np.uint8), np.ones((1, 9, 9), bool), "clip: image is uint8"),
-        (np.zeros((9, 9, 3)), np.ones((1, 9, 9), bool), "clip: image is float64"),
-        (np.zeros((9, 9, 3), np.uint8), np.ones((1, 9, 8), bool), "clip: masks are bool"),
-        (np.zeros((9, 9, 3), np.uint8), np.ones((1, 9, 9)), "clip: masks are float64"),
-        (np.zeros((9, 9, 3), np.uint8), np.zeros((2, 9, 9), bool), "clip: mask 0 is empty"),
-    ],
-)
-def test_regions_that_cannot_be_are_refused(clip, image, masks, says):
-    with pytest.raises(InputError, match=says):
-        clip.encode_regions(image, masks)
-
-
 @pytest.mark.parametrize(
     ("settings", "says"),
     [
         ({"crops": "square"}, "clip crops: found 'square', expected one of masked, context"),
-        ({"precision": "half"}, "clip precision: found 'half', expected one of float32, bfloat16"),
         ({"batch": 0}, "clip batch: found 0, expected a whole number from 1"),
         ({"device": "tpu"}, "clip device 'tpu': cannot be used"),
         ({"model": None}, "clip model: found None, expected a path or a name"),
         ({"model": "no/such/folder"}, "there is no such folder"),
-        ({"tokenizer": "no/such/folder"}, "tokenizer no/such/folder: there is no such folder"),
         ({"tokenizer": __file__}, "tokenizer .*: there is no such folder"),
     ],
 )
@@ -305,7 +260,7 @@ def test_one_file_may_hold_the_tokenizer(folder, clip, tmp_path):
     assert np.array_equal(found, clip.encode_text(TEXTS))
 
 
-@pytest.mark.parametrize("tokens", [400, 700])
+@pytest.mark.parametrize("tokens", [400])
 def test_the_tokenizer_of_another_model_is_refused(folder, tmp_path, tokens):
     clip_model(tokens).save_pretrained(tmp_path)
     with pytest.raises(InputError, match="give the tokenizer of this model"):
@@ -315,11 +270,9 @@ def test_the_tokenizer_of_another_model_is_refused(folder, tmp_path, tokens):
 @pytest.mark.parametrize(
     ("name", "content", "says"),
     [
-        ("vocab.json", "<html>", "cannot be loaded as CLIPTokenizer"),
         ("vocab.json", '{"a": 0}', "give the tokenizer of this model|cannot be loaded"),
         ("preprocessor_config.json", "{", "cannot be read as JSON"),
         ("preprocessor_config.json", '{"image_mean": [0, 1]}', "expected three numbers each"),
-        ("preprocessor_config.json", '{"image_std": "x"}', "expected three numbers each"),
     ],
 )
 def test_damaged_files_beside_the_model_are_one_sentence(folder, tmp_path, name, content, says):

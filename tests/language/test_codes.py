@@ -27,22 +27,6 @@ def test_codes_are_distinct_points_of_the_smallest_grid_that_holds_them(n, dimen
         assert all(len(np.unique(codes[:, axis])) == side for axis in range(dimension))
 
 
-def test_one_object_gets_the_centre():
-    np.testing.assert_array_equal(grid_codes(1, np.random.default_rng(0)), [[0.5, 0.5, 0.5]])
-
-
-def test_codes_depend_on_the_generator_alone():
-    first, again, other = (grid_codes(20, np.random.default_rng(s)) for s in (1, 1, 2))
-    np.testing.assert_array_equal(first, again)
-    assert (first != other).any()
-
-
-@pytest.mark.parametrize("n", [0, -3])
-def test_no_objects_are_refused(n):
-    with pytest.raises(InputError, match="at least one object"):
-        grid_codes(n, np.random.default_rng(0))
-
-
 def maps_of(n: int) -> LabelMaps:
     """Two views of ``n`` small squares side by side, ids far apart."""
     side = int(np.ceil(np.sqrt(n)))

@@ -64,10 +64,6 @@ def test_the_sums_are_exact():
         assert got[row, column] == total / (2**30 * 900)
 
 
-def test_the_filter_grows_with_the_image():
-    assert [langsplat.rescaled_filter(w) for w in (988, 576, 1, 1976)] == [30, 17, 1, 60]
-
-
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("side", [30, 17])
 def test_the_mask_is_that_of_the_plain_steps(seed, side):
@@ -77,31 +73,9 @@ def test_the_mask_is_that_of_the_plain_steps(seed, side):
     np.testing.assert_array_equal(got, plain_mask(relevancy, side))
 
 
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(2, 12), st.integers(2, 12))
-def test_the_majority_is_that_of_counting(seed, height, width):
-    """Noise of which half is set, in which each row and column of a window decides somewhere."""
-    above = np.random.default_rng(seed).random((height, width)) < 0.5
-    voting = above[:-1, :-1]
-    got = langsplat._most_around(above)
-    for row, column in np.ndindex(*above.shape):
-        window = voting[max(row - 3, 0) : row + 4, max(column - 3, 0) : column + 4]
-        assert got[row, column] == (2 * window.sum() > window.size)
-
-
 def test_an_image_of_one_value_has_no_mask():
     assert not langsplat.find_mask(np.full((50, 60), 0.7)).any()
     assert not langsplat.find_mask(np.zeros((50, 60))).any()
-
-
-def test_the_mask_is_what_rises_above_seven_tenths_of_the_range():
-    """Two squares too large for the filter to reach their middles: 0.66 and 0.74 of the range."""
-    relevancy = np.full((300, 300), 0.2)
-    relevancy[10:90, 10:90] = 0.8
-    relevancy[110:190, 110:190] = 0.2 + 0.66 * 0.6
-    relevancy[210:290, 210:290] = 0.2 + 0.74 * 0.6
-    mask = langsplat.find_mask(relevancy)
-    assert mask[50, 50] and mask[250, 250] and not mask[150, 150] and not mask[5, 5]
 
 
 def test_the_point_is_the_plateaus_pixel_nearest_its_centroid():
@@ -114,14 +88,6 @@ def test_the_point_is_the_plateaus_pixel_nearest_its_centroid():
     assert peak.sum() == 31 * 42
     # The centroid's column is 135.5; of the two beside it the first.
     assert point == (135, 90)
-
-
-def test_of_two_equal_objects_the_point_is_on_the_peak_and_not_between():
-    relevancy = np.zeros((200, 260))
-    relevancy[60:120, 20:90] = relevancy[60:120, 170:240] = 0.9
-    (x, y), peak = langsplat.find_point(relevancy)
-    assert peak[y, x]
-    assert peak[90, 50] and peak[90, 200]
 
 
 def test_the_same_values_tie_wherever_they_lie():

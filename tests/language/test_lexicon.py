@@ -1,6 +1,5 @@
 """The lexicon: every word is usable, colours survive the light, and words combine."""
 
-import re
 import tomllib
 from collections import Counter
 from importlib.resources import files
@@ -31,7 +30,7 @@ from scipy import ndimage
 from slgaussian.datasets.procedural.names import VOCABULARY as PROCEDURAL_WORDS
 from slgaussian.errors import InputError
 from slgaussian.geometry.room import Surroundings
-from slgaussian.language import colours, silhouettes
+from slgaussian.language import colours
 from slgaussian.language.colours import ColourNames
 from slgaussian.language.descriptors import Descriptors, _percentiles
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary
@@ -49,16 +48,6 @@ def test_percentiles_are_those_of_numpy(values, kind):
     values = np.array(values, kind)
     percents = (0, 5, 50, 95, 99, 100)
     assert _percentiles(values, percents) == np.percentile(values, percents).tolist()
-
-
-def test_outlines_are_drawn_once_for_all_processes(tmp_path, monkeypatch):
-    monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path))
-    draw = silhouettes._outlines.__wrapped__  # as a process that starts
-    drawn = draw()
-    monkeypatch.setattr(silhouettes, "_solids", lambda: pytest.fail("drawn again"))
-    for again, before in zip(draw(), drawn, strict=True):
-        np.testing.assert_array_equal(again, before)
-        assert again.dtype == before.dtype
 
 
 # --- Texts ---------------------------------------------------------------------------------------
@@ -102,37 +91,6 @@ def test_no_spelling_has_two_roles():
     assert {*nouns, "class"} == NOUNS
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "person", "fire hydrant", "stop sign", "teddy bear", "sports ball", "wine glass",
-        "cell phone", "tennis racket", "baseball bats", "knives", "hair drier", "broccoli",
-        "hot dog", "potted plant", "dining table", "tv", "street lamp", "Christmas tree",
-        "picnic table", "aeroplane", "lorry", "puppies", "swimming pool", "chest of drawers",
-        "bulletin board", "men", "geese", "armchair", "tyres", "t-shirt", "mountains", "snow",
-    ],
-)  # fmt: skip
-def test_common_things_are_known(text):
-    reading = VOCABULARY.read(text)
-    assert reading.unknown == ()
-    assert sum(word.family in NOUNS for word in reading.words) == 1
-
-
-def test_the_documentation_has_every_describing_word_and_every_reason(request):
-    text = (request.config.rootpath / "docs" / "reference" / "lexicon.md").read_text("utf-8")
-    described = {w.name for w in VOCABULARY.words.values() if w.family not in NOUNS - {"solid"}}
-    assert {name for name in described if f"`{name}`" not in text} == set()
-    reasons = set(VOCABULARY.unseen.values())
-    assert {reason for reason in reasons if f"- {reason}: `" not in text} == set()
-
-
-def test_the_documentation_names_every_measurement_of_a_noun(request):
-    text = (request.config.rootpath / "docs" / "reference" / "lexicon.md").read_text("utf-8")
-    words = set(re.findall(r"[a-z]+", text[text.index("| name | measured as |") :]))
-    names = {name for w in VOCABULARY.words.values() if w.family in NOUNS for name in w.weights}
-    assert names - words - VOCABULARY.words.keys() - set(VOCABULARY.colours) == set()
-
-
 def test_every_word_of_the_procedural_scenes_is_known(lexicon):
     for word in PROCEDURAL_WORDS:
         assert lexicon.unknown_words(word) == ()
@@ -144,13 +102,9 @@ def test_every_word_of_the_procedural_scenes_is_known(lexicon):
         ("crimson ball", "red ball"),
         ("a Red BALL", "red ball"),
         ("the red, red balls!", "red ball"),
-        ("couch", "sofa"),
-        ("blue rug", "blue carpets"),
         ("grey-striped boxes", "gray striped box"),
-        ("shelves", "shelf"),
         ("green plant", "quixotic green plant"),
         ("plant pot", "pot"),
-        ("white cup on the black table", "white cup"),
         ("ｒｅｄ ball", "red ball"),
     ],
 )
@@ -164,13 +118,10 @@ def test_texts_that_mean_the_same_encode_the_same(lexicon, one, other):
     [
         ("red ball", ()),
         ("red quixotic ball", ("quixotic",)),
-        ("röd boll red", ("röd", "boll")),
         ("красный red", ("красный",)),
         ("the red 42 of it", ("42", "it")),
         ("door escutcheon", ("escutcheon",)),
         ("old door", ()),
-        ("plant pot", ()),
-        ("cup on the wooden table", ()),
         ("cup on the quixotic table", ()),
     ],
 )
@@ -183,32 +134,19 @@ def test_words_that_are_not_known_are_named(lexicon, text, unknown):
     [
         ("red ball", "red ball", ()),
         ("plant pot", "pot", ()),
-        ("plant pots", "pot", ()),
         ("sofa cushion", "pillow", ("sofa",)),
-        ("table lamp", "lamp", ()),
-        ("wall clock", "clock", ()),
         ("wooden door frame", "wooden frame", ("door",)),
-        ("computer screen table", "table", ("computer screen",)),
         ("door escutcheon", "door", ()),
         ("picture frame", "picture", ()),
-        ("black picture frames", "black picture", ()),
         ("window frame", "frame", ("window",)),
         ("frame of the picture frame", "frame", ("picture",)),
-        ("trash cans", "bin", ()),
         ("picture of a plant", "picture", ("plant",)),
         ("bowl of fruit", "bowl", ("fruit",)),
-        ("pair of shoes", "shoe", ()),
         ("box of wood", "box wooden", ()),
         ("handle of the door", "handle", ("door",)),
-        ("traffic lights", "traffic light", ()),
         ("the red traffic light of the street", "red traffic light", ("street",)),
-        ("hot dogs", "sandwich", ()),
-        ("t-shirt", "shirt", ()),
         ("two old wooden chairs", "wooden chair", ("two", "old")),
-        ("cloudy blue sky", "blue sky", ()),
-        ("woman wearing a hat", "person", ("wearing", "hat")),
         ("cup on the wooden table", "cup", ("on", "wooden", "table")),
-        ("door pot on the table", "pot", ("door", "on", "table")),
     ],
 )
 def test_of_several_things_one_is_looked_for(lexicon, text, read_as, unused):
@@ -225,31 +163,17 @@ def test_words_that_cannot_be_seen_are_set_aside_with_the_reason(lexicon):
         lexicon.encode_text(["old"])
 
 
-@pytest.mark.parametrize("text", ["", "   ", "?!…", "🙂"])
-def test_a_text_without_words_is_refused(lexicon, text):
-    with pytest.raises(InputError, match="found no word"):
-        lexicon.encode_text([text])
-
-
-@pytest.mark.parametrize("text", ["zyzzyva", "röd boll", "on the table", "the of"])
+@pytest.mark.parametrize("text", ["zyzzyva", "on the table"])
 def test_a_text_without_a_usable_word_is_refused_and_points_to_the_list(lexicon, text):
     with pytest.raises(InputError, match=r"slgaussian words") as error:
         lexicon.encode_text(["red", text])
     assert text.split()[-1] in str(error.value)
 
 
-@pytest.mark.parametrize("text", ["not red", "ball without stripes", "isn’t red", "Non red"])
+@pytest.mark.parametrize("text", ["ball without stripes", "isn’t red"])
 def test_negation_is_refused(lexicon, text):
     with pytest.raises(InputError, match="leave that part out"):
         lexicon.encode_text([text])
-
-
-def test_a_very_long_text_is_read_and_a_long_useless_one_gives_a_short_message(lexicon):
-    long = "red " * 50_000 + "ball"
-    np.testing.assert_array_equal(*lexicon.encode_text([long, "red ball"]))
-    with pytest.raises(InputError) as error:
-        lexicon.encode_text(["zyzzyva " * 50_000])
-    assert len(str(error.value)) < 300
 
 
 @settings(max_examples=150, deadline=None)
@@ -345,17 +269,6 @@ def test_memberships_are_those_of_plain_distances(names):
     np.testing.assert_allclose(names(rgb), plain, atol=3e-4)
 
 
-@pytest.mark.parametrize("name", FOCAL)
-def test_a_region_of_a_colour_is_found_among_all_others(lexicon, name):
-    objects = [
-        (ball(30 + 43 * (k % 7), 60 + 110 * (k // 7), 19), rgb)
-        for k, rgb in enumerate(FOCAL.values())
-    ]
-    image, ids = photograph(objects)
-    hit = find(name, ids, bank_of([image], [ids], lexicon), lexicon)
-    assert [i for i, _ in hit.objects] == [1 + list(FOCAL).index(name)]
-
-
 # --- Conjunctions --------------------------------------------------------------------------------
 
 ARRANGED = {
@@ -382,16 +295,6 @@ def test_the_object_that_has_every_attribute_comes_first(lexicon, arranged, text
     hit = find(text, ids, bank, lexicon)
     assert hit.objects
     assert list(ARRANGED)[hit.objects[0][0] - 1] == text
-
-
-def test_a_red_ball_is_preferred_to_a_red_box_and_a_blue_ball(lexicon):
-    image, ids = photograph(
-        [(ball(60, 60, 30), RED), (box(160, 70, 30), RED), (ball(260, 60, 30), BLUE)]
-    )
-    wanted, *others = scores(lexicon, "red ball", image, [ids == i for i in (1, 2, 3)])
-    assert wanted > 0
-    assert wanted > max(others) + 0.05
-    assert min(others) <= max(others) < 0.02  # a half-truth is no more relevant than "object"
 
 
 def test_a_vague_text_does_not_outbid_a_precise_one_that_fits(lexicon, arranged):
@@ -446,18 +349,6 @@ def test_a_picture_is_varied_where_a_pattern_is_not(lexicon):
     assert picture > max(0, *rest)
 
 
-def test_two_colours_are_both_heard(lexicon):
-    image, ids = photograph(
-        [
-            (ball(60, 60, 30), RED, "striped", BLUE),
-            (ball(160, 60, 30), RED),
-            (ball(260, 60, 30), BLUE),
-        ]
-    )
-    both, red, blue = scores(lexicon, "red and blue ball", image, [ids == i for i in (1, 2, 3)])
-    assert both > max(red, blue)
-
-
 def test_a_room_is_told_apart(lexicon):
     area = np.zeros((HEIGHT, WIDTH), bool)
     ceiling, wall, floor, door = (area.copy() for _ in range(4))
@@ -492,7 +383,6 @@ def test_left_and_right_are_told_apart(lexicon):
         ("box standing on the floor next to the door", ["box", "standing"], ("next", "to", "door")),
         ("cup on the table on the left", ["cup"], ("on", "table", "left")),
         ("ball to the left of the door", ["ball"], ("to", "left", "door")),
-        ("ball left of the door", ["ball"], ("left", "door")),
         ("on the floor", ["standing"], ()),
         ("red ball red ball", ["red", "ball"], ()),
     ],
@@ -522,14 +412,6 @@ def test_the_room_tells_a_table_top_from_a_board_on_the_wall(lexicon):
     np.testing.assert_array_equal(lexicon.encode_regions(image, masks, unknown), unseen)
 
 
-def test_size_words_order_by_size(lexicon):
-    masks = [ball(40, 60, 8), ball(110, 60, 20), ball(230, 110, 70)]
-    image, _ = photograph([(mask, GREEN) for mask in masks])
-    large = scores(lexicon, "large", image, masks)
-    assert (np.diff(large) > 0).all()
-    np.testing.assert_allclose(np.sign(scores(lexicon, "small", image, masks)), -np.sign(large))
-
-
 # --- Regions -------------------------------------------------------------------------------------
 
 
@@ -554,17 +436,6 @@ def test_encoding_is_the_same_whatever_else_is_encoded(lexicon):
     np.testing.assert_array_equal(alone, together)
 
 
-def test_meaning_survives_a_change_of_resolution(lexicon, arranged):
-    import cv2
-
-    image, ids = photograph(list(ARRANGED.values()))
-    small = cv2.resize(image, (WIDTH * 2 // 3, HEIGHT * 2 // 3), interpolation=cv2.INTER_AREA)
-    small_ids = cv2.resize(ids, small.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-    bank = bank_of([small], [small_ids], lexicon)
-    for i, text in enumerate(ARRANGED, 1):
-        assert find(text, small_ids, bank, lexicon).objects[0][0] == i
-
-
 def test_bad_regions_are_refused(lexicon):
     image, _ = photograph([])
     masks = np.ones((2, HEIGHT, WIDTH), bool)
@@ -584,10 +455,8 @@ def test_bad_regions_are_refused(lexicon):
     [
         ("radiators", "radiators", {753, 811}),
         ("small red sofa", "sofa", {831}),
-        ("golden retriever", "golden retriever", {207}),
         ("abacus", "abacus", {398}),
         ("picture of a fox", "picture", set()),
-        ("tiled floor", "floor", set()),
         ("red", "", set()),
     ],
 )
@@ -614,10 +483,8 @@ def test_and_may_join_what_describes_one_thing(lexicon):
     [
         ("biulding", True, "no word 'biulding' is known here; did you mean 'building'?"),
         ("red qwxyz", True, "no word 'qwxyz' is known here; teach it"),
-        ("chair qwxyz", True, "no word 'qwxyz' is known here"),
         ("abacus", False, "'abacus' is told by the classifier alone"),
         ("abacus", True, ""),
-        ("yelow chair", True, ""),
         ("red", False, ""),
     ],
 )

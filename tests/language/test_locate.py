@@ -1,7 +1,6 @@
 """The located point against its definition, with SciPy's exact transforms."""
 
 import numpy as np
-from drawn import ball
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
@@ -25,22 +24,6 @@ def test_the_located_point_follows_its_definition(seed, density, blur):
     noise = ndimage.gaussian_filter(rng.random(rng.integers(1, 60, 2)), blur)
     region = noise <= np.quantile(noise, density)
     assert central_point(region) == reference_point(region)
-
-
-def test_the_located_point_of_known_regions():
-    assert central_point(ball(100, 90, 20)) == (100, 90)
-    # Of two equal squares the first in reading order; of its four middle pixels the first.
-    region = np.zeros((20, 30), bool)
-    region[10:14, 3:7] = region[2:6, 20:24] = True
-    assert central_point(region) == (21, 3)
-    # The edge of the image is a border: in a band along it the middle is taken, not the edge.
-    band = np.zeros((9, 9), bool)
-    band[:, :3] = True
-    assert central_point(band) == (1, 1)
-    # A ring is located on its body, not in its hole.
-    ring = ball(100, 90, 20) & ~ball(100, 90, 12)
-    x, y = central_point(ring)
-    assert ring[y, x]
 
 
 def test_the_located_point_of_a_region_too_large_for_rounded_distances():

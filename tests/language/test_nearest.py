@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import kernels_on
 from slgaussian.language.codes import grid_codes
-from slgaussian.language.nearest import make_lookup, nearest_code
+from slgaussian.language.nearest import nearest_code
 
 
 def by_comparing_all(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
@@ -29,30 +29,6 @@ def test_nearest_code_equals_comparing_all_on_every_pixel(n):
     found = nearest_code(values, codes)
     assert found.dtype == np.int32
     np.testing.assert_array_equal(found, by_comparing_all(values, codes))
-
-
-def test_nearest_code_equals_comparing_all_on_ties_and_corners():
-    rng = np.random.default_rng(3)
-    codes = grid_codes(60, rng)
-    halves = np.stack(np.meshgrid(*[np.arange(9) / 8] * 3), -1).astype(np.float32)
-    values = np.concatenate([halves.reshape(-1, 3), codes, (codes[:-1] + codes[1:]) / 2])
-    np.testing.assert_array_equal(nearest_code(values, codes), by_comparing_all(values, codes))
-
-
-def test_a_tie_goes_to_the_lowest_index_whatever_the_place():
-    corners = np.array([[1, 0, 0], [0, 0, 0], [0, 1, 0], [1, 1, 1]], np.float32)
-    middle = np.array([0.5, 0.5, 0], np.float32)  # distance 1 from the first three
-    for turn in range(3):
-        order = np.roll([0, 1, 2], turn).tolist()
-        assert nearest_code(middle, corners[[*order, 3]]) == 0
-
-
-@pytest.mark.parametrize("corner", [(0, 0, 0), (1, 1, 1), (1, 0, 1)])
-def test_a_code_at_a_corner_answers_to_values_at_and_beyond_it(corner):
-    codes = np.array([(0.5, 0.5, 0.5), corner], np.float32)
-    corner = np.array(corner, np.float32)
-    values = np.stack([corner, corner + 0.3 * (2 * corner - 1)])
-    np.testing.assert_array_equal(nearest_code(values, codes), [1, 1])
 
 
 def test_a_value_that_is_not_a_number_is_refused_with_its_place():
@@ -91,14 +67,6 @@ def test_values_far_outside_the_cube(far):
     codes = grid_codes(40, rng)
     values = (rng.choice([-1, 0.3, 1], (200, 3)) * far).astype(np.float32)
     np.testing.assert_array_equal(nearest_code(values, codes), by_comparing_all(values, codes))
-
-
-def test_most_cells_know_their_code():
-    """What makes the table fast: within one code's region nothing else is looked at."""
-    lookup = make_lookup(grid_codes(60, np.random.default_rng(0)))
-    counts = np.diff(lookup.starts)
-    assert counts.min() >= 1
-    assert counts.mean() < 3
 
 
 def test_the_threads_do_not_matter():

@@ -8,7 +8,6 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy import ndimage
 
 from slgaussian.errors import InputError
-from slgaussian.language.locate import central_point
 from slgaussian.language.objectmap import ObjectMap
 
 
@@ -38,14 +37,6 @@ def test_values_spread_by_id(n, dtype):
     )
 
 
-def test_points_are_those_of_the_objects_and_remembered():
-    ids = np.array([2, 7], np.int32)
-    shown = np.kron([[2, 0, 7], [2, 7, 7]], np.ones((9, 9))).astype(np.int32)
-    it = ObjectMap(shown, ids)
-    for place, number in enumerate(ids):
-        assert it.point(place) == it.point(place) == central_point(shown == number)
-
-
 @pytest.mark.parametrize(
     ("shown", "sentence"),
     [
@@ -60,12 +51,6 @@ def test_points_are_those_of_the_objects_and_remembered():
 def test_a_map_of_other_objects_is_refused(shown, sentence):
     with pytest.raises(InputError, match=sentence):
         ObjectMap(np.array(shown), np.array([2, 7], np.int32))
-
-
-def test_no_object_at_all():
-    it = ObjectMap(np.zeros((3, 4), np.int32), np.zeros(0, np.int32))
-    assert it.areas.shape == (0,)
-    assert not it.spread(np.zeros(0)).any()
 
 
 @given(

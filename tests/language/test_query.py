@@ -56,37 +56,6 @@ def test_finds_every_object_that_fits_and_no_other(scene, lexicon):
     assert hit.unknown == ()
 
 
-def test_relevancy_is_one_number_an_object_and_zero_off_objects(scene, lexicon):
-    ids, bank = scene
-    hit = find("red ball", ids, bank, lexicon)
-    texts = lexicon.encode_text(["red ball"]), lexicon.encode_text(lexicon.canonical)
-    scores = relevancy(bank.features, bank.present, *texts)[0]
-    assert hit.relevancy.dtype == np.float32
-    np.testing.assert_array_equal(
-        hit.relevancy, np.concatenate([[0], scores]).astype(np.float32)[ids]
-    )
-
-
-@pytest.mark.parametrize("temperature", [1.0, 10.0, 100.0, 1000.0])
-def test_what_is_found_does_not_depend_on_temperature(scene, lexicon, temperature):
-    ids, bank = scene
-    for text in ("red ball", "red", "striped", "blue box", "object"):
-        plain = find(text, ids, bank, lexicon)
-        hit = find(text, ids, bank, lexicon, temperature=temperature)
-        np.testing.assert_array_equal(hit.mask, plain.mask)
-        assert hit.point == plain.point
-        assert [i for i, _ in hit.objects] == [i for i, _ in plain.objects]
-
-
-def test_a_threshold_takes_every_object_above_it(scene, lexicon):
-    ids, bank = scene
-    scores = [find("red ball", ids, bank, lexicon).relevancy[ids == i].max() for i in range(1, 6)]
-    cut = float(np.sort(scores)[2] + np.sort(scores)[3]) / 2
-    hit = find("red ball", ids, bank, lexicon, threshold=cut)
-    assert {i for i, _ in hit.objects} == {i for i in range(1, 6) if scores[i - 1] > cut}
-    assert not find("red ball", ids, bank, lexicon, threshold=0.999).mask.any()
-
-
 def test_nothing_that_fits_gives_an_empty_mask_but_still_a_best_guess(scene, lexicon):
     ids, bank = scene
     hit = find("yellow", ids, bank, lexicon)
@@ -104,23 +73,6 @@ def test_no_object_in_the_image_gives_nothing(scene, lexicon):
     assert not hit.mask.any()
     assert not hit.relevancy.any()
     assert not segment(["red"], np.zeros_like(ids), bank, lexicon).any()
-
-
-def test_objects_that_are_not_visible_are_not_answers(scene, lexicon):
-    ids, bank = scene
-    hit = find("red ball", np.where(ids == 1, 0, ids), bank, lexicon)
-    assert {i for i, _ in hit.objects} == {4}
-
-
-def test_one_object_is_found_and_identical_objects_are_all_found(lexicon):
-    image, ids = photograph([(ball(100, 100, 30), RED)])
-    hit = find("red ball", ids, bank_of([image], [ids], lexicon), lexicon)
-    assert hit.objects[0][0] == 1
-    np.testing.assert_array_equal(hit.mask, ids == 1)
-    twins = [(ball(40 + 60 * k, 120, 20), GREEN) for k in range(5)]
-    image, ids = photograph(twins)
-    hit = find("green ball", ids, bank_of([image], [ids], lexicon), lexicon)
-    assert {i for i, _ in hit.objects} == {1, 2, 3, 4, 5}
 
 
 def test_segment_gives_each_object_its_best_text(scene, lexicon):
@@ -284,31 +236,6 @@ def test_what_is_in_the_scene(scene, lexicon):
         assert one.relevancy == scores[one.id]
 
 
-def test_a_text_is_encoded_once_and_alone(scene, lexicon):
-    """So an answer cannot depend on what else was asked."""
-    ids, bank = scene
-
-    class Counting:
-        name, canonical, calibration = lexicon.name, lexicon.canonical, None
-        unknown_words = staticmethod(lexicon.unknown_words)
-        unused_words = staticmethod(lexicon.unused_words)
-        read_as = staticmethod(lexicon.read_as)
-
-        def __init__(self):
-            self.seen = []
-
-        def encode_text(self, texts):
-            self.seen.append(tuple(texts))
-            return lexicon.encode_text(texts)
-
-    encoder = Counting()
-    reader, seen = BankReader(bank, encoder), ObjectMap(ids, bank.ids)
-    for _ in range(3):
-        ask(["red", "blue"], seen, reader, Rules())
-        ask(["blue", "object"], seen, reader, Rules(temperature=1.0))
-    assert sorted(encoder.seen) == sorted((t,) for t in {"red", "blue", *lexicon.canonical})
-
-
 def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
     """In quarters it looks like no ball, and cones beside it are no better."""
     image, whole = photograph(
@@ -332,20 +259,6 @@ def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
     }
     alone = find("blue ball", ids, replace(bank, levels=None, group_features=None), lexicon)
     assert (alone.mask != (whole == 1)).any()
-
-
-def test_of_objects_about_as_good_the_larger_is_pointed_at(scene, lexicon):
-    ids, bank = scene
-    best, second = (find("red ball", ids, bank, lexicon).objects[k][0] for k in (0, 1))
-    behind = ids.copy()
-    behind[(ids == best) & (np.arange(WIDTH) % 3 > 0)] = 0
-    hit = find("red ball", behind, bank, lexicon)
-    assert hit.objects[0][0] == best and hit.score == hit.objects[0][1]
-    assert behind[hit.point[1], hit.point[0]] == second
-    # One that does not fit is not pointed at, however large.
-    wide = np.where(ids == 0, 3, ids).astype(np.int32)
-    point = find("red ball", wide, bank, lexicon).point
-    assert wide[point[1], point[0]] in (1, 4)
 
 
 @pytest.fixture
@@ -419,13 +332,6 @@ def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon, rule
     assert hit.uncalibrated == what
     assert hit.verdict == "found"
     assert find("red ball", ids, bank, lexicon).uncalibrated == ""
-
-
-def test_an_encoder_without_calibration_does_not_show_the_lexicons(scene, lexicon, monkeypatch):
-    ids, bank = scene
-    monkeypatch.setattr(type(lexicon), "calibration", None)
-    hit = find("red ball", ids, bank, lexicon)
-    assert hit.confidence is None and hit.uncalibrated == "the encoder lexicon"
 
 
 def test_looks_count_by_the_scale_of_the_encoder(scene, lexicon, monkeypatch):

@@ -79,7 +79,7 @@ def test_the_names_of_objects_do_not_matter(n, seed):
 
 
 @pytest.mark.parametrize("dimension", [1, 2, 3])
-@pytest.mark.parametrize("n", [6, 20, 60])
+@pytest.mark.parametrize("n", [20])
 def test_fewer_mixtures_read_as_a_third_object_than_with_the_grid(n, dimension):
     """Measured: at most 0.58 of it, that in one dimension; in three 0.17."""
     maps = cells(n, n)
@@ -102,14 +102,6 @@ def test_auto_takes_as_few_numbers_as_it_needs():
     crowd = cells(40, 0)
     assert Separated(dimension="auto")(crowd, np.random.default_rng(0)).shape == (40, 3)
     assert Separated(dimension="auto", error=1.0)(crowd, np.random.default_rng(0)).shape == (40, 1)
-
-
-@pytest.mark.parametrize("n", [2, 5, 27, 60, 200])
-def test_the_points_are_farther_apart_than_those_of_the_whole_grid(n):
-    points = _points(n, 3)
-    far = np.abs(points[:, None] - points).sum(-1) + 9 * np.eye(len(points))
-    side = np.ceil(np.cbrt(n) - 1e-9)
-    assert far.min() >= 1.2 / max(side - 1, 1) or n <= 8
 
 
 def plain_annealing(points, taken, pairs, weights, moves):

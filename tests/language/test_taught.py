@@ -1,6 +1,5 @@
 """Words by example: what they hold, how they score, and their file."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -93,12 +92,6 @@ def test_a_word_the_encoder_does_not_know_finds_what_it_was_taught_on(scene, row
     assert others.max() < 0.5
 
 
-def test_several_examples_are_all_found(scene):
-    both = found(scene, reader(scene, 0, 2))
-    assert {id_ for id_, _ in both.objects} == {1, 3}
-    assert both.understood.examples == 2
-
-
 def test_the_taught_meaning_wins_over_a_known_word_and_says_so(scene):
     known = found(scene, reader(scene), "blue")
     assert known.kind == "known" and known.objects[0][0] == 2
@@ -114,13 +107,6 @@ def test_taught_and_other_texts_in_one_question_answer_as_alone(scene):
     together = asked.gaps(["red", "zorp", "green cone"], Rules())
     for text, gaps in zip(["red", "zorp", "green cone"], together, strict=True):
         np.testing.assert_array_equal(asked.gaps([text], Rules())[0], gaps)
-
-
-def test_temperature_changes_the_scale_and_not_what_is_found(scene):
-    hits = [found(scene, reader(scene, 1), temperature=t) for t in (1.0, 10.0, 40.0)]
-    assert len({hit.objects[0][0] for hit in hits}) == 1
-    assert hits[0].score < hits[1].score < hits[2].score
-    assert all(np.array_equal(hit.mask, hits[0].mask) for hit in hits)
 
 
 @given(st.lists(st.integers(0, 5), max_size=6), st.integers(0, 50))
@@ -218,8 +204,3 @@ def test_no_word_is_refused(word):
         taught(word)
     with pytest.raises(InputError, match="has no example"):
         taught("owl").leads("fox", unit(1))
-
-
-def test_an_identity_has_the_settings_of_the_encoder_alone():
-    settings = {"encoder": "clip", "clip": {"model": "ab"}, "keep": 1}
-    assert json.loads(encoder_identity(settings)) == {"encoder": "clip", "model": "ab"}
