@@ -13,6 +13,7 @@ from slgaussian.language.confidence import (
     Confidence,
     Curve,
     Signs,
+    confidence,
     signs,
 )
 from slgaussian.language.lexicon import Lexicon
