@@ -61,8 +61,7 @@ def turned(camera: Camera, degrees: float) -> Camera:
     return replace(camera, c2w=camera.c2w @ step)
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("baseline", [0.15, 0.6, 1.2])
+@pytest.mark.parametrize(("seed", "baseline"), [(0, 0.15), (1, 0.6), (2, 1.2)])
 def test_rooms_have_their_own_cameras(seed, baseline):
     scene = datasets.load(
         "procedural", seed=seed, views=2, height=208, width=288, baseline=baseline
@@ -159,10 +158,10 @@ def test_views_are_checked_with_those_that_see_the_same_things():
 
 def test_poses_exchanged_over_a_long_way_are_refused():
     """By their poses each stands among views that see nothing of what it sees."""
-    walk = views_of_wall([(float(k), 0.0) for k in range(20)])
+    walk = views_of_wall([(float(k), 0.0) for k in range(10)])
     checked(walk)
     cameras = [view.camera for view in walk.context]
-    cameras[2], cameras[17] = cameras[17], cameras[2]
+    cameras[1], cameras[8] = cameras[8], cameras[1]
     with pytest.raises(InputError, match="the cameras explain"):
         checked(posed(walk, *cameras))
 

@@ -69,6 +69,13 @@ def at_places(shift: float = 0.0) -> Features:
     )
 
 
+def test_unlike_patches_are_not_laid_on_each_other():
+    every = at_places()
+    i = np.arange(len(every))
+    found = sharpen((texture(0, 1.5), texture(1, 1.5)), every, every, i, i)
+    assert (found == every.points).all(1).mean() > 0.7
+
+
 def test_a_feature_does_not_go_far():
     """Of a picture that moved by four pixels, and features that did not."""
     picture, every = texture(0, 4.0), at_places()

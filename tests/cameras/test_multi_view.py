@@ -70,11 +70,10 @@ def test_the_order_changes_only_the_frame(photographs, found):
     assert again.focals[taken[0].name] == found.focals[taken[0].name]
 
 
-@pytest.mark.parametrize(("seed", "why"), [(7, "too few points are found"), (5, "too little")])
-def test_one_of_another_room_is_left_out_as_if_not_given(seed, why, photographs, found):
-    """The second of the rooms holds a thing of the same pattern."""
-    taken, _ = photographs
-    other = replace(room(seed)[0][0], name="elsewhere.jpg")
+def test_one_of_another_room_is_left_out_as_if_not_given(photographs, found):
+    """It holds a thing of the same pattern."""
+    (taken, _), why = photographs, "too little"
+    other = replace(room(5)[0][0], name="elsewhere.jpg")
     some = find_cameras([taken[0], other, *taken[1:]])
     assert list(some.cameras) == [p.name for p in taken]
     for name, camera in found.cameras.items():
@@ -88,15 +87,6 @@ def test_one_of_another_room_is_left_out_as_if_not_given(seed, why, photographs,
     assert aside and all(pair.verdict == UNUSED and pair.said for pair in aside)
     assert "cameras found of 3 of 4 photographs" in some.summary()
     assert some.as_json()["left_out"] == some.left_out
-
-
-def test_halves_of_two_places_are_refused_piece_by_piece(photographs):
-    taken, _ = photographs
-    others = [replace(p, name=f"other_{p.name}") for p in room(7)[0]]
-    pieces = r"'view_00', 'view_01'; 'other_view_00', 'other_view_01' overlap too little"
-    either = rf"4 photographs do not all hang together: ({pieces}|'other_view_00'.*'view_01' over)"
-    with pytest.raises(InputError, match=either):
-        find_cameras([taken[0], others[0], taken[1], others[1]])
 
 
 def saved_again(photograph):
@@ -117,10 +107,10 @@ def test_many_photographs_are_not_all_solved_with_all():
     """A strip cut into overlapping windows: each is solved with those that overlap it."""
     texture = np.random.default_rng(0).integers(0, 255, (60, 400, 3), dtype=np.uint8)
     strip = np.kron(texture, np.ones((4, 4, 1), np.uint8))
-    windows = [Photograph(str(k), strip[:, 110 * k : 110 * k + 300], 300, 240) for k in range(10)]
+    windows = [Photograph(str(k), strip[:, 110 * k : 110 * k + 300], 300, 240) for k in range(7)]
     pairs = worth_solving([Described.of(window) for window in windows])
-    assert {(k, k + 1) for k in range(9)} <= set(pairs)
-    assert len(pairs) <= 30
+    assert {(k, k + 1) for k in range(6)} <= set(pairs)
+    assert len(pairs) < 21
 
 
 def test_a_pair_that_the_others_contradict_is_said_so(photographs, monkeypatch):

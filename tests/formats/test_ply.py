@@ -70,18 +70,12 @@ def test_gaussians_round_trip(tmp_path, count, width):
 
 
 def test_opacity_and_scale_at_their_ends_survive(tmp_path):
-    tiny, last = np.float32(1.5e-45), np.nextafter(np.float32(1), np.float32(0))
-    ends = torch.from_numpy(np.array([0, tiny, 1e-30, 1e-6, 0.5, 1 - 1e-6, last, 1], np.float32))
-    made = some(8, opacities=ends, scales=ends[:, None].repeat(1, 3))
-    save_ply(made, tmp_path / "a.ply")
-    vertex = PlyData.read(str(tmp_path / "a.ply"))["vertex"]
-    for name in ("opacity", "scale_0"):
-        assert np.isfinite(vertex[name]).all()
+    ends = torch.tensor([0, 1.5e-45, 1e-30, 1e-6, 0.5, 1 - 1e-6, 1 - 2**-24, 1])
+    save_ply(some(8, opacities=ends, scales=ends[:, None].repeat(1, 3)), tmp_path / "a.ply")
     again, _ = load_ply(tmp_path / "a.ply")
-    for found, expected in ((again.opacities, ends), (again.scales[:, 0], ends)):
-        exact = [0, 1, 6, 7]
-        assert torch.equal(found[exact], expected[exact])
-        assert (found / expected - 1).abs()[1:].max() < 5e-6  # EPS of a logarithm of 69
+    for found in (again.opacities, again.scales[:, 0]):
+        assert torch.equal(found[[0, 1, 6, 7]], ends[[0, 1, 6, 7]])
+        assert (found / ends - 1).abs()[1:].max() < 5e-6  # EPS of a logarithm of 69
 
 
 def test_the_file_is_the_standard_one(tmp_path):
@@ -254,41 +248,19 @@ def test_a_file_cut_short_anywhere_is_one_sentence(tmp_path, text):
         (b"\x89PNG\r\n\x1a\n", "is not a whole .ply file"),
         (b"ply\nformat binary_little_endian 1.0\nelement face 0\nend_header\n", "only face"),
         (b"ply\nformat ascii 1.0\nend_header\n", "no element vertex"),
-        (
-            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\nabc\n",
-            "is not a whole .ply file",
-        ),
-        (
-            b"ply\nformat ascii 1.0\nelement vertex 99999999999999\nproperty float x\nend_header\n",
-            "is not a whole .ply file",
-        ),
-        (
-            b"ply\nformat binary_little_endian 1.0\nelement vertex -5\nproperty float x\n"
-            b"end_header\n",
-            "is not a whole .ply file",
-        ),
-        (
-            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty list uchar float x\nend_header\n"
-            b"1 2.0\n",
-            "holds no Gaussians",
-        ),
-        (
-            b"ply\nformat ascii 1.0\ncomment \xc3\xa9\nelement vertex 0\nend_header\n",
-            "is not a whole .ply file",
-        ),
+        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\nabc\n", "whole"),
+        (b"ply\nformat ascii 1.0\nelement vertex 99999999999999\nend_header\n", "whole .ply"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vertex -5\nend_header\n", "whole .ply"),
+        (b"ply\nformat ascii 1.0\ncomment \xc3\xa9\nelement vertex 0\nend_header\n", "whole .ply"),
+        (None, "cannot be read"),
     ],
 )
 def test_what_is_no_such_file_is_one_sentence(tmp_path, data, sentence):
-    (tmp_path / "a.ply").write_bytes(data)
+    if data is not None:
+        (tmp_path / "a.ply").write_bytes(data)
     with pytest.raises(InputError, match=sentence) as error:
         load_ply(tmp_path / "a.ply")
     assert str(error.value).startswith(f"{tmp_path / 'a.ply'}: ")
-
-
-def test_a_file_that_is_not_there_or_a_folder_is_one_sentence(tmp_path):
-    for path in (tmp_path / "none.ply", tmp_path):
-        with pytest.raises(InputError, match="cannot be read"):
-            load_ply(path)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import torch
 
 from slgaussian.masks.automatic import all_masks, crop_boxes, tidy
 from slgaussian.masks.configs import PRESETS, Automatic
-from slgaussian.masks.nms import mask_nms
 
 SIZE = (96, 128)
 BOXES = {"group": (8, 8, 88, 80), "object": (16, 16, 64, 64), "part": (24, 24, 48, 48)}
@@ -160,26 +159,6 @@ def test_presets_are_those_of_the_programs():
         (0, "group"), (1, "group"), (2, "group"),
     ]  # fmt: skip
     assert names(all_masks(Drawn(), picture(), replace(PRESETS["grouping"], points=8))) == ["group"]
-
-
-def test_mask_nms_sees_what_boxes_do_not():
-    class Crossed(_DrawnImage):
-        def segment(self, points):
-            rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
-            left = rows * SIZE[1] > columns * SIZE[0]
-            logits = np.where(np.stack([left, left, ~left]), 9.0, -9.0)
-            return (
-                torch.from_numpy(np.stack([logits] * len(points))).float(),
-                torch.tensor([[0.9, 0.95, 0.85]] * len(points)),
-            )
-
-    def encode(image):
-        return Crossed(None, image)
-
-    assert len(all_masks(encode, picture(), PLAIN).masks) == 1  # the boxes are the same
-    both = all_masks(encode, picture(), replace(PLAIN, box_iou=1.0, mask_iou=0.8))
-    assert both.levels.tolist() == [1, 2]
-    assert mask_nms(both.masks, both.scores, 0.0).tolist() == [0, 1]
 
 
 def plain_tidy(mask, smallest):

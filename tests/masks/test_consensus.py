@@ -154,14 +154,6 @@ def test_the_order_of_views_does_not_matter(order):
     assert same_partition(labelled((0, 1, 2, 3, 4)), labelled(order)) > 0.93
 
 
-def test_a_loop_that_closes_gives_the_first_view_its_ids_back():
-    loop = [*room()[1], *room()[1][::-1]]
-    labels = associate(loop, Regions(), GeometricTracker()).labels
-    assert same_partition(labels[:5], labelled((0, 1, 2, 3, 4))) > 0.93
-    np.testing.assert_array_equal(labels[0] > 0, labels[-1] > 0)
-    assert (labels[0] == labels[-1]).mean() > 0.99
-
-
 @pytest.mark.parametrize("place", [0, 2, 4])
 def test_a_view_of_another_place_keeps_to_itself(place):
     frames = list(room()[1][:4])
@@ -219,19 +211,3 @@ def test_atoms_are_labels_cut_by_regions_and_crumbs_join_the_largest():
     maps = atoms.maps.reshape(labels.shape)
     assert maps[0, 0, 0] == maps[0, 0, 99] and (maps[0, 90:] == -1).all()
     assert maps[0, 1, 0] != maps[0, 1, 99]
-
-
-def test_points_of_other_colours_are_not_shared():
-    layout = Shown(0.0, 0.4).add({}).add({})
-    black = SeenView(
-        View("b", layout.views[1].view.camera, layout.views[1].image // 9), layout.views[1].depth
-    )
-    first = SurfacePoints(layout.views[0])
-    full = overlap(first, SurfacePoints(layout.views[1]))
-    assert full == pytest.approx(0.9, abs=0.03)
-    # Evenly darker is another exposure, and half of it painted is another thing.
-    assert overlap(first, SurfacePoints(black)) == pytest.approx(full, abs=0.01)
-    painted = layout.views[1].image.copy()
-    painted[:40] = (250, 30, 30)
-    second = SeenView(View("c", layout.views[1].view.camera, painted), layout.views[1].depth)
-    assert overlap(first, SurfacePoints(second)) < 0.65

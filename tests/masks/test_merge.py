@@ -88,21 +88,6 @@ def test_picked_nodes_are_nodes_large_enough_and_no_copies(tree, maximum, minimu
     np.testing.assert_array_equal(level, np.where(inside, 0, 2))
 
 
-def test_nodes_of_two_trees_are_near_copies_by_their_union():
-    """96 of 100 pixels are shared: of either node .96, but .92 of both together, so both stay."""
-    leaves = np.repeat(np.arange(3, dtype=np.int32), [96, 4, 4])[None]
-    height = np.array([0, 0, 0, 0.3, 1.0])
-    trees = [
-        MergeTree(leaves, np.array(parent, np.int32), height)
-        for parent in ([3, 3, 4, 4, -1], [3, 4, 3, 4, -1])
-    ]
-    member, _ = pick_nodes(trees, np.zeros((0, 3), bool), 50, 10)
-    result = {tuple(row.tolist()) for row in member}
-    assert {(True, True, False), (True, False, True)} <= result
-    # The leaf that both grew from is .96 of each, a near copy.
-    assert (True, False, False) not in result
-
-
 @pytest.fixture(scope="module")
 def noise():
     """Six leaves of noise, some depth unknown: CIELAB, leaves, boundary, depth."""

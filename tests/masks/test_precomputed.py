@@ -7,8 +7,7 @@ from slgaussian.errors import InputError
 from slgaussian.masks import load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.configs import folder_digest
-from slgaussian.masks.precomputed import Precomputed, read_ids
-from slgaussian.scene import Camera, View
+from slgaussian.masks.precomputed import Precomputed
 
 
 def ids_of(top, seed=0, size=SIZE):
@@ -62,16 +61,6 @@ def test_every_format_gives_the_ids_back(tmp_path, write, name, top):
     np.testing.assert_array_equal(result, ids)
 
 
-@pytest.mark.parametrize("bits", [1, 2, 4])
-def test_grey_of_few_bits(tmp_path, bits):
-    ids = np.arange(16).reshape(4, 4) % 2**bits
-    packed = np.packbits(
-        np.unpackbits(ids.astype(np.uint8)[..., None], axis=-1)[..., -bits:].reshape(4, -1), axis=-1
-    )
-    _write_png(tmp_path / "a.png", packed, 4, 4, bits)
-    np.testing.assert_array_equal(read_ids(tmp_path / "a.png"), ids)
-
-
 def _write_png(file, rows, width, height, bits, kind=0):
     """A PNG by its specification, for what Pillow cannot write."""
     import struct
@@ -115,30 +104,6 @@ def test_nested_names_go_before_bare_ones(tmp_path):
     assert (tracker.propagate(view(canvas(), "right/1.jpg")) == 9).all()
     with pytest.raises(InputError, match=r"both 'right/1.jpg' and 'up/1.jpg'"):
         tracker.propagate(view(canvas(), "up/1.jpg"))
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [((40, 60), (80, 120)), ((81, 121), (40, 60)), ((60, 90), (40, 40)), ((7, 5), (9, 9))],
-)
-def test_a_map_of_another_size_lies_where_its_photograph_does(old, new):
-    ids = np.random.default_rng(0).integers(0, 200, old).astype(np.int32)
-    K = np.array([[50, 0, old[1] / 2], [0, 50, old[0] / 2], [0, 0, 1.0]])
-    photograph = View("a", Camera(K, np.eye(4), *old[::-1]), np.zeros((*old, 3), np.uint8))
-    view = photograph.resized(*new)
-    camera = view.camera
-    # The old pixel that the ray of each new one goes through.
-    column, row = (
-        (np.arange(size) + 0.5 - camera.K[axis, 2]) / camera.K[axis, axis] * 50 + old[1 - axis] / 2
-        for axis, size in enumerate(new[::-1])
-    )
-    result = view.shown.ids(ids, *new)
-    assert result.shape == new
-    # Rounding decides where a centre lies on the border of two old pixels.
-    clear_x, clear_y = (np.abs(x - np.rint(x)) > 1e-6 for x in (column, row))
-    plain = ids[np.ix_(row[clear_y].astype(int), column[clear_x].astype(int))]
-    assert plain.size
-    np.testing.assert_array_equal(result[np.ix_(clear_y, clear_x)], plain)
 
 
 def test_the_digest_follows_the_maps_and_nothing_else(tmp_path):

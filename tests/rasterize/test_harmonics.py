@@ -10,12 +10,13 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.rasterize.harmonics import BANDS, basis, colors, turned
 from slgaussian.scene import Camera
+from tests.rasterize.hard_cases import camera as pinhole
 
 
 def camera(center=(0.0, 0.0, 0.0)) -> Camera:
-    c2w = np.eye(4)
-    c2w[:3, 3] = center
-    return Camera(np.array([[40.0, 0, 24], [0, 40, 16], [0, 0, 1]]), c2w, 48, 32)
+    return pinhole(
+        48, 32, 40, c2w=np.block([[np.eye(3), np.reshape(center, (3, 1))], [0, 0, 0, 1]])
+    )
 
 
 def some(n=40, count=16, dtype=torch.float32, size=0.3) -> Gaussians:

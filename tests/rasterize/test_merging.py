@@ -13,19 +13,19 @@ from slgaussian.predict.unproject import unproject
 from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.merging import MOST, merge
 from slgaussian.scene import Camera
+from tests.rasterize.hard_cases import camera
 
 H, W = 42, 54
 GREY = 1 / 255
 
 
-def camera(shift=0.0, width=W, height=H) -> Camera:
-    K = np.array([[60.0, 0, width / 2], [0, 60, height / 2], [0, 0, 1]])
+def moved(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
     c2w = np.eye(4)
-    c2w[0, 3] = shift
-    return Camera(K, c2w, width, height)
+    c2w[:3, 3] = x, y, z
+    return c2w
 
 
-CAMERAS = [camera(), camera(0.2)]
+CAMERAS = [camera(W, H, 60), camera(W, H, 60, c2w=moved(0.2))]
 
 
 def wall(colour=None, depth=None, labels=None, opacity=0.9) -> Gaussians:
@@ -53,7 +53,7 @@ def test_a_plain_wall_needs_few_and_looks_the_same():
     plain = wall()
     merged = merge(plain, CAMERAS)
     assert len(merged.gaussians) < 0.3 * len(plain)
-    for view in (*CAMERAS, camera(0.1), camera(0.4)):
+    for view in (*CAMERAS, *(camera(W, H, 60, c2w=moved(x)) for x in (0.1, 0.4))):
         inner = slice(4, -4), slice(4, -10)  # beyond the border of both there is nothing
         assert np.abs(shown(merged.gaussians, view) - shown(plain, view))[inner].max() < 2 * GREY
         alpha = rasterize(merged.gaussians, None, view).alpha.numpy()[inner]
@@ -94,9 +94,7 @@ def test_what_shows_is_taken_back():
 
 def standing(z: float) -> Camera:
     """A view along the way to the wall, which is 3 from the others."""
-    c2w = np.eye(4)
-    c2w[:3, 3] = 0.1, 0, z
-    return replace(camera(), c2w=c2w)
+    return camera(W, H, 60, c2w=moved(0.1, 0, z))
 
 
 def test_what_one_view_shows_too_much_of_is_taken_back_until_it_may_be():
@@ -213,7 +211,7 @@ def test_nothing_and_what_cannot_be_placed():
     with pytest.raises(InputError, match=r"merge cameras: found sizes \[\], expected one size"):
         merge(wall(), [])
     with pytest.raises(InputError, match="expected one size"):
-        merge(wall(), [camera(), camera(width=W + 1)])
+        merge(wall(), [CAMERAS[0], camera(W + 1, H, 60)])
     with pytest.raises(InputError, match=f"expected those of 1 views of {W}x{H}"):
         merge(wall(), CAMERAS[:1])
 

@@ -177,19 +177,6 @@ def test_weights_that_contradict_their_architecture_are_refused(tmp_path):
         load_branch(file)
 
 
-def test_weights_of_before_the_printed_network_load_or_say_what_changed(tmp_path):
-    file, branch = tmp_path / "b.safetensors", shaken()
-    for others in (True, False):
-        about = {"architecture": {"widths": [4, 6, 8], "hidden": 8, "others": others}}
-        note = {"slgaussian": json.dumps(about)}
-        safetensors.torch.save_file(branch.state_dict(), file, note)
-        if others:
-            assert save_branch(load_branch(file)) == save_branch(branch)
-        else:
-            with pytest.raises(InputError, match="called 'paper', which was not the paper's"):
-                load_branch(file)
-
-
 @pytest.mark.parametrize("content", [b"", b"no weights at all", None])
 def test_a_file_that_is_no_weights_is_refused(tmp_path, content):
     file = tmp_path / "b.safetensors"

@@ -19,9 +19,7 @@ from slgaussian.kernels.threads import kernels_on
 from slgaussian.semantic.batch_sampler import draw_batch
 from slgaussian.semantic.branch import (
     Architecture,
-    load_branch,
     make_branch,
-    read_tensors,
     save_branch,
 )
 from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
@@ -118,16 +116,6 @@ def test_a_device_that_is_not_there_is_one_sentence(tmp_path, device):
         train(LESSONS, replace(SETTINGS, device=device), tmp_path / "none")
     assert str(refused.value).startswith(f"training device: found {device!r}")
     assert not (tmp_path / "none").exists()
-
-
-def test_weights_say_what_they_were_trained_on_and_lift_as_without(tmp_path):
-    branch = make_branch(SETTINGS.architecture, 2)
-    told = {"data": {"card": "0" * 64}, "metrics": {"loss": 0.25}}
-    (tmp_path / "told").write_bytes(save_branch(branch, told))
-    (tmp_path / "mute").write_bytes(save_branch(branch))
-    assert read_tensors(tmp_path / "told")[1]["trained"] == told
-    one, other = (load_branch(tmp_path / name).state_dict() for name in ("told", "mute"))
-    assert all(torch.equal(one[name], other[name]) for name in one)
 
 
 def test_it_begins_from_given_weights(tmp_path):

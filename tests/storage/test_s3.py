@@ -62,13 +62,6 @@ def test_a_copy_is_read_while_it_is_whole(store):
     assert copy.exists()
 
 
-def test_an_upload_in_parts_comes_back_whole(store):
-    content = weights(2 * PART + 1000)
-    ref = store.put("weights", content)
-    store.cache.drop(ref.uri)
-    assert (store.get(ref)["safetensors"] == content["safetensors"]).all()
-
-
 UPLOAD = """
 import sys
 from contents import weights

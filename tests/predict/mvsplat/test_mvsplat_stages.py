@@ -8,54 +8,6 @@ from slgaussian.predict.mvsplat import cost_volume, transformer
 from tests.predict.textured_planes import camera
 
 
-def swin_attention(q, k, v, count, shifted):
-    """Rolled, cut into windows, masked with -100 across the edge, and rolled back; float64.
-
-    Queries are [V, h, w, C]; keys and values [V, n, h, w, C] are laid out with views the fastest,
-    and the mask of one view is repeated n times: as published.
-    """
-    _, h, w, channels = q.shape
-    sides = h // count, w // count
-    shift = [-(side // 2) for side in sides] if shifted else [0, 0]
-    region = torch.zeros(h, w, dtype=torch.int64)
-    if shifted:
-        for axis, (length, side) in enumerate(zip((h, w), sides, strict=True)):
-            edges = torch.tensor([length - side, length - side // 2])
-            part = torch.bucketize(torch.arange(length), edges, right=True)
-            region += part[:, None] * 3 if axis == 0 else part[None]
-    out = torch.empty_like(q)
-    q, k, v = q.roll(shift, (1, 2)), k.roll(shift, (2, 3)), v.roll(shift, (2, 3))
-    for row in range(count):
-        for column in range(count):
-            rows = slice(row * sides[0], (row + 1) * sides[0])
-            columns = slice(column * sides[1], (column + 1) * sides[1])
-            qs = q[:, rows, columns].flatten(1, 2)
-            ks, vs = (
-                t[:, :, rows, columns].flatten(2, 3).transpose(1, 2).flatten(1, 2) for t in (k, v)
-            )
-            of = region[rows, columns].flatten()
-            mask = -100.0 * (of[:, None] != of).repeat(1, k.shape[1])
-            weights = (qs @ ks.mT / channels**0.5 + mask).softmax(-1)
-            out[:, rows, columns] = (weights @ vs).view(len(q), *sides, channels)
-    return out.roll([-s for s in shift], (1, 2))
-
-
-@pytest.mark.parametrize("views", [2, 3])
-@pytest.mark.parametrize("shifted", [False, True])
-def test_windows_are_those_of_swin(shifted, views):
-    torch.manual_seed(0)
-    layer = transformer.Attention(16, feed_forward=False).double().requires_grad_(False)
-    # Neither merges nor normalises: what comes out is the attention alone.
-    layer.merge = layer.norm1 = torch.nn.Identity()
-    x, second = torch.randn(2, views, 12, 20, 16, dtype=torch.float64)
-    view = torch.tensor([[j for j in range(views) if j != i] for i in range(views)])
-    parts = transformer.parts(12, 20, 2, shifted, views - 1, torch.device("cpu"))
-    assert len(parts) == (9 if shifted else 4)
-    result = layer(x, second, view, parts) - x
-    q, k, v = layer.q_proj(x), layer.k_proj(second)[view], layer.v_proj(second)[view]
-    torch.testing.assert_close(result, swin_attention(q, k, v, 2, shifted))
-
-
 def test_a_view_attends_to_all_others():
     torch.manual_seed(0)
     block = transformer.Block(16).requires_grad_(False)
