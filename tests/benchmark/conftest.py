@@ -65,3 +65,9 @@ def room() -> Room:
 @pytest.fixture(scope="session")
 def result(room) -> SceneResult:
     return room.evaluate_all()
+
+
+@pytest.fixture(scope="session")
+def known(room) -> SceneResult:
+    """What the field answers when it is asked for the things that the room shows."""
+    return room.evaluate()

@@ -121,32 +121,6 @@ def test_a_wrong_vector_in_the_bank_is_a_loss_of_language(room, exact, thing):
     assert row["lost"] == "language"
 
 
-def test_the_best_score_on_another_thing_is_no_loss_of_the_threshold(room, exact, thing):
-    """All that is taken besides is small: the mask is good enough, but the wrong thing is first."""
-    truth = room.truth["view_01"]
-    phrase = max(truth, key=lambda query: truth[query].sum())
-    number = next(i for i, name in room.sample.phrases.items() if name == phrase)
-    bank = exact.bank
-    rows = np.searchsorted(bank.ids, [number, thing[1]])
-    blend = exact.encoder.encode_text([phrase, next(p for p in truth if p != phrase)])
-    weaker = (0.9 * blend[0] + 0.1 * blend[1]).astype(np.float32)
-    features = bank.features.copy()
-    features[rows[1]] = bank.features[rows[0]]
-    features[rows[0]] = weaker / np.linalg.norm(weaker) * bank.present[rows[0]][:, None]
-    # Only what is above the best one's own score is taken, and that is the small thing.
-    rules = Rules(share=1.0)
-    row = of(room, exact.changed(bank=replace(bank, features=features)), rules=rules)[phrase]
-    assert row["threshold_iou"] > 0.5 and not row["threshold_hit"]
-    assert row["lost"] == "language"
-
-
-def test_a_query_that_nobody_knows_is_a_loss_of_language(room, exact, thing):
-    truth = {"view_01": {"qqwx": room.truth["view_01"][thing[0]]}}
-    row = of(room, exact, truth=truth)["qqwx"]
-    assert row["iou"] == row["threshold_iou"] == 0
-    assert row["lost"] == "language"
-
-
 def test_masks_that_hold_two_things_are_a_loss_of_masks(room, exact, thing):
     phrase, number = thing
     labels = room.label_maps.labels.copy()
@@ -220,43 +194,6 @@ def test_what_no_photograph_shows_nothing_mends(room, exact, thing):
     sample = replace(room.sample, targets=(replace(room.sample.targets[0], camera=away),))
     row = of(room, exact, sample=sample)[thing[0]]
     assert row["iou"] == row["geometry_iou"] == 0 and row["lost"] == BEYOND
-
-
-def test_frames_without_truth_have_no_rows(room, exact):
-    nothing = np.zeros(room.sample.targets[0].image.shape[:2], bool)
-    assert of(room, exact, truth={"view_01": {"red sofa": nothing}}) == {}
-    assert of(room, exact, truth={}) == {}
-
-
-def test_masks_carried_back_by_true_depth_are_the_instances(room):
-    """Where the target sees what the context views show."""
-    (target,), masks = room.sample.targets, room.truth["view_01"]
-    predicted = np.zeros(room.label_maps.labels.shape, np.float32)
-    carried = attribution.context_truth(room.sample, target, list(masks.values()), predicted)
-    place = attribution.carried_back(room.sample, target, attribution.true_depths(room.sample))
-    assert (place >= 0).mean() > 0.6 and (carried.known == 1).all()
-    instances = np.stack([view.instances for view in room.sample.context])
-    for column, query in enumerate(masks):
-        ids = [i for i, phrase in room.sample.phrases.items() if phrase == query]
-        known, back = np.isin(instances, ids), carried.members[carried.labels, column]
-        # Borders of things differ by a pixel.
-        assert np.count_nonzero((known != back)[place >= 0]) < 0.02 * np.count_nonzero(place >= 0)
-
-
-def test_overlapping_truths_are_carried_back_each_whole(room):
-    target = room.sample.targets[0]
-    sample = room.sample
-    depths = attribution.true_depths(room.sample)
-    left = np.zeros(target.image.shape[:2], bool)
-    left[:, :70] = True
-    every = np.ones_like(left)
-    found = attribution.context_truth(sample, target, [left, every], depths)
-    place = attribution.carried_back(sample, target, depths)
-    for column, mask in enumerate((left, every)):
-        carried = found.members[found.labels, column]
-        assert np.array_equal(carried[place >= 0], mask.ravel()[place[place >= 0]])
-        # Beyond the frame there is no truth.
-        assert not carried.all()
 
 
 def test_what_something_hides_is_not_carried_back():

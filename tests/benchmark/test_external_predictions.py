@@ -158,20 +158,6 @@ def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judg
     assert ("slgaussian@2", "view_01", query) not in again.predictions
 
 
-def test_masks_that_nothing_asks_for_are_named(tmp_path, result, judged):
-    entries = json.loads(as_file(tmp_path / "own.json", result).read_text())
-    odd = [{"scene": "attic"}, {"frame": "view_77"}, {"query": "blue moon"}]
-    entries += [{**entries[0], **change} for change in odd]
-    (tmp_path / "own.json").write_text(json.dumps(entries))
-    _, tally, predictions = scored(tmp_path / "own.json", judged, "slgaussian")
-    query = entries[0]["query"]
-    assert tally.unused(predictions) == [
-        f"{query!r} in view_01 of attic",
-        f"{query!r} in view_77 of {judged.scene}",
-        f"'blue moon' in view_01 of {judged.scene}",
-    ]
-
-
 def test_names_may_be_plain_and_frames_without_folder_and_ending(folder, tmp_path, judged):
     masks = judged.truth.masks["view_01"]
     query, other = (text for text, mask in list(masks.items())[:2])
@@ -217,17 +203,11 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged):
     [
         ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is judged at 104x"),
         ({"size": [10**9, 10**9], "counts": [10**18]}, "has 1000000000x1000000000 pixels"),
-        ({"size": [104]}, "size is [104]; "),
         ({"size": [104.0, 144]}, "size.0 is 104.0; "),
         ({"counts": "0"}, "its counts make up 0 pixels, and its size 14976; write the mask again"),
-        ({"counts": None}, "its counts are no run lengths"),
         ({"point": [3]}, "point is [3]; "),
-        ({"point": [3, "x"]}, "point.1 is 'x'; "),
         ({"score": 1.5}, "score is 1.5; "),
-        ({"seconds": -1}, "seconds is -1; "),
         ({"query": ""}, "query is ''; "),
-        ({"frame": None}, "frame is None; "),
-        ({"method": 3}, "method is 3; "),
     ],
 )
 def test_an_entry_that_does_not_fit_is_one_sentence(tmp_path, result, judged, change, said):

@@ -53,14 +53,6 @@ def test_no_text_is_a_formula_where_tables_are_opened_as_sheets(tmp_path, result
     assert as_cell(-0.25) == -0.25  # numbers stay numbers
 
 
-def test_an_empty_run_has_empty_tables(tmp_path):
-    write_samples([], tmp_path)
-    for name in ("samples", "scores"):
-        table = pq.read_table(tmp_path / f"{name}.parquet")
-        load_spec(name).check_table(table, f"{name}.parquet")
-        assert table.num_rows == 0
-
-
 def masks_of(result) -> dict[tuple[str, str, str], bytes]:
     return {key: encode_png(mask) for key, mask in result.predictions.items()}
 

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from slgaussian.benchmark.baselines import ROWS
-from slgaussian.benchmark.costs import PAPER_SECONDS
 from slgaussian.benchmark.reports.model import Table
 from slgaussian.benchmark.reports.paper_tables import ABSENT, TABLES, paper_section
 from slgaussian.benchmark.statistics import interval_of_mean
@@ -55,41 +53,6 @@ def test_the_overall_numbers_are_the_means_of_the_scenes(place):
     """So the paper says, and so a slip of the pen would show: to the half of its last digit."""
     *scenes, overall = (np.array(line["numbers"]) for line in TABLES[place]["lines"])
     np.testing.assert_allclose(np.mean(scenes, 0), overall, atol=0.0051)
-
-
-def test_the_tables_agree_where_they_repeat_a_number():
-    teatime, desk = numbers(0, "teatime"), numbers(1, "covered_desk")
-    first, *_, last = (line["numbers"] for line in TABLES[2]["lines"])
-    assert first == [teatime[1], desk[1]] and last == [teatime[2], desk[2]]
-    assert numbers(3, "SLGaussian")[:2] == numbers(0, "overall")[2::3]
-    assert {line["method"]: line["numbers"][2] for line in TABLES[3]["lines"]} == PAPER_SECONDS
-
-
-def test_every_method_beside_the_paper_is_one_of_the_table():
-    for table in TABLES:
-        named = {one.get("method") for one in (*table["columns"], *table["lines"])}
-        assert named <= {*ROWS, None, ""}
-
-
-TEATIME = {"teatime": Standing(RECOGNISED, LERF, "teatime")}
-
-
-def test_what_ran_is_named_as_it_is_and_never_by_its_original():
-    """A likeness has its own name beside the original's, and ours the one that its rows have."""
-    tables = tables_of([row_of("teatime", iou=0.4, method="mine")], TEATIME, ours="mine")
-    first = by_title(tables, "Table 1")
-    assert [(column.title, column.note) for column in first.columns[1:4]] == [
-        ("LERF", "lerf-like"),
-        ("LangSplat", "langsplat-like"),
-        ("SLGaussian", "mine"),
-    ]
-    assert [line.description for line in by_title(tables, "Table 3").lines] == [
-        "langsplat-like, optimised",
-        "langsplat-like",
-        "langsplat-like, association",
-        "mine",
-    ]
-    assert [line.description for line in by_title(tables, "Table 4").lines] == ["query-2d", "mine"]
 
 
 def test_without_its_data_there_is_no_number():

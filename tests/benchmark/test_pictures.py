@@ -48,13 +48,6 @@ def test_the_depth_range_ignores_the_unknown():
     assert (flat == flat[0, 0]).all()
 
 
-def test_relevancy_is_brighter_where_it_is_higher(photo):
-    grey = np.full_like(photo, 90)
-    steps = [pictures.paint_relevancy(np.full((60, 80), r), grey) for r in (0.0, 0.5, 1.0)]
-    brightness = [float(step.mean()) for step in steps]
-    assert brightness[0] + 40 < brightness[1] < brightness[2] - 40
-
-
 def test_relevancy_is_stretched_to_what_occurs(photo):
     grey = np.full((60, 80, 3), 90, np.uint8)
     low = np.tile(np.linspace(0.40, 0.44, 80), (60, 1))
@@ -71,50 +64,6 @@ def test_relevancy_is_stretched_to_what_occurs(photo):
     assert (np.ptp(pictures.paint_stretched(0 * flat, photo), axis=-1) == 0).all()
 
 
-def test_a_name_stands_on_its_own_thing_and_on_no_other_name():
-    grey = np.full((300, 400, 3), 90, np.uint8)
-    left, right = np.zeros((2, 300, 400), bool)
-    left[50:250, 20:190] = True
-    right[50:250, 210:380] = True
-    small = np.zeros_like(left)
-    small[140:160, 90:110] = True
-    named = [
-        pictures.Named(text, mask, number)
-        for number, (text, mask) in enumerate(
-            (("one", left), ("two", right), ("three", small), ("none", small & right)), 1
-        )
-    ]
-    alone = [pictures.draw_names(grey, [one], 14) != grey for one in named]
-    boxes = [np.argwhere(changed.any(-1)) for changed in alone]
-    for one, box in zip(named[:2], boxes[:2], strict=True):
-        assert one.mask[tuple(box.mean(0).round().astype(int))]
-    assert not len(boxes[3])
-    # The large thing around the small one gives way, so that both can be read.
-    both = (pictures.draw_names(grey, [named[0], named[2]], 14) != grey).any(-1)
-    assert both.sum() > 0.95 * (len(boxes[0]) + len(boxes[2]))
-
-
-def test_what_has_a_name_is_in_colour_and_the_rest_dimmed(photo):
-    large = np.kron(photo, np.ones((4, 4, 1), np.uint8))
-    mask = np.zeros(large.shape[:2], bool)
-    mask[20:200, 20:300] = True
-    shown = pictures.show_named(large, [pictures.Named("thing", mask, 1)], 12)
-    outside = shown[210:]
-    assert (outside == outside[..., :1]).all() and outside.max() < 100
-    inside = shown[30:60, 30:290].astype(int)
-    tint = pictures.label_colors(np.array(1))
-    assert np.abs(inside - (0.78 * large[30:60, 30:290] + 0.22 * tint)).max() <= 1
-
-
-def test_a_spotlight_keeps_the_colours_inside_only(photo):
-    mask = np.zeros((60, 80), bool)
-    mask[20:40, 30:50] = True
-    lit = pictures.spotlight(photo, mask)
-    assert np.array_equal(lit[mask], photo[mask])
-    outside = lit[~mask]
-    assert (outside == outside[:, :1]).all() and outside.max() < 100
-
-
 def test_drawing_leaves_the_picture_it_is_given_alone(photo):
     before = photo.copy()
     mask = np.zeros((60, 80), bool)
@@ -128,17 +77,6 @@ def test_drawing_leaves_the_picture_it_is_given_alone(photo):
     assert np.array_equal(outlined[:10], photo[:10])
     assert pointed[30, 40].tolist() == list(pictures.POINT)
     assert pictures.draw_point(photo, None) is photo
-
-
-def test_panels_stand_side_by_side_with_one_height(photo):
-    sheet = pictures.side_by_side([("photograph", photo), ("half", photo[::2, ::2])])
-    assert sheet.shape[0] > 60 and sheet.shape[1] > 160
-    assert np.array_equal(sheet[12:72, 12:92], photo)
-    captions = sheet[74:]
-    assert (captions < 100).any()
-    assert np.array_equal(
-        sheet, pictures.side_by_side([("photograph", photo), ("half", photo[::2, ::2])])
-    )
 
 
 def test_png_is_exact_and_a_mask_takes_one_bit(photo):
@@ -170,17 +108,3 @@ def test_objects_are_cut_from_the_view_that_shows_most_of_them(photo):
     np.testing.assert_array_equal(cuts[0][:, :10], photo[10:20, 5:15])
     assert (cuts[0][:, 10:] >= 191).all()  # another object is pale
     np.testing.assert_array_equal(cuts[1], other[50:60, 70:80])
-
-
-def test_a_contact_sheet_shows_every_tile_in_its_square(photo):
-    red, thin, none = (
-        np.full((h, w, 3), (200, 0, 0), np.uint8) for h, w in ((9, 9), (1, 90), (0, 0))
-    )
-    sheet = pictures.contact_sheet([("1 a caption too long", red), ("2", thin), ("3", none)], 40, 2)
-    assert sheet.shape == (2 * 66 + 8, 2 * 48 + 8, 3)
-    shown = (sheet == (200, 0, 0)).all(-1)
-    assert shown[8:48, 8:48].all()
-    assert shown[8, 56:96].all() and shown[9:].sum() == 39 * 40
-    # Captions stay under their own tile.
-    assert (sheet[48:66, 48:56] == 255).all()
-    assert (sheet[48:66, 8:48] < 128).any()

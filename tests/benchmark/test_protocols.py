@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from slgaussian.benchmark.annotations import read_labels
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, load_protocol
-from slgaussian.errors import InputError
 from slgaussian.language.query import Rules
 
 SHAPE = (52, 72)
@@ -92,11 +91,10 @@ POLYGONS = {
 
 
 @pytest.mark.parametrize("name", POLYGONS)
-@pytest.mark.parametrize("seed", [0, 1])
-def test_scores_of_drawn_polygons_are_the_plain_ones(name, seed):
+def test_scores_of_drawn_polygons_are_the_plain_ones(name):
     others = ("a triangle", "a star") if name != "a star" else ("a triangle",)
     truths = [drawn(POLYGONS[n]) for n in (name, *others)]
-    check(frame_of(truths, seed))
+    check(frame_of(truths, seed=0))
 
 
 POINTS = st.tuples(st.integers(-30, 100), st.integers(-30, 80))
@@ -123,9 +121,9 @@ def test_labels_are_what_the_even_odd_rule_fills(name, tmp_path):
 
 
 def test_scores_of_real_polygons_are_the_plain_ones(real_data):
-    """Labelled frames of the office set, at the paper's size; all of them take 10 s."""
+    """Labelled frames of the office set, at the paper's size; one in twelve."""
     files = sorted((real_data / "office" / "labels").glob("*.json"))
-    for number, file in enumerate(files[::3]):
+    for number, file in enumerate(files[::12]):
         name = json.loads(file.read_text())["info"]["name"]
         check(frame_of([*read_labels(file.parent, name, 576, 416).values()], seed=number))
 
@@ -195,26 +193,13 @@ def test_a_class_that_the_frame_does_not_show_still_competes():
     assert shown.scores["class_iou"] == 27 / 72
 
 
-ODD = {
-    "one pixel": (7, 9),
-    "a corner": (0, 0),
-    "the other corner": (51, 71),
-}
-
-
-@pytest.mark.parametrize("pixel", ODD.values(), ids=ODD)
-@pytest.mark.parametrize("kind", ["constant", "zero", "right", "wrong", "one value but for it"])
-def test_a_truth_of_one_pixel(pixel, kind):
+@pytest.mark.parametrize("pixel", [(7, 9), (0, 0), (51, 71)])
+def test_a_truth_of_one_pixel(pixel):
     truth = np.zeros(SHAPE, bool)
     truth[pixel] = True
-    relevancy = {
-        "constant": np.full(SHAPE, 0.5),
-        "zero": np.zeros(SHAPE),
-        "right": np.where(truth, 1.0, 0.0),
-        "wrong": np.where(truth, 0.0, 1.0),
-        "one value but for it": np.where(truth, 0.25, 0.75),
-    }[kind].astype(np.float32)
-    check(single(relevancy, truth, point=pixel[::-1]))
+    for inside, outside in ((0.5, 0.5), (0, 0), (1, 0), (0, 1), (0.25, 0.75)):
+        relevancy = np.where(truth, inside, outside).astype(np.float32)
+        check(single(relevancy, truth, point=pixel[::-1]))
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
@@ -250,10 +235,3 @@ def test_a_text_that_is_not_understood_scores_zero():
         found = one(name, frame)
         curve = found.scores.pop("iou_curve", [0.0] * 19)
         assert not any(found.scores.values()) and curve == [0.0] * 19
-
-
-def test_names_and_versions():
-    names = "slgaussian", "langsplat", "langsplat-rescaled", "3d-ovs", "threshold-free"
-    assert [p.label for p in PROTOCOLS.values()] == [*(f"{n}@2" for n in names), "highest-pixel@1"]
-    with pytest.raises(InputError, match="protocol: found 'miou', expected one of slgaussian, "):
-        load_protocol("miou")

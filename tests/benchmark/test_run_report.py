@@ -18,9 +18,8 @@ from slgaussian.benchmark.reports.look import (
 )
 from slgaussian.benchmark.reports.model import Report
 from slgaussian.benchmark.reports.run_report import with_times
-from slgaussian.benchmark.reports.summary import COSTS, key_numbers
+from slgaussian.benchmark.reports.summary import COSTS
 from slgaussian.benchmark.scores import score_table
-from slgaussian.benchmark.statistics import LEAST
 from slgaussian.datasets.published import RECOGNISED
 from slgaussian.language.query import NEAR_BEST
 from slgaussian.storage.specs import load_spec
@@ -99,42 +98,6 @@ def test_both_forms_have_the_numbers_and_their_conditions(both, page, result):
     assert f"{samples} scored queries" in lines and "1 not understood" in lines
 
 
-def test_the_best_other_beside_a_number_is_no_variant_of_ours(result, truth):
-    def score(method: str, value: float) -> dict[str, object]:
-        row = {"method": method, "metric": "iou", "value": value, "low": None, "high": None}
-        return row | {"dataset": result.dataset}
-
-    rows = [score("slgaussian", 0.5), score("no-bank", 0.6), score("query-2d", 0.4)]
-    for scores, text in ((rows, "best other: 0.40, query-2d"), (rows[:2], "")):
-        numbers = key_numbers([scene_of(result, truth)], scores, "slgaussian")
-        assert next(iter(numbers.values()))[0][3] == text
-
-
-def test_pictures_come_first_then_scores_then_the_rest(page, result):
-    order = ["found by its words", "How good, by method", "By other protocols",
-             "Speed against error", "Answered worst", "Scene by scene", "objects, depth and",
-             "What ran"]  # fmt: skip
-    places = [page.text.rindex(words) for words in order]
-    assert places == sorted(places)
-    scores = {row["query"]: row["iou"] for row in leading(result) if row["iou"] is not None}
-    alts = [image["alt"] for image in page.images]
-    queries = [alt.removeprefix("relevancy of ") for alt in alts if alt.startswith("relevancy of")]
-    first, lowest = [scores[query] for query in queries[:4]], scores[queries[4]]
-    assert first == sorted(first, reverse=True)
-    assert first[0] == max(scores.values()) and lowest == min(scores.values())
-    for alt in ("everything found", "given photograph view_00", "photograph view_01, never shown"):
-        assert any(text.startswith(alt) for text in alts[:14])
-
-
-def test_a_method_is_ahead_only_beyond_noise(result, truth):
-    rival = half_as_good(result)
-    scenes = [scene_of(result, truth, rival, name=f"scene {k}") for k in range(LEAST)]
-    report = run_report.run_report(scenes, MANIFEST)
-    half = f"{result.scene_metrics['iou'] / 2:+.3f}"
-    assert f"{half}<small>{half} to {half}, ahead</small>" in report.as_html()
-    assert f"{half} ({half} to {half}, ahead) better" in report.as_markdown()
-
-
 def test_the_papers_tables_stand_only_where_one_of_its_scenes_ran(both, result, truth):
     assert "The paper's tables" not in both.as_html() + both.as_markdown()
     standing = {"standing": RECOGNISED, "format": "lerf_ovs", "scene": "teatime"}
@@ -142,17 +105,6 @@ def test_the_papers_tables_stand_only_where_one_of_its_scenes_ran(both, result, 
     report = run_report.run_report([scene_of(result, truth)], MANIFEST | data)
     table = next(t for t in tables_of(report.as_markdown()) if "LangSplat" in " ".join(t[0]))
     assert table[0][2] == "IoU (%): LangSplat / langsplat-like"
-
-
-def test_the_mean_gives_every_scene_of_a_data_set_one_weight(result, truth):
-    zero = result.scene_metrics | {"iou": 0.0}
-    iou = result.scene_metrics["iou"]
-    for dataset, expected in ((result.dataset, [iou / 2]), ("attic", [iou, 0.0])):
-        second = replace(result, scene_metrics=zero, dataset=dataset, rows=result.rows[:1])
-        scenes = [scene_of(result, truth), scene_of(second, truth, name="second")]
-        tables = tables_of(run_report.run_report(scenes, MANIFEST).as_markdown())
-        means = [line[1] for t in tables if t[0][0] == "scene" for line in t if line[0] == "mean"]
-        assert [mean.partition(" ")[0] for mean in means] == [f"{mean:.3f}" for mean in expected]
 
 
 def test_seconds_are_filled_in_afterwards_and_nothing_else(both, result):
@@ -166,18 +118,6 @@ def test_seconds_are_filled_in_afterwards_and_nothing_else(both, result):
         bare = re.sub(f"{COSTS}.*{COSTS}", "", page, flags=re.DOTALL)
         assert bare.startswith(before) and bare.endswith(after)
     Page(complete["html"])
-
-
-def test_scenes_left_out_come_before_the_worst_answers(result, truth):
-    failures = [
-        {"scene": f"attic {k}", "stage": "ingest", "reason": "a.png: cannot be read"}
-        for k in range(5)
-    ]
-    text = Page(run_report.run_report([scene_of(result, truth)], MANIFEST, failures).as_html()).text
-    assert text.index("a.png: cannot be read") < text.index("Answered worst")
-    assert "attic 0; attic 1; attic 2; and 2 more" in text and "5 left out" in text
-    alone = Page(run_report.run_report([], MANIFEST, failures).as_html()).text
-    assert "a.png" in alone and "Scene by scene" not in alone
 
 
 def test_the_stage_that_lost_a_query_is_named_beside_it(result, truth):
@@ -220,25 +160,6 @@ def test_without_labels_there_are_pictures_and_no_scores(result, truth):
     alts = [image["alt"] for image in page.images]
     assert alts[0].startswith("everything found in halfway")
     assert any(alt.startswith("relevancy of") for alt in alts)
-
-
-def test_of_many_scenes_the_worst_are_drawn_and_all_are_listed(result, truth, monkeypatch):
-    monkeypatch.setattr(run_report, "PICTURED", 2)
-    read: list[str] = []
-
-    def scene(k: int) -> Scene:
-        name = f"scene {k}"
-        scored = replace(result, scene_metrics=result.scene_metrics | {"iou": k / 20})
-        plain = scene_of(scored, truth, name=name)
-        return replace(plain, pictures=lambda: read.append(name) or result.pictures)
-
-    page = Page(run_report.run_report([scene(k) for k in range(20)], MANIFEST).as_html())
-    inputs = [image for image in page.images if image["alt"] == "given of view_00"]
-    assert len(inputs) == 2
-    # A scene's pictures are read once, and not at all where none of them is shown.
-    assert len(read) == len(set(read)) < 20
-    for k in range(20):
-        assert f"scene {k}" in page.text
 
 
 def row_of(scene, query, iou, hit=True, frame="f"):

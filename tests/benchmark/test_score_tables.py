@@ -126,21 +126,6 @@ def claim(ours, theirs, places=None):
 STEADY = np.array([0.01, -0.01, 0.02, 0.0, -0.02, 0.01, 0.0, -0.01])
 
 
-@pytest.mark.parametrize(
-    ("step", "mark", "words"),
-    [
-        (0.1, "better", "ahead"),
-        (-0.1, "worse", "behind"),
-        (0.001, "noise", "no difference beyond noise"),
-    ],
-)
-def test_a_method_is_ahead_behind_or_neither(step, mark, words):
-    text, marked = claim(0.5 + step + STEADY, np.full(8, 0.5))
-    gain = compare(0.5 + step + STEADY, np.full(8, 0.5))
-    ends = f"({gain.low:+.3f} to {gain.high:+.3f}, {words})"
-    assert marked == mark and text == f"{step:+.3f} {ends.replace('-0.000', '+0.000')}"
-
-
 def test_scenes_are_compared_in_pairs_and_of_few_places_nothing_is_claimed():
     """Methods whose own intervals overlap by far, one always a little better."""
     theirs = np.linspace(0.1, 0.9, 8)

@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 
 from slgaussian.benchmark.protocols import PROTOCOLS, THRESHOLDS
 from slgaussian.benchmark.scores import (
-    FEW_PLACES,
     FEW_SCENES,
-    METRICS,
-    ONE_PLACE,
     ONE_SCENE,
     SCORE_CALIBRATION,
     differences,
@@ -18,7 +15,7 @@ from slgaussian.benchmark.scores import (
     scene_means,
     score_table,
 )
-from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, drawn, interval_of_mean
+from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, drawn
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 
@@ -86,24 +83,6 @@ def test_one_scene_has_no_interval_and_few_have_a_rough_one():
     row = score(score_table(enough), "iou")
     assert row["note"] == "" and row["low"] < row["value"] < row["high"]
     assert row["level"] == LEVEL
-
-
-def test_places_are_drawn_and_then_their_scenes():
-    places = {"a": "x", "b": "x", "c": "y", "d": "y", "e": "z"}
-    rows = ious(a=[0.1], b=[0.3], c=[0.9], d=[0.5], e=[0.4])
-    score_of = {"score": 0.7, "hit_mask": True}
-    rows = [row | score_of | {"place": places[row["scene"]]} for row in rows]
-    row = score(score_table(rows), "iou")
-    assert row["value"] == pytest.approx(np.mean([0.1, 0.3, 0.9, 0.5, 0.4]))
-    assert (row["scenes"], row["places"], row["note"]) == (5, 3, FEW_PLACES)
-    ends = interval_of_mean(np.array([0.1, 0.3, 0.9, 0.5, 0.4]), groups=list("xxyyz"))
-    assert (row["low"], row["high"]) == ends
-    assert score(score_table(rows), SCORE_CALIBRATION)["places"] == 3
-    one = score(score_table(rows[:2]), "iou")
-    assert (one["low"], one["note"], one["scenes"], one["places"]) == (None, ONE_PLACE, 2, 1)
-    found = gain_of(differences(rows, [row | {"iou": 0.0} for row in rows])).gain
-    assert (found.samples, found.drawn) == (5, 3)
-    assert (found.low, found.high) == pytest.approx((row["low"], row["high"]), abs=1e-12)
 
 
 def test_every_scene_and_sample_of_a_drawn_place_counts_alike():
@@ -249,19 +228,7 @@ def test_versions_of_a_protocol_do_not_compare():
     assert differences(ious(a=[0.9]), other) == []
 
 
-def test_settings_may_differ_since_they_may_be_what_is_compared():
-    other = [row | {"temperature": 1.0} for row in ious(a=[0.7])]
-    assert gain_of(differences(ious(a=[0.9]), other)).gain.difference == pytest.approx(0.2)
-
-
 def test_two_methods_at_once_are_refused():
     rows = [*ious(a=[0.9]), sample("a", "q0", iou=0.1, method="n")]
     with pytest.raises(InputError, match="'q0' in 'f' of scene 'a' is there twice by slgaussian@2"):
         differences(rows, ious(a=[0.9]))
-
-
-def test_a_method_does_not_differ_from_itself(result):
-    found = differences(result.rows, result.rows)
-    assert {d.metric for d in found} == {m.name for m in METRICS}
-    assert all((d.gain.difference, d.gain.low, d.gain.high) == (0, 0, 0) for d in found)
-    assert {d.threshold for d in found} == {None, *THRESHOLDS}

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 from hypothesis import given
 from hypothesis import strategies as st
-from pages import check_alone, tables_of
+from pages import tables_of
 
 from slgaussian.benchmark.costs import Cost, StageCost, Times
 from slgaussian.benchmark.hard_cases import HardCase
-from slgaussian.benchmark.reports.model import Gallery, Report, Section, blocks_as
-from slgaussian.benchmark.reports.plots import plot_pareto
+from slgaussian.benchmark.reports.model import blocks_as
 from slgaussian.benchmark.reports.speed import pareto_front, speed_blocks
 
 STEPS = st.integers(0, 4)  # few, so that many are equal
@@ -68,10 +67,3 @@ def test_scores_stand_beside_costs_and_hard_cases_beside_their_machine(result):
     assert "took 30 s more" in text
     page = blocks_as("html", speed_blocks(times, rows, []))
     assert page.count("data:image/svg+xml") == 2 and "0.5000" in page
-
-
-def test_a_plot_stands_in_a_page_with_the_same_bytes():
-    points = [(f"method {k}", (k + 1) / 12, 0.1 * (k + 1)) for k in range(12)]
-    picture = plot_pareto(points, "method 0", "seconds")
-    assert picture == plot_pareto(points, "method 0", "seconds")
-    check_alone(Report("", [], [Section("", [Gallery([picture], "grid plots")])]).as_html())

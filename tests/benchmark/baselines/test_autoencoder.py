@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from slgaussian.benchmark.baselines.autoencoder import train_autoencoder
-from slgaussian.errors import InputError
 
 
 def some_vectors(count: int, width: int, kinds: int) -> np.ndarray:
@@ -51,22 +50,3 @@ def test_the_same_seed_gives_the_same_bytes_on_any_number_of_threads(trained):
     assert torch.equal(torch.random.get_rng_state(), state)
     other = train_autoencoder(vectors, seed=1, steps=5)
     assert other.encode(vectors).tobytes() != codes.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("width", "down", "up"),
-    [
-        (58, [58, 32, 3], [3, 16, 32, 58]),
-        (512, [512, 256, 128, 64, 32, 3], [3, 16, 32, 64, 128, 256, 256, 512]),
-    ],
-)
-def test_layers_are_those_of_langsplat_up_to_the_width(width, down, up):
-    network = train_autoencoder(some_vectors(4, width, 2), seed=0, steps=1)
-    for layers, sizes in ((network.down, down), (network.up, up)):
-        linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
-        assert [linear[0].in_features, *(each.out_features for each in linear)] == sizes
-
-
-def test_one_vector_is_refused():
-    with pytest.raises(InputError, match="found 1 vectors"):
-        train_autoencoder(some_vectors(1, 8, 1), seed=0)

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given as draw
 from hypothesis import strategies as st
@@ -76,17 +75,6 @@ def test_drawn_vectors_are_those_of_the_reference(given, monkeypatch):
     # heavily, 3e-3 of values up to 4 was measured.
     np.testing.assert_allclose(image, plain, atol=1e-2)
     assert np.abs(plain).max() > 1
-
-
-@pytest.mark.parametrize(
-    ("numbers", "size"),
-    [(58, (576, 416)), (3 * 58, (576, 416)), (512, (288, 208)), (7 * 512, (144, 104))],
-)
-def test_resolution_falls_only_as_memory_asks(given, numbers, size):
-    camera = given.sample.targets[0].camera.resized(576, 416)
-    small = drawn.reduced(camera, numbers)
-    assert (small.width, small.height) == size
-    assert small.width * small.height * numbers <= drawn.MOST_NUMBERS
 
 
 def test_each_pixel_believes_the_scale_at_which_a_class_leads_most(given):

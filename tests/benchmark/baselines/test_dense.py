@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from slgaussian.benchmark.baselines.dense import DenseView, cosines
@@ -121,19 +119,6 @@ def test_the_point_is_where_relevancy_is_greatest_around(reader):
         assert smooth[y, x] == pytest.approx(smooth[view.seen].max(), abs=1e-9)
 
 
-def test_a_plateau_is_pointed_at_in_its_middle(reader):
-    texts = reader.vectors(["red ball", "object"])
-    owner = np.ones(SIZE, np.int64)
-    owner[8:29, 10:31] = 0
-    view = some_view(reader)
-    view = DenseView(
-        view.rgb, view.depth, reader, np.ones(SIZE, bool), texts[owner][None].astype(np.float32)
-    )
-    (hit,) = view.query_all(["red ball"])
-    assert hit.point == (20, 18)
-    assert np.array_equal(hit.mask, owner == 0)
-
-
 def test_segments_go_to_the_best_text(reader):
     view = some_view(reader)
     gaps = [plain_gap(view, text, list(reader.encoder.canonical))[0] for text in TEXTS]
@@ -181,13 +166,3 @@ def test_where_nothing_is_known_nothing_is_found(reader):
         assert hit.point is None and hit.score == 0
         assert not hit.mask.any() and not hit.relevancy.any()
     assert not blind.segment(TEXTS).any()
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.integers(-20, 20), st.floats(0.5, 100), st.integers(0, 5))
-def test_neither_lengths_nor_temperature_change_what_is_taken(reader, power, temperature, seed):
-    view = some_view(reader, scales=2, seed=seed)
-    scaled = DenseView(view.rgb, view.depth, reader, view.seen, view.vectors * 2.0**power)
-    (a,) = view.query_all(["red ball"])
-    (b,) = scaled.query_all(["red ball"], temperature=temperature)
-    assert np.array_equal(a.mask, b.mask) and a.mask.any()
