@@ -2,9 +2,9 @@
 
     python -m benches.scores.answer_scores DATA [-o docs/measured] [--rows FILE] [--only SET ...]
 
-DATA holds ``office`` and ``places``; rooms are those that nothing was chosen on. Our own answers
-are given with several seeds, which draw other ID codes, those of other methods once, on the same
-Gaussians. Rows are kept in FILE as they come, and scenes that it holds are not done again.
+DATA holds ``office``, ``places`` and ``things``; rooms are those that nothing was chosen on. Our
+own answers are given with several seeds, which draw other ID codes, those of other methods once, on
+the same Gaussians. Rows are kept in FILE as they come, and scenes that it holds are not done again.
 """
 
 from __future__ import annotations
@@ -32,14 +32,21 @@ from slgaussian.benchmark.scores import scene_means
 from slgaussian.benchmark.statistics import compare, interval_of_mean
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
+from slgaussian.language.lexicon import Lexicon
 
-SHOWN = ("office", "places", "rooms")
+SHOWN = ("things", "office", "places", "rooms")
 SEEDS = 3
 OURS, CUT = "slgaussian", "LangSplat's cut"
 OTHERS = ("query-2d, depth", "no-bank")
 PROTOCOLS = ("slgaussian", "langsplat", "threshold-free")
 SCORES = {"iou": ("IoU", 3), "hit_mask": ("point", 2), "miou": ("mIoU", 3)}
 STAGES = ("threshold", "language", "masks")
+LEXICON = Lexicon()
+SMALL = 0.015
+"""Share of the picture below which a thing is small."""
+SURFACES = {"floor", "wall", "ceiling", "carpet", "rug", "tiles", "grass", "lawn", "sky", "street",
+            "road", "pavement", "cloth", "tablecloth"}  # fmt: skip
+KINDS = ("noun", "described noun", "surface", "small")
 
 
 def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
@@ -47,7 +54,7 @@ def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
     sample = read(scene, Settings())
     truth = truth_of(scene, sample)
     # A labelled folder is one place; the office is one building, and each room one of its own.
-    place = scene.dataset if name == "places" else scene.name
+    place = scene.dataset if name in ("places", "things") else scene.name
     common = {"set": name, "place": place, "scene": scene.name}
     first: Inputs | None = None
     for inputs in built(sample, range(SEEDS)):
@@ -66,8 +73,20 @@ def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
         yield common | {"seed": first.seed, "queries": len(lost), "method": method} | scores
 
 
-def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dict[str, float]]:
-    """The scores of what a method selects, and of LangSplat's cut of the same relevancies."""
+def kind_of(text: str, mask: np.ndarray) -> str:
+    """Return which of :data:`KINDS` a text is, whose thing has the mask bool [H, W]."""
+    if mask.mean() < SMALL:
+        return "small"
+    if text.split()[-1] in SURFACES:
+        return "surface"
+    return "described noun" if LEXICON.describing(text) else "noun"
+
+
+def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dict[str, Any]]:
+    """The scores of what a method selects, and of LangSplat's cut of the same relevancies.
+
+    ``kinds`` are the IoUs of the texts of each kind.
+    """
     asked = EvaluationSettings(protocols=PROTOCOLS, drawn=False)
     rows = evaluate(answering, inputs.sample, inputs.label_maps, truth, asked).rows
     selected, cut, free = (
@@ -77,10 +96,15 @@ def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dic
         point = None if row["point_x"] is None else (row["point_x"], row["point_y"])
         row["hit_mask"] = metrics.point_in_mask(point, truth.masks[row["frame"]][row["query"]])
     best = {"best_iou": scene_means(free)["best_iou"]}
-    return {
-        name: {score: mean for score, mean in scene_means(own).items() if score in SCORES} | best
-        for name, own in ((OURS, selected), (CUT, cut))
-    }
+    means = {}
+    for name, own in ((OURS, selected), (CUT, cut)):
+        kinds: dict[str, list[float]] = {}
+        for row in own:
+            mask = truth.masks[row["frame"]][row["query"]]
+            kinds.setdefault(kind_of(row["query"], mask), []).append(row["iou"])
+        scores = {score: mean for score, mean in scene_means(own).items() if score in SCORES}
+        means[name] = scores | best | {"kinds": kinds}
+    return means
 
 
 def measure(data: Path, names: Sequence[str], file: Path) -> list[dict[str, Any]]:
@@ -167,6 +191,20 @@ def placed(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return lines
 
 
+def by_kind(rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
+    """Kind of word by kind: mean IoU over the texts of a set, of us and of the others."""
+    lines = []
+    for kind in KINDS:
+        ious: dict[str, list[float]] = {}
+        for row in rows:
+            ious.setdefault(row["method"], []).extend(row["kinds"].get(kind, []))
+        if ious.get(OURS):
+            counted = len(ious[OURS]) // SEEDS
+            means = {method: float(np.mean(values)) for method, values in ious.items()}
+            lines.append({"set": name, "kind": kind, "texts": counted, **means})
+    return lines
+
+
 def sum_of_queries(rows: Sequence[Mapping[str, Any]]) -> int:
     return sum({row["scene"]: row["queries"] for row in rows}.values())
 
@@ -191,6 +229,12 @@ PLACED |= {f"{OURS} {key}": (title, f".{digits}f") for key, (title, digits) in S
 for _method in (*OTHERS, CUT):
     PLACED[f"{_method} iou"] = (f"{_method}: IoU", ".3f")
     PLACED[f"{_method} hit_mask"] = ("point", ".2f")
+BY_KIND: dict[str, tuple[str, Format]] = {
+    "set": ("set", str),
+    "kind": ("kind of word", str),
+    "texts": ("texts", "d"),
+    **{method: (f"{method}: IoU", ".3f") for method in (OURS, *OTHERS, CUT)},
+}
 GAINS = {"set": ("set", str), "method": ("gain over", str)}
 GAINS |= {key: (title, str) for key, (title, _) in SCORES.items()}
 STAGED: dict[str, tuple[str, Format]] = {"set": ("set", str), "queries": ("queries", "d")}
@@ -204,7 +248,7 @@ STAGED |= {
 
 def main() -> None:
     arguments = parser(__doc__, "answers.md")
-    arguments.add_argument("data", type=data_folder(*SHEETS), help="office and places, labelled")
+    arguments.add_argument("data", type=data_folder(*SHEETS), help="labelled sets")
     arguments.add_argument("--rows", type=Path, default=Path("answers.jsonl"), help="kept rows")
     arguments.add_argument("--only", nargs="+", choices=SHOWN, default=SHOWN, help="some sets")
     asked = arguments.parse_args()
@@ -220,7 +264,8 @@ def main() -> None:
         "answers.md",
         "python -m benches.scores.answer_scores DATA",
         table([line for name in sets for line in reached(ours[name], name)], REACHED),
-        table(placed(sets.get("places", [])), PLACED),
+        table([line for name, some in sets.items() for line in by_kind(some, name)], BY_KIND),
+        table(placed([*sets.get("things", []), *sets.get("places", [])]), PLACED),
         table([line for name, some in sets.items() for line in compared(some, name)], GAINS),
         table([staged(own, name) for name, own in ours.items()], STAGED),
     )
