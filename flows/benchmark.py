@@ -56,7 +56,7 @@ from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 from slgaussian.kernels import threads
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from slgaussian.storage.tables import read_table

@@ -229,7 +229,7 @@ class MethodSettings(QueryRules):
         }
 
     def rules(self) -> dict[str, Any]:
-        """Return the fields of :class:`slgaussian.language.query.Rules`."""
+        """Return the fields of :class:`slgaussian.language.rules.Rules`."""
         return self.model_dump(include=RULES)
 
     def part(self, kind: str) -> Component:

@@ -18,7 +18,7 @@ from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.kernels import threads
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
 from tasks.attribution import attribution

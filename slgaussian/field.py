@@ -22,16 +22,9 @@ from slgaussian.labels import VISIBLE
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import (
-    BankReader,
-    Description,
-    QueryResult,
-    Rules,
-    ask,
-    describe,
-    find,
-    segment,
-)
+from slgaussian.language.query import Description, QueryResult, ask, describe, find, segment
+from slgaussian.language.reader import BankReader
+from slgaussian.language.rules import Rules
 from slgaussian.language.taught import TaughtWords, encoder_identity, normal
 from slgaussian.scene import Camera
 from slgaussian.semantic.boundary_gaussians import boundary_gaussians
@@ -110,7 +103,7 @@ class FieldView:
         """Find ``text`` in this view.
 
         ``rules``, such as ``threshold`` or ``protocol``, are those of
-        :class:`slgaussian.language.query.Rules`.
+        :class:`slgaussian.language.rules.Rules`.
         """
         check_type(text, str, "query: expected one text; query_all takes a list of them")
         return self.query_all([text], **rules)[0]

@@ -31,7 +31,9 @@ from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.language import confidence
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import BankReader, Rules, ask
+from slgaussian.language.query import ask
+from slgaussian.language.reader import BankReader
+from slgaussian.language.rules import Rules
 
 RIDGE = 0.002
 

@@ -28,7 +28,7 @@ from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.language.wholes import Ranking
 
 KINDS = ("things", "office", "places")

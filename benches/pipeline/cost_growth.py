@@ -64,7 +64,9 @@ def _asked(objects: int, texts: int) -> tuple[Callable[[], object], Callable[[],
     from slgaussian.language import load_encoder
     from slgaussian.language.bank import MemoryBank
     from slgaussian.language.objectmap import ObjectMap
-    from slgaussian.language.query import BankReader, Rules, ask
+    from slgaussian.language.query import ask
+    from slgaussian.language.reader import BankReader
+    from slgaussian.language.rules import Rules
     from slgaussian.language.vocabulary import load_vocabulary
 
     encoder = load_encoder("lexicon")

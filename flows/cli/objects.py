@@ -257,7 +257,8 @@ def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> H
     import numpy as np
 
     from slgaussian.language.objectmap import ObjectMap
-    from slgaussian.language.query import Rules, ask
+    from slgaussian.language.query import ask
+    from slgaussian.language.rules import Rules
 
     present = {int(id_) for id_ in field.bank.ids} - field.removed
     if text.strip().isdecimal():

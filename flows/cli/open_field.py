@@ -16,7 +16,7 @@ from flows.read_config import checked, layered, preset_values
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.language.taught import TaughtWords, encoder_identity
 from slgaussian.scene import Camera, Scene
 from slgaussian.storage.field_folder import read_about
@@ -31,7 +31,7 @@ def open_field(
 ) -> tuple[dict[str, Any], SemanticField]:
     """Return the rules among ``settings``, and the field with its encoder ready to be asked.
 
-    Settings are fields of :class:`slgaussian.language.query.Rules` unless ``rules`` is false,
+    Settings are fields of :class:`slgaussian.language.rules.Rules` unless ``rules`` is false,
     ``preset``, of which the rules count, and by the name of the field's encoder a table of where
     its files are now. ``words`` is a file of taught words that the field takes for this.
 

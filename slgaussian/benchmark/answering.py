@@ -93,7 +93,7 @@ class AnsweringView(Protocol):
     def reader(self) -> Reader: ...  # noqa: D102
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> Sequence[Result]:
-        """Find each of ``texts``; ``rules`` are :class:`slgaussian.language.query.Rules`.
+        """Find each of ``texts``; ``rules`` are :class:`slgaussian.language.rules.Rules`.
 
         InputError if there is no text, or one that cannot be used.
         """

@@ -30,7 +30,7 @@ from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.io import short_repr
 from slgaussian.kernels import compiling
 from slgaussian.labels import LabelMaps
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
 

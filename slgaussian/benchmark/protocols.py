@@ -22,7 +22,7 @@ import numpy as np
 from slgaussian.benchmark import metrics, ranking
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language import langsplat
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 
 THRESHOLDS = tuple(k / ranking.BINS for k in range(1, ranking.BINS))
 """Relevancies at which the protocol threshold-free cuts, one after another: 0.05 to 0.95."""
@@ -103,7 +103,7 @@ class MaskSettings:
     Attributes
     ----------
     selection : str
-        ``near-best`` and ``threshold`` are those of :class:`slgaussian.language.query.Rules`;
+        ``near-best`` and ``threshold`` are those of :class:`slgaussian.language.rules.Rules`;
         ``stretched`` is LangSplat's, ``arg-max`` the best of several texts, ``none`` no mask;
         ``given`` masks were made elsewhere.
     threshold, share : float or None

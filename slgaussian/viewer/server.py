@@ -25,7 +25,7 @@ from starlette.routing import Route
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats import strict_json
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.language.wholes import LEAST_PIXELS
 from slgaussian.viewer.auth import Access, Guard
 from slgaussian.viewer.page.packed import morton_order

@@ -17,7 +17,7 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes, load_encoder
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.specs import load_spec
 from tests.known import known_field

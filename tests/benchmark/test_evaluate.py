@@ -17,7 +17,8 @@ from slgaussian.benchmark.evaluate import (
 from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
-from slgaussian.language.query import NEAR_BEST, Rules
+from slgaussian.language.rules import Rules
+from slgaussian.language.wholes import NEAR_BEST
 from slgaussian.scene import Sample
 from slgaussian.storage.specs import load_spec
 

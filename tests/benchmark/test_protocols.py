@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from slgaussian.benchmark.annotations import read_labels
 from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, load_protocol
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 
 SHAPE = (52, 72)
 NEAR = 1e-12

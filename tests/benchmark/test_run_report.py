@@ -21,7 +21,7 @@ from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.benchmark.reports.summary import COSTS
 from slgaussian.benchmark.scores import score_table
 from slgaussian.datasets.published import RECOGNISED
-from slgaussian.language.query import NEAR_BEST
+from slgaussian.language.wholes import NEAR_BEST
 from slgaussian.storage.specs import load_spec
 
 MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}}

@@ -111,12 +111,12 @@ def test_every_example_is_understood(words):
 
 def test_choices_that_are_listed_are_those_that_are_taken():
     """Of what is too heavy to ask where options are declared."""
-    from slgaussian.language import query, relevancy
+    from slgaussian.language import relevancy, rules
 
     def listed(name: str) -> set[str]:
         return set(config.Method.model_fields[name].examples)
 
-    assert listed("protocol") == set(query.PROTOCOLS)
+    assert listed("protocol") == set(rules.PROTOCOLS)
     assert listed("absent") == set(relevancy.ABSENT)
 
 

@@ -17,7 +17,9 @@ from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import BankReader, QueryResult, Rules
+from slgaussian.language.query import QueryResult
+from slgaussian.language.reader import BankReader
+from slgaussian.language.rules import Rules
 from slgaussian.scene import Camera, View
 
 RED, GREEN, BLUE, WHITE, GREY = (

@@ -27,8 +27,10 @@ from slgaussian.language import langsplat
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import BankReader, Rules, ask, describe
+from slgaussian.language.query import ask, describe
+from slgaussian.language.reader import BankReader
 from slgaussian.language.relevancy import relevancy
+from slgaussian.language.rules import Rules
 
 OBJECTS = [
     (ball(60, 60, 26), RED),

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from slgaussian.errors import InputError, SpecError
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import BankReader, Rules, ask
+from slgaussian.language.query import ask
+from slgaussian.language.reader import BankReader
+from slgaussian.language.rules import Rules
 from slgaussian.language.taught import EVEN, SCALE, TaughtWords, encoder_identity
 from slgaussian.storage.encoding import encode_arrays
 from slgaussian.storage.specs import load_spec

@@ -19,7 +19,7 @@ from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.scene import Sample
 from slgaussian.viewer.page.answers import answers_of
 from slgaussian.viewer.page.scene_page import scene_page

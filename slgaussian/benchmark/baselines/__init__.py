@@ -59,7 +59,7 @@ class Row:
     """A row of the table of methods: one of :data:`METHODS` with settings.
 
     ``about`` describes it in a line, and of what is not the original says that it is not. ``rules``
-    are those of :class:`slgaussian.language.query.Rules` that it is asked by in place of the run's.
+    are those of :class:`slgaussian.language.rules.Rules` that it is asked by in place of the run's.
     A ``variant`` is the field with one part changed: no other method, though it may be better. A
     ``slow`` one takes minutes a scene: it runs by its name and is not among all.
     """

@@ -1,6 +1,6 @@
 """Answers of methods that have a vector a pixel and know no objects.
 
-The rules are those of objects (:class:`slgaussian.language.query.Rules`), with pixels in place of
+The rules are those of objects (:class:`slgaussian.language.rules.Rules`), with pixels in place of
 them. A pixel's gap is its cosine with the text less that with the best rival, as ever:
 
 - ``near-best``: pixels with a gap above 0 and at least a fraction of the best gap. The best is not
@@ -32,7 +32,8 @@ from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
 from slgaussian.language import langsplat
 from slgaussian.language.locate import central_point
-from slgaussian.language.query import Rules, TextReader
+from slgaussian.language.reader import TextReader
+from slgaussian.language.rules import Rules
 
 BEST_FRACTION = 0.01
 """The best gap is the one that this fraction of the pixels reach. On the office set and procedural

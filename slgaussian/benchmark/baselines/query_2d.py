@@ -14,7 +14,8 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.field import FieldView
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
-from slgaussian.language.query import QueryResult, TextReader
+from slgaussian.language.query import QueryResult
+from slgaussian.language.reader import TextReader
 from slgaussian.masks.flatten import flatten
 from slgaussian.scene import Camera, View
 from slgaussian.semantic.decode import VISIBLE

@@ -18,7 +18,7 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.confidence import Calibration
 from slgaussian.language.lexicon import Lexicon
-from slgaussian.language.query import Rules, unmeasured
+from slgaussian.language.rules import Rules, unmeasured
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary
 from slgaussian.language.wholes import LEAST_PIXELS
 from slgaussian.objects import words_for

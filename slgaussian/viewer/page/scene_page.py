@@ -32,7 +32,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.geometry.room import find_room
 from slgaussian.language.confidence import ABSENT, EVEN_OUT, TYPICAL, Calibration
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import Rules
+from slgaussian.language.rules import Rules
 from slgaussian.objects import SceneObject
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
