@@ -3,6 +3,9 @@
 Two cameras see it from the sides.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import torch
 
@@ -37,7 +40,9 @@ def looked(cam: Camera, square: bool = True) -> tuple[np.ndarray, np.ndarray]:
     return np.where(inside, YELLOW, labels).astype(np.int32), np.where(inside, NEAR, WALL)
 
 
-def square_field(codes: str, times: int = 1) -> SemanticField:
+def square_field(
+    codes: str, times: int = 1, settings: Mapping[str, Any] | None = None
+) -> SemanticField:
     """The field, with ID codes of this strategy; its photographs so many times as large."""
     cameras = [camera(x).resized(times * W, times * H) for x in (-0.4, 0.4)]
     seen = [looked(cam) for cam in cameras]
@@ -61,5 +66,5 @@ def square_field(codes: str, times: int = 1) -> SemanticField:
         source=torch.arange(n, dtype=torch.int32),
     )
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
-    method = Method(codes=codes, keep="all")
+    method = Method(codes=codes, keep="all", settings=settings or {})
     return known_field(Sample("wall", tuple(views)), gaussians, maps, method)

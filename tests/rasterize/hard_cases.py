@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -23,10 +23,8 @@ from slgaussian.scene import Camera
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One scene and the camera that sees it; ``about`` says in a line what is hard."""
+    """One scene and the camera that sees it."""
 
-    name: str
-    info: str
     gaussians: Gaussians
     values: torch.Tensor
     camera: Camera
@@ -90,8 +88,7 @@ def names() -> list[str]:
 @cache
 def case(name: str) -> Case:
     """The case of that name."""
-    gaussians, values, camera = _MAKERS[name]()
-    return Case(name, _MAKERS[name].__doc__ or "", gaussians, values, camera)
+    return Case(*_MAKERS[name]())
 
 
 @cache
@@ -375,22 +372,9 @@ def _with_opacity(opacity: float, seed: int) -> Made:
     return output, r.uniform(40, 3), view
 
 
-@_case
-def opacity_0() -> Made:
-    """Half of the Gaussians have opacity 0."""
-    return _with_opacity(0.0, 15)
-
-
-@_case
-def opacity_1() -> Made:
-    """Half of the Gaussians have opacity 1."""
-    return _with_opacity(1.0, 16)
-
-
-@_case
-def opacity_almost_1() -> Made:
-    """Half of the Gaussians have opacity 1 - 1e-7."""
-    return _with_opacity(1 - 1e-7, 17)
+_MAKERS["opacity_0"] = partial(_with_opacity, 0.0, 15)
+_MAKERS["opacity_1"] = partial(_with_opacity, 1.0, 16)
+_MAKERS["opacity_almost_1"] = partial(_with_opacity, 1 - 1e-7, 17)
 
 
 @_case
@@ -438,25 +422,18 @@ def depths_a_float_apart() -> Made:
     return splats(means, 0.5, r.uniform(50)), r.uniform(50, 3), camera()
 
 
-@_case
-def quaternions_of_any_length() -> Made:
-    """From 1e-36 to 1e36 long: the square is beyond float32 on both sides."""
-    view, r = camera(), _Random(24)
+def _with_quaternions(low: float, high: float, seed: int) -> Made:
+    """Quaternions of these lengths, whose squares may be beyond float32."""
+    view, r = camera(), _Random(seed)
     output = splats(
         r.inside(view, 60), r.uniform(60, 3, low=0.01, high=0.4), r.uniform(60), r.quats(60)
     )
-    output.quats[:] *= r.magnitudes(60, 1, low=1e-36, high=1e36)
+    output.quats[:] *= r.magnitudes(60, 1, low=low, high=high)
     return output, r.uniform(60, 3), view
 
 
-@_case
-def quaternions_near_zero() -> Made:
-    """1e-20 long."""
-    view, r = camera(), _Random(25)
-    output = splats(
-        r.inside(view, 60), r.uniform(60, 3, low=0.01, high=0.4), r.uniform(60), 1e-20 * r.quats(60)
-    )
-    return output, r.uniform(60, 3), view
+_MAKERS["quaternions_of_any_length"] = partial(_with_quaternions, 1e-36, 1e36, 24)
+_MAKERS["quaternions_near_zero"] = partial(_with_quaternions, 1e-20, 1e-20, 25)
 
 
 def _with_focal(focal: float, seed: int) -> Made:
@@ -471,16 +448,8 @@ def _with_focal(focal: float, seed: int) -> Made:
     )
 
 
-@_case
-def focal_2() -> Made:
-    """A field of view of 170 degrees."""
-    return _with_focal(2.0, 26)
-
-
-@_case
-def focal_50000() -> Made:
-    """A focal length of 50,000 px: a field of view of three minutes of arc."""
-    return _with_focal(50_000.0, 28)
+_MAKERS["focal_2"] = partial(_with_focal, 2.0, 26)  # a field of view of 170 degrees
+_MAKERS["focal_50000"] = partial(_with_focal, 50_000.0, 28)  # of three minutes of arc
 
 
 @_case
@@ -529,16 +498,8 @@ def _with_size(width: int, height: int, seed: int) -> Made:
     return *cloud(60, seed, 0.5, view, 3), view
 
 
-@_case
-def image_of_1x1() -> Made:
-    """One pixel."""
-    return _with_size(1, 1, 32)
-
-
-@_case
-def image_of_17x33() -> Made:
-    """A pixel more than tiles of 8 and 16 and 32."""
-    return _with_size(17, 33, 34)
+_MAKERS["image_of_1x1"] = partial(_with_size, 1, 1, 32)
+_MAKERS["image_of_17x33"] = partial(_with_size, 17, 33, 34)  # a pixel more than tiles of 8 to 32
 
 
 @_case
@@ -575,19 +536,6 @@ def _with_channels(channels: int, seed: int) -> Made:
     return output, _Random(seed).uniform(40, channels, low=-1), view
 
 
-@_case
-def no_channel() -> Made:
-    """Alpha and depth alone."""
-    return _with_channels(0, 41)
-
-
-@_case
-def seven_channels() -> Made:
-    """No multiple of what is summed side by side."""
-    return _with_channels(7, 43)
-
-
-@_case
-def three_hundred_channels() -> Made:
-    """Features rather than colours."""
-    return _with_channels(300, 44)
+_MAKERS["no_channel"] = partial(_with_channels, 0, 41)
+_MAKERS["seven_channels"] = partial(_with_channels, 7, 43)  # no multiple of what is summed at once
+_MAKERS["three_hundred_channels"] = partial(_with_channels, 300, 44)

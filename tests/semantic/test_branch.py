@@ -177,13 +177,13 @@ def test_weights_that_contradict_their_architecture_are_refused(tmp_path):
         load_branch(file)
 
 
-@pytest.mark.parametrize("content", [b"", b"no weights at all", None])
-def test_a_file_that_is_no_weights_is_refused(tmp_path, content):
+def test_a_file_that_is_no_weights_is_refused(tmp_path):
     file = tmp_path / "b.safetensors"
-    if content is not None:
-        file.write_bytes(content)
-    with pytest.raises(InputError, match=f"weights {file}: cannot be read"):
-        load_branch(file)
+    for content in (None, b"", b"no weights at all", save_branch(shaken())[:-10]):
+        if content is not None:
+            file.write_bytes(content)
+        with pytest.raises(InputError, match=f"weights {file}: cannot be read"):
+            load_branch(file)
 
 
 @pytest.mark.parametrize("dimension", [0, 1, 2])

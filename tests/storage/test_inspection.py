@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import torch
 from contents import failures, labels
 
 from slgaussian.errors import InputError
@@ -27,6 +28,7 @@ from slgaussian.storage.inspection import inspect
 from slgaussian.storage.provenance import Provenance, making
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
+from tests.rasterize.hard_cases import splats
 
 ROOT = Path(__file__).parents[2]
 
@@ -40,18 +42,7 @@ def artifact(tmp_path) -> Path:
 
 @pytest.fixture
 def gaussians() -> Gaussians:
-    n = 6
-    rows = np.ones((n, 3), np.float32)
-    arrays = {
-        "means": rows,
-        "scales": rows,
-        "quats": np.tile(np.float32([1, 0, 0, 0]), (n, 1)),
-        "opacities": np.ones(n, np.float32),
-        "sh": np.zeros((n, 1, 3), np.float32),
-        "source": np.arange(n, dtype=np.int32),
-        "features": np.ones((n, 4), np.float32),
-    }
-    return Gaussians.from_arrays(arrays)
+    return replace(splats([[1, 1, 1]] * 6, 1, 1), features=torch.ones(6, 4))
 
 
 @pytest.fixture
