@@ -176,7 +176,9 @@ class Tab:
         self._session = self._protocol.call("Target.attachToTarget", attached)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
-        self.resize(width, height)
+        # In CSS pixels, which are the pixels of a screenshot.
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         found = self.call("Page.navigate", url=url)
         if "errorText" in found:
             raise PageError(f"{url}: {found['errorText']}")
@@ -190,16 +192,6 @@ class Tab:
     def call(self, method: str, **values: Any) -> dict[str, Any]:
         """A call of the protocol to this page."""
         return self._protocol.call(method, values, self._session)
-
-    def resize(self, width: int, height: int) -> None:
-        """Give the view this size in CSS pixels, which are the pixels of a screenshot."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=height,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
 
     def evaluate(self, script: str) -> Any:
         """The value of an expression in the page, a promise awaited; PageError if it throws."""
@@ -236,25 +228,20 @@ class Tab:
         data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
         return np.array(Image.open(io.BytesIO(data)).convert("RGB"))
 
-    def click(self, x: float, y: float, double: bool = False) -> None:
+    def click(self, x: float, y: float) -> None:
         """Press and release the left button at (x, y) of the view, in CSS pixels."""
-        self.move(x, y)
-        for count in range(1, 2 + double):
-            for kind in ("mousePressed", "mouseReleased"):
-                self._mouse(kind, x, y, button="left", clickCount=count)
+        self._mouse("mouseMoved", x, y)
+        for kind in ("mousePressed", "mouseReleased"):
+            self._mouse(kind, x, y, button="left", clickCount=1)
 
     def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 4) -> None:
         """Drag with the left button from a point of the view to another."""
-        self.move(*start)
+        self._mouse("mouseMoved", *start)
         self._mouse("mousePressed", *start, button="left", clickCount=1)
         for k in range(1, steps + 1):
             x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
             self._mouse("mouseMoved", x, y, button="left", buttons=1)
         self._mouse("mouseReleased", *end, button="left", clickCount=1)
-
-    def move(self, x: float, y: float) -> None:
-        """Move the mouse to (x, y) of the view."""
-        self._mouse("mouseMoved", x, y)
 
     def click_on(self, selector: str) -> None:
         """Click the middle of the first element that a CSS selector finds, scrolled into view."""

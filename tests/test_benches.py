@@ -6,27 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from benches.common import harness, photograph_pairs
+from benches.common import harness
 
 ROOT = Path(__file__).parents[1]
 BENCHES = sorted((ROOT / "benches").rglob("*.py"))
-
-
-def test_another_folder_than_data_is_one_sentence(tmp_path):
-    with pytest.raises(SystemExit, match=r"DATA: nowhere is no folder; give a folder with trans"):
-        photograph_pairs.photographs("nowhere")
-    (tmp_path / "office").mkdir()
-    for name in ("transforms.json", "pairs.json"):
-        (tmp_path / "office" / name).write_text("{}")
-    with pytest.raises(SystemExit) as left:
-        photograph_pairs.photographs(str(tmp_path))
-    assert left.value.code == (
-        f"error: DATA: {tmp_path} holds no transforms.json and no pairs.json; "
-        f"did you mean {tmp_path / 'office'}?"
-    )
-    assert photograph_pairs.photographs(str(tmp_path / "office")) == tmp_path / "office"
-    with pytest.raises(SystemExit, match=f"did you mean {tmp_path}"):
-        photograph_pairs.data_folder("office/pairs.json")(str(tmp_path / "office"))
 
 
 def module(bench):

@@ -4,12 +4,10 @@ import logging
 import os
 import subprocess
 import sys
-import threading
 import time
 
 import numba
 import pytest
-from numba.core.compiler_lock import global_compiler_lock
 
 from slgaussian.kernels import compiling
 
@@ -60,23 +58,6 @@ def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatc
     # A record may be caught by handlers of several loggers.
     (message,) = {id(r): r for r in caplog.records if r.name == compiling.__name__}.values()
     assert message.levelno == logging.WARNING and "takes up to a minute" in message.message
-
-
-def test_the_clock_stands_still_while_another_thread_compiles(at_once):
-    """One scene waits for kernels that another one is having compiled."""
-    kernel, took = new_kernel(), []
-
-    def work():
-        begun = compiling.spent()
-        kernel(1)
-        took.append(compiling.spent() - begun)
-
-    thread = threading.Thread(target=work)
-    with global_compiler_lock:
-        thread.start()
-        time.sleep(0.5)  # it waits for most of this, however late it starts
-    thread.join()
-    assert took[0] >= 0.2
 
 
 @pytest.mark.whole

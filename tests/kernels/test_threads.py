@@ -113,17 +113,3 @@ def test_only_who_computed_before_is_told():
     assert "import slgaussian first, or set MKL_CBWR=AUTO" in said_by(USED)
     assert "slgaussian" not in said_by(USED, MKL_CBWR="AUTO")
     assert "slgaussian" not in said_by("import torch; import slgaussian")
-
-
-@pytest.mark.skipif(
-    "avx2" not in torch.backends.cpu.get_cpu_capability().lower()
-    and "avx512" not in torch.backends.cpu.get_cpu_capability().lower(),
-    reason="needs a processor with AVX2",
-)
-def test_the_kernels_of_a_process_are_named():
-    show = (
-        "import sys; from slgaussian.kernels import threads; "
-        "print(threads.kernels(), file=sys.stderr)"
-    )
-    result = said_by(show, ATEN_CPU_CAPABILITY="avx2", OPENBLAS_CORETYPE="Nehalem", MKL_CBWR="AVX2")
-    assert "'torch': 'AVX2', 'mkl': 'AVX2', 'openblas': 'Nehalem'" in result

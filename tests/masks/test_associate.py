@@ -173,6 +173,14 @@ def room():
     return scene, with_depths(views, [view.depth for view in views])
 
 
+def test_where_copies_alone_vote_no_view_overrules_them(monkeypatch):
+    views = [flat(picture(seed), name) for seed, name in enumerate("abc")]
+    monkeypatch.setattr("slgaussian.masks.associate.vote_on_objects", None)
+    associate(views, Regions(), GeometricTracker(), 5, "copies")
+    with pytest.raises(TypeError):
+        associate(views, Regions(), GeometricTracker())
+
+
 def grid(rows):
     return np.array(rows, np.int32)
 

@@ -29,25 +29,25 @@ class Drawn:
         return Proposals(masks, np.ones(len(boxes), np.float32))
 
 
-def scene(things, moved, move=(0, 14)):
-    """Two views of a wall with boxes on it, and their proposals and depths.
+RED = ((30, 75, 30, 70), (200, 50, 40), 11)
+BLUE = ((55, 100, 85, 140), (50, 60, 200), 12)
+MOVE = 14
+"""Pixels that the second camera went to the right by, of the motion of depth 1."""
 
-    ``things`` (box, colour, seed) hang in the first view, ``moved`` in the second; all lie at
-    depth 1, and the second camera went by ``move`` pixels (down, right) of their motion.
-    """
+
+def scene(things):
+    """Two views of a wall at depth 1 with (box, colour, seed) on it, and their proposals."""
     views, boxes = [], []
     K = np.array([[100, 0, SIZE[1] / 2], [0, 100, SIZE[0] / 2], [0, 0, 1.0]])
     large = np.tile(canvas((130, 130, 120), seed=3), (2, 2, 1))
-    for name, visible, (dy, dx) in (("a", things, (0, 0)), ("b", moved, move)):
-        picture = large[50 + dy : 50 + dy + SIZE[0], 70 + dx : 70 + dx + SIZE[1]].copy()
+    for name, dx in (("a", 0), ("b", MOVE)):
+        picture = large[50 : 50 + SIZE[0], 70 + dx : 70 + dx + SIZE[1]].copy()
         local = [WHOLE]
-        for (top, bottom, left, right), color, seed in visible:
-            box = (top - dy, bottom - dy, left - dx, right - dx)
-            paste(picture, box, color, seed)
-            if box[1] > 0 and box[3] > 0 and box[0] < SIZE[0] and box[2] < SIZE[1]:
-                local.append(box)
+        for (top, bottom, left, right), color, seed in things:
+            local.append((top, bottom, left - dx, right - dx))
+            paste(picture, local[-1], color, seed)
         c2w = np.eye(4)
-        c2w[:2, 3] = dx / 100, dy / 100
+        c2w[0, 3] = dx / 100
         image = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
         views.append(View(name, Camera(K, c2w, SIZE[1], SIZE[0]), image))
         boxes.append(local)
@@ -55,14 +55,10 @@ def scene(things, moved, move=(0, 14)):
     return with_depths(views, [np.ones(SIZE, np.float32)] * 2), proposer
 
 
-RED = ((30, 75, 30, 70), (200, 50, 40), 11)
-BLUE = ((55, 100, 85, 140), (50, 60, 200), 12)
-
-
-def run(things, moved=None, swapped=False, **settings):
-    views, proposer = scene(things, things if moved is None else moved)
+def run(things, swapped=False):
+    views, proposer = scene(things)
     order = -1 if swapped else 1
-    maps = associate(views[::order], proposer, load_tracker("geometric"), **settings)
+    maps = associate(views[::order], proposer, load_tracker("geometric"))
     return maps, maps.labels[::order]
 
 
@@ -87,7 +83,7 @@ def test_two_identical_objects_side_by_side_keep_their_own_ids():
 
 
 def test_no_mask_in_one_view_or_in_none():
-    views, _ = scene([RED], [RED])
+    views, _ = scene([RED])
     nothing = Drawn(*((v, []) for v in views))
     maps = associate(views, nothing, load_tracker("geometric"))
     assert not maps.labels.any() and len(maps.ids) == len(maps.seen_once) == 0
@@ -107,7 +103,7 @@ def test_one_pixel_masks_come_through_every_step_unharmed():
     pixels[1, 5, 5] = pixels[2, 119, 159] = True
     labels = flatten(Proposals(pixels, np.ones(3, np.float32)))
     assert sorted(np.unique(labels, return_counts=True)[1]) == [1, 1, SIZE[0] * SIZE[1] - 2]
-    views, _ = scene([RED], [RED])
+    views, _ = scene([RED])
     tracker = load_tracker("geometric")
     tracker.add(views[0], labels)
     assert set(np.unique(tracker.propagate(views[1]))) <= {0, 1, 2, 3}

@@ -62,6 +62,13 @@ def test_all_levels_hold_the_objects_and_what_is_smaller_and_larger(scene):
         np.testing.assert_array_equal(first.scores, every.scores[every.levels == number])
 
 
+def test_most_bounds_the_number_of_masks_but_objects_stay(scene):
+    objects = len(Regions().propose(SeenView.alone(scene)).masks)
+    for maximum in (0, 10, 25):
+        masks = Regions(level="all", most=maximum).propose(SeenView.alone(scene)).masks
+        assert objects <= len(masks) <= max(maximum, objects)
+
+
 def test_where_limits_the_search(scene):
     place = np.zeros(SIZE, bool)
     place[:, 80:] = True

@@ -15,6 +15,8 @@ from slgaussian.masks.associate import associate
 from slgaussian.masks.regions import Regions
 from slgaussian.masks.sam2_video import Sam2Video
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 
 def save_sam2_video(folder: Path) -> Path:
     torch.manual_seed(0)
@@ -52,15 +54,6 @@ def save_sam2_video(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return save_sam2_video(tmp_path_factory.mktemp("models") / "sam2-video")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def one_thread():
-    """Layers this small take a hundred times longer where threads wait for each other."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 def labels():
