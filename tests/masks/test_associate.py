@@ -57,6 +57,12 @@ def picture(seed=0):
 WHOLE = (0, *SIZE[:1], 0, *SIZE[1:])
 
 
+def test_no_proposals_at_all():
+    views = [flat(picture()), flat(picture(1), "b")]
+    maps = associate(views, Drawn([], [], [], []), GeometricTracker())
+    assert not maps.labels.any() and len(maps.ids) == 0 and (maps.margin == 1).all()
+
+
 def test_an_object_seen_in_one_view_only_is_kept():
     first, second = picture(), picture()
     paste(second, (5, 35, 110, 150), (30, 200, 60), 9)
