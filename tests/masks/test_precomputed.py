@@ -34,13 +34,8 @@ def write_palette(file, ids):
 
 
 def write_colors(file, ids):
-    Image.fromarray(np.stack([ids % 256, ids // 256 % 256, ids >> 16], -1).astype(np.uint8)).save(
-        file
-    )
-
-
-def write_npy(file, ids):
-    np.save(file, ids)
+    channels = [ids % 256, ids // 256 % 256, ids >> 16]
+    Image.fromarray(np.stack(channels, -1).astype(np.uint8)).save(file)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +45,7 @@ def write_npy(file, ids):
         (write_16_bits, "a.png", 40_000),
         (write_palette, "a.png", 200),
         (write_colors, "a.png", 2**24 - 1),
-        (write_npy, "a.npy", 2**31 - 1),
+        (np.save, "a.npy", 2**31 - 1),
     ],
 )
 def test_every_format_gives_the_ids_back(tmp_path, write, name, top):
@@ -85,7 +80,7 @@ def test_association_keeps_ids_holes_and_asks_no_proposer(tmp_path):
     views = [view(canvas()), view(canvas(seed=1), "sub/b.jpg")]
     maps = [ids_of(700, seed) for seed in (0, 1)]
     write_16_bits(tmp_path / "a.png", maps[0])
-    write_npy(tmp_path / "b.npy", maps[1].astype(np.uint16))
+    np.save(tmp_path / "b.npy", maps[1].astype(np.uint16))
     result = associate(views, Never(), Precomputed(folder=tmp_path))
     np.testing.assert_array_equal(result.labels, maps)
     assert (result.margin == 1).all()

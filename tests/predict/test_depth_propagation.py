@@ -40,12 +40,7 @@ def test_a_hole_gets_the_depth_that_the_other_view_found_there():
     # A point may land half a pixel beside: the planes are tilted by less than 1 % a pixel.
     assert np.abs(result / true - 1).max() < 0.02
     assert np.array_equal(second.inverse_depth, swept[1].inverse_depth)
-
-
-def test_answers_are_not_overruled():
-    _, images, swept = pair()
-    first, _ = propagate_depth(swept, images, LINKS)
-    mine = swept[0].answered
+    mine = swept[0].answered  # answers are not overruled
     assert np.array_equal(first.inverse_depth[mine], swept[0].inverse_depth[mine])
 
 

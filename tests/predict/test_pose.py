@@ -14,6 +14,7 @@ from slgaussian.predict.depth_hypotheses import (
     inverse_depth_candidates,
     inverse_depth_range,
     pixel_grid,
+    visible_share,
 )
 from slgaussian.predict.pose import refine
 from slgaussian.predict.view_graph import drop_unmatched, link_views
@@ -141,3 +142,19 @@ def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
     assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
     graph = MatchGraph.of(initial.context)
     assert drop_unmatched(initial, graph) == (initial, graph, {})
+
+
+def test_range_reaches_to_what_three_matches_share():
+    many = np.linspace(0.2, 0.5, 300)
+    false = [0.8, 2.0]
+    _, high = inverse_depth_range(np.append(many, false), baseline=0.3)
+    assert high == pytest.approx(1.25 * 0.5, rel=0.01)
+    _, high = inverse_depth_range(np.append(many, [0.79, 0.82, 0.85, *false]), baseline=0.3)
+    assert high == pytest.approx(1.25 * 0.85)
+
+
+def test_visible_share_tells_overlap_from_none():
+    steps = np.linspace(0.2, 0.6, 5)
+    assert visible_share(Relative.between(A, B), (120, 160), steps) > 0.4
+    away = Relative.between(A, camera(x=0.5, turn=2.5))
+    assert visible_share(away, (120, 160), steps) == 0

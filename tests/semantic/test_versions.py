@@ -1,6 +1,5 @@
 """Versions of weights: what is in use is always there, and nothing is forgotten."""
 
-import json
 import multiprocessing
 import os
 
@@ -91,25 +90,17 @@ def test_a_failed_write_leaves_what_is_in_use(versions, monkeypatch):
 def test_damage_is_one_sentence(versions):
     first = versions.add(b"one", {}, True, "the first")
     versions.weights(first).write_bytes(b"other")
-    with pytest.raises(SpecError, match=r"\.safetensors: missing or altered"):
-        versions.weights(first)
-    with pytest.raises(SpecError, match="missing or altered"):
-        versions.use(first, "ada")
-    for text in ("{", json.dumps({"version": 9}), "[]", '{"version": 1, "history": [{"by": 1}]}'):
+    for ask in (versions.weights, lambda version: versions.use(version, "ada")):
+        with pytest.raises(SpecError, match=r"\.safetensors: missing or altered"):
+            ask(first)
+    numbers = ["1e400", "NaN", "-Infinity", "1" * 400, "true", '"1"', "1.0", "-1", "[1]"]
+    entry = '{"when": "", "version": 1, "before": %s, "by": "", "why": ""}'
+    texts = ["{", "[]", '{"version": 9}', '{"version": 1, "history": [{"by": 1}]}']
+    texts += [f'{{"version": {number}}}' for number in numbers]
+    texts += [f'{{"version": 1, "history": [{entry % number}]}}' for number in numbers]
+    for text in texts:
         (versions.folder / "current.json").write_text(text)
         with pytest.raises(SpecError, match=r"current\.json: cannot be read|000009"):
-            versions.current()
-
-
-@pytest.mark.parametrize(
-    "number", ["1e400", "-1e400", "NaN", "Infinity", "1" * 400, "true", '"1"', "1.0", "-1", "[1]"]
-)
-def test_a_number_that_is_none_is_refused(versions, number):
-    versions.add(b"one", {}, True, "the first")
-    entry = f'{{"when": "", "version": 1, "before": {number}, "by": "", "why": ""}}'
-    for text in (f'{{"version": {number}}}', f'{{"version": 1, "history": [{entry}]}}'):
-        (versions.folder / "current.json").write_text(text)
-        with pytest.raises(SpecError, match=r"current\.json: cannot be read"):
             versions.current()
 
 

@@ -1,7 +1,6 @@
 """What stays in a store, what may go, and what is found damaged."""
 
 import json
-import uuid
 from pathlib import Path
 
 import pyarrow as pa
@@ -15,19 +14,6 @@ from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore
 
 KEYS = {stage: f"{stage}/v{version}/{stage * 9:f<64.64}" for stage, version in [("a", 1), ("b", 2)]}
-
-
-@pytest.fixture(params=["local", "memory", "s3"])
-def store(request, tmp_path):
-    if request.param == "s3":
-        return ArtifactStore(request.getfixturevalue("bucket") + "/slg")
-    root = tmp_path / "store" if request.param == "local" else f"memory://{uuid.uuid4().hex}"
-    return ArtifactStore(root)
-
-
-@pytest.fixture
-def local(tmp_path):
-    return ArtifactStore(tmp_path / "store")
 
 
 def names(store: ArtifactStore) -> set[str]:

@@ -2,7 +2,6 @@ import io
 import os
 import stat
 import sys
-import uuid
 from pathlib import Path
 
 import numpy as np
@@ -23,20 +22,6 @@ from slgaussian.storage.encoding import (
 )
 from slgaussian.storage.specs import Spec, load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-
-
-@pytest.fixture(params=["local", "memory", "s3"])
-def store(request, tmp_path, monkeypatch):
-    monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")  # copies are tested elsewhere
-    if request.param == "s3":
-        return ArtifactStore(request.getfixturevalue("bucket") + "/some/prefix")
-    root = tmp_path / "store" if request.param == "local" else f"memory://{uuid.uuid4().hex}"
-    return ArtifactStore(root)
-
-
-@pytest.fixture
-def local(tmp_path):
-    return ArtifactStore(tmp_path / "store")
 
 
 def path_of(store: ArtifactStore, ref: ArtifactRef) -> Path:
