@@ -1,11 +1,17 @@
 """Runs compared: what differs, by how much, and where; and methods ranked."""
 
 import json
+from pathlib import Path
 
 import pytest
-from left import MANIFEST, leave
 
-from slgaussian.benchmark.outputs import write_costs, write_file
+from slgaussian.benchmark.outputs import (
+    write_costs,
+    write_file,
+    write_predictions,
+    write_samples,
+)
+from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.reports.comparison import (
     compare_runs,
     differing_settings,
@@ -14,6 +20,23 @@ from slgaussian.benchmark.reports.comparison import (
 )
 from slgaussian.errors import InputError, SpecError
 from slgaussian.storage.specs import load_spec
+
+MANIFEST = {
+    "settings": {"share": 0.7, "seed": 0},
+    "methods": {"query-2d": "query-2d"},
+    "data": {"procedural_3": {"sample": "aa", "files": {"a.png": "11"}}},
+}
+
+
+def leave(folder: Path, result, change=lambda row: row, manifest=MANIFEST) -> Path:
+    """What a run leaves in a folder, of rows that may be changed first."""
+    rows = [change(dict(row)) for row in result.rows]
+    rows = [row for row in rows if row is not None]
+    write_samples(rows, folder)
+    masks = {key: encode_png(mask) for key, mask in result.predictions.items()}
+    write_predictions(rows, masks, folder / "predictions")
+    write_file(folder / "manifest.json", json.dumps(manifest).encode())
+    return folder
 
 
 def compared(*folders):
@@ -33,10 +56,6 @@ def section(report, title: str):
 
 def scored(result) -> list[dict]:
     return [r for r in result.rows if r["protocol"] == "slgaussian@2" and r["iou"] is not None]
-
-
-def worse(row: dict) -> dict:
-    return {**row, "iou": None if row["iou"] is None else row["iou"] * 0.5}
 
 
 def test_a_run_and_itself_differ_in_nothing(tmp_path, result):

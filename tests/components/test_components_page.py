@@ -20,10 +20,8 @@ def test_the_page_is_what_its_maker_writes():
     ("values", "fits"),
     [
         ({"planesweep": {"depth_candidates": 64}, "size": "64x64"}, True),
-        ({"separated": {"dimension": "auto"}}, True),
         ({"planesweep": {"depth_candidates": 4}}, False),
         ({"clip": {"crops": "square"}}, False),
-        ({"clip": {"crop": "masked"}}, False),
     ],
 )
 def test_the_schema_tells_configurations_from_others(values, fits):

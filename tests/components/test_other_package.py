@@ -96,28 +96,6 @@ def test_a_field_is_built_with_it(asked, tmp_path):
     assert said["ink"] == {"colours": digest, "within": 60.0, "least": 20}
 
 
-def test_what_does_not_fit_is_one_sentence(asked, tmp_path):
-    (tmp_path / "c.txt").write_text(RED)
-    code = (
-        "from slgaussian.components.component import Component\n"
-        "from slgaussian.errors import InputError\n"
-        "try: Component.of('proposer', 'ink', {'colours': 'c.txt', 'least': 0}).load()\n"
-        "except InputError as error: print(error)"
-    )
-    assert asked(code) == "ink least: found 0, expected a whole number from 1\n"
-
-
-def test_a_method_to_compare_with_is_brought_too(asked, tmp_path):
-    code = "class Same:\n    def __call__(self, inputs): return inputs.field\n"
-    own = package(tmp_path / "p", "same", "[slgaussian.methods]\nsame = same:Same\n", code)
-    said = asked(
-        "from slgaussian.benchmark.baselines import ROWS\n"
-        "print(list(ROWS)[-1], type(ROWS['same'].load()).__name__)",
-        own,
-    )
-    assert said == "same Same\n"
-
-
 CLASH = "from dataclasses import dataclass\n@dataclass\nclass Regions: ...\n"
 
 
@@ -130,7 +108,6 @@ def test_a_name_that_is_taken_is_refused(asked, tmp_path):
         own,
     )
     assert said.startswith("proposer 'regions': the package mine brings one, but a proposer ")
-    assert "### sam" in asked(command("doctor", "--components"), own)
 
 
 def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(asked, tmp_path):

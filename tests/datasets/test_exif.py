@@ -49,20 +49,6 @@ def test_focal_length(tmp_path, pixels, header):
     assert found.focal == (None if focal is None else pytest.approx(focal))
 
 
-def test_the_lens_tells_zooms_apart(tmp_path, pixels):
-    base = {TAGS.Make: "Apple", TAGS.Model: "iPhone X"}
-    lenses = set()
-    for number, film in enumerate((28, 28, 36)):
-        own = {TAGS.FocalLength: 4.0, TAGS.FocalLengthIn35mmFilm: film, TAGS.LensModel: "back 4mm"}
-        file = taken(tmp_path / f"{number}.jpg", pixels, base=base, own=own)
-        lenses.add(photograph(file, "a").lens)
-    assert lenses == {
-        "Apple, iPhone X, back 4mm, 4 mm, 28 mm of 35",
-        "Apple, iPhone X, back 4mm, 4 mm, 36 mm of 35",
-    }
-    assert photograph(taken(tmp_path / "b.png", pixels), "b").lens == ""
-
-
 @pytest.mark.parametrize(("suffix", "orientation"), [(".jpg", None), (".png", 6), (".tif", 8)])
 def test_a_photograph_is_upright_whatever_is_stored(tmp_path, pixels, orientation, suffix):
     found = photograph(taken(tmp_path / f"a{suffix}", pixels, orientation), "a")

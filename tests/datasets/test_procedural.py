@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from implicit_solids import inside_below_zero
 
-from slgaussian.datasets.procedural import raycast, reader
+from slgaussian.datasets.procedural import reader
 from slgaussian.datasets.procedural.names import (
     COLOURS,
     MATERIALS,
@@ -90,18 +90,6 @@ def test_every_phrase_is_plain_and_no_two_could_be_confused(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_every_object_is_seen_from_both_ends(seed):
-    scene = reader.read(seed=seed, **SMALL)
-    assert sum(phrase.split()[-1] in SHAPES for phrase in scene.phrases.values()) == 8
-    for name in ("view_00", "view_03"):
-        counts = np.bincount(scene.read(name).instances.ravel(), minlength=len(scene.phrases) + 1)
-        assert counts[0] == 0  # the room is closed
-        for i, phrase in scene.phrases.items():
-            if phrase.split()[-1] in SHAPES:
-                assert counts[i] > 0.002 * 64 * 96, phrase
-
-
-@pytest.mark.parametrize("seed", SEEDS)
 def test_nothing_stands_inside_anything_else_or_floats(seed):
     rng = np.random.default_rng(seed)
     things = reader.read(seed=seed, objects=12, **SMALL).read.args[1].things
@@ -124,21 +112,6 @@ def test_nothing_stands_inside_anything_else_or_floats(seed):
             inside_below_zero(solid, below) for b in things if b is not thing for solid in b.solids
         )
         assert held < 0, thing.phrase
-
-
-def test_shadows_fall_where_an_object_hides_the_lamp():
-    scene = reader.read(seed=5, height=208, width=288, noise=0, exposure=0)
-    room = scene.read.args[1]
-    view = scene.read("view_00")
-    points = view.camera.unproject(view.depth)
-    t, _ = raycast.cast(room.solids(casters=True), room.light.centre, points - room.light.centre)
-    floor = view.instances == 1
-    # A lamp has a size: look well inside and well outside the shadow of its centre.
-    dark = floor & (t < 0.9)
-    lit = floor & (t > 1 + 1e-6)
-    near = lit & (np.abs(points[..., 0]) < 1.5) & (points[..., 1] > -1)
-    assert dark.sum() > 100
-    assert np.median(view.image[dark]) < 0.85 * np.median(view.image[near])
 
 
 @pytest.mark.parametrize(

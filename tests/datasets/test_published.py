@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import pytest
 
-from slgaussian.benchmark.reports.paper_tables import TABLES
 from slgaussian.datasets.published import (
     ANOTHER,
     RECOGNISED,
@@ -24,16 +23,6 @@ def found_of(format: str, name: str) -> LabelledFrames:
     asked = dict.fromkeys(scene.frames, scene.texts or ("something",))
     sizes = {} if scene.size is None else dict.fromkeys(scene.frames, scene.size)
     return LabelledFrames(format, name, asked, scene.frames, sizes)
-
-
-def test_all_scenes_of_the_papers_tables_are_known():
-    named = {
-        (table["format"], scene)
-        for table in TABLES
-        if table["best_of"] == "line"
-        for scene in table["lines"][-1]["scenes"]
-    }
-    assert named == set(KNOWN)
 
 
 @pytest.mark.parametrize(("format", "name"), KNOWN)

@@ -9,7 +9,6 @@ from PIL import Image
 
 from flows.cli.photographs import find_views
 from slgaussian import datasets
-from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets.photographs import open_photograph, stored_size
 from slgaussian.datasets.recognise import cameras_in, posed_scene, recognise
 from slgaussian.errors import InputError
@@ -117,23 +116,6 @@ def test_anything_else_is_one_clear_sentence(tmp_path, make, said):
     with pytest.raises(InputError, match=r"expected transforms\.json") as refused:
         recognise(tmp_path / "x")
     assert said in str(refused.value) and str(tmp_path / "x") in str(refused.value)
-
-
-def test_photographs_alone_are_a_scene_too(folder, monkeypatch):
-    from slgaussian.datasets import unposed
-
-    found = cameras_in(folder / "nerf")
-    named = {Path(name).name: camera for name, camera in found.items()}
-    made = EstimatedCameras(named, {}, dict.fromkeys(named, 0.0), (), 0.5)
-    monkeypatch.setattr(unposed, "find", lambda files: made)
-    (folder / "nerf/transforms.json").unlink()
-    for place in ("nerf", "nerf/images"):
-        assert recognise(folder / place)[0] == "photographs"
-        scene, start = posed_scene(folder / place)
-        assert start == folder / "nerf/images" and list(scene.cameras) == list(NAMES)
-        assert scene.read("b.png").image.shape == (48, 64, 3)
-    with pytest.raises(InputError, match=r"nerf: holds photographs and no cameras"):
-        cameras_in(folder / "nerf")
 
 
 def test_a_turned_photograph_is_read_as_its_camera_saw_it(tmp_path):

@@ -26,17 +26,6 @@ def test_what_is_said_goes_before_videos_and_these_before_clips():
     assert places.by_clip() == {"a": "office", "b": video, "c": video, "d": "d", "e": video}
 
 
-def test_a_shared_photograph_joins_and_other_clips_leave_a_name_alone():
-    places = Places()
-    places.add("b", [digest(1)])
-    assert places.by_clip() == {"b": "b"}
-    places.add("c", [digest(2)])
-    assert places.by_clip()["b"] == "b"
-    places.add("a", [digest(1), digest(2)])
-    assert places.by_clip() == dict.fromkeys("abc", "a")
-    assert Places().by_clip() == {}
-
-
 @given(st.permutations(range(6)), st.lists(st.sets(st.integers(0, 8)), min_size=6, max_size=6))
 def test_the_order_of_arrival_plays_no_part(order, photographs):
     def found(numbers):

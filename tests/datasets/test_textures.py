@@ -52,22 +52,6 @@ def test_patterns_close_around_round_things_without_a_seam(kind, pattern, cell, 
     assert red[0] != red[1] if edge else red[0] == red[1]
 
 
-def test_a_checked_face_has_whole_squares_of_both_colours():
-    material = Material(textures.CHECKED, (0.8, 0.8, 0.8), (0.02, 0.02, 0.02), cell=0.25)
-    grid = np.array(
-        [
-            [colour(material, BOX, (0.5, 0.5, 0.1), (x, y, 0.1))[0] for x in centres(4)]
-            for y in centres(4)
-        ]
-    )
-    light = grid > 0.3
-    assert (light == (np.indices((4, 4)).sum(0) % 2 == 0)).all()
-
-
-def centres(n: int) -> np.ndarray:
-    return (np.arange(n) + 0.5) / n - 0.5
-
-
 def test_a_picture_hangs_the_right_way_up_and_round():
     material = Material(textures.PICTURE, (0, 0, 0), photo="astronaut")
     photo = textures.pack([material], np.random.default_rng(0)).photos[

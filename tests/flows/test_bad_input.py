@@ -50,13 +50,8 @@ def no_camera(folder, frame):
     frame.update(file_path="images/elsewhere.png", fl_x=90, transform_matrix=np.eye(4).tolist())
 
 
-def change_pose(change):
-    def damage(folder, frame):
-        pose = np.array(frame["transform_matrix"])
-        change(pose)
-        frame["transform_matrix"] = pose.tolist()
-
-    return damage
+def skewed(folder, frame):
+    frame["transform_matrix"][0][1] += 0.3
 
 
 def turned(degrees, move=1.0):
@@ -74,7 +69,6 @@ def turned(degrees, move=1.0):
     return damage
 
 
-NOT_A_ROTATION = "frame 'images/view_02.png': camera c2w: its 3x3 part is not a rot"
 BAD = {
     "missing image": (
         lambda folder, _: (folder / LAST).unlink(),
@@ -82,11 +76,6 @@ BAD = {
         "view_02.png: no such photograph, though transforms.json names it",
     ),
     "cut image": (cut_image, "ingest", "view_02.png: cannot be read"),
-    "no image": (
-        lambda folder, _: (folder / LAST).write_text("not a picture"),
-        "ingest",
-        "view_02.png: cannot be read",
-    ),
     "other room": (other_room, "geometry", "views do not overlap or have too little texture"),
     "same picture": (
         lambda folder, _: shutil.copy(folder / "images/view_00.png", folder / LAST),
@@ -96,23 +85,11 @@ BAD = {
     "other size": (other_size, "ingest", "view_02.png: is 48x32, but transforms.json says 144x96"),
     "no camera": (no_camera, "ingest", "images/elsewhere.png"),
     "skewed pose": (
-        change_pose(lambda pose: pose[0].__setitem__(1, pose[0, 1] + 0.3)),
+        skewed,
         "ingest",
-        NOT_A_ROTATION,
-    ),
-    "scaled pose": (change_pose(lambda pose: pose[:3].__imul__(2)), "ingest", NOT_A_ROTATION),
-    "NaN pose": (
-        change_pose(lambda pose: pose[1].__setitem__(3, np.nan)),
-        "ingest",
-        "frame 'images/view_02.png': camera c2w: holds NaN",
-    ),
-    "NaN focal length": (
-        lambda _, frame: frame.update(fl_x=float("nan")),
-        "ingest",
-        "frame 'images/view_02.png': fl_x is nan",
+        "frame 'images/view_02.png': camera c2w: its 3x3 part is not a rot",
     ),
     "same camera": (turned(0), "ingest", "taken from the same position"),
-    "only turned": (turned(10), "ingest", "taken from the same position"),
     "looks away": (turned(180, move=1.1), "ingest", "do not overlap at any depth"),
 }
 
@@ -135,7 +112,7 @@ def build(monkeypatch, *words) -> int:
     return run(monkeypatch, "field", *words)
 
 
-@pytest.mark.parametrize("name", ["cut image", "other room", "only turned", "looks away"])
+@pytest.mark.parametrize("name", ["cut image", "other room"])
 def test_field_ends_in_one_sentence_and_writes_nothing(rooms, name, tmp_path, monkeypatch, capsys):
     folder = rooms[name]
     photos = [folder / "images/view_00.png", folder / LAST]
@@ -188,17 +165,3 @@ def test_in_a_batch_only_the_bad_scenes_are_lost(room, rooms, tmp_path, server):
 def test_photographs_that_make_no_pair(room, tmp_path, monkeypatch, capsys, photos, sentence):
     assert build(monkeypatch, *photos, "--cameras", room, "-o", tmp_path / "field") == 2
     assert sentence in capsys.readouterr().err
-
-
-def test_photographs_of_one_name_are_told_apart_by_their_folders(room, tmp_path, monkeypatch):
-    meta = json.loads((room / "transforms.json").read_text())
-    for frame, side in zip(meta["frames"][::2], ("left", "right"), strict=True):
-        (tmp_path / side).mkdir()
-        shutil.copy(room / frame["file_path"], tmp_path / side / "ä 1.png")
-        frame["file_path"] = f"{side}/ä 1"
-    (tmp_path / "transforms.json").write_text(json.dumps({"frames": meta["frames"][::2]}))
-    monkeypatch.chdir(tmp_path)
-    photos = [tmp_path / "left" / "ä 1.png", "right/ä 1.png"]
-    assert build(monkeypatch, *photos, "--cameras", ".", "-o", "new/folder/field") == 0
-    info = json.loads((tmp_path / "new/folder/field/field.json").read_text())
-    assert list(info["cameras"]) == ["left/ä 1", "right/ä 1"]

@@ -91,19 +91,6 @@ def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
     assert log.read_text() == ""
 
 
-def test_a_store_that_moved_still_hits(runs, store, tmp_path):
-    runs()
-    Path(store.path).rename(tmp_path / "elsewhere")
-    runs.store = ArtifactStore(tmp_path / "elsewhere")
-    assert runs()[1] == []
-
-
-def test_a_store_in_memory_caches_too(tmp_path):
-    runs = Runs(ArtifactStore(f"memory://{tmp_path.name}"), tmp_path)
-    assert runs()[1] == ALL
-    assert runs()[1] == []
-
-
 def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     log = tmp_path / "log"
     scenes = {
@@ -131,42 +118,12 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     assert table_digest(store.get(stored)) == stored.digest
 
 
-def test_a_failed_stage_is_tried_again_next_time(store, tmp_path):
-    log = tmp_path / "log"
-    for _ in range(2):
-        run_tiny(store, {"bad": tiny(-1, 1, log)})
-    assert log.read_text().splitlines() == ["bad make", "bad make"]
-
-
 def test_no_more_scenes_than_workers_are_open_at_once(store, tmp_path):
     log = tmp_path / "log"
     scenes = {f"{i}": tiny(2 * i + 2, 1, log) for i in range(5)}
     run_tiny(store, scenes, workers=1)
     order = [line.split()[0] for line in log.read_text().splitlines()]
     assert order == sorted(order)
-
-
-def test_prefect_is_told_which_stages_were_found_in_the_store(runs, monkeypatch):
-    import tiny_stages
-
-    states = []
-    stages = (tiny_stages.make, tiny_stages.halve, tiny_stages.add)
-    for stage in stages:
-        hook = lambda task, run, state: states.append((task.name, run.name, state.name))  # noqa: E731
-        monkeypatch.setattr(stage.task, "on_completion_hooks", [hook])
-    runs()
-    assert sorted(states) == sorted(
-        (name, f"{name} of {scene}", "Completed")
-        for scene in "ab"
-        for name in ("make", "halve", "add")
-    )
-    states.clear()
-    runs(extra=2)
-    assert sorted(states) == sorted(
-        (name, f"{name} of {scene}", state)
-        for scene in "ab"
-        for name, state in (("make", "Cached"), ("halve", "Cached"), ("add", "Completed"))
-    )
 
 
 def test_an_artifact_that_is_damaged_while_a_run_is_on_is_made_again_and_counted_once(
@@ -191,18 +148,3 @@ def test_an_artifact_that_is_damaged_while_a_run_is_on_is_made_again_and_counted
     assert report.steps == report.total == 3
     assert "a  make  again: its artifact was damaged" in report.console.file.getvalue()
     assert store.get(outcome.refs["a"]["make"])["labels"].max() == 6
-
-
-def test_what_is_damaged_again_and_again_fails_the_scene(store, tmp_path, monkeypatch):
-    import tiny_stages
-
-    halved = tiny_stages.halve.compute
-
-    def spoil(run, output, where):
-        (Path(store.path) / output.uri).write_bytes(b"spoilt")
-        return halved(run, output, where)
-
-    monkeypatch.setattr(tiny_stages.halve, "compute", spoil)
-    outcome = run_tiny(store, {"a": tiny(6, 1, tmp_path / "log")})
-    (failure,) = outcome.failures
-    assert (failure.stage, failure.kind) == ("halve", "DamagedError")

@@ -3,8 +3,8 @@
 import hashlib
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import command
 import numpy as np
@@ -12,25 +12,20 @@ import pytest
 import torch
 from command import room_sample, run, said, save_photographs, score
 from PIL import Image
-from pipelines import calls_of, keyed
 
 from benches.predict.random_mvsplat_weights import recipe_weights
 from flows.config import Settings
 from flows.read_config import make_settings, read_toml
+from flows.runners.batches import SceneTask
 from flows.scene import scene_task
-from slgaussian.build import build_field
-from slgaussian.components.component import Component
-from slgaussian.components.method import Method
 from slgaussian.components.pretrained import model_digest
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.formats.ply import load_ply
 from slgaussian.masks.configs import folder_digest, geometry_digest
 from slgaussian.rasterize import harmonics
-from slgaussian.storage.store import ArtifactStore
-from tasks.artifacts import sample_to_arrays
-from tasks.context import RunContext
-from tasks.scene import geometry, masks, supervision
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from tasks.stage import Stage, canonical
 from tests.language.small_clip import save_clip
 from tests.masks.small_models import save_sam, save_sam2
 
@@ -99,6 +94,28 @@ def settings_for(places: dict[str, Path], *names: str, **values) -> Settings:
     return make_settings({**common, **values}, "test")
 
 
+def calls_of(scene_task: SceneTask, monkeypatch: pytest.MonkeyPatch) -> dict[str, dict[str, Any]]:
+    """The arguments of every stage of a pipeline, by the stage's name."""
+    calls = {}
+
+    def called(stage: Stage, *args, **kwargs) -> ArtifactRef:
+        bound = stage.signature.bind(None, *args, **kwargs)
+        bound.apply_defaults()
+        _, *inputs = bound.arguments.items()
+        calls[stage.name] = dict(inputs)
+        return ArtifactRef(stage.name, f"{stage.name}/x", "x", {"targets": []})
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Stage, "__call__", called)
+        scene_task.pipeline(*scene_task.arguments)
+    return calls
+
+
+def keyed(arguments: dict[str, Any]) -> dict[str, Any]:
+    """What of the arguments of a stage is in its cache key."""
+    return {name: canonical(value, name) for name, value in arguments.items()}
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_files_are_in_the_keys_of_their_stage_by_content(places, name, monkeypatch):
     kind, setting, local, added = CASES[name]
@@ -130,36 +147,6 @@ def change(name: str, place: Path, folder: Path) -> Path:
         config = json.loads((copy / "config.json").read_text())
         (copy / "config.json").write_text(json.dumps({**config, "note": 1}))
     return copy
-
-
-@pytest.mark.parametrize("name", ["mvsplat", "sam", "clip", "precomputed"])
-def test_files_that_change_during_a_run_are_refused(places, tmp_path, name):
-    kind, setting, local, added = CASES[name]
-    store = ArtifactStore(tmp_path / "store")
-    context, method = RunContext(store), Method(codes="grid")
-    sample = store.put("sample", sample_to_arrays(room_sample()))
-    identity = {setting: digest_of(name, places[name]), **local, **added}
-
-    def compute(place: Path):
-        loaded = Component.stored(kind, {kind: name, name: identity}, {setting: str(place)})
-        parts = {k: getattr(method, k) for k in STAGE_OF} | {kind: loaded}
-        base = geometry.compute(context, sample, parts["predictor"], 0)
-        if kind == "predictor":
-            return base
-        labels = masks.compute(
-            context, sample, base, parts["proposer"], parts["tracker"], 1, "views"
-        )
-        if kind != "encoder":
-            return labels
-        return supervision.compute(context, sample, base, labels, loaded, method.codes, 0, "groups")
-
-    output = compute(places[name])
-    assert output.meta.get("gaussians") == 2 * 64 * 64 or output.meta["objects"] >= 1
-    if name == "precomputed":
-        labels = store.get(output)["labels"]
-        np.testing.assert_array_equal(labels, [v.instances for v in room_sample().context])
-    with pytest.raises(InputError, match="was changed after the run had begun"):
-        compute(change(name, places[name], tmp_path))
 
 
 def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, capsys):
@@ -226,21 +213,6 @@ def test_a_field_by_mvsplat_has_a_gaussian_at_every_pixel_but_the_edge(
     observed = harmonics.colors(field.gaussians, camera)
     torch.testing.assert_close(harmonics.colors(read, camera), observed, rtol=0, atol=1e-6)
     assert (observed - field.gaussians.colors()).abs().max() > 0.01
-
-
-@pytest.mark.parametrize("name", ["sam", "sam2", "precomputed"])
-def test_a_field_says_which_files_made_its_masks(places, tmp_path, name):
-    kind, setting, local, _ = CASES[name]
-    settings = {name: {setting: places[name], **local}}
-    field = build_field(room_sample(), Method(replicas=1, settings=settings, **{kind: name}))
-    field.save(tmp_path / "field")
-    stored = SemanticField.load(tmp_path / "field").settings
-    assert stored[kind] == name
-    assert stored[name].items() >= {setting: digest_of(name, places[name]), **local}.items()
-    assert str(places[name]) not in (tmp_path / "field" / "field.json").read_text()
-    if name == "precomputed":
-        ids = np.unique([view.instances for view in room_sample().context])
-        np.testing.assert_array_equal(field.bank.ids, ids[ids > 0])
 
 
 def test_a_field_is_built_of_depth_and_cameras_of_a_file(tmp_path, monkeypatch):
@@ -310,45 +282,17 @@ def test_a_field_answers_with_the_model_that_built_it_wherever_it_is(
     assert "tokens, but the model reads at most 77" in said(capsys)
 
 
-def test_a_field_is_loaded_in_python_with_the_place_of_its_model(clip_field, places, tmp_path):
-    info = json.loads((clip_field / "field.json").read_text())
-    folder = shutil.copytree(clip_field, tmp_path / "field")
-    (folder / "field.json").write_text(json.dumps({**info, "places": {}}))
-    loaded = SemanticField.load(folder, encoder={"model": places["clip"]})
-    camera = loaded.cameras["view_00.png"]
-    hits = [f.render(camera).query("red basket") for f in (loaded, SemanticField.load(clip_field))]
-    assert np.array_equal(hits[0].scores, hits[1].scores)
-    with pytest.raises(InputError, match="needs its model, which is not stored with a field; say"):
-        SemanticField.load(folder).render(camera).query("red basket")
-    with pytest.raises(InputError, match=r"unknown key 'clip\.weights'"):
-        replace(loaded, places={**loaded.places, "weights": "w"}).encoder  # noqa: B018
-
-
 @pytest.mark.parametrize(
     ("assignments", "sentence"),
     [
         ("predictor=mvsplat", "mvsplat checkpoint: none given; download re10k.ckpt"),
-        ("predictor=mvsplat mvsplat.checkpoint=none.ckpt", "there is no such file"),
         ("predictor=mvsplat mvsplat.checkpoint=page.ckpt", "page.ckpt: is damaged"),
-        ("predictor=mvsplat mvsplat.checkpoint=MVSPLAT mvsplat.precision=half", "precision: found"),
         ("mvsplat.precision=bfloat16", "but no part is 'mvsplat' (found predictor 'planes"),
-        (
-            "predictor=mvsplat mvsplat.checkpoint=MVSPLAT mvsplat.depth_candidates=129",
-            "mvsplat depth_candidates: found 129, expected 2 to 128 or",
-        ),
-        ("encoder=clip clip.model=no/such/folder", "there is no such folder"),
         ("encoder=clip clip.model=CLIP clip.crops=x", "crops: found 'x'"),
-        ("encoder=clip clip.model=CLIP clip.batch=0", "batch: found 0"),
-        ("clip.batch=2", "settings of 'clip' are given, but no part is 'clip'"),
         ("proposer=sam", "sam model: none given; give a folder, or a name on the hub as"),
-        ("proposer=sam sam.model=no/such/folder", "there is no such folder"),
         ("proposer=sam2 sam2.model=SAM", "is of type 'sam', but sam2 needs"),
         ("proposer=sam sam.model=SAM sam.preset=x", "preset: found 'x'"),
-        ("proposer=sam sam.points=few", "sam points: found 'few'"),
-        ("tracker=sam2-video", "sam2-video model: none given; give a folder, or a name"),
         ("tracker=precomputed", "precomputed folder: none given"),
-        ("tracker=precomputed precomputed.folder=no", "there is no folder 'no'"),
-        ("sam2_video.batch=4", "settings of 'sam2_video' are given, but no part"),
     ],
 )
 def test_a_run_that_cannot_be_does_not_begin(
@@ -409,18 +353,3 @@ def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(tmp
     assert "mvsplat" not in read_toml(file, {"predictor": "planesweep"}).component_values()
     with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
         read_toml(file, {"predictor": "planesweep", **other})
-
-
-@pytest.mark.parametrize(
-    ("table", "sentence"),
-    [
-        ("mvsplat = 3", "mvsplat: found 3; expected a table"),
-        ("[mvsplat]\ndepth_candidates = 64.5", "depth_candidates: found 64.5, expected a whole"),
-        ("[mvsplat]\ncheckpoint = 3", "mvsplat checkpoint: found 3, expected a path"),
-        ('[mvsplat]\nweights = "a"', "unknown key 'mvsplat.weights'; the keys are checkpoint, "),
-    ],
-)
-def test_a_slip_in_a_table_is_one_sentence(tmp_path, table, sentence):
-    (tmp_path / "run.toml").write_text(f"{table}\n")
-    with pytest.raises(InputError, match=sentence):
-        read_toml(tmp_path / "run.toml", {})

@@ -1,13 +1,11 @@
 """A corpus of chunks: what is new is read once, what is bad costs itself alone."""
 
-import errno
 import os
 import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
 
-import fsspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -20,7 +18,6 @@ from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.components.component import Component
 from slgaussian.datasets import re10k
-from slgaussian.errors import InputError
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
@@ -194,13 +191,6 @@ def test_another_store_and_worker_count_give_the_same_bytes(supervised, tmp_path
     assert lessons.items() <= files_below(folder / "store" / "lesson").items()
 
 
-def test_other_masks_do_not_predict_again(supervised, reads, tmp_path):
-    """After the tests of bytes: equal lessons of other settings may change what files state."""
-    folder, store, _ = supervised
-    run_flow("supervise", settings_for(folder, replicas=1, out=tmp_path / "out"), store)
-    assert reads() == {"hashed": 0, "opened": 2, "predicted": 0}
-
-
 def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     good, bad, short = clips[0], clips[1], clip_of(9, views=4)
     cameras = bad.cameras.copy()
@@ -233,33 +223,6 @@ def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     assert frames == {0, 2, 3, 4}
 
 
-def test_a_full_disk_is_one_sentence_and_nothing_is_half_written(supervised, tmp_path, monkeypatch):
-    folder, store, _ = supervised
-
-    def full(*args, **kwargs):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(corpus.pq.ParquetWriter, "write_table", full)
-    settings = settings_for(tmp_path, chunks=str(folder / "chunks"))
-    with pytest.raises(InputError, match=r"cannot write the results \(No space left on device"):
-        run_flow("ingest", settings, store)
-    assert files_below(tmp_path / "out", TIMED) == {}
-
-
-def test_a_url_of_chunks_is_as_good_as_a_folder(supervised, reads, tmp_path):
-    folder, store, _ = supervised
-    fs = fsspec.filesystem("memory")
-    for file in (folder / "chunks").iterdir():
-        fs.pipe_file(f"/corpus/{file.name}", file.read_bytes())
-    settings = settings_for(tmp_path, chunks="memory://corpus/")
-    run_flow("ingest", settings, store)
-    assert reads() == {**NOTHING, "hashed": 2}  # their content is in the store
-    run_flow("ingest", settings, store)
-    assert reads() == NOTHING
-    for name in ("views", "pairs"):  # whose files also say which command wrote them
-        assert table(tmp_path, name) == table(folder, name)
-
-
 def test_the_command_says_what_it_made_and_what_it_left_out(
     supervised, tmp_path, monkeypatch, capsys
 ):
@@ -275,17 +238,3 @@ def test_the_command_says_what_it_made_and_what_it_left_out(
     message = capsys.readouterr()
     assert "6 views" in message.out
     assert "left out: 1, the first at views: " in message.err and "failures.parquet" in message.err
-
-
-def test_what_cannot_be_asked_is_one_sentence(tmp_path, monkeypatch, capsys):
-    assert run(monkeypatch, "supervise", tmp_path / "chunks", "-o", tmp_path / "out") == 2
-    assert "chunks: is no folder; expected one of chunks" in capsys.readouterr().err
-    (tmp_path / "chunks").mkdir()
-    with pytest.raises(InputError, match="chunks: holds no chunk"):
-        run_flow("ingest", settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
-    with pytest.raises(InputError, match=r"min_overlap 0\.9 is above max_overlap 0\.5"):
-        settings_for(tmp_path, min_overlap=0.9, max_overlap=0.5)
-    with pytest.raises(InputError, match="size: found 'auto'; expected height and width"):
-        settings_for(tmp_path, size="auto")
-    with pytest.raises(InputError, match="unknown key 'overlap'"):
-        settings_for(tmp_path, overlap=0.9)

@@ -15,9 +15,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-import torch
 from PIL import Image
-from torch.utils.data import default_collate
 
 from flows import dataset, training
 from flows.config import DatasetSettings, TrainSettings
@@ -180,19 +178,6 @@ def test_workers_and_shuffling_change_no_byte(output):
     assert len(orders) > 1 and {frozenset(order) for order in orders} == {frozenset(names)}
 
 
-def test_objects_of_a_batch_are_filled_up_with_nothing(output):
-    folder, *_ = output
-    samples = TrainingSet(folder / "set")
-    items = [samples[i] for i in range(3)]
-    batch = default_collate(items)
-    counts = [len(item["objects"]["ids"]) for item in items]
-    assert batch["objects"]["ids"].shape == (3, max(counts)) and len(set(counts)) > 1
-    for row, count, item in zip(range(3), counts, items, strict=True):
-        assert torch.equal(batch["objects"]["codes"][row, :count], item["objects"]["codes"])
-        assert not batch["objects"]["ids"][row, count:].any()
-        assert not batch["objects"]["present"][row, count:].any()
-
-
 def test_the_same_again_writes_nothing_and_more_only_new_shards(output, tmp_path):
     folder, store, settings, _ = output
     shutil.copytree(folder / "set", tmp_path / "set")
@@ -213,17 +198,15 @@ def test_the_same_again_writes_nothing_and_more_only_new_shards(output, tmp_path
     assert len({name for name in after if name.endswith(".tar")} - shards) == 1
 
 
-@pytest.mark.parametrize(
-    "harm", [lambda data: data[:-700], lambda data: data[:600] + b"\xff" + data[601:]]
-)
-def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, harm, tmp_path):
+def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, tmp_path):
     folder, store, settings, _ = output
     shutil.copytree(folder / "set", tmp_path / "set")
     before = files_of(tmp_path / "set")
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
     row = next(row for row in rows if row["clip"] != "kitchen")
     shard = tmp_path / "set" / row["shard"]
-    shard.write_bytes(harm(shard.read_bytes()))
+    data = shard.read_bytes()
+    shard.write_bytes(data[:600] + b"\xff" + data[601:])
     made_set(settings_for(tmp_path, settings.sources[0]), store)
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
     assert "kitchen" not in {refs["clip"] for refs in rows} and len(rows) == 2
@@ -256,18 +239,6 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output,
         made_set(settings_for(tmp_path / "none", *settings.sources, **picky), store)
     reasons = pq.read_table(tmp_path / "none/set/failures.parquet")["reason"].to_pylist()
     assert len(reasons) == 3 and all("below min_confirmed 0.999" in why for why in reasons)
-
-
-def test_gaussians_are_stored_if_asked_and_drawn_as_nothing_where_filled_up(output, tmp_path):
-    _, store, settings, _ = output
-    made_set(settings_for(tmp_path, *settings.sources, gaussians=True, images="png"), store)
-    samples = TrainingSet(tmp_path / "set")
-    batch = default_collate([samples[i] for i in range(3)])
-    rows = samples.rows.to_pylist()
-    assert batch["gaussians"]["means"].shape[1] == max(row["gaussians"] for row in rows)
-    for row, opacities in zip(rows, batch["gaussians"]["opacities"], strict=True):
-        assert not opacities[row["gaussians"] :].any() and opacities[: row["gaussians"]].any()
-    assert {"context_0.png", "gaussians.npz"} <= set(samples.members(0))
 
 
 def test_the_branch_is_trained_on_a_set_and_its_weights_say_so(output, tmp_path):

@@ -113,8 +113,7 @@ def test_work_goes_on_without_the_server_of_a_run(tmp_path, home, server, comple
     check_nothing_is_left_to_do(store, log, complete)
 
 
-@pytest.mark.parametrize("runner", ["threads", "processes"])
-def test_a_clock_that_jumps(runner, tmp_path, home, server, complete):
+def test_a_clock_that_jumps(tmp_path, home, server, complete):
     """By hours, by years, ahead and back, while scenes are worked on."""
     result = importlib.util.find_spec("libfaketime")
     if result is None:
@@ -129,7 +128,7 @@ def test_a_clock_that_jumps(runner, tmp_path, home, server, complete):
         "DONT_FAKE_MONOTONIC": "1",  # no jump of a real clock changes that one
     }
     store, log = with_database(tmp_path / "store", server), tmp_path / "log"
-    process = start(home, store, log, 1.0, runner, **clock)
+    process = start(home, store, log, 1.0, "processes", **clock)
     offsets = ("-3h", "+40d", "-400d", "+10y")
 
     def begun() -> int:

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import torch
 from command import run
-from packaging.requirements import Requirement
 
-from flows.cli import doctor
 from tests.masks.small_models import save_sam
 
 NOBODY = "http://127.0.0.1:9/api"
@@ -47,26 +45,6 @@ def test_it_leaves_nothing_that_it_made(tmp_path, monkeypatch, capsys):
     assert list(tmp_path.rglob("*")) == [tmp_path / "mine"]
 
 
-def test_packages_out_of_bounds_are_named():
-    for needs, said in [
-        ("numpy<1", f"numpy: found {np.__version__}, expected <1"),
-        ("no-such-thing>=2", "no-such-thing is not installed"),
-        ("numpy>=1", None),
-        ("scikit-image", None),
-    ]:
-        assert doctor._problem(Requirement(needs), {"scikit-image": "skimage"}) == said
-
-
-def test_a_package_that_cannot_be_imported_is_named(tmp_path, monkeypatch):
-    about = tmp_path / "broken-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
-    (tmp_path / "broken.py").write_text("import no_such_library\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    said = "broken 1.0 cannot be imported (No module named 'no_such_library')"
-    assert doctor._problem(Requirement("broken"), {}) == said
-
-
 def test_a_store_that_cannot_be_used_is_one_line(server, tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("in the way")
     for store, said in [
@@ -86,13 +64,6 @@ def test_a_bucket_is_looked_at(server, bucket, monkeypatch, capsys):
     status, told = examined(monkeypatch, capsys, "--store", "s3://slg-no-such-bucket/slg")
     assert status == 1
     assert "no bucket 'slg-no-such-bucket'" in told["BAD"][0] and "make it first" in told["BAD"][0]
-
-
-def test_little_room_is_bad(server, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(doctor, "ROOM", 2**60)
-    status, told = examined(monkeypatch, capsys, "--store", tmp_path)
-    assert status == 1
-    assert "GiB free; make room (`slgaussian store gc`), or" in told["BAD"][0]
 
 
 def test_a_server_that_does_not_answer(tmp_path, monkeypatch, capsys):
@@ -125,15 +96,3 @@ def test_files_of_models_are_tried(server, tmp_path, monkeypatch, capsys):
     assert status == 1
     for found, said in zip(told["BAD"], ["small.ckpt: is damaged", "sam"], strict=True):
         assert said in found
-
-
-def test_what_is_not_given_or_not_here_yet_is_said(server, tmp_path, monkeypatch, capsys):
-    pytest.importorskip("transformers")
-    words = ["--store", tmp_path, "--predictor", "mvsplat", "--encoder", "clip"]
-    words += ["--set", "clip.model=no-such-owner/no-such-model", "--set", "lifting=branch"]
-    status, told = examined(monkeypatch, capsys, *words)
-    mvsplat, clip, lifting = told["BAD"]
-    assert status == 1
-    assert "no weights are given" in lifting and "--set branch.weights=" in lifting
-    assert "none given" in mvsplat and "--set mvsplat.checkpoint=" in mvsplat
-    assert "`hf download no-such-owner/no-such-model`" in clip

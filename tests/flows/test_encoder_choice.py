@@ -9,11 +9,9 @@ pytest.importorskip("transformers")
 from command import room_sample, run, save_photographs, settings
 from huggingface_hub import constants, snapshot_download
 
-from flows import read_config
 from flows.read_config import make_settings, read_toml
 from slgaussian.build import build_field
 from slgaussian.components.pretrained import WEIGHTS, model_digest
-from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.language.clip import Clip
 from tests.language.small_clip import save_clip
@@ -97,19 +95,6 @@ def test_a_model_that_is_given_is_taken_or_missed(model, tmp_path, capsys):
         assert f"as {place} is no whole CLIP with its tokenizer on this machine" in output
     local = {"model": str(model), "tokenizer": "no-such/words"}
     assert chosen(capsys, clip=local)[0] == "lexicon"
-
-
-def test_without_transformers_it_is_the_lexicon(model, monkeypatch, capsys):
-    monkeypatch.setattr(read_config, "find_spec", lambda name: None)
-    encoder, output = chosen(capsys, clip={"model": str(model)})
-    assert encoder == "lexicon" and "transformers, which is not installed" in output
-
-
-def test_a_table_of_clip_may_be_given_and_of_no_other(model):
-    clip = {"clip": {"model": str(model)}}
-    assert make_settings({"encoder": "auto", **clip}, "test").encoder == "clip"
-    with pytest.raises(InputError, match="settings of 'branch' are given, but no part is 'branch'"):
-        make_settings({"encoder": "auto", "branch": {"weights": "weights.safetensors"}}, "test")
 
 
 def test_what_is_built_knows_what_was_taken(model, tmp_path, monkeypatch, capsys):

@@ -51,20 +51,6 @@ def test_a_question_waits_for_no_torch_and_once_asked_for_no_kernel_either(tmp_p
     assert heavy == {"numpy", "cv2", "pydantic"}
 
 
-def test_a_question_asked_again_reads_no_gaussians(tmp_path, monkeypatch):
-    monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "cache"))
-    two_walls(tmp_path / "field")
-    question = ("query", str(tmp_path / "field"), "red", "--json")
-    first, _ = imported(*question)
-    # Known by its digest: the file itself is not needed.
-    (tmp_path / "field" / "gaussians.npz").unlink()
-    assert imported(*question)[0] == first
-    damaged = next((tmp_path / "cache" / "views").iterdir())
-    damaged.write_bytes(damaged.read_bytes()[:1000])
-    with pytest.raises(AssertionError, match=r"gaussians\.npz"):
-        imported(*question)
-
-
 LOGGED = """
 import sys
 from pathlib import Path

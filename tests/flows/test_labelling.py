@@ -10,7 +10,7 @@ from PIL import Image
 import slgaussian as slg
 from flows.cli.app import app
 from slgaussian.geometry import SeenView
-from slgaussian.masks.precomputed import Precomputed, encode_ids, map_names, read_ids
+from slgaussian.masks.precomputed import Precomputed, encode_ids, read_ids
 
 PHOTOS = [f"{name}.png" for name in ROOM["context"]]
 
@@ -72,15 +72,6 @@ def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, caps
     after = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}
     assert after == before
     assert sorted(f.name for f in tmp_path.iterdir()) == ["ids", "kept", "transforms.json", *PHOTOS]
-
-
-def test_maps_are_called_so_that_each_view_finds_its_own():
-    assert map_names(["images/1.jpg", "images/2.jpg"]) == {"images/1.jpg": "1", "images/2.jpg": "2"}
-    assert list(map_names(["a/1.jpg", "b/1.jpg"]).values()) == ["a/1", "b/1"]
-    with pytest.raises(slg.InputError, match="two would have one id map"):
-        map_names(["a.jpg", "a.png"])
-    with pytest.raises(slg.InputError, match="outside the folder"):
-        map_names(["../a/1.jpg", "../b/1.jpg"])
 
 
 @pytest.mark.parametrize(("top", "suffix"), [(0, ".png"), (65535, ".png"), (65536, ".npy")])

@@ -54,13 +54,6 @@ def test_every_event_has_its_line(tmp_path):
     assert (output["progress"]["done"], output["progress"]["failed"]) == (1, 1)
 
 
-def test_verbose_keeps_also_what_was_found_done(tmp_path):
-    with log_to_file(tmp_path, verbose=True):
-        run_one(verbose=True)
-    output = [line["event"] for line in lines_of(tmp_path / FILE)]
-    assert output.count("finished") == 3
-
-
 def test_it_says_how_the_run_ended(tmp_path):
     ends = [
         (InputError("no such folder"), "refused", "no such folder"),
@@ -74,24 +67,6 @@ def test_it_says_how_the_run_ended(tmp_path):
         last = lines_of(tmp_path / FILE)[-1]
         assert (last["event"], last["how"], last["message"]) == ("ended", how, message)
         assert ("traceback" in last) == (how == "failed")
-
-
-def test_the_log_of_an_earlier_run_is_replaced(tmp_path):
-    for message in ("the first", "the second"):
-        with log_to_file(tmp_path):
-            log(logging.INFO, "note", message)
-    _, line, _ = lines_of(tmp_path / FILE)
-    assert line["message"] == "the second"
-
-
-def test_what_the_library_logs_is_kept_while_a_run_is_on(tmp_path):
-    local = logging.getLogger("slgaussian.somewhere")
-    with log_to_file(tmp_path):
-        local.info("at %d", 7)
-    local.info("afterwards")
-    assert not local.isEnabledFor(logging.INFO)
-    _, line, _ = lines_of(tmp_path / FILE)
-    assert (line["logger"], line["message"]) == ("slgaussian.somewhere", "at 7")
 
 
 def test_a_log_that_cannot_be_written_is_said_once(tmp_path, capsys):

@@ -8,8 +8,7 @@ from PIL import Image
 
 from flows.clip_sources import Packed, pack, scenes_of
 from flows.config import PackSettings
-from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.datasets import nerfstudio, re10k, unposed
+from slgaussian.datasets import re10k
 
 SMALL = PackSettings(views=3, size=(36, 64))
 
@@ -53,16 +52,6 @@ def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path,
     else:
         place.mkdir(parents=True)
     assert [scene.name for scene in scenes_of(str(place), SMALL)] == ["garden"]
-
-
-def test_a_folder_of_photographs_alone_becomes_a_clip(photos, tmp_path, monkeypatch):
-    valid = nerfstudio.read(photos).cameras
-    output = EstimatedCameras(valid, {}, dict.fromkeys(valid, 0.0), (), 0.5)
-    monkeypatch.setattr(unposed, "find", lambda files: output)
-    (photos / "transforms.json").unlink()
-    assert pack([str(photos)], tmp_path / "chunks", SMALL).clips == 1
-    (clip,) = re10k.read_chunk(tmp_path / "chunks/000000.torch")
-    assert clip.view(1).camera.center == pytest.approx([1, 0, 0])
 
 
 def test_a_clip_that_is_there_is_left_as_it_is(tmp_path, monkeypatch):

@@ -5,18 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command import ROOM, room, run, said, save_photographs, score
-from PIL import ExifTags, Image
+from command import ROOM, room, run, said, save_photographs
+from PIL import Image
 
 import slgaussian as slg
-from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.cameras.estimated import DOUBTFUL, EstimatedCameras, EstimatedPair, Focal
 from slgaussian.datasets import unposed
 from slgaussian.datasets.recognise import cameras_in
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
-from slgaussian.storage.store import ArtifactStore
 
 SIZE = 96, 128
 PHOTOS = [f"{name}.png" for name in ROOM["context"]]
@@ -94,31 +92,6 @@ def test_cameras_that_are_written_are_those_that_were_found(photos, monkeypatch,
     assert run(monkeypatch, "masks", *PHOTOS, "--cameras", out, "-o", "ids") == 0
 
 
-def test_a_file_of_cameras_says_how_they_were_found(photos, monkeypatch, capsys):
-    for name in PHOTOS:  # a turned photograph is upright again when it is read by the file
-        image = Image.open(name).transpose(Image.Transpose.ROTATE_180)
-        exif = Image.Exif()
-        exif[ExifTags.Base.Orientation] = 3
-        image.save(name, exif=exif)
-    assert run(monkeypatch, "cameras", *PHOTOS, "-o", "there/t.json", "--json") == 0
-    printed = capsys.readouterr()
-    assert json.loads(printed.out)["pairs"][0]["angle"] is None
-    assert "are stored turned" in printed.err
-    file = photos / "there/t.json"
-    content = json.loads(file.read_text())
-    assert content["slgaussian"]["pairs"][0]["views"] == [f"../{name}" for name in PHOTOS]
-    scene = datasets.load("nerfstudio", file)
-    assert scene.found == content["slgaussian"]
-    true = room(*SIZE).read(ROOM["context"][0]).image
-    np.testing.assert_array_equal(scene.read(f"../{PHOTOS[0]}").image, true)
-    assert scene.sample(PHOTOS).context[0].camera.estimated is not None
-
-    content["frames"][0]["slgaussian"]["estimated"]["focal"] = "long"
-    file.write_text(json.dumps(content))
-    assert run(monkeypatch, "field", *PHOTOS, "--cameras", file) == 2
-    assert "t.json: frame '../view_00.png': estimated says how" in said(capsys)
-
-
 def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, monkeypatch, capsys):
     all_three = [PHOTOS[0], ELSEWHERE, PHOTOS[1]]
     Image.fromarray(np.zeros((*SIZE, 3), np.uint8)).save(ELSEWHERE)
@@ -154,34 +127,6 @@ def test_given_cameras_are_refined_in_their_own_world(photos, monkeypatch, capsy
         np.testing.assert_allclose(field.cameras[name].c2w, right[name].c2w, atol=1e-9)
         np.testing.assert_allclose(field.cameras[name].K, right[name].K, atol=1e-9)
         assert field.cameras[name].estimated.source == "matches"
-
-
-@pytest.mark.usefixtures("server")
-def test_a_run_says_of_each_scene_whether_its_cameras_were_given(photos, capsys):
-    Image.fromarray(np.zeros((*SIZE, 3), np.uint8)).save(ELSEWHERE)
-    every = [ELSEWHERE, *PHOTOS]
-    scenes = [
-        {"name": "alone", "format": "photographs", "path": photos, "context": every},
-        {"name": "given", "path": photos / "given.json", "context": PHOTOS},
-    ]
-    calls = [{**scene, "queries": ["red ball"]} for scene in scenes]
-    settings = make_settings({"size": "auto", "out": photos / "out", "scenes": calls}, "test")
-    assert not score(settings, ArtifactStore(photos / "store")).failures
-    said = "estimated, focal length from matches, confidence 42%"
-    data = json.loads((photos / "out/manifest.json").read_text())["data"]
-    assert {name: of["cameras"] for name, of in data.items()} == {"alone": said, "given": "given"}
-    assert data["alone"]["files"].keys() == {*every}
-    assert data["alone"]["left_out"] == {ELSEWHERE: "of another place"}
-    warned = f"warning: alone: {ELSEWHERE} cannot be placed and is left out: of another place"
-    assert warned in capsys.readouterr().err
-    said += f"; without {ELSEWHERE}, which cannot be placed"
-    for page in ("report.html", "report.md"):
-        output = (photos / "out" / page).read_text()
-        assert f"Cameras were not given, but found, of alone ({said})." in output
-    stored = slg.SemanticField.load(photos / "out/fields/alone")
-    assert {camera.estimated.confidence for camera in stored.cameras.values()} == {0.42}
-    assert stored.settings["cameras"]["confidence"] == 0.42
-    assert "cameras" not in slg.SemanticField.load(photos / "out/fields/given").settings
 
 
 def test_what_makes_no_sense_is_refused_before_any_work(photos, monkeypatch, capsys):

@@ -21,11 +21,6 @@ def method_of(values: dict) -> dict:
     return make_settings(values, "test").model_dump(include=set(Method.model_fields))
 
 
-def test_there_is_a_file_for_every_name_and_no_other():
-    names = {f"{name}.toml" for name in PRESETS} | {"train_paper.toml"}
-    assert {file.name for file in FOLDER.iterdir()} == names
-
-
 def test_the_papers_training_is_a_preset():
     """Implementation Details: 80,000 iterations, a batch of 1, mask identifiers as they are."""
     values = {"preset": "paper", "lessons": "corpus", "out": "out"}
@@ -51,12 +46,6 @@ def test_a_preset_has_settings_of_the_method_alone_and_its_parts_take_them(name)
     assert values.keys() & TABLES.keys() <= chosen.component_values().keys()
 
 
-def test_presets_differ_and_balanced_is_the_defaults():
-    methods = [method_of({"preset": name}) for name in PRESETS]
-    assert all(a != b for i, a in enumerate(methods) for b in methods[:i])
-    assert method_of({"preset": "balanced"}) == method_of({})
-
-
 def test_what_is_given_wins_key_by_key(tmp_path):
     fast = make_settings({"preset": "fast"}, "test")
     local = {"planesweep": {"depth_candidates": 100}}
@@ -73,11 +62,3 @@ def test_what_is_given_wins_key_by_key(tmp_path):
     # Its tables are as those of a file: that of a part which is not chosen lies idle.
     second = make_settings({"preset": "fast", "predictor": "mvsplat"}, "test")
     assert "planesweep" not in second.component_values()
-
-
-@pytest.mark.parametrize(
-    ("size", "stored"),
-    [("at most 312x432", "at most 312x432"), ("at most 0312x432", "at most 312x432")],
-)
-def test_a_size_may_be_a_bound(size, stored):
-    assert make_settings({"size": size}, "test").size == stored

@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 
-from flows.runners.progress import Progress, Waiting
+from flows.runners.progress import Progress
 from tasks.context import StageEvent
 
 
@@ -76,35 +76,3 @@ def test_what_is_lost_or_repeated_is_counted_once():
     progress.update(StageEvent("b", "masks", "failed", "its worker died"))
     assert (progress.done, progress.failed, progress.steps, progress.total) == (1, 1, 3, 3)
     assert "a worker died (killed)" in progress.console.file.getvalue()
-
-
-def test_verbose_has_a_line_a_stage_and_tracebacks_of_defects():
-    stream = io.StringIO()
-    progress = Progress(2, 1, verbose=True, stream=stream)
-    for scene, reason, trace in (("a", "too dark", ""), ("b", "a defect", "ZeroDivisionError: a")):
-        progress.update(StageEvent(scene, "ingest", "completed", seconds=0.5))
-        progress.update(StageEvent(scene, "masks", "failed", reason, traceback=trace))
-    lines = stream.getvalue().splitlines()
-    assert lines[:3] == ["a  ingest  0.5 s", "a  left out at masks: too dark", "b  ingest  0.5 s"]
-    assert lines[4:] == ["ZeroDivisionError: a"]
-
-
-def test_counts_have_a_rate_and_the_summary_a_line_a_stage():
-    stream = io.StringIO()
-    progress = Progress(3, 2, stream=stream)
-    for scene, stage in itertools.product("ab", ("ingest", "masks")):
-        state = "cached" if scene == "b" else "completed"
-        progress.update(StageEvent(scene, stage, state, seconds=0.5))
-    progress.start -= 60  # a minute ago
-    assert progress.counts() == "2/3 scenes, 4/6 stages, 2 scenes a minute"
-    progress.summary()
-    assert "masks        1 in 0.5 s, 1 cached\n" in stream.getvalue()
-
-
-def test_waiting_says_it_now_and_then_where_there_is_no_terminal():
-    stream = io.StringIO()
-    waiting = Waiting(stream)
-    for _ in range(3):
-        waiting("compiling")
-    waiting("")
-    assert stream.getvalue() == "compiling\n"

@@ -93,15 +93,6 @@ def test_which_words_count_is_said(field, ask, monkeypatch, capsys):
     assert "looked for" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"), [("a.png", "PNG"), ("a.jpg", "JPEG"), ("b.JPEG", "JPEG")]
-)
-def test_a_picture_is_what_its_name_says(field, tmp_path, monkeypatch, name, kind):
-    for words in (["query", field, "red"], ["render", field], ["segment", field, "red"]):
-        assert run(monkeypatch, *words, "-o", tmp_path / name) == (3 if "query" in words else 0)
-        assert Image.open(tmp_path / name).format == kind
-
-
 def test_a_query_from_between_two_views(field, ask):
     names = ["--between", "001", "1"]
     status, (middle,) = ask("query", field, "red", *names, "0.5")
@@ -155,20 +146,6 @@ def test_a_turn_is_a_film_whose_frames_decode(field, tmp_path, monkeypatch):
         assert np.abs(frame.astype(int) - observed).mean() < 12
 
 
-def test_a_film_that_fails_leaves_nothing(field, tmp_path, monkeypatch):
-    def refuse(self, camera):
-        raise slg.InputError("no more")
-
-    calls, render = iter(range(3)), slg.SemanticField.render
-
-    def third(self, camera):
-        return render(self, camera) if next(calls) < 2 else refuse(self, camera)
-
-    monkeypatch.setattr(slg.SemanticField, "render", third)
-    assert run(monkeypatch, "render", field, "--orbit", "4", "-o", tmp_path / "turn.mp4") == 2
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_segmentation_is_a_picture_an_id_map_and_a_table(
     field, tmp_path, ask, monkeypatch, capsys
 ):
@@ -190,24 +167,3 @@ def test_a_segmentation_is_a_picture_an_id_map_and_a_table(
     printed = capsys.readouterr().out
     assert "    1  blue" in printed and str(tmp_path / "labels.ids.png") in printed
     assert Image.open(out).height > 12 + 32 + 34  # a legend below
-
-
-def test_what_fits_no_text_stays_without_one(field, tmp_path, ask):
-    _, rows = ask("segment", field, "yellow", "red")
-    assert [row["label"] for row in rows] == [1, 2, 0]
-    assert rows[0]["share"] == 0
-    assert rows[2]["share"] == pytest.approx(0.5, abs=0.03) and rows[2]["objects"] == [2]
-    _, rows = ask("segment", field, "yellow", "red", "--threshold", "0.01")
-    assert rows[2]["objects"] == []
-    _, rows = ask("segment", field, "yellow", "red", "--threshold", "0.99")
-    assert rows[2]["share"] == 1
-
-
-def test_what_is_not_calibrated_is_said(field, ask, monkeypatch, capsys):
-    _, (answer,) = ask("query", field, "red", "--set", "protocol=langsplat")
-    assert (answer["confidence"], answer["verdict"]) == (None, "found")
-    assert answer["uncalibrated"] == "the protocol langsplat"
-    assert run(monkeypatch, "query", field, "red", "--set", "protocol=langsplat") == 0
-    line = "found, uncalibrated for the protocol langsplat\n"
-    assert capsys.readouterr().out.startswith(line)
-    assert ask("query", field, "red")[1][0]["uncalibrated"] is None

@@ -15,7 +15,6 @@ import yaml
 from command import run, said
 from prefect.client.schemas.schedules import CronSchedule
 from prefect.flows import load_flow_from_entrypoint
-from prefect.utilities.callables import parameter_schema
 
 from flows.benchmark import REPORT, SCORES, score_scenes
 from flows.config import RetrainSettings
@@ -142,22 +141,6 @@ def wait_for(server, which: dict, count: int) -> list[dict]:
     raise AssertionError([(t["name"], t["state_name"]) for t in tasks])
 
 
-def test_the_form_of_a_deployment_refuses_a_wrong_value_and_starts_a_run_again(server, tmp_path):
-    flow = asked(server, "flows/", {"name": score_scenes.name})
-    schema = parameter_schema(score_scenes).model_dump_for_openapi()
-    config = {"rooms": "0", "store": str(tmp_path / "store"), "out": str(tmp_path / "out")}
-    inputs = {"name": "form", "flow_id": flow["id"], "parameters": {"config": config}}
-    inputs |= {"parameter_openapi_schema": schema, "enforce_parameter_schema": True}
-    output = asked(server, "deployments/", inputs)
-    start = f"{server.url}/deployments/{output['id']}/create_flow_run"
-    for wrong in ({"replicas": 0}, {"keep": "some"}, {"no_such": 1}):
-        body = {"parameters": {"config": {**config, **wrong}}}
-        answer = httpx.post(start, json=body, timeout=60)
-        assert answer.status_code == 409 and next(iter(wrong)) in answer.text
-    rerun = httpx.post(start, json={"parameters": {"config": config}}, timeout=60).json()
-    assert rerun["parameters"] == {"config": config} and rerun["state_type"] == "SCHEDULED"
-
-
 LINES = (
     "prefect server start",
     "export PREFECT_API_URL=http://127.0.0.1:4200/api",
@@ -178,18 +161,6 @@ def test_the_documented_lines_deploy(server, tmp_path):
         assert done.returncode == 0, done.stdout + done.stderr
     output = {d["name"]: d["work_pool_name"] for d in asked(server, "deployments/filter", {})}
     assert output.items() >= {d["name"]: "slgaussian" for d in DEPLOYMENTS}.items()
-
-
-def test_the_scheduler_of_the_server_can_plan_runs(server):
-    """Of some versions of its dependencies it cannot, and then no schedule ever fires."""
-    flow = asked(server, "flows/", {"name": "planned"})
-    schedule = {"active": True, "schedule": {"interval": 3600}}
-    inputs = {"name": "planned", "flow_id": flow["id"], "schedules": [schedule]}
-    output = asked(server, "deployments/", inputs)
-    asked(server, f"deployments/{output['id']}/schedule", {})
-    result = {"deployments": {"id": {"any_": [output["id"]]}}}
-    runs = asked(server, "flow_runs/filter", result)
-    assert len(runs) >= 1 and runs[0]["state_type"] == "SCHEDULED"
 
 
 def asked(server, path: str, inputs: dict):

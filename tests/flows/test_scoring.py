@@ -12,13 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
-from slgaussian.benchmark.costs import costs_of
-from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
 from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.protocols import PROTOCOLS
-from slgaussian.storage.specs import load_spec
 from tests.flows.command import ROOM, room, run, said, settings, write_photographs
-from tests.formats.test_resampling import box_sums
 from tests.run_lengths import encode
 
 ROOT = Path(__file__).parents[2]
@@ -107,28 +103,6 @@ def test_a_method_of_another_package_is_in_the_report(made):
     assert described["colours"].startswith("colours of colours 1 ")
 
 
-def test_its_seconds_and_memory_are_beside_its_scores(made):
-    table = pq.read_table(made / "times.parquet")
-    load_spec("times").check_table(table, "times.parquet")
-    rows = table.to_pylist()
-    names = ("method", "scene", "frame", "query")
-    asked = {(key[0], *key[2:]) for key in samples(made)}
-    assert {tuple(row[name] for name in names) for row in rows} == asked and len(rows) == len(asked)
-    for row in rows:
-        assert row["build_seconds"] > 0 and row["view_seconds"] > 0 and row["cold_seconds"] > 0
-        assert (row["prepare_seconds"] is None) == (row["method"] == "slgaussian")
-        (first, *_) = (
-            sample
-            for key, sample in samples(made).items()
-            if (key[0], *key[2:]) == tuple(row[name] for name in names)
-        )
-        assert (row["query_seconds"] is None) == first["note"].startswith(NOT_UNDERSTOOD)
-    for cost in costs_of(rows):
-        assert cost.dataset == rows[0]["dataset"] and cost.build == rows[0]["build_seconds"]
-        if sys.platform == "linux":
-            assert 0 <= cost.grown < cost.peak
-
-
 def test_another_version_of_its_code_is_asked_again(labelled, made, tmp_path):
     package = shutil.copytree(PACKAGE, tmp_path / "package")
     code = (package / "colours.py").read_text()
@@ -205,44 +179,6 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
     (tmp_path / "mine.json").write_text(json.dumps(entries[:1]))
     assert run(monkeypatch, *words) == 0
     assert len(list((out / "predictions").rglob("*.png"))) == 1
-
-
-@pytest.mark.parametrize(
-    ("labelled_size", "size"),
-    [((360, 540), (180, 270)), ((659, 988), (240, 240)), ((183, 274), (659, 988))],
-)
-def test_perfect_masks_are_scored_as_perfect(tmp_path, monkeypatch, capsys, labelled_size, size):
-    """Photographs of one size, labels of another, scores at a third: cropped and enlarged too."""
-    (height, width), folder = labelled_size, tmp_path / "data"
-    (folder / "labels" / "a").mkdir(parents=True)
-    photograph = np.random.default_rng(0).integers(0, 256, (360, 540, 3)).astype(np.uint8)
-    Image.fromarray(photograph).save(folder / "a.png")
-    pose = np.diag([1.0, -1, -1, 1]).tolist()
-    frame = {"file_path": "a.png", "w": 540, "h": 360, "fl_x": 500, "transform_matrix": pose}
-    (folder / "transforms.json").write_text(json.dumps({"frames": [frame]}))
-    radii = [4, 6, 20, 60]
-    (folder / "labels" / "classes.txt").write_text("\n".join(map(str, radii)))
-    y, x = np.mgrid[:height, :width] + 0.5
-    scale = max(size[0] / 360, size[1] / 540)
-    entries = []
-    for radius in radii:
-        mask = np.hypot(x - 0.47 * width, y - 0.52 * height) < radius * height / 360
-        Image.fromarray(mask).save(folder / "labels" / "a" / f"{radius}.png")
-        rows, columns = (
-            (whole / 2 + (np.arange(count + 1) - count / 2) / scale) * labels / whole
-            for whole, count, labels in zip((360, 540), size, labelled_size, strict=True)
-        )
-        perfect = box_sums(mask.astype(float), rows, columns) > 0.5
-        entry = {"scene": "data", "frame": "a", "query": str(radius), "size": size}
-        entries.append({**entry, "counts": encode(perfect)})
-    (tmp_path / "p.json").write_text(json.dumps(entries))
-    words = ["--data", folder, "--labels", folder / "labels", "--size", "{}x{}".format(*size)]
-    assert run(monkeypatch, "score", tmp_path / "p.json", *words, "-o", tmp_path / "out") == 0
-    capsys.readouterr()
-    rows = [row for row in samples(tmp_path / "out").values() if row["iou"] is not None]
-    assert len(rows) == len(radii)
-    assert min(row["iou"] for row in rows) > 0.97
-    assert min(row["iou"] for row in rows if row["query"] in ("20", "60")) > 0.99
 
 
 def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeypatch, capsys):

@@ -161,13 +161,3 @@ def test_settings_with_credentials_are_refused_before_they_are_said(key, monkeyp
     assert "hidden" not in message and "AKIA123" not in message
     with pytest.raises(InputError, match="found credentials"):
         make_settings({"store": place}, "test")
-
-
-def test_chunks_in_a_bucket_that_is_not_there_are_one_sentence(
-    bucket, tmp_path, monkeypatch, capsys
-):
-    store = ("--store", tmp_path / "store", "-o", tmp_path / "out")
-    assert run(monkeypatch, "ingest", "s3://slg-not-there/train", *store) == 2
-    assert "cannot be listed (no bucket 'slg-not-there': " in said(capsys)
-    assert run(monkeypatch, "ingest", f"{bucket}/train", *store) == 2
-    assert f"{bucket}/train: cannot be listed (" in said(capsys)

@@ -1,7 +1,5 @@
 """What is printed of scores says what they mean and how sure they are."""
 
-from dataclasses import replace
-
 from flows.cli.score_tables import scenes_text
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.scores import scene_means
@@ -49,19 +47,3 @@ def test_one_scene_has_no_interval_and_no_scene_no_numbers():
     unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {})
     assert len(scenes_text([unasked]).splitlines()) == 3
     assert scenes_text([]) == ""
-
-
-def test_data_sets_and_methods_are_kept_apart():
-    ours = [result_of("a", 0.5, dataset="x"), result_of("b", 0.1, dataset="y")]
-    other = result_of("a", 0.25, dataset="x", method="other")
-    first, methods, second = scenes_text([*ours, other]).split("\n\n")
-    assert first.splitlines()[1].split() == ["a", "0.500", "20.0"]
-    title, *lines, conditions, by = methods.splitlines()
-    assert title == "x by slgaussian@2" and [line.split() for line in lines] == [
-        ["Method", "IoU"], ["m", "0.500"], ["other", "0.250"]
-    ]  # fmt: skip
-    assert conditions.startswith("slgaussian@2: near-best, share 0.7") and "no interval" in by
-    assert second.splitlines()[1].split() == ["b", "0.100", "20.0"]
-    # Nothing to compare methods by.
-    bare = [replace(result, rows=[]) for result in (ours[0], other)]
-    assert len(scenes_text(bare).split("\n\n")) == 1

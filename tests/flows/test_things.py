@@ -11,7 +11,6 @@ from plyfile import PlyData
 
 from flows.cli import objects
 from slgaussian.field import SemanticField
-from slgaussian.language import confidence
 
 RED, BLUE = 1, 2
 
@@ -63,12 +62,6 @@ def test_what_is_in_a_field_is_listed(field, ask, monkeypatch, capsys):
         assert ("1 smaller ones are listed with --all" in out) == (count == 1)
 
 
-def test_the_list_as_a_picture(field, tmp_path, monkeypatch):
-    assert run(monkeypatch, "objects", "list", field, "-o", tmp_path / "a.png") == 0
-    red, blue = np.split(np.asarray(Image.open(tmp_path / "a.png")).astype(int)[30:90, :240], 2, 1)
-    assert (red[:, 30:70, 0] > 120).all() and (blue[:, 40:70, 2] > 120).all()
-
-
 def test_a_thing_is_taken_out(field, tmp_path, monkeypatch, capsys):
     labels = SemanticField.load(field).labels()
     for text in ("red wall", RED):
@@ -81,20 +74,6 @@ def test_a_thing_is_taken_out(field, tmp_path, monkeypatch, capsys):
     assert run(monkeypatch, "objects", "extract", field, "yellow", "-o", tmp_path / "x.ply") == 3
     assert "nothing found for 'yellow'" in capsys.readouterr().out
     assert not (tmp_path / "x.ply").exists()
-
-
-def test_a_thing_that_the_scene_does_not_hold_by_its_verdict_is_not_taken_out(
-    field, tmp_path, monkeypatch
-):
-    out = tmp_path / "red.ply"
-    monkeypatch.setattr(confidence, "ABSENT", 1.1)  # "red wall" selects all the same
-    for command in (
-        ["objects", "extract", field, "red wall", "-o", out],
-        ["objects", "remove", field, "red", "-o", out],
-    ):
-        assert run(monkeypatch, *command) == 3
-    assert not out.exists()
-    assert run(monkeypatch, "objects", "extract", field, RED, "-o", out) == 0
 
 
 def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
@@ -114,15 +93,6 @@ def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
     assert (np.ptp(opened, axis=2) == 0).all() and np.ptp(opened) > 40  # grey stripes
     assert run(monkeypatch, "export", out, "-o", tmp_path / "a.ply") == 0
     assert RED not in labels_of(tmp_path / "a.ply")
-
-
-def test_what_is_not_found_is_not_removed_and_the_rest_is(field, tmp_path, monkeypatch, capsys):
-    assert run(monkeypatch, "objects", "remove", field, "yellow", "-o", tmp_path / "no") == 3
-    assert "'yellow': nothing found" in capsys.readouterr().out
-    assert not (tmp_path / "no").exists()
-    words = ["objects", "remove", field, "yellow", "blue", "-o", tmp_path / "some"]
-    assert run(monkeypatch, *words) == 3
-    assert SemanticField.load(tmp_path / "some").removed == {BLUE}
 
 
 def test_a_word_is_taught_by_a_click_asked_and_forgotten(field, ask, monkeypatch, capsys):
@@ -173,13 +143,6 @@ def test_taught_words_go_along_to_other_fields(field, tmp_path, ask, monkeypatch
     words[1].write_bytes(words[1].read_bytes()[:-9])
     assert run(monkeypatch, "query", second, "zorp", *words) == 2
     assert "words.npz: file: found" in said(capsys)
-
-
-def test_where_there_is_nothing_nothing_can_be_taught(field, tmp_path, monkeypatch, capsys):
-    assert run(monkeypatch, "objects", "remove", field, "red", "-o", tmp_path / "without") == 0
-    capsys.readouterr()
-    assert run(monkeypatch, "objects", "teach", tmp_path / "without", "zorp", "--at", 8, 16) == 2
-    assert "--at 8 16: view 'images/001.png' shows no object there" in said(capsys)
 
 
 def test_a_field_is_asked_by_picture(field, tmp_path, ask, monkeypatch, capsys):

@@ -31,7 +31,6 @@ from slgaussian.storage.store import ArtifactStore
 pytestmark = pytest.mark.usefixtures("server")
 
 SIZE = (16, 20)
-SMALL = Architecture(widths=(4, 8), hidden=8)
 FEW = ("--steps", "4", "--set", "held_out=0.4")
 
 
@@ -132,18 +131,6 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, caps
     assert files_in(tmp_path / "again") == made
 
 
-def test_a_training_begins_from_weights_and_is_compared_with_them(tmp_path, monkeypatch, capsys):
-    lessons_of(tmp_path, range(6))
-    start = make_branch(SMALL, seed=3)
-    (tmp_path / "start").write_bytes(save_branch(start))
-    assert run(monkeypatch, *command(tmp_path, "out", *FEW, "--from", f"{tmp_path}/start")) == 0
-    assert "to tell it from before" in capsys.readouterr().out
-    made = load_branch(tmp_path / "out" / "branch.safetensors")
-    assert made.architecture == start.architecture
-    judged = pq.read_table(tmp_path / "out" / "judgements.parquet")
-    assert "before" in judged["lifting"].to_pylist()
-
-
 def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys):
     for name in ("killed", "whole"):
         (tmp_path / name).mkdir()
@@ -182,24 +169,12 @@ def count_steps(monkeypatch) -> list[int]:
     return steps
 
 
-def test_a_loss_that_is_no_number_is_one_sentence(tmp_path, monkeypatch, capsys):
-    lessons_of(tmp_path, range(6))
-    assert run(monkeypatch, *command(tmp_path, "out", *FEW, "--set", "rate=1e30")) == 2
-    said = capsys.readouterr().err.strip().splitlines()
-    assert said[-1].startswith("error: training step ")
-    assert "sample 'wall " in said[-1] and sum("wall" in line for line in said) == 1
-    assert not (tmp_path / "out" / "branch.safetensors").exists()
-
-
 @pytest.mark.parametrize(
     ("more", "expected"),
     [
         (("--set", "held_out=0.001"), "6 clips with lessons to learn from and 0 to judge by"),
-        (("--from", "no.safetensors"), "weights no.safetensors: cannot be read"),
         (("--set", "codes=exact"), "found codes of 0 numbers, expected 3"),
         (("--store", "elsewhere"), "give the --store that `slgaussian supervise` had"),
-        (("--lessons", "nowhere"), "nowhere/lessons.parquet: cannot be read (No such file"),
-        (("--steps", "0"), "train: steps: found 0"),
     ],
 )
 def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, capsys, more, expected):

@@ -27,6 +27,10 @@ def test_codes_are_distinct_points_of_the_smallest_grid_that_holds_them(n, dimen
         assert all(len(np.unique(codes[:, axis])) == side for axis in range(dimension))
 
 
+def test_one_object_gets_the_centre():
+    np.testing.assert_array_equal(grid_codes(1, np.random.default_rng(0)), [[0.5, 0.5, 0.5]])
+
+
 def maps_of(n: int) -> LabelMaps:
     """Two views of ``n`` small squares side by side, ids far apart."""
     side = int(np.ceil(np.sqrt(n)))

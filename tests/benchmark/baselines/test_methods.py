@@ -1,7 +1,6 @@
 """What every method of the table must do, and what each of them is."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,9 +17,6 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.masks import load_proposer
 from slgaussian.predict import load_predictor
 from tests.known import known_field
-
-DOCS = Path(__file__).parents[3] / "docs" / "reference" / "methods.md"
-
 
 PLAIN = "yellow wall"
 """The largest plainly coloured thing of the room, a third of the picture."""
