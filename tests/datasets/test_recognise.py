@@ -1,11 +1,11 @@
 """Cameras of every format that holds files are known, and anything else is named."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from flows.cli.photographs import find_views
 from slgaussian import datasets
@@ -13,6 +13,7 @@ from slgaussian.datasets.photographs import open_photograph, stored_size
 from slgaussian.datasets.recognise import cameras_in, posed_scene, recognise
 from slgaussian.errors import InputError
 from slgaussian.scene import Sample
+from tests.flows.command import write_photographs
 
 NAMES = ("a.png", "b.png")
 
@@ -22,19 +23,12 @@ def folder(tmp_path: Path) -> Path:
     """Two photographs and their cameras in three formats, each in a folder of its own."""
     room = datasets.load("procedural", views=2, height=48, width=64)
     views = [room.read(name) for name in room.cameras]
+    photographs = {f"images/{name}": view for name, view in zip(NAMES, views, strict=True)}
     for kind in ("nerf", "llff", "colmap"):
-        (tmp_path / kind / "images").mkdir(parents=True)
-        for name, view in zip(NAMES, views, strict=True):
-            Image.fromarray(view.image).save(tmp_path / kind / "images" / name)
-    flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    frames = [
-        {"file_path": f"images/{n}", "transform_matrix": (v.camera.c2w @ flip).tolist()}
-        for n, v in zip(NAMES, views, strict=True)
-    ]
-    focal = float(views[0].camera.K[0, 0])
-    about = {"fl_x": focal, "w": 64, "h": 48, "frames": frames}
-    (tmp_path / "nerf/transforms.json").write_text(json.dumps(about))
-    rows = []
+        write_photographs(tmp_path / kind, photographs)
+    for kind in ("llff", "colmap"):
+        (tmp_path / kind / "transforms.json").unlink()
+    focal, rows = float(views[0].camera.K[0, 0]), []
     for view in views:
         right, down, forward, center = view.camera.c2w[:3].T
         matrix = np.stack([down, right, -forward, center, [48, 64, focal]], 1)
@@ -45,17 +39,11 @@ def folder(tmp_path: Path) -> Path:
     (model / "cameras.txt").write_text(f"1 PINHOLE 64 48 {focal} {focal} 32 24\n")
     lines = []
     for number, (name, view) in enumerate(zip(NAMES, views, strict=True), 1):
-        turn = _quaternion(view.camera.w2c[:3, :3])
+        turn = np.roll(Rotation.from_matrix(view.camera.w2c[:3, :3]).as_quat(), 1)
         place = [number, *turn, *view.camera.w2c[:3, 3], 1, name]
         lines += [" ".join(map(str, place)), ""]
     (model / "images.txt").write_text("\n".join(lines) + "\n")
     return tmp_path
-
-
-def _quaternion(R: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return np.roll(Rotation.from_matrix(R).as_quat(), 1)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """One Prefect server for all flow tests; its address is set before anything imports Prefect."""
 
+import json
 import os
 import tempfile
 from collections.abc import Iterator
@@ -27,6 +28,20 @@ def server(request):
     server.wait()
     yield server
     server.stop()
+
+
+@pytest.fixture
+def ask(monkeypatch, capsys):
+    """The exit status of a command, and each line that it prints, read as JSON."""
+
+    def call(*words):
+        from command import run
+
+        capsys.readouterr()
+        status = run(monkeypatch, *words, "--json")
+        return status, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+    return call
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from PIL import Image
+from command import write_photographs
 
 from flows import dataset, training
 from flows.config import DatasetSettings, TrainSettings
@@ -39,19 +39,8 @@ def room(seed: int, views: int = 4):
 
 def folder_of(scene, folder: Path) -> Path:
     """The scene as a nerfstudio folder with a licence."""
-    (folder / "images").mkdir(parents=True)
-    frames = []
-    for number, name in enumerate(scene.cameras):
-        view = scene.read(name)
-        Image.fromarray(view.image).save(folder / f"images/{number}.png")
-        pose = view.camera.c2w @ np.diag([1.0, -1, -1, 1])
-        K = view.camera.K
-        refs = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
-        refs |= {"w": view.camera.width, "h": view.camera.height}
-        frames.append(
-            {"file_path": f"images/{number}.png", "transform_matrix": pose.tolist(), **refs}
-        )
-    (folder / "transforms.json").write_text(json.dumps({"frames": frames}))
+    views = {f"images/{i}.png": scene.read(name) for i, name in enumerate(scene.cameras)}
+    write_photographs(folder, views)
     (folder / "LICENSE.txt").write_text("\nTake it as you like\n")
     return folder
 

@@ -10,7 +10,6 @@ import pytest
 import skimage.data
 from command import run, said
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from flows.config import IndexSettings, SceneSettings
 from flows.indexing import build_index
@@ -27,9 +26,14 @@ from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import sample_from_arrays, truth_from_arrays
 from tasks.context import RunContext
 from tasks.scene import ingest, truth
+from tests.datasets.posed_folders import Shot, write_model
 
 SIZE = (240, 160)
 FRAMES = [f"frame_{i:05d}.jpg" for i in range(1, 10)]
+SHOTS = {
+    name: Shot(20 - i, place=(0.15 * i - 0.6, 0.02 * (i % 2), 0), turn=4 - i)
+    for i, name in enumerate(FRAMES)
+}
 BOX = (60, 50, 140, 110)
 
 
@@ -39,10 +43,8 @@ def room() -> Scene:
     wall = skimage.data.coffee()
     K = np.array([[200.0, 0, 120], [0, 200, 80], [0, 0, 1]])
     cameras = {}
-    for i in range(9):
-        c2w = np.eye(4)
-        c2w[:3, :3] = Rotation.from_euler("y", 4 - i, degrees=True).as_matrix()
-        c2w[:3, 3] = (0.15 * i - 0.6, 0.02 * (i % 2), 0)
+    for i, shot in enumerate(SHOTS.values()):
+        c2w = np.linalg.inv(np.vstack([shot.w2c(), (0, 0, 0, 1)]))
         cameras[str(i)] = Camera(K, c2w, *SIZE)
 
     def view(name: str) -> View:
@@ -63,20 +65,11 @@ def photographs(room) -> list[np.ndarray]:
 
 
 @pytest.fixture
-def lerf(tmp_path, room, photographs) -> Path:
+def lerf(tmp_path, photographs) -> Path:
     """It as the scenes ramen and teatime of a LERF-OVS folder, with some labels."""
-    lines = []
-    for i, camera in reversed(list(enumerate(room.cameras.values()))):
-        x, y, z, w = Rotation.from_matrix(camera.w2c[:3, :3]).as_quat()
-        pose = " ".join(map(repr, map(float, (w, x, y, z, *camera.w2c[:3, 3]))))
-        lines += [f"{20 - i} {pose} 1 {FRAMES[i]}", ""]
-    K = next(iter(room.cameras.values())).K
-    params = " ".join(map(repr, map(float, (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))))
     for scene in ("ramen", "teatime"):
-        model = tmp_path / scene / "sparse/0"
-        model.mkdir(parents=True)
-        (model / "cameras.txt").write_text(f"1 PINHOLE {SIZE[0]} {SIZE[1]} {params}\n")
-        (model / "images.txt").write_text("\n".join(lines) + "\n")
+        lens = {1: ("PINHOLE", (200, 200, 120, 80))}
+        write_model(tmp_path / scene / "sparse/0", SHOTS, lens, size=SIZE)
         (tmp_path / scene / "images").mkdir()
         for name, image in zip(FRAMES, photographs, strict=True):
             Image.fromarray(image).save(tmp_path / scene / "images" / name, quality=95)

@@ -10,10 +10,9 @@ from command import run
 from PIL import Image
 
 from slgaussian.benchmark import pictures
-from slgaussian.field import SemanticField
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser, Tab
-from tests.viewer.test_page import room
+from tests.viewer import test_page
 
 CASES = [
     ("floor", "found", 0),
@@ -25,9 +24,8 @@ CASES = [
 ]
 
 
-@pytest.fixture(scope="module")
-def field() -> SemanticField:
-    return room()
+field = test_page.field
+"""A made-up room of which all is known."""
 
 
 @pytest.fixture(scope="module")

@@ -19,18 +19,6 @@ def field(tmp_path_factory):
     return two_walls(tmp_path_factory.mktemp("questions") / "field")
 
 
-@pytest.fixture
-def ask(monkeypatch, capsys):
-    """The exit status of a command, and each line that it prints, read as JSON."""
-
-    def call(*words):
-        capsys.readouterr()
-        status = run(monkeypatch, *words, "--json")
-        return status, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-
-    return call
-
-
 def test_a_text_that_is_refused_does_not_take_the_others_along(field, ask, monkeypatch, capsys):
     status, answers = ask("query", field, "red", "qwxyz", "not blue", "blue")
     assert status == 1

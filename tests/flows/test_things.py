@@ -1,6 +1,5 @@
 """The commands about things: objects, extract, remove, teach, and asking by picture."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -28,18 +27,6 @@ def field(tmp_path):
 def labels_of(ply) -> np.ndarray:
     """The object of each Gaussian of a file."""
     return np.asarray(PlyData.read(ply)["vertex"]["label"])
-
-
-@pytest.fixture
-def ask(monkeypatch, capsys):
-    """The exit status of a command, and each line that it prints, read as JSON."""
-
-    def call(*words):
-        capsys.readouterr()
-        status = run(monkeypatch, *words, "--json")
-        return status, [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-
-    return call
 
 
 def test_what_is_in_a_field_is_listed(field, ask, monkeypatch, capsys):
