@@ -211,3 +211,9 @@ def test_atoms_are_labels_cut_by_regions_and_crumbs_join_the_largest():
     maps = atoms.maps.reshape(labels.shape)
     assert maps[0, 0, 0] == maps[0, 0, 99] and (maps[0, 90:] == -1).all()
     assert maps[0, 1, 0] != maps[0, 1, 99]
+
+
+def test_same_views_same_bytes():
+    frames = room()[1]
+    first, two = (associate(frames[:3], Regions(), GeometricTracker()).labels for _ in range(2))
+    assert first.tobytes() == two.tobytes()

@@ -1,13 +1,8 @@
 import numpy as np
 import pytest
+import torch
 
-from slgaussian.masks.nms import (
-    box_nms,
-    mask_boxes,
-    mask_intersections,
-    mask_nms,
-    mostly_visible,
-)
+from slgaussian.masks.nms import box_nms, mask_boxes, mask_intersections, mask_nms, mostly_visible
 
 SIZE = (40, 56)
 
@@ -147,3 +142,13 @@ def test_visible_as_pixel_by_pixel(name, share):
             won[min(holders, key=lambda i: (-areas[i], i))] += 1
     expected = [i for i in range(len(masks)) if areas[i] and won[i] >= share * areas[i]]
     assert mostly_visible(masks, share).tolist() == expected
+
+
+def test_same_bytes_with_one_thread_and_two():
+    threads = torch.get_num_threads()
+    results = []
+    for count in (1, 2):
+        torch.set_num_threads(count)
+        results.append(mask_nms(SETS["many"], scores_of(SETS["many"]), 0.8, 0.5).tobytes())
+    torch.set_num_threads(threads)
+    assert results[0] == results[1]

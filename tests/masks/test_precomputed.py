@@ -117,6 +117,11 @@ def test_what_is_no_folder_is_refused(tmp_path):
         Precomputed(folder=tmp_path / "nowhere")
 
 
+def _two_maps(file):
+    write_grey(file, ids_of(9))
+    np.save(file.with_suffix(".npy"), ids_of(9))
+
+
 def _rgb_16_bits(file):
     _write_png(file, np.zeros((4, 24), np.uint8), 4, 4, 16, kind=2)
 
@@ -137,6 +142,7 @@ def _rgb_16_bits(file):
         ("a.png", lambda f: Image.new("RGBA", SIZE[::-1]).save(f), "PNG of RGBA with 8 bits"),
         ("a.npy", lambda f: np.save(f, np.zeros(SIZE[::-1], int)), "120x160, of another shape"),
         ("a.png", _rgb_16_bits, "PNG of RGB with 16 bits"),
+        ("a.png", _two_maps, r"a\.npy is there too"),
     ],
 )
 def test_what_is_no_id_map_is_one_sentence(tmp_path, name, write, says):

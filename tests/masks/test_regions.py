@@ -125,3 +125,8 @@ def test_same_bytes_whatever_the_number_of_threads(scene):
 def test_bad_input_is_refused(image, extra, says):
     with pytest.raises(InputError, match=says):
         Regions().propose(SeenView.alone(image, extra.pop("depth", None)), **extra)
+
+
+def test_an_unknown_level_is_refused():
+    with pytest.raises(InputError, match="found 'xl', expected s, m, l or all"):
+        Regions(level="xl")

@@ -101,3 +101,9 @@ def test_one_of_three_views_that_sees_nothing_of_the_others_in_the_range_draws_n
     local = np.bincount(gaussians.source.numpy() // three.context[0].grey.size, minlength=3)
     assert (local[:2] > 0).all()
     assert local[2] < 0.1 * three.context[0].grey.size
+
+
+def test_near_beyond_the_camera_far_is_refused():
+    scene = sample(camera(far=4.0), camera(x=0.3, far=4.0))
+    with pytest.raises(InputError, match="near 5 is not below far 4"):
+        PlaneSweep(near=5.0)(scene)

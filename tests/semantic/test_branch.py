@@ -268,3 +268,8 @@ def test_bytes_do_not_depend_on_the_thread_count():
     finally:
         torch.set_num_threads(before)
     assert torch.equal(*found)
+
+
+def test_without_weights_it_says_what_to_do():
+    with pytest.raises(InputError, match="no weights are given; train some"):
+        load_lifting("branch")

@@ -173,6 +173,14 @@ def test_settings_out_of_range_are_refused(wrong):
         TrainingSettings(**wrong)
 
 
+def test_without_lessons_or_a_folder_nothing_is_trained(tmp_path):
+    with pytest.raises(InputError, match="found no lessons"):
+        train([], SETTINGS, tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be made"):
+        train(LESSONS, SETTINGS, tmp_path / "file" / "under")
+
+
 def test_what_cannot_be_answered_is_not_asked(tmp_path):
     branch, mine = make_branch(SETTINGS.architecture), lesson()
     rng = np.random.default_rng(0)

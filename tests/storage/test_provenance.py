@@ -6,6 +6,7 @@ import uuid
 import zipfile
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from contents import failures, labels
@@ -18,9 +19,10 @@ from slgaussian.storage.encoding import (
     decode_arrays,
     decode_table,
     encode_arrays,
+    encode_table,
     stated,
 )
-from slgaussian.storage.provenance import Provenance, making, software
+from slgaussian.storage.provenance import Provenance, making, software, statement
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 
@@ -205,3 +207,11 @@ def test_who_comes_in_between_is_heard(tmp_path, monkeypatch):
         ref = store.put("labels", labels())
     assert stated(store.read(ref.uri))["made"]["stage"] == "a"
     assert [file.name for file in tmp_path.rglob("*.*")] == [ref.uri.split("/")[-1]]
+
+
+def test_the_same_work_leaves_the_same_bytes_whatever_the_tables_own_metadata():
+    spec, table = load_spec("failures"), failures("a", "b")
+    named = table.set_column(0, "scene", pa.array(["a", "b"]))
+    with making(MADE):
+        assert encode_table(named, spec) == encode_table(table, spec)
+        assert json.dumps(statement()) == json.dumps(statement())

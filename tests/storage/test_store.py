@@ -171,3 +171,9 @@ def test_a_folder_without_permission_is_an_input_error(tmp_path):
     tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
     with pytest.raises(InputError, match="cannot write"):
         ArtifactStore(tmp_path / "store").check_writable()
+
+
+def test_a_store_below_a_file_is_an_input_error(tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(InputError, match=r"cannot write there .*--store"):
+        ArtifactStore(tmp_path / "file" / "store").check_writable()

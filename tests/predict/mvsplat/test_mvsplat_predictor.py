@@ -143,3 +143,9 @@ def test_near_must_be_below_far(checkpoint):
     predict = load_predictor("mvsplat", checkpoint=checkpoint, near=5.0, far=2.0)
     with pytest.raises(InputError, match="near 5 is not below far 2"):
         predict(pair())
+
+
+def test_the_same_twice(predict):
+    scene = pair(near=1.0)
+    for (name, first), (_, two) in zip(predict(scene).items(), predict(scene).items(), strict=True):
+        assert torch.equal(first, two), name
