@@ -87,40 +87,41 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
     assert depths[10.0] != depths[20.0]
 
 
-def of_pair(sample: Sample, seed: int = 0) -> dict[str, bytes]:
-    """All arrays of the field of the stereo pair, and an answer, as bytes."""
-    field = build_field(sample, Method(replicas=1, seed=seed))
-    arrays = {f"Gaussians {name}": t.numpy() for name, t in field.gaussians.items()}
-    arrays |= {f"bank {name}": getattr(field.bank, name) for name in ("ids", "codes", "features")}
-    view = field.render(sample.context[0].camera)
-    answer = view.query("red")
-    arrays |= {"ids": view.ids, "mask": answer.mask, "relevancy": answer.relevancy}
-    return {name: array.tobytes() for name, array in arrays.items()}
-
-
 @pytest.fixture(scope="module")
 def pair() -> Sample:
     return datasets.load("stereo").sample(context=["left", "right"], size=(120, 168))
 
 
 @pytest.fixture(scope="module")
-def of_first(pair):
-    return of_pair(pair)
+def field(pair) -> SemanticField:
+    return build_field(pair, Method(replicas=1))
 
 
-def test_a_name_reaches_no_byte(pair, of_first):
+def bytes_of(field: SemanticField) -> dict[str, bytes]:
+    """All arrays of the field, and an answer, as bytes."""
+    arrays = {f"Gaussians {name}": t.numpy() for name, t in field.gaussians.items()}
+    arrays |= {f"bank {name}": getattr(field.bank, name) for name in ("ids", "codes", "features")}
+    view = field.render(next(iter(field.cameras.values())))
+    answer = view.query("red")
+    arrays |= {"ids": view.ids, "mask": answer.mask, "relevancy": answer.relevancy}
+    return {name: array.tobytes() for name, array in arrays.items()}
+
+
+def test_a_name_reaches_no_byte(pair, field):
     views = tuple(replace(view, name=f"other {view.name}") for view in pair.context)
-    assert of_pair(replace(pair, scene="renamed", context=views)) == of_first
+    renamed = build_field(replace(pair, scene="renamed", context=views), Method(replicas=1))
+    assert bytes_of(renamed) == bytes_of(field)
 
 
-def test_the_seed_reaches_the_codes_and_not_the_depth(pair, of_first):
-    other = of_pair(pair, seed=1)
-    assert other["bank codes"] != of_first["bank codes"]
-    assert other["bank features"] == of_first["bank features"]
+def test_the_seed_reaches_the_codes_and_not_the_depth(pair, field):
+    other = build_field(pair, Method(replicas=1, seed=1))
+    first, second = bytes_of(field), bytes_of(other)
+    assert second["bank codes"] != first["bank codes"]
+    assert second["bank features"] == first["bank features"]
 
 
-def test_a_field_keeps_what_it_needs_or_all(pair):
-    few, every = (build_field(pair, Method(replicas=1, keep=keep)) for keep in ("needed", "all"))
+def test_a_field_keeps_what_it_needs_or_all(pair, field):
+    few, every = field, build_field(pair, Method(replicas=1, keep="all"))
     height, width = pair.context[0].image.shape[:2]
     sources = every.gaussians.source.numpy()
     assert len(np.unique(sources)) == 2 * height * width

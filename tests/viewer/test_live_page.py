@@ -204,8 +204,7 @@ def command(source):
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("changed", [False, True])
+@pytest.mark.parametrize(("sign", "changed"), [(signal.SIGINT, True), (signal.SIGTERM, False)])
 def test_the_command_ends_when_it_is_told_to(folder, sign, changed):
     with command(folder) as (child, address):
         assert address.startswith("http://127.0.0.1:")
