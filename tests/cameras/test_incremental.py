@@ -130,8 +130,8 @@ def test_a_wrong_pair_does_not_spoil_the_others():
 
 
 def test_distortion_is_found_where_there_is_some():
-    straight = placed(*[walk(4, 400)[k] for k in (0, 1, 4)])
-    bent = placed(*[walk(4, 400, k1=-0.15)[k] for k in (0, 1, 4)])
+    straight = placed(*[walk(5, 600)[k] for k in (0, 1, 4)])
+    bent = placed(*[walk(5, 600, k1=-0.15)[k] for k in (0, 1, 4)])
     assert straight.adjusted.bundle.k1 == 0
     assert bent.adjusted.bundle.k1 == pytest.approx(-0.15, abs=0.03)
     assert bent.adjusted.bundle.focals == pytest.approx(600, rel=0.03)

@@ -51,3 +51,10 @@ def test_the_kinds_do_what_they_say():
     assert (rim[~disc] == 1).all()
     assert 0 < np.count_nonzero(rim == 0) < 0.5 * disc.sum()
     assert rim[30, 30] == 2
+
+
+def test_an_object_without_neighbours_cannot_be_merged():
+    labels = np.where(one_disc() == 2, 2, 0).astype(np.int32)
+    before = labels.copy()
+    KINDS["merged"](labels, 1, 2, np.random.default_rng(0))
+    np.testing.assert_array_equal(labels, before)

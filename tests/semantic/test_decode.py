@@ -156,3 +156,10 @@ def test_a_field_is_decoded_as_its_codes_say():
     assert isinstance(decoder_of(bank(), {"codes": "grid", "grid": {"dimension": 3}}), Decoder)
     paper = {"codes": "grid", "grid": {"dimension": 3, "decode": "nearest"}}
     assert isinstance(decoder_of(bank(), paper), NearestCode)
+
+
+def test_a_bank_without_objects_decodes_to_none():
+    nothing = bank(np.zeros((0, 3), np.float32))
+    ids, confidence = Decoder(nothing)(image(np.zeros((2, 2, 3))))
+    assert not ids.any()
+    assert not confidence.any()

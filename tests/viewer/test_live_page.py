@@ -216,7 +216,7 @@ def test_the_command_ends_when_it_is_told_to(folder, sign, changed):
         out, error = child.communicate(timeout=30)
         assert (child.returncode, out) == (0, "")
         last = "stopped; changes were not saved" if changed else "stopped"
-        assert error.splitlines() == ["Ctrl-C ends it", "", last]
+        assert error.splitlines()[-3:] == ["Ctrl-C ends it", "", last]  # after what is compiled
 
 
 @pytest.mark.whole
