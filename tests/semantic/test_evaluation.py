@@ -7,6 +7,7 @@ import pytest
 from drawn_lessons import lesson
 
 from slgaussian.semantic.branch import Architecture, BranchLifting, make_branch
+from slgaussian.semantic.corruption import KINDS
 from slgaussian.semantic.evaluation import label_iou
 from slgaussian.semantic.hard import HardIndex
 
@@ -43,3 +44,11 @@ def test_what_the_target_leaves_open_and_what_no_context_names_does_not_count():
     assert label_iou(replace(mine, targets=targets), HARD)["hard"] > 0.9  # measured 0.93
     nothing = replace(mine, targets=np.zeros_like(targets))
     assert np.isnan(label_iou(nothing, HARD)["hard"])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_harm_is_seen(kind):
+    mine = lesson()
+    worse = mine.labels.copy()
+    KINDS[kind](worse, 1, 4, np.random.default_rng(0))
+    assert label_iou(mine, HARD, worse)["hard"] < label_iou(mine, HARD)["hard"] - 0.002
