@@ -79,14 +79,14 @@ def _cross_check(inverse_depth, source_depth, A, e, least_tolerance):
     out = np.empty((H, W), np.uint8)
     for y in range(H):
         for x in range(W):
-            out[y, x] = _compare_depth(
+            out[y, x] = compare_depth(
                 x, y, float(inverse_depth[y, x]), source_depth, A, e, least_tolerance
             )
     return out
 
 
 @kernel
-def _compare_depth(x, y, w, source_depth, A, e, least_tolerance):
+def compare_depth(x, y, w, source_depth, A, e, least_tolerance):
     """Compare inverse depth ``w`` at column ``x`` and row ``y`` with the source's depth map."""
     H, W = source_depth.shape
     u, v = x + 0.5, y + 0.5
@@ -305,7 +305,7 @@ def _vote_unseen(levels, keep, source_depth, A, e, least_tolerance, votes):
             if not keep[y, x]:
                 for k in range(P):
                     w = float(levels[y, x, k])
-                    if _compare_depth(x, y, w, source_depth, A, e, least_tolerance) == IN_FRONT:
+                    if compare_depth(x, y, w, source_depth, A, e, least_tolerance) == IN_FRONT:
                         votes[y, x, k] = FREE_SPACE
 
 

@@ -59,6 +59,11 @@ class SweptView:
         return float(self.steps[1] - self.steps[0])
 
     @property
+    def known(self) -> np.ndarray:
+        """Mask of answered and fixed pixels, bool [H, W]; all others are guessed."""
+        return self.answered if self.fixed is None else self.answered | self.fixed
+
+    @property
     def confirmed(self) -> np.ndarray:
         """Inverse depth of answered pixels, infinite elsewhere; float32 [H, W]."""
         return np.where(self.answered, self.inverse_depth, np.float32(np.inf))
