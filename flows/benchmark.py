@@ -18,7 +18,6 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import SceneSettings, Settings
-from flows.read_config import resolve_encoder
 from flows.results import check_places, field_place, manifest, write_artifacts, write_fields
 from flows.runners.batches import Failure, Outcome, SceneTask, map_scenes, map_shown, write_failures
 from flows.runners.progress import Progress
@@ -126,8 +125,7 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
         If there is nothing to do, a component is unknown, or the store or the output folder cannot
         be written.
     """
-    config = resolve_encoder(config)
-    result = run_session("run", config, verbose, lambda store: _score(config, store, verbose))
+    result = run_session("run", config, lambda store: _score(config, store, verbose))
     message = f"report: {result.report}" if result.report else "no report"
     if result.report is not None:
         publish_markdown(REPORT, result.report.with_suffix(".md").read_text("utf-8"))

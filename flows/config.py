@@ -33,11 +33,6 @@ from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoCon
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig
 
-AUTO = "auto"
-"""The encoder that becomes one of :data:`CANDIDATES` where settings are read."""
-
-CANDIDATES = ("clip", "lexicon")
-
 PRESETS = ("fast", "balanced", "paper")
 """Named settings, each a file in `presets`. The last is what the paper prints, see
 `docs/reference/paper.md`."""

@@ -17,7 +17,6 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import CorpusSettings
-from flows.read_config import resolve_encoder
 from flows.results import write_artifacts
 from flows.runners.batches import Failure, Outcome, SceneTask, map_shown, write_failures
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
@@ -69,7 +68,7 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
         If there is no chunk, or the store or the output folder cannot be written.
     """
     prepared = run_session(
-        "ingest", config, verbose,
+        "ingest", config,
         lambda store: _prepare(config, store, INGEST, ingest_chunk, (), verbose),
     )  # fmt: skip
     return completed(prepared.message, prepared, prepared.failures)
@@ -86,10 +85,7 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
     InputError
         As :func:`ingest_corpus`, and if a component of the method is unknown.
     """
-    config = resolve_encoder(config)
-    prepared = run_session(
-        "supervise", config, verbose, lambda store: supervise(config, store, verbose)
-    )
+    prepared = run_session("supervise", config, lambda store: supervise(config, store, verbose))
     return completed(prepared.message, prepared, prepared.failures)
 
 

@@ -18,7 +18,6 @@ from prefect.states import State
 from flows.clip_sources import Source, sources_of
 from flows.config import DatasetSettings, PackSettings, SetSettings
 from flows.data_card import write_card
-from flows.read_config import resolve_encoder
 from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import Workers, open_workers
@@ -80,8 +79,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
         If a source is not there, a component is unknown, no sample is left, or the store or the
         folder cannot be written.
     """
-    config = resolve_encoder(config)
-    result = run_session("dataset", config, verbose, lambda store: build(config, store, verbose))
+    result = run_session("dataset", config, lambda store: build(config, store, verbose))
     return completed(f"{result.samples} samples in {config.out}", result, result.failures)
 
 

@@ -1,23 +1,15 @@
-"""Read and check configurations, from a TOML file or the command line; errors in one sentence.
-
-The encoder ``auto`` is settled here: CLIP where its weights are on this machine, else the lexicon.
-What is built, stored and reported knows the encoder that was taken. Nothing is downloaded for it.
-"""
+"""Read and check configurations, from a TOML file or the command line; errors in one sentence."""
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
 from pydantic import BaseModel, ValidationError
 
 from flows.config import (
-    AUTO,
-    CANDIDATES,
     PRESETS,
     TABLES,
     MethodSettings,
@@ -29,7 +21,6 @@ from flows.config import (
 )
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError, did_you_mean
-from slgaussian.language.configs import CLIP, ClipConfig
 from slgaussian.storage.remote import check_url
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
@@ -56,8 +47,7 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
         raise InputError(f"{source}: {_sentence(error, model)}") from error
     if isinstance(config, MethodSettings):
         for kind, name in config.component_names().items():
-            if name != AUTO:
-                find_config(kind, name)  # refuses a name that nobody knows before any work
+            find_config(kind, name)  # refuses a name that nobody knows before any work
     return config
 
 
@@ -66,10 +56,10 @@ def make_settings(values: dict[str, Any], source: str) -> Settings: ...
 @overload
 def make_settings(values: dict[str, Any], source: str, model: type[AnySettings]) -> AnySettings: ...
 def make_settings(values: dict[str, Any], source: str, model: Any = Settings) -> Any:
-    """Check ``values`` as :func:`checked`, all of which must have an effect; settle the encoder."""
+    """Check ``values`` as :func:`checked`, all of which must have an effect."""
     settings = checked(model, values, source)
     refuse_idle(values, settings, source)
-    return resolve_encoder(settings)
+    return settings
 
 
 def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
@@ -84,11 +74,11 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
     """
     settings = checked(Settings, read_values(path, overrides), str(path))
     refuse_idle(overrides, settings, "run")
-    return resolve_encoder(settings)
+    return settings
 
 
 def read_retraining(config: Path | None, overrides: dict[str, Any]) -> RetrainSettings:
-    """Read a configuration of retraining likewise; ``auto`` is settled by each retraining."""
+    """Read a configuration of retraining likewise."""
     values = overrides if config is None else read_values(config, overrides)
     settings = checked(RetrainSettings, values, "retrain" if config is None else str(config))
     refuse_idle(overrides, settings, "retrain")
@@ -163,12 +153,6 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     return values
 
 
-def anchored_config(config: RetrainSettings) -> RetrainSettings:
-    """Return a config that means the same in any working folder, with the store that it names."""
-    values = config.model_dump(exclude_unset=True) | {"store": config.store}
-    return RetrainSettings(**anchored(values, Path.cwd()))
-
-
 def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
     if not isinstance(table, dict):
         return table  # which is said where settings are checked
@@ -209,8 +193,6 @@ def _sentence(error: ValidationError, config_type: type[BaseModel]) -> str:
 def refuse_idle(values: dict[str, Any], settings: MethodSettings, source: str) -> None:
     """InputError if ``values`` has the table of a part that the settings do not choose."""
     used = set(map(table_of, settings.component_values()))
-    if settings.encoder == AUTO:
-        used |= set(CANDIDATES)
     for name in TABLES:
         if name in values and name not in used:
             chosen = ", ".join(
@@ -220,57 +202,3 @@ def refuse_idle(values: dict[str, Any], settings: MethodSettings, source: str) -
                 f"{source}: settings of {name!r} are given, but no part is {name!r} (found "
                 f"{chosen}); choose it, or leave them out"
             )
-
-
-def resolve_encoder(settings: AnySettings) -> AnySettings:
-    """Return settings whose encoder is a real one; tell it, and the reason, if it was ``auto``."""
-    if settings.encoder != AUTO:
-        return settings
-    place, reason = find_clip(settings.clip)
-    chosen = "lexicon" if place is None else "clip"
-    print(f"encoder auto: {chosen}, as {reason}", file=sys.stderr)
-    update: dict[str, Any] = {"encoder": chosen}
-    if place is not None:
-        update["clip"] = settings.clip.model_copy(update={"model": place})
-    return settings.model_copy(update=update)
-
-
-def find_clip(config: ClipConfig) -> tuple[str | None, str]:
-    """Find the CLIP to take; None if there is none on this machine; and the reason."""
-    from slgaussian.components.hub_cache import cached_models
-
-    model, tokenizer = str(config.model), config.tokenizer
-    if find_spec("transformers") is None:
-        return None, "CLIP needs the package transformers, which is not installed"
-    if _usable(model, tokenizer):
-        return model, f"{model} is on this machine"
-    if model != CLIP:
-        return None, f"{model} is no whole CLIP with its tokenizer on this machine"
-    cached = [name for name, folder in cached_models() if _usable(folder, tokenizer)]
-    if len(cached) == 1:
-        return cached[0], f"{cached[0]} is the one CLIP in the hub's cache"
-    if cached:
-        names = ", ".join(cached)
-        return None, f"the hub's cache holds several of CLIP ({names}); name one as clip.model"
-    return None, f"no CLIP is on this machine (`hf download {model}` brings one)"
-
-
-def _usable(place: str | Path, tokenizer: str | Path | None) -> bool:
-    """Return whether a CLIP and its tokenizer are installed, by the names of files."""
-    from slgaussian.components.hub_cache import local_place
-    from slgaussian.components.pretrained import CONFIG, find_model, find_tokenizer, read_json
-
-    try:
-        here = Path(local_place(place))
-        if not here.exists():
-            return False
-        model = find_model(here)
-        words = Path(model.folder if tokenizer is None else local_place(tokenizer))
-        if not words.is_dir():
-            return False
-        find_tokenizer(words)
-        if model.checkpoint is not None:
-            return True
-        return read_json(model.folder / CONFIG).get("model_type") == "clip"
-    except InputError:
-        return False

@@ -1,6 +1,6 @@
 """Retrain: learn what is new in a corpus, judge it, and use it if it is better.
 
-One flow, for people and schedules: ``slgaussian retrain --cron`` and ``prefect.yaml`` deploy it.
+One flow, for people and schedules: ``prefect.yaml`` deploys it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from prefect.states import State
 from flows import corpus
 from flows.config import RetrainSettings, Training
 from flows.history import History, first_names
-from flows.read_config import resolve_encoder
 from flows.runners.batches import Outcome
 from flows.runners.session import check_folder, completed, run_session
 from flows.training import Parted, parted, read_lessons, train_on
@@ -116,13 +115,10 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
     InputError
         As :func:`flows.corpus.supervise` and :func:`learn`; record and artifact say so first.
     """
-    config = resolve_encoder(config)
     check_folder(config.out)
     try:
         with hold_lock(config.out / LOCK, "retrain"), hold_lock(config.models / LOCK, "retrain"):
-            result = run_session(
-                "retrain", config, verbose, lambda store: _retrain(config, store, verbose)
-            )
+            result = run_session("retrain", config, lambda store: _retrain(config, store, verbose))
     except BusyError as error:
         result = Retraining("busy", (str(error),), None)
     name = result.outcome.title().replace(" ", "")

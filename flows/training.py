@@ -108,7 +108,7 @@ def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]
         If there are too few lessons, they are not in the store, the weights to begin from cannot
         be used, the training fails, or something cannot be written.
     """
-    trained = run_session("train", config, verbose, lambda store: _train(config, store, verbose))
+    trained = run_session("train", config, lambda store: _train(config, store, verbose))
     return completed(f"weights: {config.out / FILES['weights']}", trained)
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 from pydantic import BaseModel
 
-from flows.config import AUTO, Settings
+from flows.config import Settings
 from slgaussian.components.registry import KINDS, names_of
 from slgaussian.errors import InputError
 
@@ -57,7 +57,7 @@ def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
     field = model.model_fields[name]
     text, values = field.description or "", tuple(field.examples or ())
     if name in KINDS:
-        values = names_of(name) + ((AUTO,) if name == "encoder" else ())
+        values = names_of(name)
         text = f"{', '.join(values[:-1])} or {values[-1]}."
     if not field.is_required() and field.default not in (None, False, []):
         value = field.default

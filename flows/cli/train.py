@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from flows.cli import options
-from flows.cli.run import prepare_prefect, run_flow
+from flows.cli.run import run_flow
 from flows.config import RetrainSettings, TrainSettings
 from flows.read_config import checked, read_retraining
 from slgaussian.errors import InputError
@@ -64,31 +64,23 @@ def retrain(
     ctx: typer.Context,
     config: Annotated[Path | None, typer.Argument(help="TOML file with any settings.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for tables.")] = None,
-    every: Annotated[float | None, typer.Option(help="Seconds: do it again and again.")] = None,
-    cron: Annotated[str | None, typer.Option(help="Times to do it at: '0 3 * * *'.")] = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Learn what is new in a corpus; use it if it is better.
 
     A candidate is trained from the weights in use, and put to use if it is better on held-out clips
     than those and than no network, beyond noise. See `versions`. A file has chunks, out, models and
-    other settings; options win over it. --every and --cron need `prefect server start` and
-    PREFECT_API_URL. Leaves OUT/history/NUMBER.json, and an artifact of Prefect. The exit status is
-    0 if a version was put to use, 1 if clips were left out first now and nothing else is new, 2 if
-    it failed, 3 if the version was refused, 4 if the one in use is worse than none, 5 if another
-    retraining is on, 6 if nothing is new.
+    other settings; options win over it. cron can run it, or Prefect by `prefect.yaml`. Leaves
+    OUT/history/NUMBER.json, and an artifact of Prefect. The exit status is 0 if a version was put
+    to use, 1 if clips were left out first now and nothing else is new, 2 if it failed, 3 if the
+    version was refused, 4 if the one in use is worse than none, 5 if another retraining is on, 6 if
+    nothing is new.
 
     \b
     slgaussian retrain --chunks chunks/train --out corpus --models models
-    slgaussian retrain retrain.toml --cron "0 3 * * *"
+    slgaussian retrain retrain.toml -o corpus
     """
     settings = read_retraining(config, options.settings_from(ctx, RetrainSettings))
-    if every is not None or cron is not None:
-        prepare_prefect(settings.store)
-        from flows.schedule import serve
-
-        serve(settings, every, cron)
-        return
     result = run_flow("retrain", settings, verbose)
     from flows.retraining import STATUS
 

@@ -202,7 +202,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     def lose(scenes: list[SceneTask], runner: TaskRunner[Any], error: BaseException) -> None:
         died, reason = type(error).__name__ in DEAD, last_line(str(error)) or type(error).__name__
         event_text = f"died ({reason})" if died else f"raised {type(error).__name__}: {reason}"
-        progress.lost(died, event_text, [scene_task.scene for scene_task in scenes])
+        progress.lost(event_text, [scene_task.scene for scene_task in scenes])
         for scene_task in scenes:
             if scene_task.scene in lost_before:
                 _leave_out(scene_task, died, event_text, outcome, progress)

@@ -7,7 +7,6 @@ set, its server is used and none is started.
 from __future__ import annotations
 
 import atexit
-import logging
 import os
 import secrets
 import signal
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from httpx import HTTPError
 
-from flows.runners.log_file import log
+from flows.runners import logger
 from flows.runners.server import LocalServer
 from slgaussian.errors import SLGaussianError
 from slgaussian.storage.local_copies import user_cache
@@ -190,7 +189,8 @@ def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
         failed = f"the Prefect server at {url} failed ({error})"
         if RESULTS:
             message = f"{failed} when all was done; it may show this run as running for ever"
-            log(logging.WARNING, "server_failed", message)
+            logger.warning(message)
+            print(message, file=sys.stderr)
             return RESULTS[0]
         raise SLGaussianError(
             f"{failed}; start it, or unset PREFECT_API_URL, as none of yours is needed; one of our "

@@ -8,14 +8,14 @@ import threading
 import time
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from typing import Any, TextIO
+from typing import TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as RichProgress
 from rich.table import Column
 
-from flows.runners.log_file import log
+from flows.runners import logger
 from slgaussian.errors import one_line
 from tasks.context import StageEvent
 
@@ -77,8 +77,7 @@ class Progress:
         self.bar_task = self.bar.add_task("", total=self.total)
 
     def __enter__(self) -> Progress:
-        message = f"{self.scenes} {self.unit}, {self.total} stages"
-        log(logging.INFO, "began", message, scenes=self.scenes, stages=self.total)
+        logger.info("%d %s, %d stages", self.scenes, self.unit, self.total)
         self.bar.start()
         threading.Thread(target=self._remind, daemon=True).start()
         return self
@@ -86,7 +85,7 @@ class Progress:
     def __exit__(self, *error: object) -> None:
         self.over.set()
         self.bar.stop()
-        self._log_counts()
+        logger.info(self.counts())
 
     def update(self, event: StageEvent) -> None:
         """Count and display a change of state of a stage."""
@@ -98,7 +97,7 @@ class Progress:
                 self._finished(event)
             case "repeated":
                 text = f"{scene}  {stage}  again: its artifact was damaged"
-                log(logging.WARNING, "repeated", text, scene=scene, stage=stage)
+                logger.warning(text)
                 self.line(text)
                 self.steps -= 1
                 done = self.of_scene[scene]
@@ -107,11 +106,10 @@ class Progress:
                 self._failed(event)
         self._show()
 
-    def lost(self, died: bool, event_text: str, scenes: Sequence[str]) -> None:
-        """Report a worker that ``died`` or raised an error, and uncount its scenes."""
+    def lost(self, event_text: str, scenes: Sequence[str]) -> None:
+        """Report a worker that died or raised an error, and uncount its scenes."""
         text = f"a worker {event_text}; its scenes are tried again, one at a time"
-        event = "worker_died" if died else "worker_raised"
-        log(logging.WARNING, event, text, reason=event_text, scenes=list(scenes))
+        logger.warning("%s: %s", text, ", ".join(scenes))
         for scene in scenes:
             self.active.pop(scene, None)
             self.steps -= len(self.of_scene.pop(scene, ()))
@@ -124,7 +122,7 @@ class Progress:
 
     def note(self, text: str) -> None:
         """Print and log a line about the whole run."""
-        log(logging.INFO, "note", text)
+        logger.info(text)
         self.line(text)
 
     def summary(self) -> None:
@@ -150,8 +148,7 @@ class Progress:
     def _finished(self, event: StageEvent) -> None:
         scene, stage, cached = event.scene, event.stage, event.state == "cached"
         text = f"{scene}  {stage}  {'cached' if cached else f'{event.seconds:.1f} s'}"
-        level, seconds = logging.DEBUG if cached else logging.INFO, round(event.seconds, 3)
-        log(level, "finished", text, scene=scene, stage=stage, seconds=seconds, cached=cached)
+        logger.log(logging.DEBUG if cached else logging.INFO, text)
         self.active.pop(scene, None)
         self.steps += 1
         (self.cached if cached else self.computed)[stage] += 1
@@ -168,21 +165,14 @@ class Progress:
         rest = len(events) - len(computed)
         texts = [" · ".join(f"{event.stage} {event.seconds:.1f} s" for event in computed)]
         texts += [f"{rest} stages cached"] if rest else []
-        text = f"{scene}  {' · '.join(filter(None, texts))}"
-        seconds = round(sum(event.seconds for event in events), 3)
-        facts: dict[str, Any] = {"scene": scene, "seconds": seconds, "cached": rest}
-        facts["computed"] = len(computed)
-        log(logging.INFO, "done", text, **facts)
         self.done += 1
         if not self.verbose and self.scenes > 1:
-            self.line(text)
+            self.line(f"{scene}  {' · '.join(filter(None, texts))}")
 
     def _failed(self, event: StageEvent) -> None:
         scene, stage = event.scene, event.stage
         text = f"{scene}  left out at {stage}: {event.message}"
-        extra = {"traceback": event.traceback} if event.traceback else {}
-        facts: dict[str, Any] = {"scene": scene, "stage": stage, "reason": event.message, **extra}
-        log(logging.ERROR, "failed", text, **facts)
+        logger.error("\n".join(filter(None, (text, event.traceback))))
         self.active.pop(scene, None)
         self.failed += 1
         self.total -= self.stages - len(self.of_scene[scene])
@@ -204,14 +194,9 @@ class Progress:
 
     def _remind(self) -> None:
         while not self.over.wait(REMIND):
-            self._log_counts()
+            logger.info(self.counts())
             if not self.console.is_terminal:
                 self.line(f"{self.counts()}  {self._working()}".rstrip())
-
-    def _log_counts(self) -> None:
-        facts: dict[str, Any] = {"done": self.done, "failed": self.failed, "scenes": self.scenes}
-        facts |= {"computed": self.computed.total(), "cached": self.cached.total()}
-        log(logging.INFO, "progress", self.counts(), **facts, working=dict(self.active))
 
 
 class Waiting:

@@ -1,8 +1,7 @@
-"""Common frame of flows: log, provenance, damaged artifacts, final state, Prefect artifacts."""
+"""Common frame of flows: provenance, damaged artifacts, final state, Prefect artifacts."""
 
 from __future__ import annotations
 
-import logging
 import os
 import sys
 import threading
@@ -16,10 +15,9 @@ from prefect.artifacts import create_markdown_artifact, create_table_artifact
 from prefect.runtime import deployment
 from prefect.states import Completed, State
 
+from flows.runners import logger
 from flows.runners.batches import Failure
-from flows.runners.log_file import log, log_to_file
 from flows.runners.task_runners import NO_EVENTS
-from slgaussian import __version__
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import write_atomic
 from slgaussian.storage.provenance import Provenance, making
@@ -37,10 +35,8 @@ MOST_ROWS = 500
 """Largest number of rows of a table artifact, which Prefect shows on one page."""
 
 
-def run_session(
-    command: str, config: Any, verbose: bool, work: Callable[[ArtifactStore], Result]
-) -> Result:
-    """Do the work of a flow with its store and a log, and repair damaged artifacts.
+def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Result]) -> Result:
+    """Do the work of a flow with its store, and repair damaged artifacts.
 
     An artifact that is found damaged during export or by another scene is removed, and the work is
     repeated: that recomputes the artifact and finds the others in the store.
@@ -48,10 +44,9 @@ def run_session(
     Parameters
     ----------
     command : str
-        Name of the command, for provenance and log.
+        Name of the command, for provenance.
     config
         The flow's configuration, with ``store`` and ``out`` at least.
-    verbose : bool
     work : callable
 
     Raises
@@ -60,13 +55,11 @@ def run_session(
         As ``work``, and if a damaged artifact is not recomputed by it.
     """
     store = ArtifactStore(config.store)
-    facts = config.model_dump(include={"runner", "workers"})
-    facts |= {"command": command, "version": __version__, "store": store.root}
     if deployment.id is not None:
         threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     damaged: dict[str, str] = {}
     check_folder(config.out)
-    with log_to_file(config.out, verbose, **facts), making(Provenance(command)):
+    with making(Provenance(command)):
         while True:
             try:
                 return work(store)
@@ -81,7 +74,7 @@ def run_session(
                 message = (
                     f"{store.root}/{error.uri} is damaged; it is removed, and the work begins anew"
                 )
-                log(logging.WARNING, "damaged", message)
+                logger.warning(message)
                 print(message, file=sys.stderr, flush=True)
 
 
@@ -156,4 +149,4 @@ def _publish(create: Callable[[], Any]) -> None:
     try:
         create()
     except Exception as error:  # the run continues without its artifact
-        log(logging.WARNING, "artifact_failed", f"an artifact was not created: {error}")
+        logger.warning("an artifact was not created: %s", error)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 from slgaussian.errors import InputError
@@ -56,21 +56,3 @@ def local_place(place: str | Path) -> str:
             f"{name}: is no folder here, and not in the cache of the hub yet; it is downloaded "
             f"when it is first used, or now with `hf download {name}`"
         ) from error
-
-
-def cached_models() -> Iterator[tuple[str, Path]]:
-    """Name and folder of every model in the hub's cache, in alphabetical order.
-
-    The cache is where ``HF_HUB_CACHE`` or ``HF_HOME`` say, else ``~/.cache/huggingface/hub``. Of
-    each name the revision that ``main`` stands for.
-    """
-    try:
-        from huggingface_hub import constants
-    except ImportError:
-        return
-    for entry in sorted(Path(constants.HF_HUB_CACHE).glob("models--*--*")):
-        name = entry.name.removeprefix("models--").replace("--", "/", 1)
-        try:
-            yield name, Path(local_place(name))
-        except InputError:  # nothing of it was downloaded, or another revision
-            continue

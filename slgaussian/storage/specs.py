@@ -4,8 +4,8 @@ A spec with ``fields`` lists named arrays with dtype and shape; the letters of a
 whose sizes must agree within one artifact. A spec with ``columns`` lists those of a table. Both are
 checked when an artifact is written and again when it is read.
 
-A spec with ``keys`` lists those of a JSON file, or of each line of one
-(:mod:`slgaussian.storage.documents`).
+A spec with ``keys`` lists those of a JSON file. In the place of a key, ``*`` stands for any name of
+an object and ``[]`` for each of a list.
 
 A spec has a version, and files carry its name, version and meaning with the unit, bounds and
 meaning of each field (:mod:`slgaussian.storage.provenance` adds what made them): in Parquet as
@@ -72,7 +72,8 @@ class Entry:
     ----------
     type : str
         Of an array a NumPy name, or ``str`` for text of any length; of a column one of
-        :func:`arrow_type`; of a value one of :data:`slgaussian.storage.documents.TYPES`.
+        :func:`arrow_type`; of a value ``text``,
+        ``integer``, ``number``, ``bool``, ``object``, ``list`` or ``any``.
     doc : str
     shape : tuple of int and str
         Of an array: numbers, and letters of ``Spec.axes``.
@@ -124,8 +125,6 @@ class Spec:
         Whether arrays are deflated.
     file : str
         What a file of it is called outside a store, if it always has one name.
-    lines : bool
-        Whether a JSON file has an object a line.
     axes : mapping
         What each letter of a shape counts.
     open : bool
@@ -138,7 +137,6 @@ class Spec:
     compress: bool = True
     open: bool = False
     file: str = ""
-    lines: bool = False
     axes: Mapping[str, str] = field(default_factory=dict)
     fields: Mapping[str, Entry] = field(default_factory=dict)
     columns: Mapping[str, Entry] = field(default_factory=dict)
@@ -153,7 +151,7 @@ class Spec:
     def suffix(self) -> str:
         """File name ending of the artifact."""
         if self.keys:
-            return ".jsonl" if self.lines else ".json"
+            return ".json"
         return ".parquet" if self.columns else ".npz"
 
     @property

@@ -126,7 +126,7 @@ def test_completion_and_help_need_no_heavy_library():
     env = {**os.environ, **calls, "_SLGAUSSIAN_COMPLETE": "complete_bash"}
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=env, capture_output=True)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [b"lexicon", b"clip", b"auto"]
+    assert done.stdout.split() == [b"lexicon", b"clip"]
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.storage.documents import read_document
 from slgaussian.storage.encoding import stated
 from slgaussian.storage.housekeeping import verify
 from slgaussian.storage.inspection import inspect
@@ -26,6 +25,7 @@ from slgaussian.storage.records import Records
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 from tasks.benchmark import benchmark
+from tests.json_documents import read_document
 
 pytestmark = pytest.mark.usefixtures("server")
 

@@ -63,7 +63,7 @@ def test_what_a_terminal_would_obey_is_shown_and_markup_is_text():
 def test_what_is_lost_or_repeated_is_counted_once():
     progress = Progress(2, 2, stream=io.StringIO())
     progress.update(StageEvent("a", "ingest", "completed"))
-    progress.lost(True, "died (killed)", ["a"])
+    progress.lost("died (killed)", ["a"])
     assert (progress.steps, progress.total) == (0, 4)
     for scene, stage, state in (
         ("a", "ingest", "completed"),

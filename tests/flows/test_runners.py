@@ -157,7 +157,7 @@ def run_scenes(monkeypatch, scenes: Path, runner: str, workers: int, folder: Pat
     store, out = ArtifactStore(folder / "store"), folder / "out"
     words = ["--runner", runner, "--workers", workers, "--store", store.root, "-o", out]
     assert run(monkeypatch, "run", scenes, *words) == 0
-    timed = {"log.jsonl", "artifacts.parquet", "report.html", "report.md"}
+    timed = {"artifacts.parquet", "report.html", "report.md"}
     files = (p for p in out.rglob("*") if p.is_file() and p.name not in timed)
     left = {str(p.relative_to(out)): p.read_bytes() for p in files if p.stem != "times"}
     assert (out / "report.html").is_file()

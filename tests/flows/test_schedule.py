@@ -1,4 +1,4 @@
-"""Schedules: what they need is said at once, and what the files promise can be loaded."""
+"""Deployments: what the files promise can be loaded, and what an operator sees of runs."""
 
 import logging
 import os
@@ -12,7 +12,6 @@ from pathlib import Path
 import httpx
 import pytest
 import yaml
-from command import run, said
 from prefect.client.schemas.schedules import CronSchedule
 from prefect.flows import load_flow_from_entrypoint
 
@@ -25,41 +24,6 @@ from flows.scene import STAGES
 from slgaussian.errors import InputError
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture
-def config(tmp_path):
-    file = tmp_path / "retrain.toml"
-    file.write_text(f'chunks = "{tmp_path}"\nout = "corpus"\nmodels = "models"\nstore = "store"\n')
-    return file
-
-
-def refused(monkeypatch, capsys, *arguments) -> str:
-    assert run(monkeypatch, "retrain", *arguments) == 2
-    return said(capsys)
-
-
-def test_a_schedule_without_a_server_is_refused(config, monkeypatch, capsys):
-    monkeypatch.delenv("PREFECT_API_URL")
-    result = refused(monkeypatch, capsys, config, "--cron", "0 3 * * *")
-    assert result.startswith("error: a schedule needs a Prefect server that keeps running")
-    assert "prefect server start" in result and "or let cron run" in result
-    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")
-    result = refused(monkeypatch, capsys, config, "--every", "5")
-    assert result.startswith("error: PREFECT_API_URL http://127.0.0.1:9/api: no Prefect server")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (("--cron", "0 3 * *"), "--cron: found '0 3 * *', expected five fields as in '0 3 * * *'"),
-        (("--every", "0"), "--every: found 0, expected a number of seconds above 0"),
-        (("--every", "5", "--cron", "0 3 * * *"), "--every and --cron are two ways; choose one"),
-        (("--every", "5", "--set", "steps=0"), "steps: found 0"),
-    ],
-)
-def test_times_that_are_none_are_refused(config, monkeypatch, capsys, arguments, expected):
-    assert expected in refused(monkeypatch, capsys, config, *arguments)
 
 
 DEPLOYMENTS = yaml.safe_load((ROOT / "prefect.yaml").read_text())["deployments"]

@@ -15,7 +15,7 @@ import pytest
 import torch
 from command import run
 
-from flows.read_config import anchored_config, read_retraining
+from flows.read_config import read_retraining
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import held_out
@@ -265,16 +265,3 @@ def test_versions_are_listed_put_to_use_and_taken_back(tmp_path, monkeypatch, ca
         "version 1 in use since instead of no version",
         "no version in use since instead of version 1",
     ]
-
-
-def test_a_deployed_config_means_the_same_anywhere(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    config = tmp_path / "retrain.toml"
-    config.write_text('chunks = "s3://bucket/chunks"\nout = "corpus"\n')
-    with pytest.raises(InputError, match=r"retrain\.toml: models is missing"):
-        read_retraining(config, {})
-    deployed = anchored_config(read_retraining(config, {"models": "models", "steps": 3}))
-    monkeypatch.chdir("/")
-    assert deployed.models == tmp_path / "models" and deployed.out == tmp_path / "corpus"
-    assert (deployed.chunks, deployed.store) == ("s3://bucket/chunks", f"{tmp_path}/slg-data")
-    assert deployed.model_fields_set == {"chunks", "out", "models", "steps", "store"}

@@ -51,7 +51,7 @@ def test_a_kernel_is_told_while_it_is_compiled_and_never_again(at_once):
 
 
 def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatch):
-    # What flows.runners.log_file, once imported, sends elsewhere.
+    # What flows.runners, once imported, sends elsewhere.
     monkeypatch.setattr(logging.getLogger("slgaussian"), "propagate", True)
     for _ in range(2):
         new_kernel()(1)

@@ -1,10 +1,8 @@
-import json
-
 import pytest
 
 from slgaussian.errors import SpecError
-from slgaussian.storage.documents import TYPES, check_document, read_document
 from slgaussian.storage.specs import Entry, Spec, load_spec, spec_names
+from tests.json_documents import TYPES, check_document, read_document
 
 SPEC = Spec(
     "own",
@@ -47,23 +45,9 @@ def test_what_does_not_is_named(changed, message):
     assert message in str(error.value)
 
 
-def test_what_is_missing_and_what_is_no_number_is_named():
+def test_what_is_missing_is_named():
     with pytest.raises(SpecError, match="f: file: 'parts' is a required property"):
         check_document({"name": "x", "count": 1}, SPEC, "f")
-    with pytest.raises(SpecError, match=r"f: file: found no JSON \(.*expected a own of"):
-        read_document(json.dumps({**GOOD, "parts": {"p": [float("nan")]}}).encode(), SPEC, "f")
-
-
-def test_each_line_of_a_log_is_checked_and_a_last_one_cut_short_is_none():
-    spec = load_spec("log")
-    line = {"time": "t", "level": "info", "run": "r", "event": "note", "message": "m", "own": [1]}
-    whole = json.dumps(line) + "\n"
-    assert read_document((whole + whole[:20]).encode(), spec, "f") == [line]
-    bad = json.dumps({**line, "level": "loud"}) + "\n"
-    with pytest.raises(SpecError, match="f: line 2: level: 'loud' is not one of"):
-        read_document((whole + bad).encode(), spec, "f")
-    with pytest.raises(SpecError, match=r"f: file: found no JSON \(.*expected a log of"):
-        read_document(b"{\n{}\n", spec, "f")
 
 
 @pytest.mark.parametrize("name", [name for name in spec_names() if load_spec(name).keys])

@@ -1,4 +1,4 @@
-"""JSON files against their data specs: the manifest, times, ``field.json``, the index, the log."""
+"""JSON files against their data specs: the manifest, times, ``field.json``, the index."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from slgaussian.errors import SpecError
 from slgaussian.formats import strict_json
-from slgaussian.storage.specs import Spec, mismatch
+from slgaussian.storage.specs import Spec
 
 TYPES: Mapping[str, str | None] = {
     "text": "string", "integer": "integer", "number": "number", "bool": "boolean",
@@ -18,19 +18,9 @@ TYPES: Mapping[str, str | None] = {
 
 
 def read_document(data: bytes, spec: Spec, file: str) -> Any:
-    """Read a JSON file, or the list of its lines; SpecError if it is not what ``spec`` says.
-
-    Of a log of a run that was killed, the last line may be cut short: it counts as not written.
-    """
-    try:
-        if not spec.lines:
-            content = strict_json.parse(data)
-        else:
-            content = [strict_json.parse(line) for line in data.split(b"\n")[:-1]]
-        json.dumps(content, allow_nan=False)
-    except ValueError as error:
-        expected = f"a {spec.name} of {spec.label}"
-        raise mismatch(file, "file", f"no JSON ({error})", expected) from None
+    """Read a JSON file; SpecError if it is not what ``spec`` says."""
+    content = strict_json.parse(data)
+    json.dumps(content, allow_nan=False)
     check_document(content, spec, file)
     return content
 
@@ -40,13 +30,10 @@ def check_document(content: Any, spec: Spec, file: str) -> None:
     from jsonschema import Draft202012Validator
     from jsonschema.exceptions import best_match
 
-    validator = Draft202012Validator(json_schema(spec))
-    for number, entry in enumerate(content if spec.lines else [content], 1):
-        error = best_match(validator.iter_errors(entry))
-        if error is not None:
-            line = f"line {number}: " if spec.lines else ""
-            place = error.json_path.removeprefix("$").removeprefix(".") or "file"
-            raise SpecError(f"{file}: {line}{place}: {error.message:.200}")
+    error = best_match(Draft202012Validator(json_schema(spec)).iter_errors(content))
+    if error is not None:
+        place = error.json_path.removeprefix("$").removeprefix(".") or "file"
+        raise SpecError(f"{file}: {place}: {error.message:.200}")
 
 
 def json_schema(spec: Spec) -> dict[str, Any]:
