@@ -483,9 +483,6 @@ class SetSettings(Config):
         examples=["jpg", "png"],
         description="How images are stored: jpg (quality 95) or png.",
     )
-    gaussians: bool = Field(
-        False, description="Store the Gaussians too; without them it is depth alone."
-    )
     shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is closed.")
 
 
@@ -568,9 +565,7 @@ class TrainSettings(Training):
     )
     seed: int = _METHOD["seed"]
     store: str = _CORPUS["store"]
-    lessons: Path = Field(
-        description="Folder that `supervise` wrote, or `dataset` with --gaussians."
-    )
+    lessons: Path = Field(description="Folder that `supervise` wrote.")
     start: Path | None = Field(
         None, description="Weights to begin from: a file, or a folder of versions."
     )

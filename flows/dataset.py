@@ -140,14 +140,13 @@ def make_example(
     trust_cameras: bool,
     known: Mapping[str, Any],
     images: str,
-    with_gaussians: bool,
 ) -> ArtifactRef:
     """Take a sample through the first stages of :func:`flows.scene.answer_scene`, with targets."""
     sample = framed(chunk, frames, framing)
     base = geometry(sample, method.predictor, method.seed, trust_cameras)
     ids = all_masks(sample, base, method.proposer, method.tracker, method.replicas, method.votes)
     bank = supervision(sample, base, ids, method.encoder, method.codes, method.seed, method.bank)
-    return example(sample, base, ids, bank, known, images, with_gaussians)
+    return example(sample, base, ids, bank, known, images)
 
 
 def _choose(
@@ -239,9 +238,9 @@ def _finish(
             settings.built_by,
             settings.trust_cameras,
             properties,
+            settings.images,
         )
-        stored = settings.images, settings.gaussians
-        tasks.append(SceneTask(row["sample"], make_example, (*arguments, *stored), framed.name))
+        tasks.append(SceneTask(row["sample"], make_example, arguments, framed.name))
     outcome = map_shown(tasks, workers, len(SAMPLES), "samples", verbose)
     failures += outcome.failures
     descriptions = {

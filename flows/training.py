@@ -14,16 +14,14 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import Training, TrainSettings
-from flows.data_card import CARD
 from flows.results import write_artifacts
 from flows.runners.batches import Outcome, SceneTask, compute_scene
 from flows.runners.environment import home_of
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, writing
 from slgaussian import __version__
-from slgaussian.datasets.training_set import INDEX, SPLITS
 from slgaussian.errors import InputError, SpecError
-from slgaussian.io import file_sha256, write_atomic
+from slgaussian.io import write_atomic
 from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.branch import Architecture, load_branch, save_branch
 from slgaussian.semantic.training import TrainingSettings, found_device
@@ -31,7 +29,7 @@ from slgaussian.semantic.versions import find_weights
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.training import branch_from_arrays, judge, read_set, training_report
+from tasks.training import branch_from_arrays, judge, training_report
 from tasks.training import train as train_stage
 
 FILES = {
@@ -113,7 +111,8 @@ def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]
 
 
 def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Trained:
-    lessons, card = lessons_in(config, store)
+    table = read_lessons(config.lessons / "lessons.parquet", store)
+    lessons = parted(table, config.held_out)
     start = None if config.start is None else find_weights(config.start)
     store.check_writable()
     check_folder(config.out)
@@ -125,30 +124,9 @@ def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Traine
             "leave out --architecture, or --from"
         )
     common = config.codes, config.seed, start, store, verbose
-    trained = train_on(lessons, config, *common, architecture=chosen, card=card)
+    trained = train_on(lessons, config, *common, architecture=chosen)
     trained.write(config.out, store)
     return trained
-
-
-def lessons_in(settings: TrainSettings, store: ArtifactStore) -> tuple[Parted, str]:
-    """The lessons of a folder, and the SHA-256 of its data card if it is a training set.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_lessons` and :func:`parted`; of a training set as
-        :func:`tasks.training.read_set`, or if a share is to be held out, which it says itself.
-    """
-    if not (settings.lessons / INDEX).is_file():
-        table = read_lessons(settings.lessons / "lessons.parquet", store)
-        return parted(table, settings.held_out), ""
-    if "held_out" in settings.model_fields_set:
-        raise InputError(
-            f"held_out: found {settings.held_out:g}, but {settings.lessons} is a training set, "
-            "which is split already; leave it out, or make the set with another --held-out"
-        )
-    tables = (read_set(settings.lessons, split, store) for split in SPLITS)
-    return Parted(*tables), file_sha256(settings.lessons / CARD)
 
 
 def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
@@ -209,13 +187,12 @@ def train_on(
     verbose: bool,
     architecture: Architecture | None = None,
     rival: Path | None = None,
-    card: str = "",
 ) -> Trained:
     """Train from the weights ``start``, or seeded ones of an architecture, judge, and report.
 
     Judged beside it, as ``before``, are the weights ``rival``, by default ``start``. What was done
     before comes from the store; what was interrupted goes on. The weights say what they were
-    trained on and how they were judged; ``card`` is the digest of the data's card.
+    trained on and how they were judged.
     """
     found_device(options.device)
     architecture = architecture or Architecture()
@@ -254,7 +231,7 @@ def train_on(
     course = ArtifactRef("metrics", **artifacts["train"].meta["metrics"])
     metrics, judgements = store.get(course), store.get(artifacts["judge"])
     statement = {
-        "data": {"lessons": learnt.digest, "held_out": held_out.digest, "card": card},
+        "data": {"lessons": learnt.digest, "held_out": held_out.digest},
         **manifest,
         "metrics": _metrics(metrics, judgements),
     }

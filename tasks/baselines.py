@@ -24,7 +24,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("baselines", version=5)
+@stage("baselines", version=6)
 def baselines(
     run: RunContext,
     sample: ArtifactRef,

@@ -22,7 +22,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("benchmark", version=11)
+@stage("benchmark", version=12)
 def benchmark(
     run: RunContext,
     sample: ArtifactRef,

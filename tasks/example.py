@@ -13,7 +13,6 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.datasets.shards import pack
-from slgaussian.gaussians import Gaussians
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Sample
 from slgaussian.storage.encoding import Arrays, packed
@@ -40,7 +39,6 @@ def example(
     bank: ArtifactRef,
     known: Mapping[str, Any],
     images: str,
-    with_gaussians: bool,
 ) -> ArtifactRef:
     """Encode a sample as a part of a tar file: spec ``example``.
 
@@ -52,7 +50,6 @@ def example(
         Properties that are stored with the sample. Its ``sample`` is the name of the members.
     images : str
         A key of :data:`SAVED`.
-    with_gaussians : bool
 
     ``meta["about"]`` has ``known`` and measures of quality.
     """
@@ -72,8 +69,6 @@ def example(
         "labels": ("labels", _stacked(context, targets)),
         "bank": ("bank", store.get(bank)),
     }
-    if with_gaussians:
-        arrays["gaussians"] = "gaussians", run.read(gaussians, Gaussians.from_arrays).to_arrays()
     for name, (spec, content) in arrays.items():
         members[f"{name}.npz"] = packed(spec, content, f"{key}.{name}.npz")[1]
     members["about.json"] = json.dumps(description, sort_keys=True, allow_nan=False).encode()

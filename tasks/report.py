@@ -34,7 +34,7 @@ class Scored:
     others: Mapping[str, ArtifactRef]
 
 
-@stage("report", version=10)
+@stage("report", version=11)
 def report(
     run: RunContext,
     scenes: Sequence[Scored],

@@ -11,27 +11,22 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import torch
 
 from slgaussian.benchmark.reports import training
 from slgaussian.benchmark.reports.training import Example
-from slgaussian.datasets.training_set import TrainingSet
-from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import rng_for
-from slgaussian.scene import Camera
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.branch import Branch, BranchLifting, load_branch, save_branch
 from slgaussian.semantic.corruption import corrupt
 from slgaussian.semantic.evaluation import label_iou, novel_labels
 from slgaussian.semantic.hard import Filled, HardIndex
-from slgaussian.semantic.lesson import GEOMETRY, Lesson
+from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.training import Progress, TrainingSettings
 from slgaussian.semantic.training import train as train_branch
 from slgaussian.storage.encoding import Arrays
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.context import RunContext
-from tasks.samples import row_of
 from tasks.stage import stage
 
 
@@ -216,49 +211,3 @@ def _examples(
             )
         )
     return drawn_lessons
-
-
-def read_set(folder: Path, split: str, store: ArtifactStore) -> pa.Table:
-    """Put the samples of a split into the store as lessons; a table of spec ``lessons``.
-
-    The clip of a lesson is the place of the sample: what is judged is judged by places.
-
-    Raises
-    ------
-    InputError
-        If the split has no sample.
-    SpecError
-        If a sample is damaged or has no Gaussians.
-    """
-    samples = TrainingSet(folder, split)
-    rows: list[dict[str, Any]] = []
-    for index in range(len(samples)):
-        lesson = lesson_of(samples, index)
-        ref = store.put("lesson", lesson.to_arrays())
-        rows.append({**row_of(lesson, ref), "clip": samples.rows["place"][index].as_py()})
-    table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
-    return table.sort_by("sample")
-
-
-def lesson_of(samples: TrainingSet, index: int) -> Lesson:
-    """One sample as a lesson; SpecError as :func:`read_set`."""
-    members = samples.members(index)
-    geometry, labels, gaussians = (
-        samples.arrays(index, name, members) for name in ("geometry", "labels", "gaussians")
-    )
-    count = len(geometry["confirmed"])
-    height, width = geometry["depth"].shape[1:]
-    cameras = tuple(
-        Camera(K, c2w, width, height, near or None, far or None)
-        for K, c2w, (near, far) in zip(
-            geometry["K"], geometry["c2w"], geometry["near_far"].tolist(), strict=True
-        )
-    )
-    tensors = {name: torch.from_numpy(gaussians[name]) for name in GEOMETRY}
-    return Lesson(
-        samples.rows["sample"][index].as_py(),
-        Gaussians(**tensors, sh=torch.zeros(len(tensors["means"]), 0, 3)),
-        labels["labels"][:count],
-        cameras[count:],
-        labels["labels"][count:],
-    )

@@ -38,7 +38,7 @@ SHOWN = ("things", "office", "places", "rooms")
 SEEDS = 3
 OURS, CUT = "slgaussian", "LangSplat's cut"
 OTHERS = ("query-2d, depth", "no-bank")
-PROTOCOLS = ("slgaussian", "langsplat", "threshold-free")
+PROTOCOLS = ("slgaussian", "langsplat")
 SCORES = {"iou": ("IoU", 3), "hit_mask": ("point", 2), "miou": ("mIoU", 3)}
 STAGES = ("threshold", "language", "masks")
 LEXICON = Lexicon()
@@ -89,13 +89,12 @@ def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dic
     """
     asked = EvaluationSettings(protocols=PROTOCOLS, drawn=False)
     rows = evaluate(answering, inputs.sample, inputs.label_maps, truth, asked).rows
-    selected, cut, free = (
+    selected, cut = (
         [row for row in rows if row["protocol"] == load_protocol(name).label] for name in PROTOCOLS
     )
     for row in cut:
         point = None if row["point_x"] is None else (row["point_x"], row["point_y"])
         row["hit_mask"] = metrics.point_in_mask(point, truth.masks[row["frame"]][row["query"]])
-    best = {"best_iou": scene_means(free)["best_iou"]}
     means = {}
     for name, own in ((OURS, selected), (CUT, cut)):
         kinds: dict[str, list[float]] = {}
@@ -103,7 +102,7 @@ def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dic
             mask = truth.masks[row["frame"]][row["query"]]
             kinds.setdefault(kind_of(row["query"], mask), []).append(row["iou"])
         scores = {score: mean for score, mean in scene_means(own).items() if score in SCORES}
-        means[name] = scores | best | {"kinds": kinds}
+        means[name] = scores | {"kinds": kinds}
     return means
 
 

@@ -21,7 +21,7 @@ from flows.config import (
 from flows.read_config import checked, make_settings
 from slgaussian.errors import InputError
 
-SET_FIELDS = ("size", "targets", "min_confirmed", "held_out", "gaussians")
+SET_FIELDS = ("size", "targets", "min_confirmed", "held_out")
 """Fields of a training set that `slgaussian dataset` has options of."""
 
 

@@ -26,10 +26,9 @@ def train(
 ) -> None:
     """Train the semantic branch on lessons, and judge it.
 
-    It is judged on clips that it has not seen; of a training set made with --gaussians, on its
-    split test. Leaves branch.safetensors, report.html, metrics.parquet (a row a step) and
-    judgements.parquet (a row a held-out lesson and lifting). A training that was interrupted goes
-    on where it was.
+    It is judged on clips that it has not seen. Leaves branch.safetensors, report.html,
+    metrics.parquet (a row a step) and judgements.parquet (a row a held-out lesson and lifting). A
+    training that was interrupted goes on where it was.
 
     \b
     slgaussian train --lessons corpus -o trained

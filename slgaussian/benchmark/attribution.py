@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -38,22 +38,15 @@ STAND_INS = {
     "threshold_iou": ("threshold", "each query cut where it is best for it"),
     "language_iou": ("language", "whole things named, one for each part of the truth"),
     "masks_iou": ("masks", "the true masks of the two photographs"),
-    "geometry_iou": ("geometry", "their true depth"),
 }
 """Columns of the spec ``attribution``: what is true from there on, in a word and in a line. The
 words after the first are those of the stages, in the order in which truth takes their place."""
 
 STAGES = tuple(title for title, _ in STAND_INS.values())[1:]
 
-UNDECIDED = "masks or geometry"
-"""What lost a miss that true masks mend, where they were found by predicted depth: that is right by
-its own measure, wherever it lies."""
-
-MOSTLY = 0.5
-"""Fraction of the truth in the context views that must not rest on predicted depth, to decide."""
-
 BEYOND = "nothing mends it"
-"""What lost a miss that stays one: the photographs do not show it, or the truth is rough."""
+"""What lost a miss that stays one: the photographs do not show it, its depth is wrong, or the truth
+is rough."""
 
 CRUMB = 0.05
 """Fraction of a mask below which a connected part of it does not count."""
@@ -64,10 +57,6 @@ BEHIND = 0.05
 SPECK = 7
 """Side of the window, pixels, in which one pixel with a known place is enough to fill the gaps of
 truth that is carried back."""
-
-OPAQUE = 0.5
-"""Least opacity of a Gaussian that lies where it is known to belong: a predictor makes those faint
-whose depth it doubts. With 0.9 the IoU in made-up rooms is 0.016 lower."""
 
 
 def attribute_errors(
@@ -102,21 +91,15 @@ def attribute_errors(
     rules = replace(settings.rules, protocol="slgaussian")
     common = {"dataset": settings.dataset, "scene": sample.scene, "method": settings.method}
     depths = source_depths(gaussians, [view.camera for view in sample.context])
-    by_stage = {"masks": gaussians}
-    if true_depths(sample).any():
-        by_stage["geometry"] = moved(gaussians, sample, depths)
     rows = []
     for target in sample.targets:
         masks = {q: mask for q, mask in truth.masks.get(target.name, {}).items() if mask.any()}
         if not masks:
             continue
         objects = ObjectMap(field.render(target.camera).ids, field.bank.ids)
-        context = context_truth(sample, target, list(masks.values()), depths)
-        labels = context.labels.ravel()[gaussians.source.numpy()]
-        drawn = {
-            stage: context.members[elect(stage_gaussians, labels, target.camera)]
-            for stage, stage_gaussians in by_stage.items()
-        }
+        labels, members = context_truth(sample, target, list(masks.values()), depths)
+        labels = labels.ravel()[gaussians.source.numpy()]
+        drawn = members[elect(gaussians, labels, target.camera)]
         for column, (query, mask) in enumerate(masks.items()):
             hit = None
             if understands(field.reader, query):
@@ -127,11 +110,10 @@ def attribute_errors(
             judged = {
                 "threshold": _cut(hit, objects, mask),
                 "language": _judge(objects.spread(best_objects(objects, field.bank, mask)), mask),
-                **{stage: _judge(image[..., column], mask) for stage, image in drawn.items()},
+                "masks": _judge(drawn[..., column], mask),
             }
             for stage in STAGES:
-                row[f"{stage}_iou"], row[f"{stage}_hit"] = judged.get(stage, (None, None))
-            row["known"] = float(context.known[column])
+                row[f"{stage}_iou"], row[f"{stage}_hit"] = judged[stage]
             row["lost"] = verdict(row)
             rows.append({name: row[name] for name in load_spec("attribution").columns})
     return rows
@@ -142,8 +124,8 @@ def verdict(row: Mapping[str, Any]) -> str | None:
     if row["iou"] >= GOOD and row["hit"]:
         return None
     for stage in STAGES:
-        if (row[f"{stage}_iou"] or 0) >= GOOD and row[f"{stage}_hit"]:
-            return UNDECIDED if stage == "masks" and row["known"] < MOSTLY else stage
+        if row[f"{stage}_iou"] >= GOOD and row[f"{stage}_hit"]:
+            return stage
     return BEYOND
 
 
@@ -230,32 +212,20 @@ def elect(gaussians: Gaussians, labels: np.ndarray, camera: Camera) -> np.ndarra
     return elected_ids(image.label.numpy(), image.label_weights.numpy(), every)[0]
 
 
-@dataclass(frozen=True, eq=False)
-class ContextTruth:
-    """The meaning of the queries of a target frame in the context views.
-
-    Attributes
-    ----------
-    labels : int32 [V, H, W]
-        From 1, which is nothing that was asked for; a label is one set of queries.
-    members : bool [L + 1, Q]
-        Which queries a label belongs to.
-    known : float64 [Q]
-        Fraction of the pixels of a query that does not rest on predicted depth.
-    """
-
-    labels: np.ndarray
-    members: np.ndarray
-    known: np.ndarray
-
-
 def context_truth(
     sample: Sample, target: View, masks: Sequence[np.ndarray], predicted: np.ndarray
-) -> ContextTruth:
+) -> tuple[np.ndarray, np.ndarray]:
     """Carry masks bool [H, W] of a target, one a query, back to the context views.
 
     Each context pixel goes to the target by its true depth, or by ``predicted`` float [V, H, W]
     where that is not known, and takes what is labelled there, unless something hides it.
+
+    Returns
+    -------
+    labels : int32 [V, H, W]
+        From 1, which is nothing that was asked for; a label is one set of queries.
+    members : bool [L + 1, Q]
+        Which queries a label belongs to.
     """
     sets = np.zeros(masks[0].shape, np.int64)
     for mask in masks:
@@ -274,10 +244,7 @@ def context_truth(
         if is_known.any():
             near = cv2.dilate(is_known.astype(np.uint8), np.ones((SPECK, SPECK), np.uint8)) > 0
             pixels[:] = np.where(near, pixels[nearest_pixel(is_known)], -1)
-    labels = np.where(place >= 0, sets.ravel()[place], 1).astype(np.int32)
-    counts = np.bincount(labels.ravel(), minlength=len(members))
-    certain = np.bincount(labels[true > 0], minlength=len(members))
-    return ContextTruth(labels, members, certain @ members / np.maximum(counts @ members, 1))
+    return np.where(place >= 0, sets.ravel()[place], 1).astype(np.int32), members
 
 
 def true_depths(sample: Sample) -> np.ndarray:
@@ -322,28 +289,3 @@ def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray
         front = np.where(target.depth > 0, target.depth, front)
     limit = (1 + BEHIND) * front.ravel()
     return np.stack([np.where(z <= limit[place], place, -1) for place, z in landed])
-
-
-def moved(gaussians: Gaussians, sample: Sample, predicted: np.ndarray) -> Gaussians:
-    """Move Gaussians along their lines of sight to the true depth of their source pixels.
-
-    They grow with their distance, and of each pixel the first, which shows it, does not stay faint.
-    Those of pixels whose true or ``predicted`` depth [V, H, W] is not known stay as they are.
-    """
-    true = true_depths(sample).ravel()
-    is_known = (true > 0) & (predicted.ravel() > 0)
-    ratio = np.where(is_known, true / np.where(is_known, predicted.ravel(), 1), 1)
-    source = gaussians.source.numpy()
-    centers = np.stack([view.camera.center for view in sample.context])
-    center = torch.from_numpy(centers[source // sample.context[0].image[..., 0].size])
-    step = torch.from_numpy(ratio[source].astype(np.float64))[:, None]
-    order = np.arange(len(source))
-    first = np.empty(len(true), np.int64)
-    first[source[::-1]] = order[::-1]
-    certain = torch.from_numpy(is_known[source] & (first[source] == order))
-    return replace(
-        gaussians,
-        means=(center + (gaussians.means.double() - center) * step).float(),
-        scales=(gaussians.scales * step).float(),
-        opacities=torch.where(certain, gaussians.opacities.clamp(min=OPAQUE), gaussians.opacities),
-    )

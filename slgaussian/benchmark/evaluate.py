@@ -445,7 +445,7 @@ def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
     """Return what protocols score of a result; of a text that is not understood, nothing."""
     if hit is None:
         nothing = np.zeros(truth.shape, np.float32)
-        return Answer(nothing, nothing.astype(bool), None, understood=False)
+        return Answer(nothing, nothing.astype(bool), None)
     for name, array in (("relevancy", hit.relevancy), ("mask", hit.mask)):
         if array.shape != truth.shape:
             raise InputError(f"{where}: the {name} is {array.shape}, expected {truth.shape}")

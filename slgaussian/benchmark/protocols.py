@@ -19,13 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark import metrics, ranking
+from slgaussian.benchmark import metrics
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language import langsplat
 from slgaussian.language.rules import Rules
-
-THRESHOLDS = tuple(k / ranking.BINS for k in range(1, ranking.BINS))
-"""Relevancies at which the protocol threshold-free cuts, one after another: 0.05 to 0.95."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,14 +37,11 @@ class Answer:
         What the method selects by the rules it is asked with.
     point : (x, y) or None
         Where it points.
-    understood : bool
-        False if it knows no word of the text; then nothing is found.
     """
 
     relevancy: np.ndarray
     mask: np.ndarray
     point: tuple[float, float] | None
-    understood: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,22 +222,6 @@ def _three_d_ovs(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     return Scored(scores, region, frame.answers[k].point if frame.external else None)
 
 
-def _threshold_free(frame: Frame, k: int, settings: MaskSettings) -> Scored:
-    if not frame.answers[k].understood:
-        zeros = dict.fromkeys(("average_precision", "auc", "best_iou"), 0.0)
-        return Scored(zeros | {"iou_curve": [0.0] * len(THRESHOLDS)})
-    ranked = ranking.rank(frame.answers[k].relevancy, frame.masks[k])
-    return Scored(
-        {
-            "average_precision": ranking.average_precision(ranked),
-            "auc": ranking.area_under_roc(ranked),
-            "best_iou": ranking.best_iou(ranked),
-            "calibration_error": ranking.calibration_error(ranked),
-            "iou_curve": ranking.ious_above(ranked, THRESHOLDS),
-        }
-    )
-
-
 def _by_rules(rules: Rules, width: int) -> MaskSettings:
     share = rules.share if rules.selection == "near-best" else None
     return MaskSettings(rules.selection, rules.threshold, share)
@@ -264,9 +242,6 @@ PROTOCOLS: Mapping[str, ScoringProtocol] = {
         ScoringProtocol("langsplat", 2, _stretched, _langsplat),
         ScoringProtocol("langsplat-rescaled", 2, _stretched_rescaled, _langsplat),
         ScoringProtocol("3d-ovs", 2, lambda rules, width: MaskSettings("arg-max"), _three_d_ovs),
-        ScoringProtocol(
-            "threshold-free", 2, lambda rules, width: MaskSettings("none"), _threshold_free, False
-        ),
         ScoringProtocol(
             "highest-pixel", 1, lambda rules, width: MaskSettings("none"), _highest_pixel, False
         ),

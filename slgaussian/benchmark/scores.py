@@ -18,15 +18,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.benchmark import ranking
-from slgaussian.benchmark.protocols import THRESHOLDS
 from slgaussian.benchmark.statistics import (
     LEAST,
     LEVEL,
     Comparison,
     compare,
-    drawn,
-    interval,
     interval_of_mean,
 )
 from slgaussian.errors import InputError
@@ -75,22 +71,16 @@ class Metric:
         Of the data spec ``samples``.
     by_frame : bool
         Whether the samples of a frame are averaged first.
-    index, threshold : int, float, optional
-        Which number of a list, and the threshold that it is of.
     """
 
     name: str
     column: str
     by_frame: bool = False
-    index: int | None = None
-    threshold: float | None = None
 
     def of(self, row: Row) -> float | None:
         """The sample of a row, None if it has none."""
         value = row[self.column]
-        if value is None:
-            return None
-        return float(value if self.index is None else value[self.index])
+        return None if value is None else float(value)
 
 
 METRICS = (
@@ -101,26 +91,12 @@ METRICS = (
     Metric("hit_mask", "hit_mask"),
     Metric("hit_box", "hit_box"),
     Metric("hit_peak", "hit_peak"),
-    Metric("average_precision", "average_precision"),
-    Metric("auc", "auc"),
-    Metric("best_iou", "best_iou"),
-    Metric("calibration_error", "calibration_error"),
 )
 """Every score that is a mean; which of them there are, the protocol of a row decides."""
 
-CURVE = tuple(
-    Metric("iou", "iou_curve", index=k, threshold=threshold)
-    for k, threshold in enumerate(THRESHOLDS)
-)
-"""The IoU with each threshold."""
-
-SCORE_CALIBRATION = "score_calibration_error"
-"""Expected calibration error of the greatest relevancy as a chance that the point is on the object;
-of all samples at once, since a scene has too few for bins."""
-
 
 def scene_means(rows: Iterable[Row]) -> dict[str, float]:
-    """The scores of one scene, method and protocol by name, without the curve.
+    """The scores of one scene, method and protocol by name.
 
     Those without a sample are left out.
     """
@@ -141,7 +117,7 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
     for names, group in grouped(rows, *GROUPS).items():
         common = {**dict(zip(GROUPS, names, strict=True)), "level": LEVEL, **_settings(group)}
         scenes = list(grouped(group, "scene").values())
-        for metric in (*METRICS, *CURVE):
+        for metric in METRICS:
             means = [(_scene_mean(scene, metric), scene) for scene in scenes]
             scored = [(mean, scene) for mean, scene in means if mean is not None]
             if not scored:
@@ -150,11 +126,8 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
             places = [place_of(scene[0]) for _, scene in scored]
             samples = sum(metric.of(row) is not None for _, scene in scored for row in scene)
             row = common | {"metric": metric.name, "value": float(values.mean())}
-            if metric.threshold is not None:
-                row["threshold"] = metric.threshold
             ends = interval_of_mean(values, places) if len(set(places)) > 1 else None
             table.append(row | _trust(ends, places, samples))
-        table += [common | row for row in _score_calibration(scenes)]
     return pa.Table.from_pylist(table, schema=load_spec("scores").schema)
 
 
@@ -165,8 +138,6 @@ class Difference:
     Attributes
     ----------
     dataset, protocol, metric : str
-    threshold : float or None
-        The one tried, of the protocol threshold-free.
     gain : Comparison
         Of their scenes; ``gain.low`` and ``gain.high`` say nothing if they are of one place.
     samples : int
@@ -176,7 +147,6 @@ class Difference:
     dataset: str
     protocol: str
     metric: str
-    threshold: float | None
     gain: Comparison
     samples: int
 
@@ -199,7 +169,7 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
     groups = grouped(pairs, "dataset", "protocol", row_of=lambda pair: pair[0])
     for (dataset, protocol), group in groups.items():
         scenes = grouped(group, "scene", row_of=lambda pair: pair[0]).values()
-        for metric in (*METRICS, *CURVE):
+        for metric in METRICS:
             shared = [
                 [p for p in scene if None not in (metric.of(p[0]), metric.of(p[1]))]
                 for scene in scenes
@@ -217,64 +187,8 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
             )
             gain = compare(first, second, [place_of(scene[0][0]) for scene in shared])
             samples = sum(map(len, shared))
-            gains.append(
-                Difference(dataset, protocol, metric.name, metric.threshold, gain, samples)
-            )
+            gains.append(Difference(dataset, protocol, metric.name, gain, samples))
     return gains
-
-
-@dataclass(frozen=True)
-class Reliability:
-    """Share of points on the object, by how sure the method was.
-
-    Attributes
-    ----------
-    counts, hits : int64 [B]
-        Samples in each of :data:`slgaussian.benchmark.ranking.BINS` bins of score, and hits.
-    scores : float64 [B]
-        Sum of the samples' scores.
-    """
-
-    counts: np.ndarray
-    hits: np.ndarray
-    scores: np.ndarray
-
-    def error(self) -> float:
-        """Expected calibration error, in [0, 1]; at least one sample is needed."""
-        return float(np.abs(self.scores - self.hits).sum() / self.counts.sum())
-
-
-def reliability(rows: Iterable[Row]) -> Reliability:
-    """Bin the samples of a method that have a score and ``hit_mask``, those of one protocol."""
-    scored = [row for row in rows if row["score"] is not None and row["hit_mask"] is not None]
-    scores = np.array([row["score"] for row in scored], np.float64)
-    hits = np.array([row["hit_mask"] for row in scored], bool)
-    bins = ranking.bin_of(scores)
-    return Reliability(
-        np.bincount(bins, minlength=ranking.BINS),
-        np.bincount(bins[hits], minlength=ranking.BINS),
-        np.bincount(bins, scores, ranking.BINS),
-    )
-
-
-def _score_calibration(scenes: Sequence[Sequence[Row]]) -> list[dict[str, Any]]:
-    """The row of :data:`SCORE_CALIBRATION`, if there is a sample of it."""
-    scored = [(reliability(scene), place_of(scene[0])) for scene in scenes]
-    scored = [(bins, place) for bins, place in scored if bins.counts.any()]
-    if not scored:
-        return []
-    places = [place for _, place in scored]
-    gaps = np.stack([bins.scores - bins.hits for bins, _ in scored])
-    counts = np.array([bins.counts.sum() for bins, _ in scored], float)
-    value = float(np.abs(gaps.sum(0)).sum() / counts.sum())
-    ends = None
-    if len(set(places)) > 1:
-        times = drawn(tuple(places))
-        # Not by @: its last digits differ with the number of threads.
-        total, weight = np.einsum("dn,nb->db", times, gaps), np.einsum("dn,n->d", times, counts)
-        ends = interval(np.abs(total).sum(1) / weight)
-    trust = _trust(ends, places, int(counts.sum()))
-    return [{"metric": SCORE_CALIBRATION, "value": value, **trust}]
 
 
 def place_of(row: Row) -> str:

@@ -8,8 +8,8 @@ names: tar files as WebDataset has them (:mod:`slgaussian.datasets.shards`).
 >>> samples = TrainingSet("set/", split="train")
 >>> loader = DataLoader(samples, batch_size=4, shuffle=True, num_workers=2)
 
-Objects and Gaussians, of which samples have different numbers, are filled up with zeros at their
-end in a batch: an id 0 is no object, present nowhere, and an opacity 0 draws nothing.
+Objects, of which samples have different numbers, are filled up with zeros at their end in a batch:
+an id 0 is no object, present nowhere.
 """
 
 from __future__ import annotations
@@ -40,9 +40,7 @@ from slgaussian.storage.specs import load_spec
 INDEX = "index.parquet"
 SPLITS = ("train", "test")
 ENDINGS = ("jpg", "png")
-SPECS = {
-    "geometry": "example_geometry", "labels": "labels", "bank": "bank", "gaussians": "gaussians",
-}  # fmt: skip
+SPECS = {"geometry": "example_geometry", "labels": "labels", "bank": "bank"}
 """The spec of each ``.npz`` member of a sample."""
 
 ANEW = "make the set anew with `slgaussian dataset`"
@@ -63,7 +61,6 @@ class TrainingSet(Dataset[dict[str, Any]]):
     - ``objects``: ``ids`` int64 [N], ``codes`` float32 [N, D], ``features`` float32 [N, C, F] and
       ``present`` bool [N, C]
     - ``quality``: numbers by name, as in the columns of the index
-    - ``gaussians``, if the set holds them: the arrays of :class:`slgaussian.Gaussians`
 
     Parameters
     ----------
@@ -122,11 +119,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         """Read one sample; SpecError, which names the shard, if it is damaged or gone."""
         members = self.members(index)
-        arrays = {
-            name: self.arrays(index, name, members)
-            for name in SPECS
-            if f"{name}.npz" in members or name != "gaussians"
-        }
+        arrays = {name: self.arrays(index, name, members) for name in SPECS}
         info = self._about(index, members)
         contexts = len(info["context"])
         geometry, labels, bank = (arrays[name] for name in ("geometry", "labels", "bank"))
@@ -147,10 +140,6 @@ class TrainingSet(Dataset[dict[str, Any]]):
             present=torch.from_numpy(bank["present"]),
         )
         item["quality"] = {k: v for k, v in info.items() if isinstance(v, int | float)}
-        if "gaussians" in arrays:
-            item["gaussians"] = _Ragged(
-                {k: torch.from_numpy(v) for k, v in arrays["gaussians"].items()}
-            )
         return item
 
     def members(self, index: int) -> dict[str, bytes]:
@@ -205,8 +194,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         sample = self.rows["sample"][index].as_py()
         label = f"{self.folder}/{self._places[index][0]}: {sample}.{name}"
         if name not in members:
-            hint = " with --gaussians" if name == "gaussians.npz" else ""
-            raise SpecError(f"{label}: is not there; {ANEW}{hint}")
+            raise SpecError(f"{label}: is not there; {ANEW}")
         return label, members[name]
 
     def _index(self) -> pa.Table:

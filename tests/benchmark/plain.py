@@ -3,7 +3,6 @@
 Nothing of the library is used here but a frame's arrays.
 """
 
-import itertools
 import math
 
 import numpy as np
@@ -29,42 +28,6 @@ def boundary_iou(a, b):
 
 def inside_boxes(points, boxes):
     return any(x0 <= x <= x1 and y0 <= y <= y1 for x, y in points for x0, y0, x1, y1 in boxes)
-
-
-def cuts(relevancy):
-    """Every mask that some threshold gives, the smallest first."""
-    return [relevancy >= value for value in sorted(set(relevancy.ravel().tolist()), reverse=True)]
-
-
-def average_precision(relevancy, truth):
-    """Sum over thresholds of the precision times what recall has grown by."""
-    total, before = 0.0, 0.0
-    for mask in cuts(relevancy):
-        recall = (mask & truth).sum() / truth.sum()
-        total += (recall - before) * (mask & truth).sum() / mask.sum()
-        before = recall
-    return total
-
-
-def auc(relevancy, truth):
-    """Trapezoids under the curve of true over false positives."""
-    points = [(0.0, 0.0)]
-    for mask in cuts(relevancy):
-        points.append(((mask & ~truth).sum() / (~truth).sum(), (mask & truth).sum() / truth.sum()))
-    return sum((b[0] - a[0]) * (a[1] + b[1]) / 2 for a, b in itertools.pairwise(points))
-
-
-def calibration_error(relevancy, truth, bins=20):
-    relevancy = relevancy.astype(np.float64)
-    total = 0.0
-    for b in range(bins):
-        low, high = b / bins, (b + 1) / bins
-        here = (relevancy > low) & (relevancy <= high)
-        if b == 0:
-            here |= relevancy == 0
-        if here.any():
-            total += here.mean() * abs(relevancy[here].mean() - truth[here].mean())
-    return total
 
 
 def langsplat(relevancy, side):
@@ -137,13 +100,7 @@ def scores(protocol, frame, k):
             "hit_mask": bool(peak) and bool(truth[peak[0][1], peak[0][0]]),
             "hit_peak": inside_boxes(peak, boxes),
         }
-    return {
-        "average_precision": average_precision(relevancy, truth),
-        "auc": None if truth.all() else auc(relevancy, truth),
-        "best_iou": max(iou(mask, truth) for mask in cuts(relevancy)),
-        "calibration_error": calibration_error(relevancy, truth),
-        "iou_curve": [iou(relevancy.astype(float) > k / 20, truth) for k in range(1, 20)],
-    }
+    raise ValueError(protocol)
 
 
 def filled(polygon, height, width):

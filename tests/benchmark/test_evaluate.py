@@ -37,7 +37,7 @@ def row_of(result, query, protocol="slgaussian"):
 def test_every_query_of_the_truth_has_a_row_with_the_columns_of_the_spec(room, result):
     known = [*room.truth["view_01"], "qqwx"]
     assert [row["query"] for row in rows_of(result)] == [*known, "red sofa", "grey floor"]
-    for protocol in ("langsplat", "langsplat-rescaled", "3d-ovs", "threshold-free"):
+    for protocol in ("langsplat", "langsplat-rescaled", "3d-ovs"):
         assert [row["query"] for row in rows_of(result, protocol)] == known
     columns = load_spec("samples").columns
     for row in result.rows:
@@ -64,16 +64,13 @@ def test_an_unknown_word_scores_zero_by_every_protocol_and_stays_in_the_means(ro
         "langsplat": ("iou", "boundary_iou", "hit_box", "hit_peak"),
         "langsplat-rescaled": ("iou", "boundary_iou", "hit_box", "hit_peak"),
         "3d-ovs": ("boundary_iou", "class_iou"),
-        "threshold-free": ("average_precision", "auc", "best_iou"),
     }
     for protocol, names in zeros.items():
         row = row_of(result, "qqwx", protocol)
         assert [row[name] for name in names] == [0] * len(names)
         assert row["note"] == NOT_UNDERSTOOD
-        assert row["score"] is row["point_x"] is row["calibration_error"] is None
-        mask = result.predictions.get((f"{protocol}@2", "view_01", "qqwx"))
-        assert mask is None if protocol == "threshold-free" else not mask.any()
-    assert row["iou_curve"] == [0.0] * 19
+        assert row["score"] is row["point_x"] is None
+        assert not result.predictions[f"{protocol}@2", "view_01", "qqwx"].any()
     scored = [row["iou"] for row in rows_of(result) if row["iou"] is not None]
     assert len(scored) == len(room.truth["view_01"]) + 1
     assert result.scene_metrics["iou"] == pytest.approx(np.mean(scored), abs=1e-12)
@@ -111,7 +108,7 @@ def test_every_row_says_how_its_mask_was_made(room, result):
         "langsplat": ("stretched", 0.4, None, 30),
         "langsplat-rescaled": ("stretched", 0.4, None, 4),  # 30 of 988 pixels, of 144
         "3d-ovs": ("arg-max", None, None, None),
-        "threshold-free": ("none", None, None, None),
+        "highest-pixel": ("none", None, None, None),
     }
     for protocol, values in expected.items():
         found = {tuple(row[name] for name in said) for row in rows_of(result, protocol)}
@@ -217,7 +214,7 @@ def test_the_protocol_of_the_rules_leads(room, known):
     assert led.rows[0]["protocol"] == "langsplat@2"
     assert led.scene_metrics["iou"] == np.mean([row["iou"] for row in rows_of(led, "langsplat")])
     assert "hit_peak" in led.scene_metrics and "hit_mask" not in led.scene_metrics
-    for protocol in ("slgaussian", "langsplat", "3d-ovs", "threshold-free"):
+    for protocol in ("slgaussian", "langsplat", "3d-ovs"):
         assert rows_of(led, protocol) == rows_of(known, protocol)
     name = f"mask/view_01/{next(iter(room.truth['view_01']))}"
     assert not np.array_equal(led.pictures[name], known.pictures[name])
@@ -358,7 +355,5 @@ def test_hard_truths_are_scored_without_nan(room):
     numbers = [value for row in found.rows for value in row.values() if isinstance(value, float)]
     assert numbers and np.isfinite(numbers).all()
     assert np.isfinite(list(found.scene_metrics.values())).all()
-    full = row_of(found, "grey floor", "threshold-free")
-    assert full["auc"] is None and full["average_precision"] == 1.0
     # Two masks overlap in a pixel, which then is no single class; nothing else can be right.
     assert row_of(found, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size

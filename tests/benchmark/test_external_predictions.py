@@ -240,7 +240,7 @@ def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, result, judged):
 
 
 def test_masks_say_nothing_of_a_protocol_without_masks(folder, judged):
-    assert set(SCORABLE) == PROTOCOLS.keys() - {"threshold-free", "highest-pixel"}
+    assert set(SCORABLE) == PROTOCOLS.keys() - {"highest-pixel"}
     predictions = read_predictions(folder)
     protocols = [replace(load_protocol("slgaussian"), scores_masks=False)]
     with pytest.raises(InputError, match="scores relevancies, of which masks say nothing"):

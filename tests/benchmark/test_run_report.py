@@ -51,7 +51,7 @@ def scene_of(result: SceneResult, truth, *rivals, name: str = "") -> Scene:
 
 def half_as_good(result) -> list[dict]:
     """Rows of another method, every score of it half as high."""
-    names = ("iou", "boundary_iou", "class_iou", "average_precision")
+    names = ("iou", "boundary_iou", "class_iou")
     halves = [{k: row[k] / 2 for k in names if row[k] is not None} for row in result.rows]
     method = {"method": "query-2d"}
     return [{**row, **half, **method} for row, half in zip(result.rows, halves, strict=True)]
@@ -124,7 +124,7 @@ def test_the_stage_that_lost_a_query_is_named_beside_it(result, truth):
     worst = min((r for r in leading(result) if r["iou"] is not None), key=lambda r: r["iou"])
     ious = [name for name in load_spec("attribution").columns if name.endswith("iou")]
     question = {name: worst[name] for name in ("dataset", "scene", "frame", "query")}
-    row = {**question, **dict.fromkeys(ious, 0.25), "geometry_iou": None, "lost": "language"}
+    row = {**question, **dict.fromkeys(ious, 0.25), "lost": "language"}
     report = run_report.run_report([scene_of(result, truth)], MANIFEST, (), [row])
     assert "lost by language" in Page(report.as_html()).text
     table = next(t for t in tables_of(report.as_markdown()) if t[0][0] == "lost by")

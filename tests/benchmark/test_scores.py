@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from slgaussian.benchmark.protocols import PROTOCOLS, THRESHOLDS
+from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.benchmark.scores import (
     FEW_SCENES,
     ONE_SCENE,
-    SCORE_CALIBRATION,
     differences,
-    reliability,
     scene_means,
     score_table,
 )
@@ -85,46 +81,28 @@ def test_one_scene_has_no_interval_and_few_have_a_rough_one():
     assert row["level"] == LEVEL
 
 
-def test_every_scene_and_sample_of_a_drawn_place_counts_alike():
-    """Against plain loops: the mean of all scenes drawn, and the calibration of all samples drawn.
+def test_every_scene_of_a_drawn_place_counts_alike():
+    """Against plain loops: the mean of all scenes drawn.
 
     Of so many places no end of an interval is that of one place drawn again and again, whose score
     is its own however places are weighed.
     """
     rng = np.random.default_rng(4)
-    rows, ious_of, samples_of = [], {}, {}
+    rows = []
     for place, scenes in enumerate((1, 1, 2, 1, 5, 1, 1)):
-        name = f"place {place}"
-        # The place of many scenes and samples is the best by far, and the least calibrated.
         for scene in range(scenes):
-            iou = rng.random() / 4 + (scenes > 2)
-            told_ = [(0.6 + 0.3 * (scenes > 2), bool(k % 2)) for k in range(scenes**2)]
-            ious_of[f"s{place}{scene}"] = iou
-            samples_of[f"s{place}{scene}"] = told_
-            rows += [
-                sample(f"s{place}{scene}", f"q{k}", place=name, iou=iou, score=s, hit_mask=h)
-                for k, (s, h) in enumerate(told_)
-            ]
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    place_of = {row["scene"]: row["place"] for row in rows}
-    means, errors = [], []
-    for often in drawn(tuple(place_of[scene] for scene in scenes)).tolist():
-        taken = [scene for scene, times in zip(scenes, often, strict=True) for _ in range(times)]
-        means.append(np.mean([ious_of[scene] for scene in taken]))
-        answers = [one for scene in taken for one in samples_of[scene]]
-        gaps = {}
-        for s, h in answers:  # each of the two scores has a bin of its own
-            gaps[s] = gaps.get(s, 0) + s - h
-        errors.append(sum(map(abs, gaps.values())) / len(answers))
-    table = score_table(rows)
-    for metric, values in (("iou", means), (SCORE_CALIBRATION, errors)):
-        row = score(table, metric)
-        ends = np.quantile(values, [0.025, 0.975])
-        assert (row["low"], row["high"]) == pytest.approx(tuple(ends), abs=1e-9)
-        assert row["places"] == 7 and row["note"] == ""
-    others = [row | {"iou": 0.0} for row in rows]
-    gain = gain_of(differences(rows, others)).gain
-    assert (gain.low, gain.high) == pytest.approx(tuple(np.quantile(means, [0.025, 0.975])))
+            iou = rng.random() / 4 + (scenes > 2)  # the place of many scenes is the best by far
+            rows.append(sample(f"s{place}{scene}", "q", place=f"place {place}", iou=iou))
+    means = []
+    for often in drawn(tuple(row["place"] for row in rows)).tolist():
+        taken = [row["iou"] for row, times in zip(rows, often, strict=True) for _ in range(times)]
+        means.append(np.mean(taken))
+    row = score(score_table(rows), "iou")
+    ends = tuple(np.quantile(means, [0.025, 0.975]))
+    assert (row["low"], row["high"]) == pytest.approx(ends, abs=1e-9)
+    assert row["places"] == 7 and row["note"] == ""
+    gain = gain_of(differences(rows, [row | {"iou": 0.0} for row in rows])).gain
+    assert (gain.low, gain.high) == pytest.approx(ends)
 
 
 def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
@@ -135,27 +113,15 @@ def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
         found.setdefault(row["protocol"], []).append(row["metric"])
         assert row["scenes"] == 1 and row["note"] == ONE_SCENE
     assert list(found) == [protocol.label for protocol in PROTOCOLS.values()]
-    own = ["iou", "boundary_iou", "miou", "hit_mask", "hit_box", SCORE_CALIBRATION]
+    own = ["iou", "boundary_iou", "miou", "hit_mask", "hit_box"]
     assert found["slgaussian@2"] == own
     for name in ("langsplat@2", "langsplat-rescaled@2"):
         assert found[name] == ["iou", "boundary_iou", "hit_box", "hit_peak"]
     assert found["3d-ovs@2"] == ["boundary_iou", "miou", "accuracy"]
-    own = ["average_precision", "auc", "best_iou", "calibration_error"]
-    assert found["threshold-free@2"] == own + ["iou"] * len(THRESHOLDS)
     assert score(table, "iou", protocol="langsplat@2")["filter"] == "30"
     for row in table.to_pylist():
         if row["protocol"] == "slgaussian@2" and row["metric"] in result.scene_metrics:
             assert row["value"] == result.scene_metrics[row["metric"]]
-
-
-def test_a_threshold_sweep_is_a_row_a_threshold():
-    curve = [0.1] * 9 + [0.4] * 10
-    other = [0.3] * 19
-    own = {"protocol": "threshold-free@2", "selection": "none", "share": None}
-    rows = [sample("a", "x", iou_curve=curve, **own), sample("b", "x", iou_curve=other, **own)]
-    table = score_table(rows).to_pylist()
-    assert [row["threshold"] for row in table] == list(THRESHOLDS)
-    assert [row["value"] for row in table] == pytest.approx([0.2] * 9 + [0.35] * 10)
 
 
 def test_samples_of_several_settings_are_no_one_score():
@@ -174,37 +140,6 @@ def test_samples_without_truth_do_not_count():
     assert (row["value"], row["scenes"], row["samples"]) == (0.5, 1, 1)
     assert score_table([sample("b", "x")]).num_rows == 0
     assert scene_means([]) == {}
-
-
-def told(scene, pairs):
-    return [sample(scene, f"q{k}", score=s, hit_mask=h) for k, (s, h) in enumerate(pairs)]
-
-
-def test_scores_are_compared_with_how_often_they_are_right():
-    """Three bins: 0.62 and 0.64 of which one is right, 0.9 right, 0.3 wrong."""
-    rows = [*told("a", [(0.62, True), (0.9, True)]), *told("b", [(0.64, False), (0.3, False)])]
-    expected = (abs(0.62 + 0.64 - 1) + 0.1 + 0.3) / 4
-    row = score(score_table(rows), SCORE_CALIBRATION)
-    assert row["value"] == pytest.approx(expected)
-    assert (row["scenes"], row["samples"]) == (2, 4)
-    binned = reliability(rows)
-    assert (binned.counts.sum(), binned.hits.sum()) == (4, 2)
-    assert binned.error() == pytest.approx(expected)
-    # Scene a twice is (.38 + .1) / 2, b twice (.64 + .3) / 2, and a with b less than either.
-    assert (row["low"], row["high"]) == pytest.approx((expected, 0.47))
-    # A text that is not understood has no score.
-    assert (
-        score(score_table([*rows, sample("a", "qqwx", hit_mask=False)]), SCORE_CALIBRATION) == row
-    )
-
-
-@given(st.lists(st.tuples(st.floats(0, 1), st.booleans()), min_size=1, max_size=40))
-def test_reliability_is_that_of_a_plain_loop(pairs):
-    total = 0.0
-    for b in range(20):
-        own = [(s, h) for s, h in pairs if b / 20 < s <= (b + 1) / 20 or (b == 0 and s == 0)]
-        total += abs(sum(s for s, _ in own) - sum(h for _, h in own))
-    assert reliability(told("a", pairs)).error() == pytest.approx(total / len(pairs), abs=1e-12)
 
 
 def gain_of(found, metric="iou"):

@@ -17,13 +17,12 @@ import pyarrow.parquet as pq
 import pytest
 from command import write_photographs
 
-from flows import dataset, training
-from flows.config import DatasetSettings, TrainSettings
-from flows.read_config import checked, make_settings
+from flows import dataset
+from flows.config import DatasetSettings
+from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.errors import InputError, SpecError
-from slgaussian.semantic.branch import read_tensors
 from slgaussian.storage.encoding import stated
 from slgaussian.storage.store import ArtifactStore
 
@@ -230,29 +229,6 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output,
     assert len(reasons) == 3 and all("below min_confirmed 0.999" in why for why in reasons)
 
 
-def test_the_branch_is_trained_on_a_set_and_its_weights_say_so(output, tmp_path):
-    _, store, settings, _ = output
-    made_of = {"gaussians": True, "held_out": 0.1}  # which holds out both chunks
-    made_set(settings_for(tmp_path, *settings.sources, **made_of), store)
-    inputs = {"lessons": tmp_path / "set", "out": tmp_path / "out", "steps": 2, "batch": 2}
-    inputs |= {"store": store.root, "widths": "4,8", "hidden": 8}
-    trained = training.train_branch(checked(TrainSettings, inputs, "test"))
-    report = read_tensors(tmp_path / "out/branch.safetensors")[1]["trained"]
-    card = hashlib.sha256((tmp_path / "set/README.md").read_bytes()).hexdigest()
-    assert report["data"]["card"] == card
-    assert (report["learnt clips"], report["held_out clips"]) == (1, 2)
-    calls = report["settings"]
-    assert (calls["batch"], calls["architecture"]["widths"]) == (2, [4, 8])
-    result = report["metrics"]["held out iou"]["as found"]
-    assert set(result) == {"hard", "filled", "branch"}
-    rows = trained.judgements.to_pylist()
-    assert {row["clip"] for row in rows} == {"https://video/0", "https://video/1"}
-    ious = [r["iou"] for r in rows if (r["labels"], r["lifting"]) == ("as found", "filled")]
-    assert result["filled"] == pytest.approx(np.mean(ious))
-    with pytest.raises(InputError, match="which is split already"):
-        training.train_branch(checked(TrainSettings, {**inputs, "held_out": 0.3}, "test"))
-
-
 def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path):
     folder, *_ = output
     with pytest.raises(InputError, match=r"index\.parquet: cannot be read"):
@@ -265,8 +241,6 @@ def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path):
         TrainingSet(folder / "set", where=pc.field("overlap") > 2)
     shutil.copytree(folder / "set", tmp_path / "set")
     samples = TrainingSet(tmp_path / "set")
-    with pytest.raises(SpecError, match=r"gaussians.npz: is not there; .*with --gaussians"):
-        samples.arrays(0, "gaussians")
     shard = tmp_path / "set" / samples.rows["shard"][0].as_py()
     shard.write_bytes(b"x" * shard.stat().st_size)
     with pytest.raises(SpecError, match=f"{shard.name}: is damaged"):

@@ -142,7 +142,6 @@ class _Run:
             for of in (known, alone)
             for score in score_table(of).to_pylist()
             if (name := score["metric"]) in ("iou", "hit_box", "miou")
-            and not score["protocol"].startswith("threshold-free")
         }
 
     def has_scores(self, protocol: str) -> bool:

@@ -20,7 +20,7 @@ from slgaussian.benchmark.reports.model import (
     line_of,
     number,
 )
-from slgaussian.benchmark.scores import SCORE_CALIBRATION, Difference, differences, grouped
+from slgaussian.benchmark.scores import Difference, differences, grouped
 from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison
 
 Row = Mapping[str, Any]
@@ -52,7 +52,6 @@ SCORES = (
     Score("slgaussian", "hit_mask", "Point in mask", 2, "one point lies on the object"),
     Score("slgaussian", "hit_box", "Point in box", 2, "the same, in its box"),
     Score("slgaussian", "boundary_iou", "Boundary IoU", 3, "their rims"),
-    Score("slgaussian", SCORE_CALIBRATION, "ECE, point", 3, "relevancy as a chance to hit", -1),
     Score("langsplat", "iou", "IoU", 3, "smoothed, stretched relevancy above 0.4"),
     Score("langsplat", "boundary_iou", "Boundary IoU", 3, "their rims"),
     Score("langsplat", "hit_peak", "Peak in box", 2, "any of the most relevant pixels"),
@@ -63,10 +62,6 @@ SCORES = (
     Score("langsplat-rescaled", "hit_box", "Point in box", 2, "the same"),
     Score("3d-ovs", "miou", "mIoU", 3, "all texts compete for each pixel"),
     Score("3d-ovs", "accuracy", "Accuracy", 3, "pixels with the right class and no other"),
-    Score("threshold-free", "average_precision", "AP", 3, "average precision of the relevancy"),
-    Score("threshold-free", "auc", "AUC", 3, "area under the curve of true and false positives"),
-    Score("threshold-free", "best_iou", "Best IoU", 3, "with the best threshold of each query"),
-    Score("threshold-free", "calibration_error", "ECE, pixels", 3, "as a chance of a pixel", -1),
 )
 """The scores in the order of tables and columns; of each protocol the first one leads."""
 
@@ -121,7 +116,7 @@ def method_tables(
     """
     order = list(dict.fromkeys(score.protocol for score in SCORES))
     tables = []
-    groups = grouped((row for row in scores if not is_of_curve(row)), "dataset", "protocol")
+    groups = grouped(scores, "dataset", "protocol")
     for (dataset, protocol), rows in sorted(
         groups.items(), key=lambda item: order.index(item[0][1].partition("@")[0])
     ):
@@ -203,9 +198,8 @@ def difference_tables(
     groups: dict[tuple[str, str], dict[str, dict[str, Difference]]] = {}
     for name, (rows, baseline) in pairs.items():
         for difference in differences(rows, baseline):
-            if difference.threshold is None:
-                by_name = groups.setdefault((difference.dataset, difference.protocol), {})
-                by_name.setdefault(name, {})[difference.metric] = difference
+            by_name = groups.setdefault((difference.dataset, difference.protocol), {})
+            by_name.setdefault(name, {})[difference.metric] = difference
     tables = []
     for (dataset, protocol), by_name in groups.items():
         columns = [s for s in scores_of(protocol) if any(s.metric in d for d in by_name.values())]
@@ -262,7 +256,7 @@ def metrics_table(
         )
         for scene, values in metrics.items()
     ]
-    by_metric = {score["metric"]: score for score in scores if not is_of_curve(score)}
+    by_metric = {score["metric"]: score for score in scores}
     means = [Cell("mean")]
     for m in columns:
         mean = float(
@@ -327,11 +321,6 @@ def score_cell(row: Row | None, digits: int) -> Cell:
     ends = row["low"], row["high"]
     below = "" if None in ends else "–".join(f"{end:.{digits}f}" for end in ends)
     return Cell(f"{row['value']:.{digits}f}", below)
-
-
-def is_of_curve(score: Row) -> bool:
-    """Tell whether a score is of one of the thresholds that the protocol threshold-free tries."""
-    return score["protocol"].startswith("threshold-free") and score["threshold"] is not None
 
 
 def _commonest(values: Iterable[Any]) -> Any:
