@@ -30,8 +30,7 @@ from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
 from slgaussian.kernels.seeding import hold_out
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.choices import choices
-from tasks.chunks import Framing, PosedFolder, Room, known_chunk, packed, views
+from tasks.chunks import Framing, PosedFolder, Room, known_chunk, packed, pairs, views
 from tasks.context import current_run
 from tasks.example import example
 from tasks.samples import Frames, all_masks, framed
@@ -58,7 +57,7 @@ class TrainingSetResult:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A sample before anything was computed of it: its clip, and its row of spec ``choices``."""
+    """A sample before anything was computed of it: its clip, and its row of spec ``pairs``."""
 
     source: Source
     chunk: KnownFile | ArtifactRef
@@ -100,7 +99,7 @@ def build(
     sources, withdrawn = sources_of(config.sources, PackSettings()), config.withdrawn_clips()
     places = Places()
     failures: list[Failure] = []
-    stages = (packed, views, choices, *SAMPLES)
+    stages = (packed, views, pairs, *SAMPLES)
     refresh = stages_to_refresh(config, [stage.name for stage in stages])
     with open_workers(config.runner, config.workers, store, refresh) as workers:
         chosen = _choose(config, workers, sources, places, failures, verbose)
@@ -124,12 +123,12 @@ def build(
 
 def choose_of_chunk(file: str, bounds: Bounds, targets: int) -> ArtifactRef:
     """Take a chunk through its pipeline to its samples."""
-    return choices(views(known_chunk(current_run().store, file)), bounds, targets)
+    return pairs(views(known_chunk(current_run().store, file)), bounds, targets)
 
 
 def choose_of_scene(source: PosedFolder | Room, bounds: Bounds, targets: int) -> ArtifactRef:
     """Take a scene through its pipeline to its samples: it becomes a chunk first."""
-    return choices(views(packed(source)), bounds, targets)
+    return pairs(views(packed(source)), bounds, targets)
 
 
 def make_example(
@@ -211,7 +210,7 @@ def _of_source(
             failures.append(Failure(clip, views.name, "InputError", reason))
             continue
         places.add(clip, (row["digest"] for row in view_rows if row["clip"] == clip), source.place)
-    for row in store.get(stage_refs[choices.name]).to_pylist():
+    for row in store.get(stage_refs[pairs.name]).to_pylist():
         if owners[row["clip"]] == source.name:
             yield Chosen(source, chunk, cameras, row)
 
@@ -228,7 +227,7 @@ def _finish(
     framing = Framing(settings.size, settings.near, settings.far)
     tasks = []
     for choice in chosen:
-        row = dict(choice.row)
+        row = {name: value for name, value in choice.row.items() if name != "chunk"}
         frames = Frames(row["sample"], row["clip"], tuple(row["context"]), tuple(row["targets"]))
         properties = {**row, "cameras": choice.cameras}
         arguments = (

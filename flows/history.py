@@ -109,35 +109,11 @@ class History:
 
 
 def markdown_of(record: Mapping[str, Any]) -> str:
-    """Return the Markdown of a retraining's artifact; of one that failed, only why."""
-    lines = [f"# Retraining {record['number']}: {record['outcome']}", *record["messages"]]
-    if "scores" in record:
-        rows = [f"| {name} | {iou:.4f} |" for name, iou in record["scores"].items()]
-        lines.append("\n".join(["| lifting | IoU on held-out clips |", "|---|---:|", *rows]))
-    if "changes" in record:
-        rows = [
-            f"| {kind} | {some['count']} | {_cell(', '.join(some['first']))} |"
-            for kind, some in record["changes"].items()
-        ]
-        lines.append("\n".join(["| clips | number | first |", "|---|---:|---|", *rows]))
-        lines += [
-            f"Left out: {_cell(f'{n}: {why}')}" for n, why in record["newly left out"].items()
-        ]
-    for measurement in record.get("drift", ()):
-        low, _, high = measurement["known"]
-        verdict = "drifted" if measurement["drifted"] else "as before"
-        lines.append(
-            f"{measurement['measure']}: {low:.3g} to {high:.3g}, now {measurement['come']:.3g}, "
-            f"{verdict}"
-        )
-    if "seconds" in record:
-        lines.append(f"{record['seconds']} s, begun {record['begun']}")
-    return "\n\n".join(lines) + "\n"
-
-
-def _cell(text: str) -> str:
-    """Escape a text for a cell: names of clips and reasons are no markup."""
-    return "".join(f"\\{c}" if c in "\\`*_{}[]<>|#!" else c for c in " ".join(text.split()))
+    """Return the Markdown of a retraining's artifact: its messages, and the record as JSON."""
+    rest = {k: v for k, v in record.items() if k not in ("messages", "left out")}
+    block = f"```json\n{json.dumps(rest, indent=1, ensure_ascii=False)}\n```\n"
+    title = f"# Retraining {record['number']}: {record['outcome']}"
+    return "\n\n".join([title, *record["messages"], block])
 
 
 def first_names(names: Sequence[str]) -> dict[str, Any]:

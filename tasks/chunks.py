@@ -17,9 +17,10 @@ import pyarrow as pa
 from fsspec.implementations.local import LocalFileSystem
 
 from slgaussian import datasets
-from slgaussian.datasets import licences, re10k, re10k_text
-from slgaussian.datasets.pair_selection import Bounds, Views, choose
+from slgaussian.datasets import licences, re10k
+from slgaussian.datasets.pair_selection import TARGETS, Bounds, Views, choose
 from slgaussian.datasets.recognise import posed_scene, recognise
+from slgaussian.datasets.shards import key_of
 from slgaussian.datasets.sharpness import blur, exposure, glance
 from slgaussian.errors import InputError, SpecError
 from slgaussian.io import CHANGED, KnownFile, file_stamp
@@ -186,14 +187,9 @@ class PosedFolder:
         """Read the scene; InputError if there is none."""
         return replace(posed_scene(self.path)[0], name=self.name)
 
-    def url(self) -> str:
-        """Return the URL of its video, empty if unknown."""
-        format, place = recognise(self.path)
-        return re10k_text.read_cameras(place)[0] if format == "re10k_text" else ""
-
     def origin(self) -> tuple[str, str]:
         """Return its source and licence, empty if unknown."""
-        return self.url(), licences.stated(self.path)
+        return "", licences.stated(self.path)
 
 
 @dataclass(frozen=True)
@@ -206,10 +202,6 @@ class Room:
     def scene(self) -> Scene:
         """Generate the room."""
         return replace(datasets.load("procedural", **self.options), name=self.name)
-
-    def url(self) -> str:
-        """Return an empty URL, as it is from no video."""
-        return ""
 
     def origin(self) -> tuple[str, str]:
         """Return its source and licence."""
@@ -229,7 +221,7 @@ def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     def pass_over(error: InputError) -> None:
         bad.append(left_out(source.name, error))
 
-    clip = re10k.clip_of(scene, source.url(), pass_over)
+    clip = re10k.clip_of(scene, pass_over)
     unplaced = scene.found.get("left_out", {})
     bad += [left_out(source.name, InputError(f"{n}: {why}")) for n, why in unplaced.items()]
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)
@@ -295,20 +287,40 @@ def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[dict[str, str]]
     return rows, bad
 
 
-@stage("pairs", version=1)
-def pairs(run: RunContext, views: ArtifactRef, bounds: Bounds) -> ArtifactRef:
-    """Choose samples from the clips of a chunk: spec ``pairs``.
+@stage("pairs", version=2)
+def pairs(
+    run: RunContext, views: ArtifactRef, bounds: Bounds, targets: int = TARGETS
+) -> ArtifactRef:
+    """Choose samples with ``targets`` target views from the clips of a chunk: spec ``pairs``.
 
     Photographs are not read again. ``meta["left_out"]`` lists clips without a sample.
     """
     rows: list[dict[str, Any]] = []
     bad: list[dict[str, str]] = []
-    all_views = run.store.get(views).to_pylist()
-    for clip, clip_views in groupby(all_views, key=lambda row: row["clip"]):
+    for clip, group in groupby(run.store.get(views).to_pylist(), key=lambda row: row["clip"]):
+        clip_views = list(group)
         try:
-            rows += _samples(clip, list(clip_views), bounds)
+            chosen = choose(known_views(clip_views), bounds, targets)
         except InputError as error:
             bad.append(left_out(clip, InputError(f"clip {clip!r}: {error}")))
+            continue
+        for pair in chosen:
+            selected = [clip_views[i] for i in (*pair.context, *pair.targets)]
+            frames = [view["frame"] for view in selected]
+            rows.append(
+                {
+                    "sample": f"{key_of(clip)}_{frames[0]:04d}_{frames[1]:04d}",
+                    "clip": clip,
+                    "context": frames[:2],
+                    "targets": frames[2:],
+                    "overlap": pair.overlap,
+                    "baseline": pair.baseline,
+                    "depth": pair.depth,
+                    "score": pair.score,
+                    "blur": max(view["blur"] for view in selected),
+                    "clipped": max(view["clipped"] for view in selected),
+                }
+            )
     table = pa.Table.from_pylist(rows, schema=load_spec("pairs").schema)
     return run.store.put("pairs", table, {"samples": len(rows), "left_out": bad})
 
@@ -325,25 +337,3 @@ def known_views(views: Sequence[Mapping[str, Any]]) -> Views:
         for row, view in zip(numbers, views, strict=True)
     ]
     return Views(cameras, column("depth"), column("blur"), column("mean"), column("clipped"))
-
-
-def _samples(clip: str, views: list[dict[str, Any]], bounds: Bounds) -> list[dict[str, Any]]:
-    frames = [view["frame"] for view in views]
-    rows = []
-    for pair in choose(known_views(views), bounds):
-        context = [frames[i] for i in pair.context]
-        targets = [frames[i] for i in pair.targets]
-        rows.append(
-            {
-                "sample": f"{clip}_{context[0]:04d}_{context[1]:04d}",
-                "clip": clip,
-                "context_0": context[0],
-                "context_1": context[1],
-                **{f"target_{i}": frame for i, frame in enumerate(targets)},
-                "overlap": pair.overlap,
-                "baseline": pair.baseline,
-                "depth": pair.depth,
-                "score": pair.score,
-            }
-        )
-    return rows

@@ -11,7 +11,7 @@ from slgaussian.components.component import Component
 from slgaussian.datasets.re10k import Clip
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
-from slgaussian.scene import Sample, View
+from slgaussian.scene import Sample
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import Framing, framed_views, left_out, read_chunk
@@ -64,7 +64,6 @@ def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: b
         If a view cannot be decoded, or the views do not make a sample.
     """
 
-    def views(role: str) -> tuple[View, ...]:
-        return framed_views(clip, [row[name] for name in row if name.startswith(role)], framing)
-
-    return Sample(row["sample"], views("context_"), views("target_") if targets else ())
+    context = framed_views(clip, row["context"], framing)
+    target_views = framed_views(clip, row["targets"], framing) if targets else ()
+    return Sample(row["sample"], context, target_views)

@@ -14,9 +14,6 @@ if TYPE_CHECKING:  # what measures them takes long to load
 
 Row = Mapping[str, Any]
 
-PAPER_SECONDS = {"slgaussian": 0.011, "query-2d": 18.0}
-"""Seconds a query in a new view by the paper's Table 4, on its GPU."""
-
 
 @dataclass(frozen=True)
 class Cost:
@@ -168,22 +165,3 @@ class Times:
     def compiling(self) -> float:
         """Seconds of compiling kernels, once an installation, that no other number here has."""
         return sum(cost.compiling for cost in self.stages.values())
-
-
-def claim(costs: Iterable[Cost]) -> str:
-    """Compare a query of the paper's two methods with the paper; "" without one of them.
-
-    ``costs`` are those on one data set.
-    """
-    seconds = {cost.method: cost.view_query for cost in costs if cost.method in PAPER_SECONDS}
-    (slow, slow_paper), (fast, fast_paper) = sorted(
-        PAPER_SECONDS.items(), key=lambda pair: pair[1], reverse=True
-    )
-    slow_query, fast_query = seconds.get(slow), seconds.get(fast)
-    if not slow_query or not fast_query:
-        return ""
-    return (
-        f"A query in a new view takes {slow} {slow_query / fast_query:.0f} times as long as "
-        f"{fast}, {slow_query:.2g} s against {fast_query:.2g} s; the paper says {slow_paper:g} s "
-        f"against {fast_paper:g} s, on its GPU and with its networks."
-    )

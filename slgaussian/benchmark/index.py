@@ -30,10 +30,9 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, NonNegativeInt, model_validator
 
 from slgaussian.benchmark.documents import check_document, read_json
-from slgaussian.datasets.re10k_text import read_evaluation
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 
@@ -108,7 +107,7 @@ def read_index(path: str | Path) -> Index:
         entry is None or (isinstance(entry, dict) and entry.keys() == {"context", "target"})
         for entry in content.values()
     ):
-        return _published(path)
+        return _published(path, content)
     if not isinstance(content.get("version"), int):
         for name, entry in content.items():
             if isinstance(entry, dict) and entry.get("categories") is None:
@@ -150,10 +149,14 @@ def write_index(path: str | Path, index: Index) -> None:
         raise InputError(f"{path}: cannot write the index ({error.strerror})") from error
 
 
-def _published(path: Path) -> Index:
+def _published(path: Path, content: Mapping[str, Any]) -> Index:
     """Read a published index; its targets that are context frames of the same clip are left out."""
     pairs, left_out = [], {}
-    for key, (context, targets) in read_evaluation(path).items():
+    for key, entry in content.items():
+        if entry is None:
+            continue
+        clip = check_document(_Clip, entry, f"{path}: clip {key!r}")
+        context, targets = (list(map(str, frames)) for frames in (clip.context, clip.target))
         for name in targets:
             if name in context:
                 left_out[f"{key}/{name}"] = "is both context and target; a target must be held out"
@@ -199,6 +202,13 @@ class _Scene(BaseModel):
         if shared := sorted({*self.context} & {*self.target}):
             raise ValueError(f"{shared[0]!r} is both context and target; a target must be held out")
         return self
+
+
+class _Clip(BaseModel):
+    """A clip of a published index file, by numbers of frames."""
+
+    context: Annotated[list[NonNegativeInt], Field(min_length=1)]
+    target: Annotated[list[NonNegativeInt], Field(min_length=1)]
 
 
 class _Document(BaseModel):

@@ -1,11 +1,10 @@
-"""RealEstate10K as it was published for pixelSplat and MVSplat: chunks, camera files and indices.
+"""RealEstate10K as it was published for pixelSplat and MVSplat: chunks and their index.
 
 A chunk is a ``.torch`` file of about 100 MB: a list of clips, each a dict of ``key``, ``url``,
 ``timestamps`` int64 [N] in microseconds, ``cameras`` float32 [N, 18] and ``images``, N uint8
 tensors of encoded JPEG bytes. ``index.json`` beside the chunks of a split says which holds a key. A
 row of ``cameras`` is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV
-axes; the intrinsics are fractions of width and height. Raw camera files, with the same 18 numbers
-a frame, are read by :mod:`slgaussian.datasets.re10k_text`.
+axes; the intrinsics are fractions of width and height.
 
 Chunks are read with PyTorch's restricted unpickler, so a chunk from anywhere cannot run code.
 """
@@ -298,16 +297,12 @@ def row_of(camera: Camera) -> np.ndarray:
     return np.array([*fractions, 0, 0, *camera.w2c[:3].ravel()], np.float32)
 
 
-def clip_of(
-    scene: Scene, url: str = "", passed_over: Callable[[InputError], None] | None = None
-) -> Clip:
+def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = None) -> Clip:
     """Encode all views of a scene as a clip, in their order; truths are not kept.
 
     Parameters
     ----------
     scene : Scene
-    url : str
-        Of the video that they are from.
     passed_over : callable, optional
         Is told of each view that cannot be read, which is then left out.
 
@@ -334,7 +329,7 @@ def clip_of(
             f"scene {scene.name!r}: none of its {len(scene.cameras)} views can be read"
         )
     times = np.arange(len(images)) * FRAME_TIME
-    return Clip(scene.name, url, times, np.stack(rows), tuple(images))
+    return Clip(scene.name, "", times, np.stack(rows), tuple(images))
 
 
 def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTES) -> list[str]:

@@ -134,6 +134,13 @@ class TestPublished:
         assert [pair.targets for pair in index.pairs] == [("53",)]
         assert sorted(index.left_out) == ["ab/81", "cd", "cd/1", "cd/9"]
 
+    @pytest.mark.parametrize(
+        "entry", [{"context": [-1], "target": [2]}, {"context": [1], "target": ["a"]}]
+    )
+    def test_what_is_no_frame_number_is_named(self, tmp_path, entry):
+        with pytest.raises(InputError, match=r"clip 'a': (context|target).0 is (-1|'a'); "):
+            self.read(tmp_path, a=entry)
+
     def test_the_whole_index_is_read(self, real_data):
         index = read_index(real_data / "re10k" / "evaluation_index_re10k.json")
         assert len(index.pairs) == 6474

@@ -121,8 +121,8 @@ def test_every_view_and_sample_is_in_a_table(supervised, clips):
     samples = table(folder, "pairs")
     assert {sample["clip"] for sample in samples} == {clip.key for clip in clips[:2]}
     for sample in samples:
-        between = [sample[f"target_{i}"] for i in range(3)]
-        assert sample["context_0"] < between[0] < between[1] < between[2] < sample["context_1"]
+        (first, last), between = sample["context"], sample["targets"]
+        assert len(between) == 3 and first < between[0] < between[1] < between[2] < last
         assert sample["overlap"] >= 0.6 and sample["baseline"] >= 0.08
     assert table(folder, "failures") == [] == output.failures
     assert output.rows == {"views": 12, "pairs": len(samples), "lessons": len(samples)}

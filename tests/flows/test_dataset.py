@@ -9,6 +9,7 @@ import sys
 import tarfile
 import time
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,9 @@ def output(tmp_path_factory, server):
     """Two chunks of a clip and a folder, as a set; the folder is of the place of the first."""
     folder = tmp_path_factory.mktemp("dataset")
     for seed in (0, 1):
-        re10k.write(folder / "chunks", [re10k.clip_of(room(seed), f"https://video/{seed}")])
+        re10k.write(
+            folder / "chunks", [replace(re10k.clip_of(room(seed)), url=f"https://video/{seed}")]
+        )
     for file in (folder / "chunks").glob("*.torch"):
         os.utime(file, (time.time() - 60,) * 2)
     kitchen = folder_of(room(2), folder / "kitchen")

@@ -2,7 +2,7 @@ import pytest
 
 from slgaussian.errors import SpecError
 from slgaussian.storage.specs import Entry, Spec, load_spec, spec_names
-from tests.json_documents import TYPES, check_document, read_document
+from tests.json_documents import TYPES, check_document
 
 SPEC = Spec(
     "own",

@@ -7,7 +7,7 @@ from statistics import fmean
 from typing import Any
 
 from slgaussian.benchmark.baselines import is_swept
-from slgaussian.benchmark.costs import Cost, Times, claim
+from slgaussian.benchmark.costs import Cost, Times
 from slgaussian.benchmark.reports.model import (
     Block,
     Cell,
@@ -142,12 +142,7 @@ def _tradeoff(
         ]
         if points:
             plots.append(plot_pareto(points, costs[0].method, name, score))
-    sentence = claim(costs)
-    return [
-        Table.of(heads, rows, title),
-        Gallery(plots, "grid plots"),
-        *[Prose(f"**{sentence}**", "")] * bool(sentence),
-    ]
+    return [Table.of(heads, rows, title), Gallery(plots, "grid plots")]
 
 
 def _paper_costs(times: Times) -> list[Block]:
