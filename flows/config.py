@@ -460,7 +460,7 @@ class CorpusSettings(Withdrawal, PairSettings, Engine, Method):
     )
     most: int = Field(0, ge=0, description="Most samples of a clip; 0 for as many as there are.")
     chunks: str = Field(description="Folder or fsspec URL of the chunks.")
-    out: Path = Field(description="Folder for the tables and contact sheets.")
+    out: Path = Field(description="Folder for the tables.")
 
 
 class SetSettings(Config):

@@ -25,7 +25,7 @@ from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
 from slgaussian.datasets.pair_selection import Bounds
 from slgaussian.errors import InputError
-from slgaussian.io import atomic_path, write_atomic
+from slgaussian.io import atomic_path
 from slgaussian.storage.provenance import speaking
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
@@ -76,7 +76,7 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
 
 @flow(name="slgaussian-supervise", persist_result=False)
 def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
-    """Make lessons of a corpus: ``lessons.parquet``, and a contact sheet a chunk under ``sheets/``.
+    """Make lessons of a corpus: ``lessons.parquet``.
 
     Also what :func:`ingest_corpus` leaves.
 
@@ -162,35 +162,11 @@ def _write(
     for stage in stages:
         if stage in FILES:
             rows[stage] = _join(out / FILES[stage], stage, store, refs, owners, failures)
-    if stages == SUPERVISE:
-        _write_sheets(out / "sheets", store, refs, withdrawn)
     failures = [failure for failure in failures if failure.scene not in withdrawn]
     failures.sort(key=lambda failure: (failure.scene, failure.reason))
     write_failures(out, failures)
     write_artifacts(out, store, [outcome])
     return Prepared(rows, failures, outcome)
-
-
-def _write_sheets(
-    folder: Path,
-    store: ArtifactStore,
-    refs: Mapping[str, Mapping[str, ArtifactRef]],
-    withdrawn: set[str],
-) -> None:
-    """Write the contact sheet of each chunk, if it shows nothing withdrawn, and remove others."""
-    sheets = {}
-    for chunk, stage_refs in refs.items():
-        sheet = stage_refs["lessons"].meta.get("sheet")
-        # Most chunks are not read for this.
-        clips = store.get(stage_refs["views"])["clip"].to_pylist() if withdrawn and sheet else ()
-        if sheet is not None and withdrawn.isdisjoint(clips):
-            sheets[f"{Path(chunk).stem}.png"] = ArtifactRef("sheet", **sheet)
-    for file in folder.glob("*.png"):
-        if file.name not in sheets:
-            file.unlink()
-    for name, ref in sheets.items():
-        folder.mkdir(exist_ok=True)
-        write_atomic(folder / name, store.get(ref)["png"].tobytes())
 
 
 def _join(

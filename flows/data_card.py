@@ -7,8 +7,8 @@ bytes: there is no time and no place of this machine in it.
 from __future__ import annotations
 
 import json
-from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -20,7 +20,6 @@ import pyarrow as pa
 
 from flows.clip_sources import Source
 from flows.config import DatasetSettings, SetSettings
-from flows.runners.batches import Failure
 from slgaussian import __version__, datasets
 from slgaussian.benchmark.pictures import (
     contact_sheet,
@@ -49,20 +48,18 @@ QUALITY = (
 )  # fmt: skip
 """The columns of the index whose quantiles the card gives."""
 
-SHOWN = 3
-"""Reasons of each kind of refusal that the card quotes."""
-
 
 def write_card(
     out: Path,
     settings: DatasetSettings,
     sources: Mapping[str, Source],
-    failures: Sequence[Failure],
+    refused: int,
     stages: Mapping[str, int],
 ) -> None:
     """Write the card and its contact sheet beside the index of a set; OSError if that fails.
 
-    ``sources`` are those of each sample, and ``stages`` the versions of the stages.
+    ``sources`` are those of each sample, ``refused`` is the number of failures, and ``stages`` are
+    the versions of the stages.
     """
     samples = TrainingSet(out)
     write_atomic(out / SHEET, encode_jpeg(_sheet(samples), SHEET_WIDE))
@@ -82,7 +79,7 @@ def write_card(
         quantiles=_quantiles(samples.rows),
         members=_members(samples),
         sources=_sources(samples.rows, sources),
-        refused=_refused(failures),
+        refused=refused,
         asked=json.dumps(_asked(settings), indent=1, sort_keys=True),
         versions={"slgaussian": __version__, "numpy": version("numpy"), "torch": version("torch")},
         stages=", ".join(f"{name} {number}" for name, number in stages.items()),
@@ -167,22 +164,6 @@ def _licence(source: Source) -> str:
         return ", ".join(datasets.SOURCES["procedural"])
     path = source.holds if isinstance(source.holds, str) else source.holds.path
     return licences.stated(Path(path)) or "none found beside the data: ask who made them"
-
-
-def _refused(failures: Sequence[Failure]) -> list[tuple[str, str, int, list[str]]]:
-    counted = Counter((failure.stage, failure.kind) for failure in failures)
-    return [
-        (
-            stage,
-            kind,
-            count,
-            [
-                f"{f.scene}: {f.reason}"
-                for f in [f for f in failures if (f.stage, f.kind) == (stage, kind)][:SHOWN]
-            ],
-        )
-        for (stage, kind), count in sorted(counted.items())
-    ]
 
 
 def _asked(settings: DatasetSettings) -> dict[str, Any]:

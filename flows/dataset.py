@@ -116,7 +116,7 @@ def build(
     with writing(config.out):
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
         of_sample = {item.row["sample"]: item.source for item in chosen}
-        write_card(config.out, config, of_sample, failures, versions)
+        write_card(config.out, config, of_sample, len(failures), versions)
     places_left = {item.place for item in finished}
     return TrainingSetResult(len(finished), len(places_left), *written, failures)
 

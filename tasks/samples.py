@@ -10,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from slgaussian.benchmark.pictures import contact_sheet, encode_png, paint_labels
 from slgaussian.components.component import Component
 from slgaussian.datasets import licences
 from slgaussian.errors import InputError
@@ -115,13 +114,6 @@ def known_alone(targets: np.ndarray, labels: np.ndarray) -> np.ndarray:
     return np.where(np.isin(targets, np.unique(labels)), targets, 0).astype(np.int32)
 
 
-SHEET_ROWS = 24
-"""Largest number of samples on a contact sheet."""
-
-SHEET_SIDE = 144
-"""Side of a picture on a contact sheet, pixels."""
-
-
 # Its version is raised with that of the stage that labels the views of a single scene.
 @stage("lessons", version=1000 * masks.version + 1)
 def lessons(
@@ -137,12 +129,12 @@ def lessons(
 ) -> ArtifactRef:
     """Make the lessons of the samples of a chunk: spec ``lessons``.
 
-    ``meta`` locates the contact sheet (spec ``sheet``) and lists failed samples in ``left_out``.
+    ``meta["left_out"]`` lists samples that failed.
     """
     store, clips = run.store, read_chunk(run, chunk)
     samples = {row["sample"]: row for row in store.get(pairs).to_pylist()}
     propose = proposer.load()
-    rows, bad, tiles = [], [], []
+    rows, bad = [], []
     for prediction in store.get(predictions).to_pylist():
         row = samples[prediction["sample"]]
         ref = ArtifactRef("gaussians", prediction["uri"], prediction["digest"])
@@ -161,18 +153,8 @@ def lessons(
         lesson = Lesson(sample.scene, gaussians, labels, cameras, targets)
         ref = store.put("lesson", lesson.to_arrays())
         rows.append({**row_of(lesson, ref), "clip": row["clip"]})
-        if len(rows) <= SHEET_ROWS:
-            tiles += _tiles(sample, lesson)
-    parts, sheet = [row["uri"] for row in rows], None
-    if tiles:
-        columns = len(tiles) // min(len(rows), SHEET_ROWS)
-        png = encode_png(contact_sheet(tiles, SHEET_SIDE, columns))
-        sheet = store.put("sheet", {"png": np.frombuffer(png, np.uint8)})
-        parts.append(sheet.uri)
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
-    meta = {"samples": len(rows), "left_out": bad, "parts": parts}
-    if sheet is not None:
-        meta["sheet"] = {"uri": sheet.uri, "digest": sheet.digest}
+    meta = {"samples": len(rows), "left_out": bad, "parts": [row["uri"] for row in rows]}
     return store.put("lessons", table, meta)
 
 
@@ -189,15 +171,3 @@ def row_of(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
         "unlabelled_context": float((lesson.labels == 0).mean()),
         "unlabelled_target": float((lesson.targets == 0).mean()),
     }
-
-
-def _tiles(sample: Sample, lesson: Lesson) -> list[tuple[str, np.ndarray]]:
-    """Return a row of the contact sheet: each photograph and its overlaid labels."""
-    tiles = []
-    views, labels = (*sample.context, *sample.targets), (*lesson.labels, *lesson.targets)
-    for number, (view, label_map) in enumerate(zip(views, labels, strict=True)):
-        role = "context" if number < len(sample.context) else "target"
-        caption = sample.scene if not number else f"{role} {view.name}"
-        without = f"{(label_map == 0).mean():.0%} without an id"
-        tiles += [(caption, view.image), (without, paint_labels(label_map, view.image))]
-    return tiles

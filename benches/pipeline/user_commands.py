@@ -34,9 +34,7 @@ from benches.common.small_rooms import write_rooms
 
 ROOT = Path(__file__).resolve().parents[2]
 HOST = "127.0.0.1"
-TIMED = re.compile(
-    r"(times\..*|report\.(html|md)|.*\.mp4|\d{6}\.(parquet|claim)|current\.\w+)"
-)
+TIMED = re.compile(r"(times\..*|report\.(html|md)|.*\.mp4|\d{6}\.(parquet|claim)|current\.\w+)")
 """Files with times or dates in them: that they exist is recorded, not their bytes."""
 LIMIT = 3600.0
 """Seconds after which a command is taken to hang."""

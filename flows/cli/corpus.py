@@ -99,9 +99,8 @@ def supervise(
 ) -> None:
     """Label the samples of a corpus: lessons for `train`.
 
-    Predicts Gaussians and object masks for all views. Leaves what `ingest` leaves, lessons.parquet,
-    and under sheets/ pictures of the labels: look at some. Other masks do not predict Gaussians
-    again.
+    Predicts Gaussians and object masks for all views. Leaves what `ingest` leaves, and
+    lessons.parquet. Other masks do not predict Gaussians again.
 
     \b
     slgaussian supervise chunks/train -o corpus

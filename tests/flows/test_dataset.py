@@ -223,9 +223,9 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output,
     assert set(reason) == {"bad", "few"} and "transforms.json" in reason["bad"]
     assert "too few for a sample" in reason["few"]
     card = (tmp_path / "set/README.md").read_text()
-    assert "| packed | InputError | 1 | bad: " in card
+    assert "2 frames, clips and samples." in card
     assert "LICENSE.txt: Take it as you like" in card
-    assert str(tmp_path) not in card.replace(reason["bad"], "")
+    assert str(tmp_path) not in card
     with pytest.raises(InputError, match="no sample is left of 3 sources; the reasons are in"):
         made_set(settings_for(tmp_path / "none", *settings.sources, **picky), store)
     reasons = pq.read_table(tmp_path / "none/set/failures.parquet")["reason"].to_pylist()

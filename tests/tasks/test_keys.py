@@ -111,9 +111,9 @@ def test_a_stage_of_another_version_works_anew(tmp_path):
     def of_version(version):
         def work(run, number):
             versions.append(version)
-            return run.store.put("sheet", {"png": np.full(3, number, np.uint8)})
+            return run.store.put("packed", {"torch": np.full(3, number, np.uint8)})
 
-        return stage("sheet", version)(work)
+        return stage("packed", version)(work)
 
     for version in (1, 1, 2, 2, 1):
         with run_context(RunContext(ArtifactStore(str(tmp_path)))):
