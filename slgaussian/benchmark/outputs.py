@@ -6,9 +6,7 @@ which no run repeats, is in a table of its own.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -29,18 +27,11 @@ Row = Mapping[str, Any]
 _DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{d}{n}" for d in ("COM", "LPT") for n in range(10))}
 """What no file may be called on Windows, whatever its ending."""
 
-_FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r\n]")
-"""The start of a cell that spreadsheets run as a formula, or pass over before one (OWASP, "CSV
-Injection")."""
-
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-
 
 def write_samples(rows: Sequence[Row], out: str | Path) -> None:
-    """Write ``samples.parquet`` and ``samples.csv`` into folder ``out``: a row a sample.
+    """Write ``samples.parquet`` into folder ``out``: a row a sample, of the data spec ``samples``.
 
-    Columns are those of the data spec ``samples``. Beside them ``scores.parquet`` and
-    ``scores.csv``, what the samples amount to, of the spec ``scores``.
+    Beside it ``scores.parquet``, what the samples amount to, of the spec ``scores``.
     """
     samples = pa.Table.from_pylist(list(rows), schema=load_spec("samples").schema)
     write_table("samples", samples, out)
@@ -48,7 +39,7 @@ def write_samples(rows: Sequence[Row], out: str | Path) -> None:
 
 
 def write_costs(rows: Sequence[Row], out: str | Path) -> None:
-    """Write ``times.parquet`` and ``times.csv`` into folder ``out``: what each answer cost.
+    """Write ``times.parquet`` into folder ``out``: what each answer cost.
 
     Columns are those of the data spec ``times``; what a row does not have is empty.
     """
@@ -58,28 +49,13 @@ def write_costs(rows: Sequence[Row], out: str | Path) -> None:
 
 
 def write_table(name: str, table: pa.Table, out: str | Path) -> None:
-    """Write a table of spec ``name`` as ``<name>.parquet`` and ``.csv`` into folder ``out``.
+    """Write a table of spec ``name`` as ``<name>.parquet`` into folder ``out``.
 
-    Texts that a spreadsheet would run begin with an apostrophe in the ``.csv``: what a person named
-    a thing is never a formula. SpecError if the table is not what its spec says.
+    SpecError if the table is not what its spec says.
     """
     file, spec = Path(out) / f"{name}.parquet", load_spec(name)
     spec.check_table(table, str(file))
     write_file(file, encode_table(table, spec))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, table.column_names, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows({n: as_cell(v) for n, v in row.items()} for row in table.to_pylist())
-    write_file(Path(out) / f"{name}.csv", text.getvalue().encode())
-
-
-def as_cell(value: Any) -> Any:
-    """Return a value as a cell of a CSV file, in which no text is a formula or ends a row."""
-    if not isinstance(value, str):
-        return value
-    safe = not _FORMULA.match(value) or _NUMBER.fullmatch(value)
-    # The writer puts quotes around a line feed, not around a carriage return.
-    return ("" if safe else "'") + value.replace("\r", "\n")
 
 
 def write_predictions(

@@ -1,4 +1,3 @@
-import csv
 import re
 
 import numpy as np
@@ -8,7 +7,6 @@ from PIL import Image
 
 from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.outputs import (
-    as_cell,
     clear_predictions,
     file_name,
     mask_place,
@@ -25,32 +23,12 @@ def test_sample_tables_hold_the_rows(tmp_path, result):
     write_samples([*result.rows, *other], tmp_path)
     table = pq.read_table(tmp_path / "samples.parquet")
     load_spec("samples").check_table(table, "samples.parquet")
-    assert table.to_pylist()[: len(result.rows)] == result.rows
-    with open(tmp_path / "samples.csv", newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 2 * len(result.rows)
-    for row, printed in zip([*result.rows, *other], rows, strict=True):
-        assert printed == {k: "" if v is None else str(v) for k, v in row.items()}
+    assert table.to_pylist() == [*result.rows, *other]
     scores = pq.read_table(tmp_path / "scores.parquet")
     load_spec("scores").check_table(scores, "scores.parquet")
     first = scores.to_pylist()[0]
     assert (first["metric"], first["scenes"]) == ("iou", 2)
     assert first["value"] == pytest.approx(result.scene_metrics["iou"], abs=1e-12)
-    with open(tmp_path / "scores.csv", newline="") as file:
-        assert len(list(csv.DictReader(file))) == scores.num_rows
-
-
-def test_no_text_is_a_formula_where_tables_are_opened_as_sheets(tmp_path, result):
-    bad = ['=HYPERLINK("http://x","y")', "+1+cmd|' /C calc'!A0", "-2+3", "@SUM(1)", "\t=1", "\rx"]
-    bad += [" =1", "＝1", "-"]
-    good = ["-5", "+1.5e3", "red = blue", "", "a,\nb"]
-    rows = [{**result.rows[0], "query": text} for text in [*bad, *good]]
-    write_samples(rows, tmp_path)
-    with open(tmp_path / "samples.csv", newline="") as file:
-        cells = [row["query"] for row in csv.DictReader(file)]
-    assert cells == [*(f"'{text}".replace("\r", "\n") for text in bad), *good]
-    assert pq.read_table(tmp_path / "samples.parquet")["query"].to_pylist() == [*bad, *good]
-    assert as_cell(-0.25) == -0.25  # numbers stay numbers
 
 
 def masks_of(result) -> dict[tuple[str, str, str], bytes]:

@@ -173,7 +173,7 @@ def test_processes_go_from_photographs_to_the_same_report_as_threads(tmp_path, m
     specs = {name.partition("/")[0] for name in valid}
     assert {"sample", "gaussians", "field", "objects", "scene_result", "report"} <= specs
     assert output == valid
-    assert {"scores.parquet", "samples.csv", "fields/mine/gaussians.npz"} <= wanted.keys()
+    assert {"scores.parquet", "samples.parquet", "fields/mine/gaussians.npz"} <= wanted.keys()
     assert any(name.startswith("predictions/") for name in wanted)
     assert left == wanted
 

@@ -289,7 +289,7 @@ def _scenes_section(
     """List the metrics of every scene; ``scores`` are ours by the first protocol."""
     blocks: list[Block] = [
         Prose(
-            "Each scene's field is a folder below `fields/`, by the name that `fields.csv` has; "
+            "Each scene's field is a folder below `fields/`, as `fields.parquet` names it; "
             "`slgaussian query` asks it. The mean gives every scene that has a number the same "
             "weight."
         )
