@@ -108,7 +108,6 @@ def test_every_row_says_how_its_mask_was_made(room, result):
         "langsplat": ("stretched", 0.4, None, 30),
         "langsplat-rescaled": ("stretched", 0.4, None, 4),  # 30 of 988 pixels, of 144
         "3d-ovs": ("arg-max", None, None, None),
-        "highest-pixel": ("none", None, None, None),
     }
     for protocol, values in expected.items():
         found = {tuple(row[name] for name in said) for row in rows_of(result, protocol)}
