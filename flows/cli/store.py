@@ -28,9 +28,9 @@ def inspect(
 ) -> None:
     """Show the spec, fields and origin of a file, and check it.
 
-    Takes a table (Parquet), arrays (NPZ), weights (safetensors), JSON, or a folder, such as a field
-    or the results of a run, file by file. The exit status is 1 if a file is damaged, or a table or
-    arrays are not what their spec says.
+    Takes a table (Parquet), arrays (NPZ), weights (safetensors), JSON, Gaussians (PLY, SPZ), or a
+    folder, such as a field or the results of a run, file by file. The exit status is 1 if a file is
+    damaged, or a table or arrays are not what their spec says.
 
     \b
     slgaussian inspect results/samples.parquet

@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from plyfile import PlyData, PlyElement
@@ -58,6 +59,21 @@ _ANTIALIASED = re.compile(
 )
 """Comments of a header by which Postshot, Brush and others say that Gaussians were trained with
 anti-aliasing: ``postshot.anti_aliasing=1``, ``SplatRenderMode: mip``."""
+
+_UNITS = {
+    "f_dc_": "[1] colour that does not depend on the view, harmonic of degree 0",
+    "f_rest_": "[1] harmonics of degree 1 and up, of red, then green, then blue",
+    "f_sem_": "[1] ID code or feature",
+    "opacity": "[1] logit of the opacity",
+    "scale_": "[natural logarithm of scene units] standard deviation along an axis",
+    "rot_": "[1] rotation, quaternion wxyz",
+    "label": "[id] object",
+    "source": "[index] pixel that the Gaussian comes from",
+    **dict.fromkeys(("red", "green", "blue"), "[1] colour, 0 to 255"),
+    **dict.fromkeys(("nx", "ny", "nz"), "[1] normal, unused"),
+    **dict.fromkeys("xyz", "[scene unit] centre"),
+}
+"""Unit and meaning of properties by how their names begin."""
 
 _BLOCK = 4096  # rows whose columns are copied in turn while they are in the cache
 
@@ -244,6 +260,24 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     if "label" in names and (label := _whole(extra["label"])) is not None:
         extra["label"] = label
     return Gaussians.from_arrays(arrays), extra
+
+
+def describe(path: str | Path) -> dict[str, Any]:
+    """Return ``meaning`` and ``fields`` (unit and meaning by name) of a ``.ply`` after a full read.
+
+    Gaussians are checked as by :func:`load_ply`; a file without ``opacity`` holds points.
+    InputError as there.
+    """
+    table, _ = _vertices(path)
+    names = table.dtype.names or ()
+    kind = "Gaussians" if "opacity" in names else "Points"
+    if kind == "Gaussians":
+        load_ply(path)
+    fields = {
+        name: next((text for start, text in _UNITS.items() if name.startswith(start)), "[1] other")
+        for name in names
+    }
+    return {"spec": "ply", "meaning": f"{kind}, {len(table)} of them.", "fields": fields}
 
 
 def _finite(

@@ -17,6 +17,8 @@ from contents import failures, labels
 
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
+from slgaussian.formats.ply import save_ply, save_points
+from slgaussian.formats.spz import save_spz
 from slgaussian.gaussians import Gaussians
 from slgaussian.language.bank import MemoryBank
 from slgaussian.scene import Camera
@@ -82,6 +84,27 @@ def test_weights_are_known_by_their_tensors(tmp_path):
     assert not found["problem"] and found["made"]
     (tmp_path / "branch.safetensors").write_bytes(data[:-5])
     assert "is damaged" in inspect(tmp_path / "branch.safetensors")[0]["problem"]
+
+
+@pytest.mark.parametrize(
+    ("save", "name", "spec", "field", "unit"),
+    [
+        (save_ply, "g.ply", "ply", "scale_0", "[natural logarithm of scene units]"),
+        (save_points, "p.ply", "ply", "red", "[1]"),
+        (save_spz, "g.spz", "spz@3", "means", "[scene unit]"),
+    ],
+)
+def test_exported_gaussians_have_fields_and_units(
+    gaussians, tmp_path, save, name, spec, field, unit
+):
+    save(gaussians, tmp_path / name)
+    (row,) = inspect(tmp_path)
+    assert (row["spec"], row["problem"]) == (spec, "") and ", 6 of them" in row["meaning"]
+    assert row["fields"][field].startswith(unit)
+    data = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(data[:-5])
+    (row,) = inspect(tmp_path / name)
+    assert row["problem"].startswith(f"{tmp_path / name}: is not a whole .{name[-3:]} file")
 
 
 @pytest.mark.parametrize("share", [0.3, 0.9])
