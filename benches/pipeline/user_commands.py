@@ -410,7 +410,7 @@ def dask_cluster(python: Path, work: Path, env: dict[str, str]) -> Iterator[str]
         stack.enter_context(serving(log, env, *scheduler))
         wait_until(lambda: listens(port))
         worker = [python / "dask", "worker", f"tcp://{place}", "--nworkers", 2, "--nthreads", 1]
-        folder = ["--no-dashboard", "--local-directory", work / "dask"]
+        folder = ["--no-dashboard", "--local-directory", work / "scratch"]
         stack.enter_context(serving(log, env, *worker, *folder))
         yield f"dask://{place}"
 

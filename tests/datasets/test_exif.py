@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from PIL import ExifTags
+from PIL import ExifTags, Image, ImageOps
 from taken_photographs import taken
 
+from slgaussian.datasets.exif import orientation_of, upright
 from slgaussian.datasets.unposed import photograph
 
 TAGS = ExifTags.Base
@@ -49,12 +50,37 @@ def test_focal_length(tmp_path, pixels, header):
     assert found.focal == (None if focal is None else pytest.approx(focal))
 
 
+def test_the_lens_tells_zooms_apart(tmp_path, pixels):
+    base = {TAGS.Make: "Apple", TAGS.Model: "iPhone X"}
+    lenses = set()
+    for number, film in enumerate((28, 28, 36)):
+        own = {TAGS.FocalLength: 4.0, TAGS.FocalLengthIn35mmFilm: film, TAGS.LensModel: "back 4mm"}
+        file = taken(tmp_path / f"{number}.jpg", pixels, base=base, own=own)
+        lenses.add(photograph(file, "a").lens)
+    assert lenses == {
+        "Apple, iPhone X, back 4mm, 4 mm, 28 mm of 35",
+        "Apple, iPhone X, back 4mm, 4 mm, 36 mm of 35",
+    }
+    assert photograph(taken(tmp_path / "b.png", pixels), "b").lens == ""
+
+
 @pytest.mark.parametrize(("suffix", "orientation"), [(".jpg", None), (".png", 6), (".tif", 8)])
 def test_a_photograph_is_upright_whatever_is_stored(tmp_path, pixels, orientation, suffix):
     found = photograph(taken(tmp_path / f"a{suffix}", pixels, orientation), "a")
     assert (found.width, found.height) == (400, 300)
     assert np.abs(found.image.astype(int) - pixels).max() < 30
     assert found.image[20, 20, 0] > 150 > found.image[20, -20, 0]
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientations_are_those_of_pillow(tmp_path, pixels, orientation):
+    image = Image.fromarray(pixels)
+    image.getexif()[TAGS.Orientation] = orientation
+    image.save(tmp_path / "a.png", exif=image.getexif())
+    with Image.open(tmp_path / "a.png") as stored:
+        assert orientation_of(stored) == orientation
+        shown = np.asarray(upright(stored, orientation))
+        np.testing.assert_array_equal(shown, np.asarray(ImageOps.exif_transpose(stored)))
 
 
 def test_a_large_one_is_shrunk_and_keeps_places(tmp_path):

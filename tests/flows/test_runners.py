@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from command import files_below, run, save_photographs
+from command import files_below
 from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import run_tiny, tiny
 
@@ -130,52 +130,6 @@ def test_a_scene_that_always_kills_its_worker_is_left_out(kind, clusters, tmp_pa
     assert (report.done, report.failed) == (1, 1)
     # What it had made before it died is kept.
     assert log.read_text().count("killer make") == 1
-
-
-SCENES = """
-size = "64x96"
-against = ["no-bank"]
-[[scenes]]
-name = "mine"
-path = "."
-context = ["view_00.png", "view_02.png"]
-queries = ["wall"]
-near = 0.8
-far = 12.0
-[[scenes]]
-name = "room"
-format = "procedural"
-options = {seed = 1, objects = 4, views = 3}
-context = ["view_00", "view_02"]
-targets = ["view_01"]
-"""
-"""Photographs with a question, and a made-up room with its truth."""
-
-
-def run_scenes(monkeypatch, scenes: Path, runner: str, workers: int, folder: Path) -> tuple:
-    """What `slgaussian run` left there, but for times: its artifacts, and its files by name."""
-    store, out = ArtifactStore(folder / "store"), folder / "out"
-    words = ["--runner", runner, "--workers", workers, "--store", store.root, "-o", out]
-    assert run(monkeypatch, "run", scenes, *words) == 0
-    timed = {"artifacts.parquet", "report.html", "report.md"}
-    files = (p for p in out.rglob("*") if p.is_file() and p.name not in timed)
-    left = {str(p.relative_to(out)): p.read_bytes() for p in files if p.stem != "times"}
-    assert (out / "report.html").is_file()
-    return artifacts(store), left
-
-
-def test_processes_go_from_photographs_to_the_same_report_as_threads(tmp_path, monkeypatch):
-    save_photographs(tmp_path, 128, 192)
-    scenes = tmp_path / "scenes.toml"
-    scenes.write_text(SCENES)
-    valid, wanted = run_scenes(monkeypatch, scenes, "threads", 1, tmp_path / "threads")
-    output, left = run_scenes(monkeypatch, scenes, "processes", 2, tmp_path / "processes")
-    specs = {name.partition("/")[0] for name in valid}
-    assert {"sample", "gaussians", "field", "objects", "scene_result", "report"} <= specs
-    assert output == valid
-    assert {"scores.parquet", "samples.parquet", "fields/mine/gaussians.npz"} <= wanted.keys()
-    assert any(name.startswith("predictions/") for name in wanted)
-    assert left == wanted
 
 
 class Unreadable:
