@@ -1,4 +1,4 @@
-"""Sources of clips: folders of any format, chunks, rooms; and chunks of them."""
+"""Sources of clips: folders of any format, chunks, camera files, rooms; and chunks of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from flows.config import PackSettings
 from flows.runners.progress import Progress
 from flows.scenes import seeds
-from slgaussian.datasets import colmap, re10k
+from slgaussian.datasets import colmap, re10k, re10k_text
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from tasks.chunks import PosedFolder, Room
@@ -50,8 +50,8 @@ class Source:
 def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
     """The scenes of a source that is no chunk.
 
-    ``procedural:FIRST-LAST`` are rooms, ``procedural_FIRST`` and so on. All else is a scene called
-    as its folder, read only later.
+    ``procedural:FIRST-LAST`` are rooms, ``procedural_FIRST`` and so on. A folder of RealEstate10K's
+    camera files has a scene a file. All else is a scene called as its folder, read only later.
 
     Raises
     ------
@@ -67,6 +67,12 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
         seed_range = seeds(source.removeprefix(ROOMS), source)
         return [Room(f"procedural_{seed}", {"seed": seed, **options}) for seed in seed_range]
     path = Path(source)
+    if path.is_dir():
+        texts = sorted(file for file in path.glob("*.txt") if re10k_text.is_camera_file(file))
+        if texts:
+            return [PosedFolder(file.stem, file) for file in texts]
+    if re10k_text.is_camera_file(path):
+        return [PosedFolder(path.stem, path)]
     # A scene is called as the folder above a file of cameras or a COLMAP model.
     folder = colmap.scene_folder((path.parent if path.is_file() else path).resolve())
     return [PosedFolder(folder.name, path)]
@@ -101,7 +107,7 @@ def check_there(sources: Sequence[str]) -> None:
         if not (is_chunks(source) or source.startswith(ROOMS) or Path(source).exists()):
             raise InputError(
                 f"{source}: is not there; expected a folder of photographs, with cameras or "
-                f"without, or of chunks, or {ROOMS}FIRST-LAST"
+                f"without, of chunks or of camera files, or {ROOMS}FIRST-LAST"
             )
 
 

@@ -24,6 +24,7 @@ READERS = {
     "lerf_ovs": "slgaussian.datasets.labelled_sets:read_lerf_ovs",
     "ovs3d": "slgaussian.datasets.labelled_sets:read_ovs3d",
     "re10k": "slgaussian.datasets.re10k:read",
+    "re10k_text": "slgaussian.datasets.re10k_text:read",
     "photographs": "slgaussian.datasets.unposed:read",
     "stereo": "slgaussian.datasets.stereo:read",
     "procedural": "slgaussian.datasets.procedural.reader:read",

@@ -1,10 +1,11 @@
-"""RealEstate10K as it was published for pixelSplat and MVSplat: chunks and their index.
+"""RealEstate10K as it was published for pixelSplat and MVSplat: chunks, camera files and indices.
 
 A chunk is a ``.torch`` file of about 100 MB: a list of clips, each a dict of ``key``, ``url``,
 ``timestamps`` int64 [N] in microseconds, ``cameras`` float32 [N, 18] and ``images``, N uint8
 tensors of encoded JPEG bytes. ``index.json`` beside the chunks of a split says which holds a key. A
 row of ``cameras`` is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV
-axes; the intrinsics are fractions of width and height.
+axes; the intrinsics are fractions of width and height. Raw camera files, with the same 18 numbers
+a frame, are read by :mod:`slgaussian.datasets.re10k_text`.
 
 Chunks are read with PyTorch's restricted unpickler, so a chunk from anywhere cannot run code.
 """

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from posed_folders import FOCAL, HEIGHT, WIDTH, Shot, llff_row, picture, write_model
+from posed_folders import FOCAL, HEIGHT, WIDTH, Shot, llff_row, picture, write_cameras, write_model
 
 from slgaussian.datasets import re10k
 
@@ -233,6 +233,24 @@ def _ovs3d(root: Path) -> Folder:
     return folder
 
 
+def _re10k_text(root: Path) -> Folder:
+    names = ("100.png", "200.png", "300.png", "400.png")
+    _photographs(root / "clip", names)
+
+    def write(xs: list[float], order: list[int]) -> None:
+        rows = np.stack([_row(xs[number]) for number in order])
+        times = np.array([100 * (number + 1) for number in order])
+        clip = re10k.Clip("clip", "https://example.org/x", times, rows, ())
+        write_cameras(root / "clip.txt", clip)
+
+    write([0, 0.1, 0.2, 0.3], [0, 1, 2, 3])
+    moved: Change = lambda _: (root / "clip").rename(root / "clip_2")  # noqa: E731
+    return Folder(
+        "re10k_text", root / "clip.txt", root / "clip", {}, names, ("200", "400"), write,
+        {"the frames are moved": moved},
+    )  # fmt: skip
+
+
 def _photographs_alone(root: Path) -> Folder:
     _photographs(root / "images")
     return Folder("photographs", root, root / "images")
@@ -297,5 +315,6 @@ WRITERS: dict[str, Callable[[Path], Folder]] = {
     "lerf_ovs": _lerf_ovs,
     "ovs3d": _ovs3d,
     "re10k": _re10k,
+    "re10k_text": _re10k_text,
     "photographs": _photographs_alone,
 }

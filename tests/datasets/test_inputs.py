@@ -79,7 +79,7 @@ def compare(tmp_path, write, ask):
 
 @pytest.mark.parametrize(
     ("name", "ask"),
-    [(name, photographs) for name in ("nerfstudio", "colmap", "re10k", "photographs")]
+    [(name, photographs) for name in ("nerfstudio", "colmap", "re10k", "re10k_text", "photographs")]
     + [("llff", posed)],
 )
 def test_a_resumed_run_reads_what_an_empty_store_would(tmp_path, name, ask):
