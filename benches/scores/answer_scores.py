@@ -139,7 +139,7 @@ def reached(own: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]
     for key, (title, digits) in SCORES.items():
         seeds = over_seeds(own, name, key)
         means = by_scene(own, key)
-        ends = interval_of_mean(np.array(list(means.values())), 0, [places[s] for s in means])
+        ends = interval_of_mean(np.array(list(means.values())), [places[s] for s in means])
         lines.append(
             {
                 "set": name,
