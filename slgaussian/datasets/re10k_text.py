@@ -22,7 +22,6 @@ from slgaussian.errors import InputError
 from slgaussian.formats.text import read_lines
 from slgaussian.scene import Scene
 
-ROLES = ("context", "target")
 CAMERAS, FRAMES = "cameras", "frames"
 """Folders beside each other that hold the camera files and, under the same names, the frames."""
 
@@ -113,28 +112,3 @@ def is_camera_file(file: Path) -> bool:
             return file.suffix == ".txt" and start.startswith((b"https://", b"http://"))
     except OSError:
         return False
-
-
-def read_evaluation(file: str | Path) -> dict[str, tuple[list[str], list[str]]]:
-    """Read the published evaluation index: context and target views by key, where there are any.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or an entry is neither null nor lists of frame numbers.
-    """
-    index = {}
-    for key, entry in re10k.read_json(file).items():
-        if entry is None:
-            continue
-        lists = [entry.get(name) if isinstance(entry, dict) else None for name in ROLES]
-        frames = [numbers if isinstance(numbers, list) else [] for numbers in lists]
-        if not all(
-            numbers and all(type(n) is int and n >= 0 for n in numbers) for numbers in frames
-        ):
-            raise InputError(
-                f"{file}: clip {key!r}: found {entry!r:.80}, expected frame numbers as "
-                '{"context": [0, 40], "target": [10, 20, 30]}, or null'
-            )
-        index[key] = list(map(str, frames[0])), list(map(str, frames[1]))
-    return index

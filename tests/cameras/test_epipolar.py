@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 from slgaussian.cameras.degeneracy import why_no_depth
 from slgaussian.cameras.epipolar import FocalPrior, TwoViews, jacobian, posterior, solve
 
-LONGER = 960
-
 
 def two_views(seed: int, focals: tuple[float, float] = (800, 800)) -> TwoViews:
     rng = np.random.default_rng(seed)

@@ -86,17 +86,3 @@ def test_a_raw_camera_file(tmp_path):
     camera = re10k.camera_of(rows[0], 640, 360)
     assert camera.K[0, 0] == pytest.approx(0.482334223 * 640)
     assert camera.w2c[2, 3] == pytest.approx(-0.347580573)
-
-
-def test_an_evaluation_index(tmp_path):
-    file = tmp_path / "index.json"
-    file.write_text('{"a": {"context": [58, 133], "target": [84, 102, 129]}, "b": null}')
-    assert re10k_text.read_evaluation(file) == {"a": (["58", "133"], ["84", "102", "129"])}
-    for wrong in (
-        '{"a": {"context": [1]}}',
-        '{"a": [1]}',
-        '{"a": {"context": [-1], "target": [2]}}',
-    ):
-        file.write_text(wrong)
-        with pytest.raises(InputError, match="clip 'a': found"):
-            re10k_text.read_evaluation(file)

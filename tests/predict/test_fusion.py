@@ -13,8 +13,6 @@ from slgaussian.predict.view_graph import Link, ViewGraph
 # Written out, not imported: a slip in the module must show here.
 FEATHER = 16.0
 
-CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1, turn=-0.1))
-
 
 def links_of(*cameras):
     """Every view linked with every other, with the poses of these cameras."""

@@ -17,15 +17,6 @@ SECRETS = [
     "https://host/a?X-Amz-Signature=hidden&x=1",
     "https://host/a?sv=1&sig=hidden",
 ]
-PLAIN = [
-    "s3://bucket/some/prefix",
-    "s3://bucket/prefix?versionId=3",
-    "http://127.0.0.1:9000/a@b/c",
-    "http://host:9000",
-    "sftp://me@host/folder",
-    "/folder/with:colon/and@sign",
-    "./slg-data",
-]
 
 
 @pytest.mark.parametrize("url", SECRETS)
