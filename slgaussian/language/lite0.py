@@ -112,7 +112,8 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
         bias = weights[f"{norm}.bias"] - weights[f"{norm}.running_mean"] * scale
         kernel = weights[f"{name}.weight"] * scale[:, None, None, None]
         y = convolve(x, name, kernel, bias, stride)
-        return add("Clip", y, min=0.0, max=6.0) if clip else y
+        # OpenCV's name of the layer: unlike ONNX's Clip it is fused into the convolution.
+        return add("ReLU6", y, min_value=0.0, max_value=6.0) if clip else y
 
     x = normalised("image", "_conv_stem", "_bn0", 2)
     blocks = (
