@@ -29,7 +29,7 @@ DEPTHS = (".npz", ".png", ".npy", ".exr", ".pfm", ".tiff", ".tif")
 LEVELS: tuple[Level, ...] = ("s", "m", "l")
 """The masks that one point gives, in the order of the model's outputs: part, object, group."""
 
-Program = Literal["sam", "sam2", "langsplat", "grouping"]
+Program = Literal["sam", "sam2", "grouping"]
 """The names of :data:`PRESETS`."""
 
 
@@ -41,56 +41,29 @@ class Automatic:
     ----------
     points : int
         Prompted points along each side of the image.
-    crops : int
-        Layers of crops that are prompted as separate images: the first has 2 x 2 crops, the
-        next 4 x 4, with as many points each.
     predicted_iou, stability : float
         Thresholds of a mask: of the IoU that the model predicts (exclusive), and of the stability,
         the IoU of its logits cut at +1 and -1.
     box_iou : float
         IoU threshold of non-maximum suppression of boxes, by predicted IoU.
-    smallest : int
-        Size of holes and islands in pixels below which they are filled and removed.
-    apart : bool
-        Compare masks only with masks of the same level.
-    score : float
-        Threshold of predicted IoU times stability.
-    mask_iou, nested : float or None
-        Thresholds of :func:`slgaussian.masks.nms.mask_nms`, which None disables.
     visible : float or None
-        Threshold of :func:`slgaussian.masks.nms.mostly_visible`.
+        Threshold of :func:`slgaussian.masks.nms.mostly_visible`, which None disables.
     """
 
     points: int = 32
-    crops: int = 0
     predicted_iou: float = 0.88
     stability: float = 0.95
     box_iou: float = 0.7
-    smallest: int = 0
-    apart: bool = False
-    score: float = 0.0
-    mask_iou: float | None = None
-    nested: float | None = None
     visible: float | None = None
 
 
 PRESETS: dict[Program, Automatic] = {
     "sam": Automatic(),
     "sam2": Automatic(predicted_iou=0.8),
-    "langsplat": Automatic(
-        crops=1,
-        predicted_iou=0.7,
-        stability=0.85,
-        smallest=100,
-        apart=True,
-        score=0.7,
-        mask_iou=0.8,
-        nested=0.5,
-    ),
     "grouping": Automatic(points=64, predicted_iou=0.7, visible=0.8),
 }
-"""Settings by name: of SAM and SAM 2; of LangSplat; of Gaussian Grouping, which the paper follows.
-Settings that a program is not known to change are those of SAM."""
+"""Settings by name: of SAM and SAM 2; of Gaussian Grouping, which the paper follows. Settings that
+a program is not known to change are those of SAM."""
 
 
 class AutomaticConfig(ComponentConfig):
@@ -99,7 +72,7 @@ class AutomaticConfig(ComponentConfig):
     model: Annotated[str | Path | None, File(model_digest)] = Field(None, description=MODEL)
     preset: Program | SkipJsonSchema[InstanceOf[Automatic]] = Field(
         "grouping",
-        description="Which masks are asked and kept: sam, sam2, langsplat or grouping.",
+        description="Which masks are asked and kept: sam, sam2 or grouping.",
     )
     points: int | None = Field(
         None,

@@ -27,9 +27,8 @@ if TYPE_CHECKING:
 class AutomaticProposer(AutomaticConfig, ABC):
     """A mask proposer that prompts a pretrained model with points.
 
-    An image is encoded once (with crops, each crop too), even if the next call has the same image
-    with another ``region``. Points are prompted in batches. The same input gives the same bytes on
-    the same machine.
+    An image is encoded once, even if the next call has the same image with another ``region``.
+    Points are prompted in batches. The same input gives the same bytes on the same machine.
 
     Attributes
     ----------
@@ -58,7 +57,7 @@ class AutomaticProposer(AutomaticConfig, ABC):
 
     device: str = "auto"
     _network: Any = PrivateAttr()
-    _encoded: dict[Any, PromptedImage] = PrivateAttr(default_factory=dict)
+    _encoded: tuple[Any, PromptedImage] | None = PrivateAttr(None)
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
@@ -98,16 +97,11 @@ class AutomaticProposer(AutomaticConfig, ABC):
         # By default cuDNN benchmarks its algorithms, so results may differ in the last bit.
         quiet = torch.backends.cudnn.flags(benchmark=False)
         with torch.inference_mode(), quiet, inside(self.network):
-            if _content(image) not in self._encoded:
-                self._encoded.clear()
             return all_masks(self._encode_once, image, settings, region, levels, self.batch)
 
     def _encode_once(self, image: np.ndarray) -> PromptedImage:
-        content = _content(image)
-        if content not in self._encoded:
-            self._encoded[content] = self.encode(image)
-        return self._encoded[content]
-
-
-def _content(image: np.ndarray) -> tuple[tuple[int, ...], bytes]:
-    return image.shape, image.tobytes()
+        content = image.shape, image.tobytes()
+        if self._encoded is None or self._encoded[0] != content:
+            self._encoded = None
+            self._encoded = content, self.encode(image)
+        return self._encoded[1]

@@ -6,10 +6,8 @@ A plane sweep (Collins 1996) of every view, depth completion, fusion of the view
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
@@ -68,23 +66,10 @@ class PlaneSweep(PlaneSweepConfig):
 
     Attributes
     ----------
-    near, far : float or None
-        Depth range along z in scene units. None takes the range of the context camera, or
-        estimates it from sparse matches if the camera has none.
     depth_candidates : int
         Largest number of depth candidates, 8 to 512. A pair of views has at most one candidate for
         each pixel of motion. Time and memory are proportional to the number.
     """
-
-    near: float | None = Field(None, gt=0)
-    far: float | None = Field(None, gt=0)
-
-    def __init__(self, **values: Any) -> None:
-        super().__init__(**values)
-        if self.near is not None and self.far is not None and self.near >= self.far:
-            raise InputError(
-                f"planesweep: near {self.near:g} must be below far {self.far:g}; correct them"
-            )
 
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
         """Predict Gaussians in the world frame of ``sample``.
@@ -96,7 +81,7 @@ class PlaneSweep(PlaneSweepConfig):
         Raises
         ------
         InputError
-            If no depth range is given and there are too few matches to estimate one, if near is
+            If a camera has no depth range and there are too few matches to estimate one, if near is
             not below far, if two views have no overlap within the range, or if matches show that
             two views have no baseline or that their poses are exchanged.
         """
@@ -108,7 +93,9 @@ class PlaneSweep(PlaneSweepConfig):
         """Predict as by a call, and count the depth candidates; raises as a call."""
         views = sample.context
         matches = graph or MatchGraph.of(views)
-        linked = link_views(views, matches, all(None not in _depth_limits(self, v) for v in views))
+        linked = link_views(
+            views, matches, all(None not in (v.camera.near, v.camera.far) for v in views)
+        )
         swept = sweep(self, sample, linked.links)
         depths = Depths(sum(len(s.steps) for s in swept), len(swept) * self.depth_candidates)
         return assemble(sample, linked, swept), depths
@@ -156,7 +143,7 @@ def sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]])
     all_sparse = np.concatenate([link.sparse for view_links in links for link in view_links])
     results = []
     for i, view in enumerate(views):
-        low, high = depth_range(settings, sample.scene, view, links[i], all_sparse)
+        low, high = depth_range(sample.scene, view, links[i], all_sparse)
         size = guides[i].shape
         visible, steps = choose_steps(settings, links[i], size, low, high)
         if not visible and len(views) == 2:
@@ -218,22 +205,14 @@ def _search(
     return best + offset, margin > MIN_MARGIN
 
 
-def _depth_limits(settings: PlaneSweep, view: View) -> tuple[float | None, float | None]:
-    """Return near and far of a view from the settings or its camera, None where neither has one."""
-    return (
-        settings.near if settings.near is not None else view.camera.near,
-        settings.far if settings.far is not None else view.camera.far,
-    )
-
-
 def depth_range(
-    settings: PlaneSweep, scene: str, view: View, links: Sequence[Link], all_sparse: np.ndarray
+    scene: str, view: View, links: Sequence[Link], all_sparse: np.ndarray
 ) -> tuple[float, float]:
     """Return the smallest and greatest inverse depth of the sweep of one view.
 
     ``all_sparse`` are the sparse inverse depths of all views, used if the view has too few.
     """
-    near, far = _depth_limits(settings, view)
+    near, far = view.camera.near, view.camera.far
     low = high = 0.0
     if near is None or far is None:
         sparse = np.concatenate([link.sparse for link in links])

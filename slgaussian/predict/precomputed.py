@@ -394,7 +394,7 @@ def _swept(
     for i, view in enumerate(sample.context):
         ends = np.percentile(inverse[i][given[i]], (0.1, 99.9)) if given[i].any() else []
         try:
-            low, high = depth_range(settings, sample.scene, view, links[i], everywhere)
+            low, high = depth_range(sample.scene, view, links[i], everywhere)
         except InputError:  # too few matches
             if not len(ends):
                 raise

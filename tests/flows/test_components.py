@@ -65,7 +65,7 @@ def digest_of(name: str, place: Path) -> str:
     return folder_digest(place) if name == "precomputed" else model_digest(place)
 
 
-SAM = {"preset": "langsplat", "points": 3}
+SAM = {"preset": "sam", "points": 3}
 CASES = {
     # Name: kind, the setting that names its files, other settings, those that its identity adds.
     "mvsplat": ("predictor", "checkpoint", {"depth_candidates": 8}, {"precision": "float32"}),

@@ -4,12 +4,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from drawn import BLUE, GREEN, RED, ball, bank_of, photograph, view_of
+from drawn import BLUE, RED, ball, bank_of, photograph, view_of
 
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
-from slgaussian.language.bank import MemoryBank, build_bank, merge
+from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.relevancy import relevancy
 from slgaussian.masks.levels import group_objects
 from slgaussian.storage.specs import load_spec
@@ -52,45 +52,6 @@ def same_bank(one, other):
         if here is not None:
             assert there.dtype == here.dtype
             np.testing.assert_array_equal(there, here)
-
-
-def test_a_merged_bank_knows_what_either_knew(bank, lexicon):
-    image, ids = photograph([(ball(100, 100, 30), GREEN), (ball(200, 100, 30), RED)])
-    ids = np.array([0, 3, 1], np.int32)[ids]
-    free = np.array([[0.25, 0.5, 0.75]], np.float32)
-    maps = LabelMaps(ids[None], np.ones((1, *ids.shape), np.float32))
-    later = build_bank([view_of(image)], maps, lexicon, np.concatenate([bank.codes[:1], free]))
-    both = merge(bank, later)
-    np.testing.assert_array_equal(both.ids, [1, 2, 3])
-    np.testing.assert_array_equal(both.present, [[1, 1, 1], [1, 0, 0], [0, 0, 1]])
-    np.testing.assert_array_equal(both.features[:2, :2], bank.features)
-    np.testing.assert_array_equal(both.features[[0, 2], 2], later.features[:, 0])
-    np.testing.assert_array_equal(both.boxes[[0, 2], 2], later.boxes[:, 0])
-    np.testing.assert_array_equal(both.codes, np.concatenate([bank.codes, free]))
-    # More views never make an object less relevant, and each bank's own texts still find its own.
-    texts = lexicon.encode_text(["red", "green"]), lexicon.encode_text(lexicon.canonical)
-    before = relevancy(bank.features, bank.present, *texts)
-    after = relevancy(both.features, both.present, *texts)
-    assert (after[:, :2] >= before).all()
-    assert after[1].argmax() == 2
-
-
-def test_banks_that_contradict_each_other_are_not_merged(bank):
-    other = replace(bank, codes=bank.codes[::-1].copy())
-    with pytest.raises(InputError, match="object 1 has another code in each"):
-        merge(bank, other)
-    apart = replace(bank, ids=bank.ids + np.int32(2))
-    with pytest.raises(InputError, match="share one code"):
-        merge(bank, apart)
-    narrow = MemoryBank(bank.ids, bank.codes, np.ones((2, 1, 1), np.float32), bank.present[:, :1])
-    with pytest.raises(InputError, match="wide"):
-        merge(bank, narrow)
-    bare, low = (replace(b, codes=b.codes[:, :0]) for b in (apart, bank))
-    with pytest.raises(InputError, match="need ids above 4, found 1"):
-        merge(bare, low)
-    np.testing.assert_array_equal(merge(low, bare).ids, [1, 2, 3, 4])
-    moved = replace(apart, codes=bank.codes * np.float32(0.5))
-    np.testing.assert_array_equal(merge(bank, moved).ids, [1, 2, 3, 4])
 
 
 def test_damage_is_refused_by_name(bank):
@@ -192,31 +153,6 @@ def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):
     alone = grouped_bank(pieces, lexicon, groups=np.arange(5)[None])
     np.testing.assert_array_equal(alone.levels, [np.arange(5)])
     assert alone.group_features.shape == (0, 2, lexicon.width)
-
-
-def test_merged_banks_keep_the_groups_of_both(pieces, lexicon):
-    def known_as(bank, ids):
-        """The bank under other ids, with codes that follow from them."""
-        codes = np.zeros((5, 3), np.float32)
-        codes[:, 0] = ids / 20
-        return replace(bank, ids=ids.astype(np.int32), codes=codes)
-
-    bank = grouped_bank(pieces, lexicon)
-    first, shifted = known_as(bank, bank.ids), known_as(bank, bank.ids + 3)  # both have 5 and 7
-    both = merge(first, shifted)
-    assert both.ids.tolist() == [2, 3, 4, 5, 6, 7, 8, 10]
-    assert both.levels.tolist() == [
-        [8, 8, 8, 8, 4, 5, 6, 7],
-        [10, 10, 9, 9, 4, 5, 6, 7],
-        [8, 8, 8, 8, 4, 5, 6, 7],
-        [0, 1, 2, 11, 11, 11, 11, 7],
-        [0, 1, 2, 13, 13, 12, 12, 7],
-        [0, 1, 2, 11, 11, 11, 11, 7],
-    ]
-    np.testing.assert_array_equal(both.group_features[:3, :2], first.group_features)
-    np.testing.assert_array_equal(both.group_features[3:, 2:], shifted.group_features)
-    assert not both.group_features[:3, 2:].any() and not both.group_features[3:, :2].any()
-    assert merge(first, replace(shifted, levels=None, group_features=None)).levels is None
 
 
 def test_groups_that_make_no_sense_are_refused(pieces, lexicon):

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from pydantic import Field, PrivateAttr
+from pydantic import PrivateAttr
 
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.pretrained import chosen_device
@@ -41,10 +41,10 @@ class MVSplat(MVSplatConfig):
     sides are no multiples of 16 are cropped; the removed pixels have no Gaussian.
 
     **Units.** The networks were trained on scenes whose nearest points are about one unit away. So
-    the scene is scaled to put ``near`` at 1, and the Gaussians are scaled back. Without a given
-    ``near`` the rule of RealEstate10K applies: the 5th percentile of depths, here of triangulated
-    matches, over 1.25. With too few matches it is the smallest distance between two views, the
-    rule of pixelSplat for scenes of unknown scale.
+    the scene is scaled to put the smallest ``near`` of the context cameras at 1, and the Gaussians
+    are scaled back. Where no camera has one, the rule of RealEstate10K applies: the 5th percentile
+    of depths, here of triangulated matches, over 1.25. With too few matches it is the smallest
+    distance between two views, the rule of pixelSplat for scenes of unknown scale.
 
     **Colour.** ``sh`` has 16 coefficients: colours depend on the viewing direction.
 
@@ -52,9 +52,6 @@ class MVSplat(MVSplatConfig):
     ----------
     checkpoint : path
         ``re10k.ckpt``, ``acid.ckpt`` or another of the same shape. Has no default.
-    near, far : float or None
-        Depth range along z in scene units. None takes the smallest near and the greatest far of
-        the context cameras; if they have none, near as above and far 100 times near.
     precision : "float32" or "bfloat16"
         Precision of the layers. Disparity, depth probabilities and geometry are always float32.
     depth_candidates : int or "auto"
@@ -70,8 +67,6 @@ class MVSplat(MVSplatConfig):
         If a setting is out of range, or the checkpoint does not fit.
     """
 
-    near: float | None = Field(None, gt=0)
-    far: float | None = Field(None, gt=0)
     device: str = "auto"
     config: Config = PUBLISHED
     _network: Network = PrivateAttr()
@@ -125,16 +120,14 @@ class MVSplat(MVSplatConfig):
         )
 
     def _range(self, sample: Sample, graph: MatchGraph | None) -> tuple[float, float]:
-        """Return near and far in scene units."""
+        """Return near and far in scene units; without a far it is 100 times near."""
         cameras = [view.camera for view in sample.context]
-        near, far = self.near, self.far
-        if near is None:
-            near = min((c.near for c in cameras if c.near is not None), default=None)
+        near = min((c.near for c in cameras if c.near is not None), default=None)
         if near is None:
             near = estimate_near(sample.context, graph)
+        far = max((c.far for c in cameras if c.far is not None), default=None)
         if far is None:
-            camera_far = max((c.far for c in cameras if c.far is not None), default=None)
-            far = camera_far or near * self.config.far / self.config.near
+            far = near * self.config.far / self.config.near
         if near >= far:
             raise InputError(
                 f"scene {sample.scene!r}: near {near:.3g} is not below far {far:.3g}; give both"
