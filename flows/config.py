@@ -114,12 +114,6 @@ def table_of(component: str) -> str:
 class QueryRules(Config):
     """Rules of answering queries."""
 
-    protocol: str = Field(
-        "slgaussian",
-        examples=["slgaussian", "langsplat"],
-        description="How answers are made: slgaussian, of whole objects, or langsplat, of smoothed "
-        "relevancy.",
-    )
     threshold: float | None = Field(
         None,
         gt=0,

@@ -102,8 +102,7 @@ class FieldView:
     def query(self, text: str, **rules: Any) -> QueryResult:
         """Find ``text`` in this view.
 
-        ``rules``, such as ``threshold`` or ``protocol``, are those of
-        :class:`slgaussian.language.rules.Rules`.
+        ``rules``, such as ``threshold``, are those of :class:`slgaussian.language.rules.Rules`.
         """
         check_type(text, str, "query: expected one text; query_all takes a list of them")
         return self.query_all([text], **rules)[0]
@@ -222,7 +221,7 @@ class SemanticField:
     def find(self, text: str, **rules: Any) -> tuple[tuple[int, float], ...]:
         """The objects that ``text`` describes, whatever the view: (id, relevancy), best first.
 
-        ``rules`` as in :meth:`FieldView.query`; the protocol plays no part.
+        ``rules`` as in :meth:`FieldView.query`.
         """
         there = ~np.isin(self.bank.ids, list(self.removed))
         return find(text, self.reader, Rules(**rules), there)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -79,8 +78,7 @@ def attribute_errors(
     truth : Truth
         Queries with an empty mask are left out.
     settings : EvaluationSettings, optional
-        How rows are marked, and by which rules texts become answers: masks are those of whole
-        objects, whatever the protocol.
+        How rows are marked, and by which rules texts become answers.
 
     Returns
     -------
@@ -88,7 +86,7 @@ def attribute_errors(
         A row a frame and query, with the columns of the data spec ``attribution``.
     """
     settings = settings or EvaluationSettings()
-    rules = replace(settings.rules, protocol="slgaussian")
+    rules = settings.rules
     common = {"dataset": settings.dataset, "scene": sample.scene, "method": settings.method}
     depths = source_depths(gaussians, [view.camera for view in sample.context])
     rows = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from dataclasses import field as dataclass_field
 from functools import partial
 from typing import Any
@@ -127,8 +127,7 @@ class EvaluationSettings:
         InputError
             If there is none of that name.
         """
-        by_default = sorted(PROTOCOLS, key=lambda name: name != self.rules.protocol)
-        return [load_protocol(name) for name in self.protocols or by_default]
+        return [load_protocol(name) for name in self.protocols or PROTOCOLS]
 
 
 def truth_from_instances(sample: Sample) -> Truth:
@@ -242,9 +241,7 @@ class _Recorder:
         self.peak = peak
         rules, self.drawn = settings.rules, settings.drawn
         self._names = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
-        # Of a method its own masks and points are wanted; LangSplat's are made of relevancies.
-        self.rules = replace(rules, protocol="slgaussian")
-        self.query_rules = asdict(self.rules)
+        self.rules, self.query_rules = rules, asdict(rules)
         self.protocols = settings.load_protocols()
         self.rows: list[dict[str, Any]] = []
         self.predictions: dict[tuple[str, str, str], np.ndarray] = {}
@@ -381,7 +378,7 @@ class _Recorder:
         competing = sorted(texts)
         with self.timed():
             # By the protocols every pixel has a class, however little it fits.
-            rules = {**self.query_rules, "protocol": "slgaussian", "threshold": 0.0}
+            rules = {**self.query_rules, "threshold": 0.0}
             labels = view.segment(competing, **rules)
         places = {text: k + 1 for k, text in enumerate(masks)}
         return np.array([0, *(places[text] for text in competing)], np.int32)[labels]

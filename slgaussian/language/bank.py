@@ -15,6 +15,7 @@ from slgaussian.language import Encoder
 from slgaussian.language.configs import MOST_DIMENSIONS
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.language.wholes import Wholes
+from slgaussian.masks.nms import mask_boxes
 from slgaussian.scene import View
 
 HALF = {"features", "group_features"}
@@ -244,7 +245,7 @@ def build_bank(
     of_views = zip(views, label_maps.labels, present.T, arounds, strict=True)
     for v, (view, labels, visible, around) in enumerate(of_views):
         masks = labels == ids[visible][:, None, None]
-        boxes[visible, v] = _boxes(masks)
+        boxes[visible, v] = mask_boxes(masks)
         visible_groups = np.zeros(0, bool) if members is None else (members & visible).any(1)
         groups_here = np.zeros((visible_groups.sum(), *labels.shape), bool)
         if members is not None:
@@ -309,13 +310,3 @@ def _check_lengths(
             f"memory bank {kind} {names[row]} in view {view} has length "
             f"{lengths[row, view]:.4g}, expected {float(present[row, view]):g}"
         )
-
-
-def _boxes(masks: np.ndarray) -> np.ndarray:
-    """First column and row, and those after the last, of masks bool [M, H, W] not empty."""
-    boxes = np.empty((len(masks), 4), np.int32)
-    for k, axis in enumerate((1, 2)):
-        used = np.any(masks, axis=axis)
-        boxes[:, k] = used.argmax(1)
-        boxes[:, 2 + k] = used.shape[1] - used[:, ::-1].argmax(1)
-    return boxes

@@ -12,7 +12,6 @@ from functools import cached_property
 import numpy as np
 
 from slgaussian.io import short
-from slgaussian.language import langsplat
 from slgaussian.language.confidence import Confidence, confidence, signs
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.reader import BankReader, Understood
@@ -50,8 +49,8 @@ class QueryResult:
     """bool [N]: what the rules select, visible or not."""
     confidence: Confidence | None = None
     """How likely mask and point are right; None where that was not measured: of an encoder without
-    a calibration, with canonical phrases of one's own, or by the protocol ``langsplat``. And of a
-    name, of which nothing is to be doubted."""
+    a calibration, or with canonical phrases of one's own. And of a name, of which nothing is to be
+    doubted."""
     uncalibrated: str = ""
     """For what that was not measured, such as ``the encoder clip``; empty where it was, or where
     nothing is to be doubted."""
@@ -78,11 +77,8 @@ class QueryResult:
 
     @cached_property
     def objects(self) -> tuple[tuple[int, float], ...]:
-        """The selected objects as (id, relevancy), best first; of equal ones the lowest id.
-
-        By the protocol ``langsplat``, those that lie in the mask with more than half their pixels.
-        """
-        rows = self._ranked[self._selected[self._ranked]]
+        """The selected objects as (id, relevancy), best first; of equal ones the lowest id."""
+        rows = self._ranked[self._chosen[self._ranked]]
         return tuple((int(self._ids[i]), float(self.scores[i])) for i in rows)
 
     @cached_property
@@ -157,43 +153,6 @@ class QueryResult:
         """bool [H, W]: all pixels where the relevancy is greatest, several objects if they tie."""
         return self._seen.spread((self.scores == self.score) & bool(len(self._ranked)))
 
-    @property
-    def _selected(self) -> np.ndarray:
-        return self._chosen
-
-
-class LangSplatResult(QueryResult):
-    """A result whose mask, point and peak come from the smoothed relevancy image."""
-
-    @cached_property
-    def mask(self) -> np.ndarray:
-        """bool [H, W]; see :func:`slgaussian.language.langsplat.find_mask`."""
-        return langsplat.find_mask(self._filled)
-
-    @property
-    def point(self) -> tuple[int, int] | None:
-        """(x, y); see :func:`slgaussian.language.langsplat.find_point`."""
-        return self._place[0] if len(self._ranked) else None
-
-    @property
-    def peak(self) -> np.ndarray:
-        """bool [H, W]: all pixels where the smoothed relevancy is greatest."""
-        return self._place[1] & bool(len(self._ranked))
-
-    @property
-    def _selected(self) -> np.ndarray:
-        return 2 * self._seen.areas_within(self.mask) > self._seen.areas
-
-    @cached_property
-    def _place(self) -> tuple[tuple[int, int], np.ndarray]:
-        return langsplat.find_point(self._filled)
-
-    @cached_property
-    def _filled(self) -> np.ndarray:
-        """Relevancy, the least of the image where there is no object: a hole must not stretch the
-        range that the mask's threshold is a share of."""
-        return self._seen.spread(self.scores, self.scores[self._ranked].min(initial=1.0))
-
 
 def ask(
     texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Rules
@@ -219,7 +178,6 @@ def _answer(
     rules: Rules,
 ) -> QueryResult:
     """Answer a text by its gaps float64 [N], -inf is what cannot be meant, and the chosen [N]."""
-    kind = LangSplatResult if rules.protocol == "langsplat" else QueryResult
     calibration = reader.encoder.calibration
     doubt = unmeasured(reader.encoder, rules)
     visible = np.flatnonzero(seen.areas)
@@ -236,7 +194,7 @@ def _answer(
         at = signs(gaps[ranked], chosen[ranked], read.measurements, parts, read.named)
         sure = confidence(calibration, at)
     selection = ranked, as_good, chosen, sure, why
-    return kind(text, scores, read, reader.bank.ids, seen, *selection)
+    return QueryResult(text, scores, read, reader.bank.ids, seen, *selection)
 
 
 def find(

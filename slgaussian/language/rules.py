@@ -12,8 +12,6 @@ from slgaussian.language import Encoder
 from slgaussian.language.relevancy import ABSENT, check_temperature
 from slgaussian.language.wholes import NEAR_BEST
 
-PROTOCOLS = ("slgaussian", "langsplat")
-
 PHRASES = {"lerf": ("object", "things", "stuff", "texture")}
 """Canonical phrases by name: LERF's, which LangSplat and the paper use too."""
 
@@ -24,10 +22,6 @@ class Rules:
 
     Attributes
     ----------
-    protocol : str
-        ``slgaussian``: whole objects are selected, and the best one is pointed at. ``langsplat``:
-        mask and point come from the smoothed relevancy image; see
-        :mod:`slgaussian.language.langsplat`. Relevancies are the same.
     threshold : float in [0, 1), optional
         Absolute: select every object whose relevancy is above it, as the paper does. It means
         something else at every temperature, unless it is 0.5, or 0, which selects all.
@@ -50,10 +44,9 @@ class Rules:
     Raises
     ------
     InputError
-        If one of them is out of range, or a threshold is given to ``langsplat``, which has its own.
+        If one of them is out of range.
     """
 
-    protocol: str = "slgaussian"
     threshold: float | None = None
     share: float = NEAR_BEST
     temperature: float = 10.0
@@ -62,23 +55,17 @@ class Rules:
 
     def __post_init__(self) -> None:
         check_temperature(self.temperature)
-        for name, choices in (("protocol", PROTOCOLS), ("absent", ABSENT)):
-            number = getattr(self, name)
-            if number not in choices:
-                raise InputError(
-                    f"{name}: found {number!r}, expected one of {', '.join(choices)}"
-                    f"{did_you_mean(number, choices)}"
-                )
+        if self.absent not in ABSENT:
+            raise InputError(
+                f"absent: found {self.absent!r}, expected one of {', '.join(ABSENT)}"
+                f"{did_you_mean(self.absent, ABSENT)}"
+            )
         if self.threshold is not None and not 0 <= self.threshold < 1:
             raise InputError(
                 f"threshold: found {self.threshold}, expected a number from 0 to below 1"
             )
         if not 0 < self.share <= 1:
             raise InputError(f"share: found {self.share}, expected a number above 0, at most 1")
-        if self.protocol == "langsplat" and self.threshold is not None:
-            raise InputError(
-                "threshold: the protocol langsplat has its own; leave out one of the two"
-            )
         if self.phrases is not None and not all(self.phrases):
             raise InputError(
                 f"canonical: found {self.canonical!r}, expected a name ({', '.join(PHRASES)}) or "
@@ -97,9 +84,7 @@ class Rules:
 
     @property
     def selection(self) -> str:
-        """Way of selecting objects: ``near-best``, ``threshold`` or ``langsplat``."""
-        if self.protocol == "langsplat":
-            return "langsplat"
+        """Way of selecting objects: ``near-best`` or ``threshold``."""
         return "near-best" if self.threshold is None else "threshold"
 
     @property
@@ -114,6 +99,4 @@ def unmeasured(encoder: Encoder, rules: Rules) -> str:
     """Name that for which it was not measured how often answers are right; empty if it was."""
     if encoder.calibration is None:
         return f"the encoder {encoder.name}"
-    if rules.canonical is not None:
-        return "canonical phrases of your own"
-    return "" if rules.protocol == "slgaussian" else f"the protocol {rules.protocol}"
+    return "" if rules.canonical is None else "canonical phrases of your own"

@@ -34,13 +34,10 @@ class Proposals:
     masks : bool [M, H, W]
     scores : float32 [M]
         Higher is better; comparable within one image only.
-    levels : uint8 [M], optional
-        0, 1 or 2 for a part, an object or a group of objects (s, m, l), if the proposer has levels.
     """
 
     masks: np.ndarray
     scores: np.ndarray
-    levels: np.ndarray | None = None
 
     __repr__ = short_repr
 

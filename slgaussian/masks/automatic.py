@@ -66,7 +66,7 @@ def all_masks(
             some = points[start : start + batch]
             parts.extend(_answers(prompted, some, size, settings, wanted))
     if not parts:
-        return Proposals(np.zeros((0, *size), bool), np.zeros(0, np.float32), np.zeros(0, np.uint8))
+        return Proposals(np.zeros((0, *size), bool), np.zeros(0, np.float32))
     candidates = _Candidates.join(parts)
     rows = box_nms(candidates.boxes, candidates.predicted_iou, settings.box_iou)
     candidates = candidates[rows]
@@ -77,8 +77,7 @@ def all_masks(
         candidates, masks = candidates[rows], masks[rows]
     scores = candidates.predicted_iou * candidates.stability
     best = np.argsort(-scores, kind="stable")
-    levels_of_best = candidates.level[best].astype(np.uint8)
-    return Proposals(masks[best], scores[best].astype(np.float32), levels_of_best)
+    return Proposals(masks[best], scores[best].astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,6 @@ class _Candidates:
     boxes: np.ndarray
     predicted_iou: np.ndarray
     stability: np.ndarray
-    level: np.ndarray
 
     def __getitem__(self, rows: np.ndarray) -> _Candidates:
         return _Candidates(*(getattr(self, f.name)[rows] for f in fields(self)))
@@ -133,5 +131,4 @@ def _answers(
             mask_boxes(inside[good]),
             predicted[chosen].cpu().numpy()[good],
             stability[good],
-            chosen[1].cpu().numpy()[good],
         )

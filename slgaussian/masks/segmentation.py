@@ -1,8 +1,6 @@
-"""Merge trees of an image over watershed leaves, the basis of the proposer ``regions``."""
+"""The merge tree of an image over watershed leaves, the basis of the proposer ``regions``."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import cv2
 import numpy as np
@@ -28,13 +26,11 @@ CUES = (
 colours; compact regions, of which small ones survive long."""
 
 
-def grow_trees(
-    frame: SeenView, region: np.ndarray | None = None, cues: Sequence[Cues] = CUES
-) -> list[MergeTree]:
-    """Build merge trees of a view over the same leaves, one for each of the ``cues``.
+def grow_tree(frame: SeenView, region: np.ndarray | None = None) -> MergeTree:
+    """Build the merge tree of a view.
 
-    Other arguments are as in :meth:`slgaussian.masks.regions.Regions.propose`. The leaves are the
-    regions of a low cut of a first tree, with repeated patterns merged (:func:`join_patterns`).
+    Arguments are as in :meth:`slgaussian.masks.regions.Regions.propose`. The leaves are the regions
+    of a low cut of a first tree, with repeated patterns merged (:func:`join_patterns`).
     """
     lab, depth, boundary = frame.view.lab, frame.depth, frame.boundary
     leaves = watershed_leaves(boundary)
@@ -45,8 +41,7 @@ def grow_trees(
     fine = build_tree(leaf_sums(lab, leaves, boundary, depth, texture=frame.texture))
     elements = fine.labels(fine.cut(FINE, leaves.size)) - 1
     joined = join_patterns(lab, elements, depth)
-    sums = leaf_sums(lab, joined, boundary, depth, texture=frame.texture)
-    return [build_tree(sums, each) for each in cues]
+    return build_tree(leaf_sums(lab, joined, boundary, depth, texture=frame.texture))
 
 
 def watershed_leaves(boundary: np.ndarray) -> np.ndarray:

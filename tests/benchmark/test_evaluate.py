@@ -17,6 +17,7 @@ from slgaussian.benchmark.evaluate import (
 from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
+from slgaussian.language import langsplat
 from slgaussian.language.rules import Rules
 from slgaussian.language.wholes import NEAR_BEST
 from slgaussian.scene import Sample
@@ -189,27 +190,29 @@ def test_a_truth_that_does_not_fit_is_refused(room):
 
 
 def test_langsplat_is_scored_by_its_masks_and_by_any_pixel_of_its_peak(room, result):
-    """As if the field had been asked by that protocol."""
+    """Of the relevancy with its least value where no object is."""
     view = room.field.render(room.sample.targets[0].camera)
     rows = rows_of(result, "langsplat")
     for row in rows[:-1]:  # the last is not understood
-        hit = view.query(row["query"], protocol="langsplat")
+        hit = view.query(row["query"])
+        filled = np.where(view.ids > 0, hit.relevancy, hit.relevancy[view.ids > 0].min())
+        mask, (point, peak) = langsplat.find_mask(filled), langsplat.find_point(filled)
         truth = room.truth["view_01"][row["query"]]
-        assert np.array_equal(result.predictions["langsplat@2", "view_01", row["query"]], hit.mask)
-        assert row["iou"] == metrics.iou(hit.mask, truth)
+        assert np.array_equal(result.predictions["langsplat@2", "view_01", row["query"]], mask)
+        assert row["iou"] == metrics.iou(mask, truth)
         ys, xs = np.nonzero(truth)
         box = np.s_[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1]
-        assert row["hit_peak"] == hit.peak[box].any()
-        assert (row["point_x"], row["point_y"]) == hit.point
+        assert row["hit_peak"] == peak[box].any()
+        assert (row["point_x"], row["point_y"]) == point
         # The point is a pixel of the peak.
         assert row["hit_peak"] or not row["hit_box"]
         # Relevancies do not depend on the protocol.
         assert row["score"] == row_of(result, row["query"])["score"]
 
 
-def test_the_protocol_of_the_rules_leads(room, known):
+def test_the_first_protocol_leads(room, known):
     """It decides what is drawn, and the scene's metrics, and no score."""
-    led = room.evaluate(rules=Rules(protocol="langsplat"))
+    led = room.evaluate(protocols=["langsplat", "slgaussian", "3d-ovs"])
     assert led.rows[0]["protocol"] == "langsplat@2"
     assert led.scene_metrics["iou"] == np.mean([row["iou"] for row in rows_of(led, "langsplat")])
     assert "hit_peak" in led.scene_metrics and "hit_mask" not in led.scene_metrics

@@ -60,7 +60,6 @@ def test_a_query_follows_its_rules(field, monkeypatch, capsys):
     assert objects() == [1]
     assert objects("--threshold", "0.01") == [1, 2]
     assert objects("--set", "canonical=object, red wall", "--set", "absent=zero") == []
-    assert objects("--set", "protocol=langsplat") == [1]
 
 
 def test_a_store_that_cannot_be_is_one_sentence(tmp_path, monkeypatch, capsys):

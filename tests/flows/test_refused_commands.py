@@ -29,7 +29,7 @@ def place(tmp_path_factory):
         ("query field red --view nowhere.png", "no view 'nowhere.png'"),
         ("query field red -o a.bmp", "name of a picture to end in .png or .jpg or .jpeg"),
         ("query field red --threshold 2", "threshold"),
-        ("query field red --set protocol=lerf", "expected one of slgaussian, langsplat"),
+        ("query field red --set absent=lerf", "expected one of skip, zero"),
         ("query field", "nothing is asked: give a TEXT, or a picture with --like"),
         ("query field red --words nowhere.npz", "nowhere.npz: cannot be read"),
         ("query field red --camera none.json", "none.json: cannot be read"),

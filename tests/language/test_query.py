@@ -23,7 +23,6 @@ from drawn import (
 
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
-from slgaussian.language import langsplat
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.objectmap import ObjectMap
@@ -111,14 +110,12 @@ def test_bad_input_is_refused(scene, lexicon):
 @pytest.mark.parametrize(
     ("rules", "sentence"),
     [
-        ({"protocol": "lerf"}, "protocol: found 'lerf', expected one of slgaussian, langsplat"),
         ({"absent": "none"}, "absent: found 'none', expected one of skip, zero"),
         ({"share": 0}, "share: found 0"),
         ({"share": 1.5}, "share: found 1.5"),
         ({"canonical": ""}, "canonical: found ''"),
         ({"canonical": []}, r"canonical: found \[\]"),
         ({"canonical": "object, , things"}, "none empty"),
-        ({"protocol": "langsplat", "threshold": 0.5}, "has its own"),
     ],
 )
 def test_rules_out_of_range_are_refused(rules, sentence):
@@ -168,39 +165,6 @@ def test_canonical_phrases_by_name_by_list_and_of_ones_own(scene, lexicon):
     assert {i for i, _ in against.objects} == {2}
     with pytest.raises(InputError, match="zyzzyva"):
         find("red", ids, bank, lexicon, canonical="zyzzyva")
-
-
-def test_langsplat_uses_the_same_scores_and_its_own_pictures(scene, lexicon):
-    ids, bank = scene
-    ours, theirs = (
-        find("red ball", ids, bank, lexicon, protocol=p) for p in ("slgaussian", "langsplat")
-    )
-    np.testing.assert_array_equal(ours.scores, theirs.scores)
-    np.testing.assert_array_equal(ours.relevancy, theirs.relevancy)
-    assert ours.score == theirs.score
-    filled = np.where(ids > 0, ours.relevancy, ours.scores.min())
-    np.testing.assert_array_equal(theirs.mask, langsplat.find_mask(filled))
-    point, peak = langsplat.find_point(filled)
-    assert theirs.point == point and theirs.peak[point[1], point[0]]
-    np.testing.assert_array_equal(theirs.peak, peak)
-    for number, _ in theirs.objects:
-        assert theirs.mask[ids == number].mean() > 0.5
-    assert {i for i, _ in theirs.objects} == {1, 4}
-    nothing = find("red ball", np.zeros_like(ids), bank, lexicon, protocol="langsplat")
-    assert nothing.point is None and nothing.objects == ()
-    assert not nothing.mask.any() and not nothing.peak.any()
-
-
-def test_by_langsplat_an_object_is_found_if_most_of_it_is_in_the_mask(scene, lexicon):
-    """A red ball of one thick piece and of lines that the filter wipes out."""
-    _, bank = scene
-    for lines, found in ((200, False), (40, True)):
-        ids = np.full((200, 280), 3, np.int32)
-        ids[::6, :lines] = 1
-        ids[60:120, 210:270] = 1
-        hit = find("red ball", ids, bank, lexicon, protocol="langsplat")
-        assert 0.2 < hit.mask[ids == 1].mean() < 0.8
-        assert bool(hit.objects) == found == (hit.mask[ids == 1].mean() > 0.5)
 
 
 def test_one_reader_keeps_what_absent_views_say_apart(lexicon):
@@ -320,18 +284,11 @@ def test_an_answer_says_how_sure_it_is(scene, lexicon):
     assert not nothing.found and nothing.verdict == "not here"
 
 
-@pytest.mark.parametrize(
-    ("rules", "what"),
-    [
-        ({"canonical": "object"}, "canonical phrases of your own"),
-        ({"protocol": "langsplat"}, "the protocol langsplat"),
-    ],
-)
-def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon, rules, what):
+def test_what_was_not_calibrated_says_nothing_of_confidence(scene, lexicon):
     ids, bank = scene
-    hit = find("red ball", ids, bank, lexicon, **rules)
+    hit = find("red ball", ids, bank, lexicon, canonical="object")
     assert hit.confidence is None
-    assert hit.uncalibrated == what
+    assert hit.uncalibrated == "canonical phrases of your own"
     assert hit.verdict == "found"
     assert find("red ball", ids, bank, lexicon).uncalibrated == ""
 

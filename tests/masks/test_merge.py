@@ -4,7 +4,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.geometry import SeenView
-from slgaussian.masks.hierarchy import levels_of, pick_nodes
 from slgaussian.masks.merge import (
     Cues,
     MergeTree,
@@ -64,28 +63,6 @@ def test_members_are_the_leaves_below(tree):
     shared = expected[:, None] & expected
     nested = (shared == expected[:, None]).all(2) | (shared == expected).all(2)
     assert (nested | ~shared.any(2)).all()
-
-
-@given(trees, st.integers(0, 30), st.integers(0, 8))
-def test_picked_nodes_are_nodes_large_enough_and_no_copies(tree, maximum, minimum):
-    everything = members_by_walking(tree)
-    given_members = everything[tree.cut(0.6, 100)]
-    member, score = pick_nodes([tree, tree], given_members, minimum, maximum)
-    assert len(member) == len(score) <= maximum
-    area = np.bincount(tree.leaves.ravel())
-    assert (member @ area >= minimum).all() and (np.diff(score) <= 0).all()
-    nodes = {row.tobytes() for row in everything}
-    assert all(row.tobytes() in nodes for row in member)
-    together = np.concatenate([given_members, member])
-    assert len({row.tobytes() for row in together}) == len(together)
-    if maximum > len(everything):
-        # Whatever was left out is small or nearly equals something that was not.
-        for row in everything[everything @ area >= minimum]:
-            iou = (together & row) @ area / ((together | row) @ area)
-            assert iou.max() > 0.95
-    level = levels_of(member, given_members, area)
-    inside = (member[:, None] <= given_members).all(2).any(1)
-    np.testing.assert_array_equal(level, np.where(inside, 0, 2))
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,6 @@ from slgaussian.kernels.threads import kernels_on
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.regions import Regions
 
-# Written out, not imported: a slip in the module must show here.
-CRUMB_SHARE = 1 / 8000
-
 BALL = (30, 70, 20, 60)
 BOX = (50, 100, 90, 140)
 
@@ -31,42 +28,10 @@ def iou(mask, box):
 
 def test_objects_are_disjoint_cover_the_image_and_are_scored(scene):
     proposals = Regions().propose(SeenView.alone(scene))
-    assert (proposals.levels == 1).all()
     assert (proposals.masks.sum(0) == 1).all()
     assert proposals.masks.any((1, 2)).all()
     assert proposals.scores.dtype == np.float32
     assert (proposals.scores >= 0).all() and (proposals.scores <= 1).all()
-
-
-def test_most_objects_bounds_the_number_of_objects(scene):
-    assert len(Regions(height=0.0, most_objects=7).propose(SeenView.alone(scene)).masks) <= 7
-    assert len(Regions(height=100.0).propose(SeenView.alone(scene)).masks) == 1
-
-
-def test_all_levels_hold_the_objects_and_what_is_smaller_and_larger(scene):
-    every = Regions(level="all").propose(SeenView.alone(scene))
-    objects = Regions().propose(SeenView.alone(scene))
-    np.testing.assert_array_equal(every.masks[every.levels == 1], objects.masks)
-    areas = every.masks.sum((1, 2))
-    home = np.argmax([(every.masks & mask).sum((1, 2)) for mask in objects.masks], 0)
-    home_area = objects.masks.sum((1, 2))[home]
-    assert (areas[every.levels == 0] < home_area[every.levels == 0]).all()
-    assert (areas[every.levels == 2] >= home_area[every.levels == 2]).all()
-    assert set(every.levels) == {0, 1, 2}
-    assert areas.max() == scene.shape[0] * scene.shape[1]  # the whole image is a group
-    assert areas[every.levels != 1].min() >= CRUMB_SHARE * areas.max()
-    assert ((every.scores > 0) & (every.scores <= 1)).all()
-    for number, level in enumerate("sml"):
-        first = Regions(level=level).propose(SeenView.alone(scene))
-        np.testing.assert_array_equal(first.masks, every.masks[every.levels == number])
-        np.testing.assert_array_equal(first.scores, every.scores[every.levels == number])
-
-
-def test_most_bounds_the_number_of_masks_but_objects_stay(scene):
-    objects = len(Regions().propose(SeenView.alone(scene)).masks)
-    for maximum in (0, 10, 25):
-        masks = Regions(level="all", most=maximum).propose(SeenView.alone(scene)).masks
-        assert objects <= len(masks) <= max(maximum, objects)
 
 
 def test_where_limits_the_search(scene):
@@ -74,23 +39,16 @@ def test_where_limits_the_search(scene):
     place[:, 80:] = True
     proposals = Regions().propose(SeenView.alone(scene), region=place)
     np.testing.assert_array_equal(proposals.masks.any(0), place)
-    every = Regions(level="all").propose(SeenView.alone(scene), region=place)
-    np.testing.assert_array_equal(every.masks.any(0), place)
-    for level in ("m", "all"):
-        nothing = Regions(level=level).propose(SeenView.alone(scene), region=np.zeros(SIZE, bool))
-        assert nothing.masks.shape == (0, *SIZE) and nothing.scores.shape == (0,)
-        assert nothing.levels.shape == (0,)
+    nothing = Regions().propose(SeenView.alone(scene), region=np.zeros(SIZE, bool))
+    assert nothing.masks.shape == (0, *SIZE) and nothing.scores.shape == (0,)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (7, 2), (37, 51)])
 @pytest.mark.parametrize("value", [0, 128, 255])
 def test_a_blank_image_is_one_region(size, value):
-    for level in ("m", "all"):
-        proposals = Regions(level=level).propose(
-            SeenView.alone(np.full((*size, 3), value, np.uint8))
-        )
-        assert proposals.masks.shape == (1, *size) and proposals.masks.all()
-        assert proposals.scores.tolist() == [1] and proposals.levels.tolist() == [1]
+    proposals = Regions().propose(SeenView.alone(np.full((*size, 3), value, np.uint8)))
+    assert proposals.masks.shape == (1, *size) and proposals.masks.all()
+    assert proposals.scores.tolist() == [1]
 
 
 def test_depth_parts_what_colour_cannot():
@@ -104,9 +62,9 @@ def test_depth_parts_what_colour_cannot():
 
 
 def test_same_bytes_whatever_the_number_of_threads(scene):
-    expected = Regions(level="all").propose(SeenView.alone(scene))
+    expected = Regions().propose(SeenView.alone(scene))
     with kernels_on(1):
-        alone = Regions(level="all").propose(SeenView.alone(scene))
+        alone = Regions().propose(SeenView.alone(scene))
     assert alone.masks.tobytes() == expected.masks.tobytes()
     assert alone.scores.tobytes() == expected.scores.tobytes()
 
@@ -125,8 +83,3 @@ def test_same_bytes_whatever_the_number_of_threads(scene):
 def test_bad_input_is_refused(image, extra, says):
     with pytest.raises(InputError, match=says):
         Regions().propose(SeenView.alone(image, extra.pop("depth", None)), **extra)
-
-
-def test_an_unknown_level_is_refused():
-    with pytest.raises(InputError, match="found 'xl', expected s, m, l or all"):
-        Regions(level="xl")
