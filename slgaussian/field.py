@@ -22,7 +22,7 @@ from slgaussian.labels import VISIBLE
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import Description, QueryResult, ask, describe, find, segment
+from slgaussian.language.query import QueryResult, ask, find, segment
 from slgaussian.language.reader import BankReader
 from slgaussian.language.rules import Rules
 from slgaussian.language.taught import TaughtWords, encoder_identity, normal
@@ -117,16 +117,11 @@ class FieldView:
         ``mask``, bool [H, W], says where the thing is in the picture: everywhere if left out.
         """
         check_type(image, np.ndarray, "like: expected a picture, uint8 [H, W, 3]")
-        return self._likest(*self.field.picture_words(image, mask), rules)
-
-    def like_object(self, object_id: int, **rules: Any) -> QueryResult:
-        """Find what in this view is like an object of the field, itself first; as :meth:`query`."""
-        return self._likest(*self.field.object_words(object_id), rules)
-
-    def _likest(self, text: str, words: TaughtWords, rules: Mapping[str, Any]) -> QueryResult:
+        words = self.field.picture_words(image, mask)
+        (text,) = words
         reader = BankReader(self.field.bank, self.field.encoder, words)
-        found = ask([text], self._objects, reader, Rules(**rules))[0]
-        return replace(found, understood=replace(found.understood, kind="picture", instead_of=""))
+        answer = ask([text], self._objects, reader, Rules(**rules))[0]
+        return replace(answer, understood=replace(answer.understood, kind="picture", instead_of=""))
 
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
         """Label each pixel with the text that fits it best: int32 [H, W], k + 1 = ``texts[k]``.
@@ -212,11 +207,6 @@ class SemanticField:
         :meth:`FieldView.query_all`.
         """
         return self.render(camera or next(iter(self.cameras.values()))).query(text, **rules)
-
-    def describe(self, texts: Sequence[str], **rules: Any) -> list[Description]:
-        """Describe the scene: every object with the best of ``texts``, whatever the view."""
-        descriptions = describe(texts, self.reader, Rules(**rules))
-        return [description for description in descriptions if description.id not in self.removed]
 
     def find(self, text: str, **rules: Any) -> tuple[tuple[int, float], ...]:
         """The objects that ``text`` describes, whatever the view: (id, relevancy), best first.
@@ -406,22 +396,8 @@ class SemanticField:
         chosen = np.isin(self.labels(), list(self._known(ids)))
         return self.changed(gaussians=self.gaussians[chosen])
 
-    def like(self, image: np.ndarray) -> tuple[tuple[int, float], ...]:
-        """Rank objects by likeness to a picture uint8 [H, W, 3]: (id, relevancy), best first.
-
-        From whatever view; :meth:`FieldView.like` says where. Above 0.5 it rather is the thing.
-        """
-        return self._ranked(*self.picture_words(image))
-
-    def like_object(self, object_id: int) -> tuple[tuple[int, float], ...]:
-        """Rank all other objects by likeness to an object: (id, relevancy), as :meth:`like`."""
-        ranked = self._ranked(*self.object_words(object_id))
-        return tuple(match for match in ranked if match[0] != object_id)
-
-    def picture_words(
-        self, image: np.ndarray, mask: np.ndarray | None = None
-    ) -> tuple[str, TaughtWords]:
-        """A word whose one example is a picture uint8 [H, W, 3] of a thing, and these words.
+    def picture_words(self, image: np.ndarray, mask: np.ndarray | None = None) -> TaughtWords:
+        """One word whose one example is a picture uint8 [H, W, 3] of a thing.
 
         ``mask``, bool [H, W], is as :meth:`FieldView.like` takes it.
         """
@@ -433,21 +409,8 @@ class SemanticField:
         image, where = np.ascontiguousarray(image[frame]), where[frame]
         feature = self.encoder.encode_regions(image, where[None])[0]
         rivals = np.stack([self._feature(row) for row in self._held])
-        return self._asked("the picture", feature, rivals)
-
-    def object_words(self, object_id: int) -> tuple[str, TaughtWords]:
-        """A word whose one example is an object, and these words."""
-        return self._asked(f"object {object_id}", *self._features(object_id))
-
-    def _asked(self, text: str, feature: np.ndarray, rivals: np.ndarray) -> tuple[str, TaughtWords]:
         identity = encoder_identity(self.settings)
-        return text, TaughtWords().with_example(text, feature, rivals, identity)
-
-    def _ranked(self, text: str, words: TaughtWords) -> tuple[tuple[int, float], ...]:
-        found = describe([text], BankReader(self.bank, self.encoder, words), Rules())
-        held = [one for one in found if one.id not in self.removed and one.views]
-        order = sorted(held, key=lambda one: -one.relevancy)
-        return tuple((one.id, one.relevancy) for one in order)
+        return TaughtWords().with_example("the picture", feature, rivals, identity)
 
     def _features(self, object_id: int) -> tuple[np.ndarray, np.ndarray]:
         """Unit features of an object [C], and of all others that some view holds [R, C]."""

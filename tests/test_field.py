@@ -44,8 +44,8 @@ def test_words_find_their_part(field):
     segments = seen.segment(["blue", "red"])
     for label, word in ((BLUE, 1), (RED, 2)):
         assert (segments == word)[AWAY & (true_ids == label)].mean() > 0.97
-    things = {thing.id: (thing.text, thing.views) for thing in field.describe(["blue", "red"])}
-    assert (things[RED], things[BLUE]) == (("red", (0, 1)), ("blue", (0, 1)))
+    words = {thing.id: thing.words[0][0] for thing in field.inventory(["blue", "red"])}
+    assert (words[RED], words[BLUE]) == ("red", "blue")
 
 
 def test_arguments_of_the_wrong_type_are_refused(field, tmp_path):

@@ -1,4 +1,4 @@
-"""Ask an image of object ids for words: find, locate, segment, and say what is there.
+"""Ask an image of object ids for words: find, locate and segment.
 
 Every answer is one number an object, spread over the image by id; no pixel is scored on its own.
 """
@@ -230,47 +230,3 @@ def segment(texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Ru
     gaps = reader.gaps(texts, rules)
     winner = np.where(gaps.max(0) > rules.least_gap, gaps.argmax(0) + 1, 0)
     return seen.spread(winner.astype(np.int32))
-
-
-@dataclass(frozen=True)
-class Description:
-    """The best of some texts for one object.
-
-    Attributes
-    ----------
-    id : int
-        Of the object.
-    text : str
-        The text that describes it best; of equally good ones the first.
-    relevancy : float
-        In [0, 1]; up to 0.5 the canonical phrases say as much.
-    views : tuple of int
-        Numbers of the context views that hold the object.
-    """
-
-    id: int
-    text: str
-    relevancy: float
-    views: tuple[int, ...]
-
-
-def describe(texts: Sequence[str], reader: BankReader, rules: Rules) -> list[Description]:
-    """Say what is there: every object of the bank with the best of the texts, by id.
-
-    Raises
-    ------
-    InputError
-        If there is no text, or the encoder cannot use one.
-    """
-    gaps = reader.gaps(texts, rules)
-    scores = sigmoid(rules.temperature * gaps)
-    bank = reader.bank
-    return [
-        Description(
-            id=int(bank.ids[i]),
-            text=texts[best],
-            relevancy=float(scores[best, i]),
-            views=tuple(map(int, np.flatnonzero(bank.present[i]))),
-        )
-        for i, best in enumerate(gaps.argmax(0))
-    ]

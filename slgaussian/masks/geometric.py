@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.masks.shared import SurfacePoints, overlap
+from slgaussian.masks.shared import SurfacePoints, met, overlap
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
     from slgaussian.scene import View
 
-AGREE_PIXELS = 4.0
-"""Largest forward-backward reprojection error of a match, pixels. Occluded pixels have much larger
-errors, errors of depth smaller ones, the more so where the parallax is small. With 2 and with 8,
-fewer objects or pixels are matched."""
-LOOK = 25.0
-"""Largest CIELAB distance of matched pixels, after compensation of exposure."""
 SEEN = 0.3
 """Smallest share of matched pixels at which matches determine the label of a leaf."""
 LIKE = 0.6
@@ -33,29 +28,31 @@ with."""
 
 
 @dataclass(frozen=True, eq=False)
-class LabelledFrame:
+class LabelledFrame(SurfacePoints):
     """A view with its labels.
 
     Attributes
     ----------
-    frame : SeenView
     labels : int32 [H, W]
         0 = unassigned.
-    lab : float32 [H, W, 3]
-        CIELAB of the slightly blurred image.
     """
 
-    frame: SeenView
     labels: np.ndarray
-    lab: np.ndarray
+
+    @cached_property
+    def lab(self) -> np.ndarray:
+        """CIELAB float32 [H, W, 3] of the slightly blurred image."""
+        import cv2
+
+        return cv2.GaussianBlur(self.frame.view.lab, (0, 0), 1.0)
 
 
 class GeometricTracker:
     """Propagates labels from remembered frames to a view by cameras and predicted depth.
 
-    A pixel of the view is unprojected by its depth and projected into a remembered frame. It is
-    matched if the pixel there projects back to it by that frame's depth, which fails for occluded
-    surfaces. Given poses are accurate enough, even if the predictor refined them.
+    Pixels of the view are matched with those of remembered frames by depth and colour
+    (:func:`slgaussian.masks.shared.met`). Given poses are accurate enough, even if the predictor
+    refined them.
 
     Labels are assigned to the watershed leaves of the view, not to pixels, by majority of their
     matched pixels, so that label borders lie on image edges. A leaf without matches, occluded or
@@ -108,17 +105,12 @@ class GeometricTracker:
         votes = np.zeros((len(size), id_count))
         matched_once = np.zeros(labels.shape, bool)
         for past in self._nearest(new):
-            place, matched = _match(new, past)
-            if matched.any():
-                gap = new.lab - past.lab.reshape(-1, 3)[place]
-                # A change of exposure or white balance is no change of object.
-                gap -= np.median(gap[matched], 0)
-                light, red, yellow = (gap[..., k] ** 2 for k in range(3))
-                matched = matched & (np.sqrt(light + red + yellow) < LOOK)
-            carried = past.labels.ravel()[place[matched]]
-            keys = leaves[matched].astype(np.int64) * id_count + carried
+            which, place = met(new, past, new.all_pixels)
+            pixels = new.all_pixels[which]
+            carried = past.labels.ravel()[place]
+            keys = leaves.ravel()[pixels].astype(np.int64) * id_count + carried
             votes += np.bincount(keys, minlength=votes.size).reshape(votes.shape)
-            matched_once |= matched
+            matched_once.ravel()[pixels] = True
         matched_share = np.bincount(leaves.ravel(), matched_once.ravel(), len(size)) / size
         of_leaf = np.where(matched_share >= SEEN, votes.argmax(1), 0).astype(np.int32)
         self._grow(of_leaf, leaves, new.lab, id_count)
@@ -174,8 +166,6 @@ def check_labels(view: View, labels: np.ndarray) -> None:
 
 def _make_frame(frame: SeenView, labels: np.ndarray) -> LabelledFrame:
     """Make a frame; InputError if its depth is missing or has the wrong size."""
-    import cv2
-
     view, depth = frame.view, frame.depth
     if depth is None:
         raise InputError(
@@ -185,40 +175,7 @@ def _make_frame(frame: SeenView, labels: np.ndarray) -> LabelledFrame:
         raise InputError(
             f"view {view.name!r}: depth is {depth.shape}, expected {view.image.shape[:2]}"
         )
-    return LabelledFrame(frame, labels, cv2.GaussianBlur(view.lab, (0, 0), 1.0))
-
-
-def _match(new: LabelledFrame, old: LabelledFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Match the pixels of ``new`` with those of ``old`` by forward-backward reprojection.
-
-    Returns
-    -------
-    place : int64 [H, W]
-        Index of the pixel in the flat old image; arbitrary where there is no match.
-    matched : bool [H, W]
-    """
-    forward, backward = _project(new, old), _project(old, new)
-    rows, columns = backward.shape[:2]
-    x, y = forward[..., 0], forward[..., 1]
-    inside = (x > -0.5) & (y > -0.5) & (x < columns - 0.5) & (y < rows - 0.5)
-    column, row = (np.rint(np.where(inside, axis, 0)).astype(np.int64) for axis in (x, y))
-    place = row * columns + column
-    y0, x0 = (axis.astype(np.float32) for axis in np.ogrid[: x.shape[0], : x.shape[1]])
-    x1, y1 = (axis[place] for axis in backward.reshape(-1, 2).T)
-    error = np.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2)
-    return place, inside & (error <= AGREE_PIXELS)
-
-
-def _project(source: LabelledFrame, target: LabelledFrame) -> np.ndarray:
-    """Project the pixels of a frame into another one, float64 [H, W, 2]; NaN where unknown.
-
-    Columns and rows are integers at pixel centres.
-    """
-    depth = source.frame.require_depth()
-    points = source.frame.view.camera.unproject(depth)
-    pixels, z = target.frame.view.camera.project(points)
-    pixels[(depth <= 0) | (z <= 0)] = np.nan
-    return pixels - 0.5
+    return LabelledFrame(frame, labels)
 
 
 def _gradient(lab: np.ndarray) -> np.ndarray:

@@ -16,7 +16,9 @@ STRIDE = 3
 COARSE = 4
 """Spacing of the coarser lattice, in points of the finer one, that measures overlap."""
 AGREE_PIXELS = 4.0
-"""Largest forward-backward reprojection error, pixels; as in the geometric tracker."""
+"""Largest forward-backward reprojection error of corresponding pixels. Occluded pixels have much
+larger errors, errors of depth smaller ones, the more so where the parallax is small. With 2 and
+with 8, the geometric tracker matches fewer objects or pixels."""
 LOOK = 25.0
 """Largest CIELAB distance of corresponding pixels, after compensation of exposure."""
 
@@ -32,6 +34,16 @@ class SurfacePoints:
     """
 
     frame: SeenView
+
+    @cached_property
+    def lab(self) -> np.ndarray:
+        """CIELAB float32 [H, W, 3] by which colours are compared."""
+        return self.frame.view.lab
+
+    @cached_property
+    def all_pixels(self) -> np.ndarray:
+        """Indices in the flat image of all pixels with depth, int64."""
+        return _lattice(self.frame.require_depth(), 1)
 
     @cached_property
     def pixels(self) -> np.ndarray:
@@ -60,8 +72,8 @@ def _lattice(depth: np.ndarray, stride: int) -> np.ndarray:
 def met(a: SurfacePoints, b: SurfacePoints, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the pixels of view ``b`` that correspond to ``pixels`` int64 [L] of view ``a``.
 
-    The pixel that a point projects to must project back by the depth of ``b`` and have a similar
-    colour. Occluded surfaces fail the first test, surfaces of another place the second.
+    They must be those of :func:`reproject`, which occluded surfaces fail, and have a similar
+    colour, which surfaces of another place have not.
 
     Returns
     -------
@@ -69,6 +81,21 @@ def met(a: SurfacePoints, b: SurfacePoints, pixels: np.ndarray) -> tuple[np.ndar
         Indices of the matched elements of ``pixels``.
     place : int64 [M]
         Their pixels as indices in the flat image of ``b``.
+    """
+    which, place = reproject(a, b, pixels)
+    gap = a.lab.reshape(-1, 3)[pixels[which]] - b.lab.reshape(-1, 3)[place]
+    if len(which):
+        gap -= np.median(gap, 0)  # compensates exposure and white balance
+    similar = np.linalg.norm(gap, axis=1) < LOOK
+    return which[similar], place[similar]
+
+
+def reproject(
+    a: SurfacePoints, b: SurfacePoints, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the pixels of ``b`` that points of ``a`` project to and that project back by depth.
+
+    Arguments and results are those of :func:`met`.
     """
     height, width = b.frame.image.shape[:2]
     landed, z = b.frame.view.camera.project(a.lifted(pixels))
@@ -80,18 +107,9 @@ def met(a: SurfacePoints, b: SurfacePoints, pixels: np.ndarray) -> tuple[np.ndar
     row, column = np.divmod(pixels[which], a.frame.image.shape[1])
     error = np.hypot(back[:, 0] - column - 0.5, back[:, 1] - row - 0.5)
     same = (b.frame.require_depth().ravel()[place] > 0) & (z > 0) & (error <= AGREE_PIXELS)
-    which, place = which[same], place[same]
-    gap = _lab(a, pixels[which]) - _lab(b, place)
-    if len(which):
-        gap -= np.median(gap, 0)  # compensates exposure and white balance
-    similar = np.linalg.norm(gap, axis=1) < LOOK
-    return which[similar], place[similar]
+    return which[same], place[same]
 
 
 def overlap(a: SurfacePoints, b: SurfacePoints) -> float:
     """Estimate the share of the surface in view ``a`` that is visible in ``b``."""
     return len(met(a, b, a.coarse_pixels)[0]) / max(len(a.coarse_pixels), 1)
-
-
-def _lab(points: SurfacePoints, pixels: np.ndarray) -> np.ndarray:
-    return points.frame.view.lab.reshape(-1, 3)[pixels]

@@ -172,7 +172,7 @@ def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, ca
     for out, files in (("out", places), ("again", moved)):
         field = SemanticField.load(tmp_path / out / "fields" / "room")
         assert field.places == {"model": str(files["clip"].resolve())}
-        assert field.describe(["red ball"])
+        assert field.best_words(["red ball"])
     for name, values, before, stage in (
         ("clip", {"crops": "context"}, "masks", "supervision"),
         ("sam", {"points": 2}, "geometry", "masks"),

@@ -26,7 +26,7 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank, build_bank
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.query import ask, describe
+from slgaussian.language.query import ask
 from slgaussian.language.reader import BankReader
 from slgaussian.language.relevancy import relevancy
 from slgaussian.language.rules import Rules
@@ -190,18 +190,6 @@ def test_the_peak_is_every_object_that_ties_for_the_best(lexicon):
     np.testing.assert_array_equal(one.peak, ids == 2)
 
 
-def test_what_is_in_the_scene(scene, lexicon):
-    ids, bank = scene
-    texts = ["blue ball", "red box", "red ball", "green striped box"]
-    found = describe(texts, BankReader(bank, lexicon), Rules())
-    assert [one.id for one in found] == [1, 2, 3, 4, 5]
-    assert [one.text for one in found] == [texts[k] for k in (2, 1, 0, 2, 3)]
-    for one in found:
-        assert one.views == (0,)
-        scores = dict(find(one.text, ids, bank, lexicon, threshold=0.01).objects)
-        assert one.relevancy == scores[one.id]
-
-
 def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
     """In quarters it looks like no ball, and cones beside it are no better."""
     image, whole = photograph(
@@ -219,10 +207,6 @@ def test_pieces_of_a_ball_are_found_as_the_ball_they_are_part_of(lexicon):
     assert whole[hit.point[1], hit.point[0]] == 1
     answers = segment(["box", "ball", "cone"], ids, bank, lexicon)
     np.testing.assert_array_equal(answers[whole > 0], np.array([0, 2, 3, 1])[whole[whole > 0]])
-    assert {d.text for d in describe(["ball", "cone"], BankReader(bank, lexicon), Rules())} == {
-        "ball",
-        "cone",
-    }
     alone = find("blue ball", ids, replace(bank, levels=None, group_features=None), lexicon)
     assert (alone.mask != (whole == 1)).any()
 
