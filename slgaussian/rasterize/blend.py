@@ -32,7 +32,7 @@ from slgaussian.rasterize.tiles import (
 )
 
 PATIENCE = 8
-"""Splats composited between two tests whether a block is finished."""
+"""Splats composited between two tests whether all pixels of a block are opaque."""
 
 
 def draw(
@@ -52,21 +52,21 @@ def draw(
 
     Parameters
     ----------
-    splats, boxes : as :func:`slgaussian.rasterize.project.project` gives them
+    splats, boxes : as :func:`slgaussian.rasterize.project.project` returns them
     values : float32 [N, C]
     bins : Bins
     alpha_max, pass_min : float32
         See :class:`slgaussian.rasterize.render_settings.Settings`.
     labels : int32 [N], from 0
     most_label : int
-        The greatest of them, or -1 to find none.
+        The largest of them, or -1 to skip the search for labels.
 
     Returns
     -------
     image : float32 [H, W, C]
     alpha : float32 [H, W]
     depth : float32 [H, W]
-        Mean z; 0 where alpha is.
+        Mean z; 0 where alpha is 0.
     median : float32 [H, W], or [0, 0] without ``with_median``
     label : int32 [H, W], or [0, 0] without ``labels``
     label_weights : float32 [H, W, 3], or [0, 0, 3]
@@ -99,9 +99,9 @@ def _draw(
     capacity = fullest(bins)
     work = make_workspace(capacity, channels - 1)
     sums = np.empty((channels + 3) * LANES, np.float32)
-    solids, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-    places = np.full(most_label + 1, -1, np.int32)
-    heard = np.empty(most_label + 1, np.int32)
+    alphas, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    slots = np.full(most_label + 1, -1, np.int32)
+    label_at = np.empty(most_label + 1, np.int32)
     votes = np.empty((most_label + 1) * LANES, np.float32)
     elected = np.empty(4 * LANES, np.float32)
     while strip * STRIP < tiles:
@@ -111,23 +111,23 @@ def _draw(
                 x0, y0 = corner_of(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
-                used, _, solid = weigh_block(block, work, alpha_max, pass_min)
-                vstore(solids, 0, solid)
+                used, _, block_alphas = blend_weights(block, work, alpha_max, pass_min)
+                vstore(alphas, 0, block_alphas)
                 _sum_block(block, used, channels, work, sums)
                 if with_median:
                     vstore(middles, 0, _median_block(block, used, channels, work))
                 if with_labels:
                     entries = bins.entries[bins.starts[tile] :]
-                    _elect(block, used, work, entries, labels, places, heard, votes, elected)
+                    _elect(block, used, work, entries, labels, slots, label_at, votes, elected)
                 for y in range(y0, min(y0 + BLOCK, height)):
                     for x in range(x0, min(x0 + BLOCK, width)):
                         lane = (y - y0) * BLOCK + x - x0
                         for c in range(channels - 1):
                             image[y, x, c] = sums[c * LANES + lane]
-                        # Rounded, a sum of weights may pass 1.
-                        alpha[y, x] = min(solids[lane], np.float32(1))
-                        if solids[lane] > 0:
-                            depth[y, x] = sums[(channels - 1) * LANES + lane] / solids[lane]
+                        # Rounding may take a sum of weights above 1.
+                        alpha[y, x] = min(alphas[lane], np.float32(1))
+                        if alphas[lane] > 0:
+                            depth[y, x] = sums[(channels - 1) * LANES + lane] / alphas[lane]
                         if with_median:
                             median[y, x] = middles[lane]
                         if with_labels:
@@ -153,7 +153,7 @@ def draw_backward(
     The weights are recomputed; then each block is processed back to front. With R the composite of
     everything behind a splat, ``dL/dalpha = T (f - R)``, where T is the transmittance before the
     splat and f its values, all times the upstream gradient. T is the transmittance after the splat
-    plus its weight: without a division, opaque splats are no special case.
+    plus its weight, which avoids dividing by 1 - alpha, so opaque splats need no special case.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ def _draw_backward(
                 x0, y0 = corner_of(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
-                used, light, _ = weigh_block(block, work, alpha_max, pass_min)
+                used, transmittance, _ = blend_weights(block, work, alpha_max, pass_min)
                 upstream[:] = 0
                 for y in range(y0, min(y0 + BLOCK, height)):
                     for x in range(x0, min(x0 + BLOCK, width)):
@@ -208,21 +208,23 @@ def _draw_backward(
                         for c in range(channels - 1):
                             upstream[c * LANES + lane] = d_image[y, x, c]
                         upstream[(channels - 1) * LANES + lane] = d_z[y, x]
-                        # What is behind everything counts for the alpha that it does not have.
+                        # The background has alpha 0: it is composited with gradient -d_alpha.
                         upstream[channels * LANES + lane] = -d_alpha[y, x]
-                _block_backward(block, used, channels, work, upstream, light, alpha_max, totals)
+                _block_backward(
+                    block, used, channels, work, upstream, transmittance, alpha_max, totals
+                )
             for k in range(n):
                 i = bins.entries[start + k]
                 x0, x1, y0, _ = tile_range(boxes[i])
-                place = firsts[i] + (tile // bins.across - y0) * (x1 - x0)
-                place += tile % bins.across - x0
+                row = firsts[i] + (tile // bins.across - y0) * (x1 - x0)
+                row += tile % bins.across - x0
                 for m in range(sums):
-                    grads[place, m] = vsum(vload(totals, (k * sums + m) * LANES))
+                    grads[row, m] = vsum(vload(totals, (k * sums + m) * LANES))
         strip = take(counter)
 
 
 @kernel(inline="always")
-def weigh_block(block, work, alpha_max, pass_min):
+def blend_weights(block, work, alpha_max, pass_min):
     """Write the weights of one block of a loaded tile, a vector for each splat of its list.
 
     Returns the number of processed splats, the remaining transmittance, and the sum of the weights,
@@ -231,23 +233,23 @@ def weigh_block(block, work, alpha_max, pass_min):
     first = block * len(work.keys)
     left, top = _corner(block)
     zero = vzero()
-    solid, light = zero, zero + np.float32(1)
+    accumulated, transmittance = zero, zero + np.float32(1)
     finished = max(pass_min, np.float32(1e-30))
     j, count = 0, work.counts[block]
-    while j < count and vany(light >= finished):
+    while j < count and vany(transmittance >= finished):
         for now in range(j, min(j + PATIENCE, count)):
             local = work.local[np.uint32(work.lists[first + now])]
             e, d = _offsets(left, top, local)
             power = local[LOCAL_POWER] - e * e - d * d
             alpha = vexp2(power)
             alpha = vwhere(alpha < alpha_max, alpha, alpha_max)
-            drawn = (power >= local[LOCAL_CUT]) & (light >= finished)
-            weight = vwhere(drawn, alpha * light, np.float32(0))
+            drawn = (power >= local[LOCAL_CUT]) & (transmittance >= finished)
+            weight = vwhere(drawn, alpha * transmittance, np.float32(0))
             vstore(work.weights, now * LANES, weight)
-            light = light - weight
-            solid = solid + weight
+            transmittance = transmittance - weight
+            accumulated = accumulated + weight
         j = min(j + PATIENCE, count)
-    return j, light, solid
+    return j, transmittance, accumulated
 
 
 @kernel(inline="always")
@@ -259,9 +261,8 @@ def _corner(block):
 
 @kernel(inline="always")
 def _offsets(left, top, local):
-    """How far pixels are right of where a splat crosses their row, and below its centre.
-
-    In units in which the Gaussian is ``2^-(e^2 + d^2)``.
+    """Return distances e and d of pixels: horizontal, from the splat's axis in their row, and
+    vertical, from its centre, in units in which the Gaussian is ``2^-(e^2 + d^2)``.
     """
     root, slant, row_root = local[LOCAL_ROOT], local[LOCAL_SLANT], local[LOCAL_ROW_ROOT]
     e = vload(ACROSS, 0) * root + (root * (left - local[LOCAL_X]) - slant * top)
@@ -296,22 +297,22 @@ def _median_block(block, used, channels, work):
     """Return the z of the splat at which transmittance reaches one half; 0 where it does not."""
     first = block * len(work.keys)
     median = vzero()
-    light = median + np.float32(1)
+    transmittance = median + np.float32(1)
     for j in range(used):
-        after = light - vload(work.weights, j * LANES)
+        after = transmittance - vload(work.weights, j * LANES)
         k = np.uint32(work.lists[first + j])
         z = work.carried[k * channels + channels - 1]
-        reached = (light > np.float32(0.5)) & (after <= np.float32(0.5))
+        reached = (transmittance > np.float32(0.5)) & (after <= np.float32(0.5))
         median = vwhere(reached, z, median)
-        light = after
+        transmittance = after
     return median
 
 
 @kernel(inline="always")
-def _elect(block, used, work, entries, labels, places, heard, votes, elected):
+def _elect(block, used, work, entries, labels, slots, label_at, votes, elected):
     """Find the label with the greatest sum of weights, that sum, the second, and the total.
 
-    Writes four vectors to ``elected``; ties go to the lowest label. ``places`` is -1 for every
+    Writes four vectors to ``elected``; ties go to the lowest label. ``slots`` is -1 for every
     label before and after the call.
     """
     first = block * len(work.keys)
@@ -322,20 +323,20 @@ def _elect(block, used, work, entries, labels, places, heard, votes, elected):
             continue
         weight = vload(work.weights, j * LANES)
         total = total + weight
-        place = places[label]
-        if place < 0:
-            place = places[label] = count
-            heard[count] = label
-            vstore(votes, place * LANES, weight)
+        slot = slots[label]
+        if slot < 0:
+            slot = slots[label] = count
+            label_at[count] = label
+            vstore(votes, slot * LANES, weight)
             count += 1
         else:
-            vstore(votes, place * LANES, vload(votes, place * LANES) + weight)
+            vstore(votes, slot * LANES, vload(votes, slot * LANES) + weight)
     best, second, winner = vzero(), vzero(), vzero()
-    for place in range(count):
-        vote, label = vload(votes, place * LANES), np.float32(heard[place])
-        places[heard[place]] = -1
+    for slot in range(count):
+        vote, label = vload(votes, slot * LANES), np.float32(label_at[slot])
+        slots[label_at[slot]] = -1
         above = vote > best
-        lower = (vote >= best) & (winner > label)  # where above, either will do
+        lower = (vote >= best) & (winner > label)  # where ``above`` holds, the value is not used
         second = vwhere(above, best, vwhere(vote > second, vote, second))
         best = vwhere(above, vote, best)
         winner = vwhere(above, label, vwhere(lower, label, winner))
@@ -346,10 +347,11 @@ def _elect(block, used, work, entries, labels, places, heard, votes, elected):
 
 
 @kernel
-def _block_backward(block, used, channels, work, upstream, light, alpha_max, totals):
+def _block_backward(block, used, channels, work, upstream, transmittance, alpha_max, totals):
     first = block * len(work.keys)
     sums = MOMENTS + channels
-    # A clamped alpha does not move with the splat. The weight over the light is alpha rounded.
+    # A clamped alpha has zero gradient. weight / transmittance is alpha only up to rounding,
+    # hence the tolerance.
     free = alpha_max * np.float32(1 - 1e-6) if alpha_max < 1 else np.float32(2)
     behind = vload(upstream, channels * LANES)
     left, top = _corner(block)
@@ -357,8 +359,8 @@ def _block_backward(block, used, channels, work, upstream, light, alpha_max, tot
     for j in range(used - 1, -1, -1):
         k = np.uint32(work.lists[first + j])
         weight = vload(work.weights, j * LANES)
-        light = light + weight
-        alpha = vwhere(weight > np.float32(0), weight / light, np.float32(0))
+        transmittance = transmittance + weight
+        alpha = vwhere(weight > np.float32(0), weight / transmittance, np.float32(0))
         value = zero
         at = k * channels
         to = (k * sums + MOMENTS) * LANES

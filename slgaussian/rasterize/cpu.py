@@ -93,11 +93,11 @@ class _Splatting(torch.autograd.Function):
         splats, boxes, bins, limits, eye = ctx.drawn
         # The mean depth is the composited z over alpha.
         d_z = np.divide(d_depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0)
-        d_solid = d_alpha.numpy() - d_z * depth
+        d_accumulated = d_alpha.numpy() - d_z * depth
         firsts = count_tiles(boxes)
         grads = draw_backward(
             splats, boxes, values, bins, firsts, limits,
-            np.ascontiguousarray(d_image.numpy()), d_solid, d_z,
+            np.ascontiguousarray(d_image.numpy()), d_accumulated, d_z,
         )  # fmt: skip
         gradients = project_backward(geometry, eye, splats, firsts, grads)
         return *(torch.from_numpy(array) for array in gradients), None, None, None, None, None

@@ -28,7 +28,7 @@ BANDS = tuple(slice(degree**2, (degree + 1) ** 2) for degree in range(MAX_DEGREE
 """Slices of the coefficients of each degree."""
 
 
-def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
+def evaluate_sh(directions: torch.Tensor, degree: int) -> torch.Tensor:
     """Evaluate the real spherical harmonics up to ``degree``.
 
     Parameters
@@ -73,7 +73,7 @@ def basis(directions: torch.Tensor, degree: int) -> torch.Tensor:
     return torch.stack(rows)
 
 
-def turned(R: np.ndarray) -> np.ndarray:
+def rotation_matrix(R: np.ndarray) -> np.ndarray:
     """Return the matrix float64 [16, 16] that rotates coefficients by the rotation ``R`` [3, 3].
 
     The Wigner matrices of degree 0 to 3 of the real basis: ``Y(R d) = D Y(d)`` for every direction.
@@ -81,7 +81,7 @@ def turned(R: np.ndarray) -> np.ndarray:
     to linear combinations of themselves.
     """
     directions, inverse = _sphere()
-    Y = basis(torch.from_numpy(R @ directions), MAX_DEGREE).numpy()
+    Y = evaluate_sh(torch.from_numpy(R @ directions), MAX_DEGREE).numpy()
     D = np.zeros((len(Y), len(Y)))
     for band in BANDS:
         D[band, band] = Y[band] @ inverse[:, band]
@@ -101,7 +101,7 @@ def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
     Returns
     -------
     float [N, 3]
-        In the dtype of ``sh``; 0 or more, and above 1 where the harmonics say so. A Gaussian right
+        In the dtype of ``sh``; 0 or more, possibly above 1. A Gaussian right
         at the camera's centre is seen from no direction: it has its degree-0 colour, and a zero
         gradient in its mean.
 
@@ -119,7 +119,7 @@ def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
     if count == 1:
         return (gaussians.sh[:, 0] * SH_C0 + 0.5).clamp(min=0)
     directions = _directions(gaussians.means, camera).to(gaussians.sh.dtype)
-    harmonics = basis(directions, math.isqrt(count) - 1)
+    harmonics = evaluate_sh(directions, math.isqrt(count) - 1)
     return (torch.einsum("kn,nkc->nc", harmonics, gaussians.sh) + 0.5).clamp(min=0)
 
 
@@ -138,5 +138,5 @@ def _sphere() -> tuple[np.ndarray, np.ndarray]:
     """Return random directions [3, N] and the pseudo-inverse [N, 16] of their basis."""
     directions = np.random.default_rng(0).standard_normal((3, 64))
     directions /= np.linalg.norm(directions, axis=0)
-    Y = basis(torch.from_numpy(directions), MAX_DEGREE).numpy()
+    Y = evaluate_sh(torch.from_numpy(directions), MAX_DEGREE).numpy()
     return directions, np.concatenate([np.linalg.pinv(Y[band]) for band in BANDS], 1)

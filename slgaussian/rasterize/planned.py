@@ -18,7 +18,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, vany, vload, vload_half, vstore, vstore_half, vsum, vzero
 from slgaussian.kernels.work_sharing import share, take
-from slgaussian.rasterize.blend import weigh_block
+from slgaussian.rasterize.blend import blend_weights
 from slgaussian.rasterize.cpu import to_kernel_arrays
 from slgaussian.rasterize.picture import GEOMETRY, checked
 from slgaussian.rasterize.project import SHARE, eye_of
@@ -114,16 +114,23 @@ def plan(gaussians: Gaussians, camera: Camera, settings: Settings | str = "fast"
     scene = splats, boxes, nothing.numpy(), bins, *limits
     strips = strips_of(bins)
     share(
-        _weigh, strips, *scene, alpha, counts, False, np.empty(0, np.int32), np.empty(0, np.uint16)
+        _list_weights,
+        strips,
+        *scene,
+        alpha,
+        counts,
+        False,
+        np.empty(0, np.int32),
+        np.empty(0, np.uint16),
     )
     starts = np.concatenate([[0], np.cumsum(counts[:-1])])
     members = np.empty(starts[-1], np.int32)
     weights = np.empty(starts[-1] * LANES, np.uint16)
-    share(_weigh, strips, *scene, alpha, starts, True, members, weights)
-    turned = _turn(starts, members, weights, len(gaussians))
+    share(_list_weights, strips, *scene, alpha, starts, True, members, weights)
+    transposed = _transpose(starts, members, weights, len(gaussians))
     return SplatPlan(
         eye.height, eye.width, len(gaussians), torch.from_numpy(alpha), starts, members, weights,
-        turned[:2], turned[2],
+        transposed[:2], transposed[2],
     )  # fmt: skip
 
 
@@ -149,13 +156,13 @@ class _Product(torch.autograd.Function):
         padded = -(-channels // GROUP) * GROUP
         planes = np.zeros(rows * across * padded * LANES, np.float32)
         share(_lay_out, rows, np.ascontiguousarray(upstream.numpy()), planes)
-        share(_multiply_turned, -(-plan.count // SHARE), *plan.by_gaussian,
+        share(_multiply_transposed, -(-plan.count // SHARE), *plan.by_gaussian,
               plan.weights_by_gaussian, planes, grads)  # fmt: skip
         return torch.from_numpy(grads), None
 
 
 @kernel
-def _weigh(
+def _list_weights(
     counter,
     splats,
     boxes,
@@ -177,7 +184,7 @@ def _weigh(
         return
     capacity = fullest(bins)
     work = make_workspace(capacity, 0)
-    solids = np.empty(LANES, np.float32)
+    alphas = np.empty(LANES, np.float32)
     while strip * STRIP < tiles:
         for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
@@ -185,30 +192,30 @@ def _weigh(
                 x0, y0 = corner_of(block, left, top)
                 if x0 >= width or y0 >= height:
                     continue
-                used, _, solid = weigh_block(block, work, alpha_max, pass_min)
-                vstore(solids, 0, solid)
+                used, _, block_alphas = blend_weights(block, work, alpha_max, pass_min)
+                vstore(alphas, 0, block_alphas)
                 for y in range(y0, min(y0 + BLOCK, height)):
                     for x in range(x0, min(x0 + BLOCK, width)):
                         lane = (y - y0) * BLOCK + x - x0
-                        alpha[y, x] = min(solids[lane], np.float32(1))
-                place = y0 // BLOCK * across + x0 // BLOCK
+                        alpha[y, x] = min(alphas[lane], np.float32(1))
+                block_index = y0 // BLOCK * across + x0 // BLOCK
                 written = 0
                 for j in range(used):
                     weight = vload(work.weights, j * LANES)
                     if vany(weight > np.float32(WEIGHT_MIN)):
                         if write:
                             k = work.lists[block * capacity + j]
-                            entry = starts[place] + written
+                            entry = starts[block_index] + written
                             members[entry] = bins.entries[bins.starts[tile] + k]
                             vstore_half(weights, entry * LANES, weight)
                         written += 1
                 if not write:
-                    starts[place] = written
+                    starts[block_index] = written
         strip = take(counter)
 
 
 @kernel
-def _turn(starts, members, weights, count):
+def _transpose(starts, members, weights, count):
     """Transpose the entries to Gaussian-major order; return starts, blocks and weights."""
     begins = np.zeros(count + 1, np.int64)
     for member in members:
@@ -216,14 +223,14 @@ def _turn(starts, members, weights, count):
     begins = np.cumsum(begins)
     cursor = begins[:-1].copy()
     blocks = np.empty(len(members), np.int32)
-    turned = np.empty(len(weights), np.uint16)
+    transposed = np.empty(len(weights), np.uint16)
     for block in range(len(starts) - 1):
         for entry in range(starts[block], starts[block + 1]):
             place = cursor[members[entry]]
             cursor[members[entry]] += 1
             blocks[place] = block
-            vstore(turned, place * LANES, vload(weights, entry * LANES))
-    return begins, blocks, turned
+            vstore(transposed, place * LANES, vload(weights, entry * LANES))
+    return begins, blocks, transposed
 
 
 @kernel
@@ -275,8 +282,8 @@ def _multiply(counter, starts, members, weights, values, image):
 
 
 @kernel
-def _multiply_turned(counter, begins, blocks, weights, planes, grads):
-    """Write the sums of ``planes``, as :func:`_lay_out` has them, for each Gaussian."""
+def _multiply_transposed(counter, begins, blocks, weights, planes, grads):
+    """Write the sums of ``planes``, in the order of :func:`_lay_out`, for each Gaussian."""
     n, channels = grads.shape
     padded = -(-channels // GROUP) * GROUP
     start = take(counter) * SHARE

@@ -8,7 +8,7 @@ from scipy.special import sph_harm_y
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize.harmonics import BANDS, basis, colors, turned
+from slgaussian.rasterize.harmonics import BANDS, colors, evaluate_sh, rotation_matrix
 from slgaussian.scene import Camera
 from tests.rasterize.hard_cases import camera as pinhole
 
@@ -57,7 +57,7 @@ def test_the_basis_is_that_of_scipy_with_the_condon_shortley_phase():
     x, y, z = d.T
     expected = scipy_basis(np.arccos(z), np.arctan2(y, x), 3, phase=True)
     # Measured 8e-16, most of it from arccos and arctan2.
-    np.testing.assert_allclose(basis(torch.from_numpy(d.T), 3).T, expected, atol=1e-14)
+    np.testing.assert_allclose(evaluate_sh(torch.from_numpy(d.T), 3).T, expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("count", [1, 4, 9, 16])
@@ -75,10 +75,10 @@ def test_colours_are_half_plus_the_harmonics_of_the_way_from_the_camera(count):
 def test_turned_harmonics_are_those_of_turned_directions():
     d = torch.from_numpy(directions().T.copy())
     for R in Rotation.random(5, random_state=0).as_matrix():
-        D = turned(R)
+        D = rotation_matrix(R)
         # Measured 9e-16 and 3e-15, from the pseudo-inverse.
         np.testing.assert_allclose(
-            D @ basis(d, 3).numpy(), basis(torch.tensor(R) @ d, 3), atol=1e-14
+            D @ evaluate_sh(d, 3).numpy(), evaluate_sh(torch.tensor(R) @ d, 3), atol=1e-14
         )
         np.testing.assert_allclose(D @ D.T, np.eye(16), atol=1e-14)
         for band in BANDS:

@@ -116,7 +116,7 @@ def harmonics_to_world(R: np.ndarray) -> np.ndarray:
     e3nn's basis ``E`` is evaluated after the half turn ``H``. With ``E(d) = Y(C H d)``, where ``Y``
     is the basis of :mod:`slgaussian.rasterize.harmonics` and ``C`` the cycle of axes, this equals
     ``Y(d) . T m c``, where ``T`` is the rotation ``H R H C^-1``."""
-    turn = harmonics.turned(HALF_TURN @ R @ HALF_TURN @ CYCLE.T)
+    turn = harmonics.rotation_matrix(HALF_TURN @ R @ HALF_TURN @ CYCLE.T)
     for degree, band in enumerate(harmonics.BANDS):
         turn[:, band] *= damping(degree)
     return turn

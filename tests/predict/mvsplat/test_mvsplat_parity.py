@@ -83,7 +83,7 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     raw = torch.full((count, 84), torch.nan)
     raw[:, depth.kept] = message.raw.reshape(count, -1)
     # And ours are coefficients of another basis.
-    cycled = torch.from_numpy(harmonics.turned(adapter.CYCLE)).float()
+    cycled = torch.from_numpy(harmonics.rotation_matrix(adapter.CYCLE)).float()
     sh = torch.full((count, 3, 25), torch.nan)
     sh[..., :16] = gaussians.sh.mT @ cycled.T
     observed |= {
