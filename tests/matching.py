@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from slgaussian.cameras.matches import RATIO, match, sift
+from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 
 
 def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -14,5 +14,5 @@ def sift_matches(ref: np.ndarray, src: np.ndarray) -> tuple[np.ndarray, np.ndarr
         Pixels in each image, pixel centres at +0.5.
     """
     features = sift(ref), sift(src)
-    i, j, _ = match(*features, RATIO)
+    i, j, _ = match(*features, LOWE_RATIO)
     return features[0].points[i], features[1].points[j]

@@ -1,4 +1,4 @@
-"""Cameras: whether given ones fit their photographs, and viewpoints between and around them."""
+"""Cameras: check them against photographs, estimate them, interpolate between them."""
 
 from slgaussian.cameras.paths import between, orbit
 

@@ -1,10 +1,10 @@
-"""Robust bundle adjustment: cameras and points moved until the points land where they were seen.
+"""Robust bundle adjustment: minimise the reprojection error over cameras and points.
 
 Levenberg-Marquardt on the Schur complement over the points (Triggs et al. 1999, "Bundle adjustment:
-a modern synthesis"), in float64. Points move on the unit sphere of homogeneous coordinates, so that
-those near infinity behave as well as any other. An observation is a sample of a two-dimensional
-Cauchy distribution: gross outliers count for almost nothing, and priors weigh against it as they
-should.
+a modern synthesis"), in float64. Points move on the unit sphere of homogeneous coordinates, which
+keeps points near infinity well conditioned. Observation errors follow a two-dimensional Cauchy
+distribution: gross outliers have almost no weight, and the cost is a posterior in which priors have
+their proper weight.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ _LOCAL = 8
 """Parameters of a camera that one observation depends on: rotation, t, log focal length, k1."""
 
 _CHUNK = 1 << 21
-"""Numbers of the dense blocks between points and cameras that are held at once."""
+"""Largest number of elements of the dense point-camera blocks in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """Prior of camera poses; it fixes the frame and the scale.
+    """Prior of camera poses, which fixes the world frame and the scale.
 
     Attributes
     ----------
     R, centers : float64 [V, 3, 3], [V, 3]
-        World to camera, and where each stands.
+        World-to-camera rotations and camera centres.
     turn : float
         Standard deviation of each rotation about each axis, radians.
     move : float64 [V]
@@ -47,13 +47,13 @@ class PosePrior:
     __repr__ = short_repr
 
     def pull(self, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return distances of poses in standard deviations [V, 6], and derivatives [V, 6, 6]."""
+        """Return residuals of poses in standard deviations [V, 6], and derivatives [V, 6, 6]."""
         back = R.transpose(0, 2, 1)
         turned = Rotation.from_matrix(R @ self.R.transpose(0, 2, 1)).as_rotvec()
         moved = -(back @ t[:, :, None])[..., 0] - self.centers
         slopes = np.zeros((len(R), 6, 6))
         slopes[:, :3, :3] = np.eye(3) / self.turn
-        # The rotation turns the world about the camera's origin, and t goes with it.
+        # The update rotates the world about the camera centre, so t changes with the rotation.
         slopes[:, 3:, :3] = -back @ _cross_matrices(t) / self.move[:, None, None]
         slopes[:, 3:, 3:] = -back / self.move[:, None, None]
         return np.concatenate([turned / self.turn, moved / self.move[:, None]], 1), slopes
@@ -61,31 +61,31 @@ class PosePrior:
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """Cameras, points and where the points were seen.
+    """Cameras, points and observations of the points.
 
-    Without a prior of the poses the world is the first camera: its pose is the identity.
+    Without a pose prior the world is the frame of the first camera: its pose is the identity.
 
     Attributes
     ----------
     R, t : float64 [V, 3, 3], [V, 3]
-        World to camera, OpenCV axes. Without a prior of the poses ``t[1]`` keeps its length, which
+        World to camera, OpenCV axes. Without a pose prior the length of ``t[1]`` is constant, which
         fixes the scale.
     centers : float64 [V, 2]
-        Principal points, pixels; kept.
+        Principal points, pixels; constant.
     group : int64 [V]
-        Which focal length and k1 each view has.
+        Index of the focal length and k1 of each view.
     focals, k1 : float64 [G]
         Pixels; first radial distortion (OpenCV's).
     points : float64 [N, 3]
     view, point : int64 [M]
-        Of each observation; no two of the same view and point.
+        View and point of each observation; each pair occurs at most once.
     xy : float64 [M, 2]
         Observed pixels.
     focal_prior, focal_sigma : float64 [G]
-        Normal prior of the logarithm of each focal length: its centre is given in pixels; a
-        standard deviation of 0 keeps the focal length, one of infinity leaves it free.
+        Normal prior of the logarithm of each focal length: its centre in pixels, and its standard
+        deviation; 0 fixes the focal length, infinity removes the prior.
     k1_sigma : float
-        Standard deviation of the prior of each k1, about 0; 0 keeps k1.
+        Standard deviation of the zero-mean prior of each k1; 0 fixes k1.
     poses : PosePrior, optional
     """
 
@@ -111,7 +111,7 @@ class Bundle:
         return _project(self, homogeneous(self.points)).residuals
 
     def depths(self) -> np.ndarray:
-        """Depth of each observed point in the camera that sees it: float64 [M]."""
+        """Return the depth of each observed point in the observing camera: float64 [M]."""
         world = self.points[self.point]
         return np.einsum("mj,mj->m", self.R[self.view, 2], world) + self.t[self.view, 2]
 
@@ -124,13 +124,13 @@ class Adjusted:
     ----------
     bundle : Bundle
     cost : float
-        Minus twice the logarithm of the posterior, less a constant.
+        Minus twice the log posterior, up to a constant.
     residuals : float64 [M, 2]
         Pixels.
     covariance : float64 [6 V + 2 G, 6 V + 2 G]
-        Of all cameras, given the noise that the residuals show: for each view a rotation (a vector
-        in camera axes, applied after ``R``) and ``t``, then the logarithm of each focal length,
-        then each k1. What was kept has none.
+        Covariance of all camera parameters, with the noise level of the residuals: for each view a
+        rotation vector (camera axes, applied after ``R``) and ``t``, then the logarithm of each
+        focal length, then each k1. Rows and columns of fixed parameters are 0.
     """
 
     bundle: Bundle
@@ -142,13 +142,13 @@ class Adjusted:
 
     @cached_property
     def focal_deviations(self) -> np.ndarray:
-        """Standard deviation of the logarithm of each focal length: float64 [G]."""
+        """Return the standard deviation of the logarithm of each focal length: float64 [G]."""
         start = 6 * len(self.bundle.R)
         return np.sqrt(np.diag(self.covariance)[start : start + len(self.bundle.focals)])
 
     def degrees(self, view: int) -> tuple[float, float]:
-        """Standard deviations of a view's rotation and direction of ``t``, degrees, along the worst
-        axis, against the first view."""
+        """Return the standard deviations of a view's rotation and direction of ``t`` relative to
+        the first view, degrees, along the least certain axis."""
         block = self.covariance[6 * view : 6 * view + 6, 6 * view : 6 * view + 6]
         t = self.bundle.t[view]
         length = max(float(np.linalg.norm(t)), 1e-12)
@@ -163,25 +163,25 @@ class Adjusted:
 def adjust(
     bundle: Bundle, scale: float = 1.0, iterations: int = 50, tolerance: float = 1e-9
 ) -> Adjusted:
-    """Move cameras and points to where the observations are most likely.
+    """Find the cameras and points of maximum posterior probability.
 
     Parameters
     ----------
     bundle : Bundle
-        The start; points that lie on a camera's own plane must have been dropped.
+        Initial values; no point may have depth 0 in a camera that observes it.
     scale : float
-        Of the Cauchy distribution of observations about their points, pixels: about 1.7 times the
-        standard deviation of good ones.
+        Scale of the Cauchy distribution of reprojection errors, pixels: about 1.7 times the
+        standard deviation of the inliers.
     iterations : int
-        Steps tried at most.
+        Largest number of steps.
     tolerance : float
-        Part of the cost by which a step must lower it to be followed by another.
+        Smallest relative decrease of the cost in a step after which the iteration continues.
 
     Notes
     -----
-    A point may pass infinity and then lies behind its cameras (:meth:`Bundle.depths`): one that is
-    far away, or all of them where the parallax drowns in noise, in which case the covariance is too
-    small.
+    A point may pass infinity and then lies behind its cameras (:meth:`Bundle.depths`). This happens
+    to distant points, and to all points if the parallax is below the noise; then the covariance is
+    too small.
     """
     order = np.argsort(bundle.point, kind="stable")
     bundle = replace(
@@ -196,15 +196,15 @@ def adjust(
     for _ in range(iterations):
         step, moved = _step(bundle, layout, normal, damping)
         trial, trial_q = _moved(bundle, q, step, moved)
-        trial_seen = _project(trial, trial_q)
-        trial_cost = _cost(trial, layout, trial_seen.residuals, scale)
+        trial_projected = _project(trial, trial_q)
+        trial_cost = _cost(trial, layout, trial_projected.residuals, scale)
         if not trial_cost < cost:
             damping, growth = damping * growth, growth * 2
             if damping > 1e12:
                 break
             continue
         gain = cost - trial_cost
-        bundle, q, projected, cost = trial, trial_q, trial_seen, trial_cost
+        bundle, q, projected, cost = trial, trial_q, trial_projected, trial_cost
         normal = _normal(bundle, layout, q, projected, scale)
         damping, growth = max(damping / 5, 1e-12), 2.0
         if gain < tolerance * max(cost, 1e-300):
@@ -222,22 +222,22 @@ def adjust(
 
 
 def homogeneous(points: np.ndarray) -> np.ndarray:
-    """Unit homogeneous coordinates [N, 4] of points [N, 3]."""
+    """Return unit homogeneous coordinates [N, 4] of points [N, 3]."""
     q = np.concatenate([points, np.ones((len(points), 1))], 1)
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """Projected points of all observations, and what their derivatives are made of."""
+class _Projection:
+    """Projected points of all observations, with the intermediate values for derivatives."""
 
-    turned: np.ndarray  # [M, 3] rotated, not yet moved
+    turned: np.ndarray  # [M, 3] rotated, not translated
     inverse_depth: np.ndarray  # [M]
     uv: np.ndarray  # [M, 2] on the plane at depth 1
     residuals: np.ndarray  # [M, 2] pixels
 
 
-def _project(bundle: Bundle, q: np.ndarray) -> _Seen:
+def _project(bundle: Bundle, q: np.ndarray) -> _Projection:
     at = q[bundle.point]
     turned = (bundle.R[bundle.view] @ at[:, :3, None])[..., 0]
     X = turned + at[:, 3:] * bundle.t[bundle.view]
@@ -247,21 +247,23 @@ def _project(bundle: Bundle, q: np.ndarray) -> _Seen:
     lens = bundle.group[bundle.view]
     stretch = bundle.focals[lens] * (1 + bundle.k1[lens] * (uv**2).sum(1))
     residuals = uv * stretch[:, None] + bundle.centers[bundle.view] - bundle.xy
-    return _Seen(turned, inverse_depth, uv, residuals)
+    return _Projection(turned, inverse_depth, uv, residuals)
 
 
 def _tangents(q: np.ndarray) -> np.ndarray:
-    """Three orthogonal unit vectors [N, 4, 3] across each unit vector [N, 4].
+    """Return three orthonormal tangent vectors [N, 4, 3] at each unit vector [N, 4].
 
-    The products of a quaternion with i, j and k are across it, and across one another.
+    The products of a unit quaternion with i, j and k are orthogonal to it and to each other.
     """
     a, b, c, d = q.T
     rows = [[-b, -c, -d], [a, -d, c], [d, a, -b], [-c, b, a]]
     return np.array(rows).transpose(2, 0, 1)
 
 
-def _derivatives(bundle: Bundle, q: np.ndarray, projected: _Seen) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the residuals by the camera [M, 2, 8] and by the point [M, 2, 3]."""
+def _derivatives(
+    bundle: Bundle, q: np.ndarray, projected: _Projection
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return derivatives of the residuals by camera [M, 2, 8] and by point [M, 2, 3]."""
     lens = bundle.group[bundle.view]
     f, k1 = bundle.focals[lens], bundle.k1[lens]
     u, v = projected.uv.T
@@ -273,7 +275,7 @@ def _derivatives(bundle: Bundle, q: np.ndarray, projected: _Seen) -> tuple[np.nd
     by_X[:, :, 2] = -(by_X[:, :, :2] @ projected.uv[:, :, None])[..., 0]
     at = q[bundle.point]
     camera = np.empty((len(u), 2, _LOCAL))
-    # A small rotation w moves a point X by w x X, so a row r of by_X answers with X x r.
+    # A small rotation w moves a point X by w x X, so the derivative of r . X by w is X x r.
     camera[:, :, :3] = np.cross(projected.turned[:, None, :], by_X)
     camera[:, :, 3:6] = by_X * at[:, 3, None, None]
     camera[:, :, 6] = projected.uv * (f * (1 + k1 * r2))[:, None]
@@ -284,7 +286,7 @@ def _derivatives(bundle: Bundle, q: np.ndarray, projected: _Seen) -> tuple[np.nd
 
 
 def _cost(bundle: Bundle, layout: _Layout, residuals: np.ndarray, scale: float) -> float:
-    """Minus twice the logarithm of the posterior, less a constant."""
+    """Return minus twice the log posterior, up to a constant."""
     cost = 3 * np.log1p((residuals**2).sum(1) / scale**2).sum()
     cost += (layout.prior * _off_prior(bundle) ** 2).sum()
     if bundle.poses is not None:
@@ -293,24 +295,24 @@ def _cost(bundle: Bundle, layout: _Layout, residuals: np.ndarray, scale: float) 
 
 
 def _off_prior(bundle: Bundle) -> np.ndarray:
-    """Distance of log focals and k1 from the centres of their priors: float64 [2 G]."""
+    """Return the offsets of log focals and k1 from the prior means: float64 [2 G]."""
     return np.concatenate([np.log(bundle.focals / bundle.focal_prior), bundle.k1])
 
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Normal equations: blocks of cameras and points, and minus half the cost's gradient."""
+    """Normal equations: blocks of cameras and points, and minus half the gradient of the cost."""
 
     cameras: np.ndarray  # [P, P], without priors
     camera_side: np.ndarray  # [P], with priors
     points: np.ndarray  # [N, 3, 3]
     point_side: np.ndarray  # [N, 3]
-    between: np.ndarray  # [M, 3, 8] of each observation's point and camera
-    prior: np.ndarray  # [P, P] of the cameras
+    between: np.ndarray  # [M, 3, 8], point and camera of each observation
+    prior: np.ndarray  # [P, P], cameras
 
 
 def _normal(
-    bundle: Bundle, layout: _Layout, q: np.ndarray, projected: _Seen, scale: float
+    bundle: Bundle, layout: _Layout, q: np.ndarray, projected: _Projection, scale: float
 ) -> _Normal:
     camera, point = _derivatives(bundle, q, projected)
     weight = 3 / (scale**2 + (projected.residuals**2).sum(1))[:, None, None]
@@ -344,17 +346,17 @@ def _normal(
 
 @dataclass(frozen=True, eq=False)
 class _Layout:
-    """Indices of the parameters; the same in every step.
+    """Indices of the parameters, constant over the iterations.
 
     ``by_view``, ``by_point`` and ``by_lens`` [count, M] sum the rows of observations that share a
     view, a point, or a point and a lens.
     """
 
-    columns: np.ndarray  # [V, 8] of the parameters of each view among all
+    columns: np.ndarray  # [V, 8] indices of the parameters of each view
     by_view: csr_array
     by_point: csr_array
     by_lens: csr_array
-    prior: np.ndarray  # [2 G] weights of the priors of log focals and k1
+    prior: np.ndarray  # [2 G] prior weights of log focals and k1
     free: np.ndarray  # [2 G] bool
 
     @staticmethod
@@ -379,12 +381,12 @@ class _Layout:
 
 
 def _free(bundle: Bundle, layout: _Layout) -> np.ndarray:
-    """Orthogonal directions [P, F] in which the cameras may move: neither frame nor scale."""
+    """Return an orthonormal basis [P, F] of the camera parameters without frame and scale."""
     V = len(bundle.R)
     every = np.eye(6 * V + len(layout.free))
     if bundle.poses is not None:
         return every[:, np.concatenate([np.ones(6 * V, bool), layout.free])]
-    # t[1] moves across itself.
+    # t[1] moves orthogonally to itself.
     _, _, across = np.linalg.svd(bundle.t[1:2])
     second = every[:, 9:12] @ across[1:].T
     parts = [every[:, 6:9], second, every[:, 12 : 6 * V], every[:, 6 * V :][:, layout.free]]
@@ -394,7 +396,7 @@ def _free(bundle: Bundle, layout: _Layout) -> np.ndarray:
 def _reduced(
     bundle: Bundle, layout: _Layout, normal: _Normal, damping: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Schur complement [P, P] and right side [P] of the cameras, and inverse blocks of points."""
+    """Return the cameras' Schur complement [P, P] and right side [P], and inverse point blocks."""
     diagonal = np.einsum("nii->ni", normal.points)
     damped = normal.points.copy()
     floor = 1e-14 * diagonal.sum(1, keepdims=True) + 1e-300
@@ -417,12 +419,12 @@ def _reduced(
 def _wide(
     bundle: Bundle, layout: _Layout, between: np.ndarray, start: int, stop: int
 ) -> np.ndarray:
-    """Blocks [n, 3, P] of the points from ``start`` to ``stop`` with all cameras."""
+    """Return the blocks [n, 3, P] between points ``start`` to ``stop`` and all cameras."""
     V, G = len(bundle.R), len(bundle.focals)
     mine = slice(*np.searchsorted(bundle.point, (start, stop)))
     point, view = bundle.point[mine] - start, bundle.view[mine]
     W = np.zeros((stop - start, 3, 6 * V + 2 * G))
-    # Each view sees a point once, but several may share a lens, whose columns add up.
+    # A view observes a point once, but several views may share a lens, whose columns are summed.
     W[:, :, : 6 * V].reshape(stop - start, 3, V, 6)[point, :, view] = between[mine, :, :6]
     lens = layout.by_lens[start * G : stop * G] @ between[:, :, 6:].reshape(-1, 6)
     W[:, :, 6 * V :] = lens.reshape(-1, G, 3, 2).transpose(0, 2, 3, 1).reshape(-1, 3, 2 * G)
@@ -432,7 +434,7 @@ def _wide(
 def _step(
     bundle: Bundle, layout: _Layout, normal: _Normal, damping: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The damped step: of the cameras [P], and of the points [N, 3] along their tangents."""
+    """Return the damped step of the cameras [P] and of the points [N, 3] along their tangents."""
     S, side, inverse = _reduced(bundle, layout, normal, damping)
     S += normal.prior
     np.einsum("ii->i", S)[:] += damping * np.diag(normal.cameras + normal.prior)
@@ -448,7 +450,7 @@ def _step(
 
 
 def _unit(diagonal: np.ndarray) -> np.ndarray:
-    """Factors that bring a matrix with this diagonal to ones."""
+    """Return factors that scale a matrix with this diagonal to a unit diagonal."""
     return 1 / np.sqrt(np.maximum(diagonal, 1e-12 * max(float(diagonal.max()), 1e-100)))
 
 
@@ -460,7 +462,7 @@ def _moved(
     t = bundle.t + poses[:, 3:]
     if bundle.poses is None:
         t[1] *= np.linalg.norm(bundle.t[1]) / np.linalg.norm(t[1])
-    logs = np.clip(step[6 * V : 6 * V + G], -1, 1)  # no step may run away to an absurd lens
+    logs = np.clip(step[6 * V : 6 * V + G], -1, 1)  # bound the change of the lens in one step
     q = q + (_tangents(q) @ moved[..., None])[..., 0]
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     return replace(
@@ -473,7 +475,7 @@ def _moved(
 
 
 def _rotations(vectors: np.ndarray) -> np.ndarray:
-    """Rotations [V, 3, 3] about vectors [V, 3] by their length, radians (Rodrigues)."""
+    """Return rotation matrices [V, 3, 3] of rotation vectors [V, 3], radians (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     cross = _cross_matrices(vectors)
     return (
@@ -484,7 +486,7 @@ def _rotations(vectors: np.ndarray) -> np.ndarray:
 
 
 def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
-    """Matrices [V, 3, 3] that multiply as the cross product with vectors [V, 3] does."""
+    """Return the cross-product matrices [V, 3, 3] of vectors [V, 3]."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
@@ -493,10 +495,10 @@ def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
 def _covariance(
     bundle: Bundle, layout: _Layout, normal: _Normal, residuals: np.ndarray, scale: float
 ) -> np.ndarray:
-    """Covariance [P, P] of the cameras, with the noise that the residuals show.
+    """Compute the covariance [P, P] of the cameras, with the noise level of the residuals.
 
-    An M-estimator's (Huber 1981, ch. 7.6), whose residuals stand for as many observations as are
-    left when the points and cameras have taken theirs.
+    The covariance is that of an M-estimator (Huber 1981, ch. 7.6). Points and cameras reduce the
+    degrees of freedom of the residuals.
     """
     S, _, _ = _reduced(bundle, layout, normal, 0.0)
     free = _free(bundle, layout)
@@ -510,7 +512,7 @@ def _covariance(
     H += free.T @ normal.prior @ free
     norm = _unit(np.diag(H))
     values, vectors = np.linalg.eigh(H * norm[:, None] * norm)
-    # What no observation says anything of is very uncertain, not certain.
+    # Directions that no observation constrains get a large variance, not 0.
     inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
     free = free * norm
     return free @ inverse @ free.T

@@ -1,10 +1,9 @@
-"""Check given cameras by the feature matches of their photographs.
+"""Check given cameras against the feature matches of their photographs.
 
-A match says where two photographs show one point. Under the right cameras it lies near its epipolar
-line, and its point in front of both; under exchanged poses, other axes or another focal length most
-matches do not. Matches may also be false, on repeated patterns or where two photographs share
-nothing, so cameras are judged only by matches that agree with one another: on some fundamental
-matrix, whatever cameras it stands for.
+With correct cameras, a match lies near its epipolar line and its point in front of both cameras;
+with exchanged poses, other axes or another focal length most matches do not. Matches may also be
+wrong, on repeated patterns or where two photographs share nothing. Therefore cameras are judged
+only if enough matches are inliers of some fundamental matrix, whichever cameras it stands for.
 """
 
 from __future__ import annotations
@@ -24,49 +23,49 @@ COARSE = 0.01
 FINE = 0.002
 """Distances to the epipolar line, as fractions of the image diagonal, up to which cameras explain a
 match: 7 and 1.4 pixels at 416x576. Poses of phones and headsets are often off by half a degree,
-which :func:`slgaussian.predict.pose.refine` mends and the coarse one forgives; the fine one tells
-which of several cameras fit best."""
+which the coarse distance tolerates and :func:`slgaussian.predict.pose.refine` corrects. The fine
+distance compares several candidate cameras."""
 
-LEAST = 1.0
-"""Pixels of the fine distance at least: matches are no sharper in a small photograph."""
+MIN_FINE = 1.0
+"""Smallest fine distance, pixels: small photographs do not have more accurate matches."""
 
 MIN_AGREEING = 30
 MIN_AGREEMENT = 0.4
-"""Fewest matches, and least fraction of them, that must agree with one another for a judgement."""
+"""Smallest number and fraction of matches that must agree with each other to judge cameras."""
 
-BOUND = 0.35
-"""Cameras are refused if they explain less than this fraction of the matches that agree."""
+MIN_EXPLAINED = 0.35
+"""Cameras are refused if they explain less than this fraction of the agreeing matches."""
 
-FITS = 0.6
-BETTER = 2.0
-"""A correction is the cause if it explains finely the fraction ``FITS`` of the matches that agree
-as finely, and ``BETTER`` times as many as the cameras explain as they are. What both were chosen by
-is in `docs/measured/poses.md`."""
+MIN_CORRECTED = 0.6
+MIN_GAIN = 2.0
+"""A correction is reported if, within the fine distance, it explains at least ``MIN_CORRECTED`` of
+the agreeing matches and ``MIN_GAIN`` times as many as the uncorrected cameras. Both were chosen by
+the measurements in `docs/measured/poses.md`."""
 
 WIDE = 20.0
-"""Degrees between the two lines of sight to a thing above which depth suffers, as measured in
-`docs/measured/poses.md`."""
+"""Angle between the two lines of sight to a point, degrees, above which depth errors grow, as
+measured in `docs/measured/poses.md`."""
 
 TURNED = 30.0
-"""Degrees between the optical axes of two cameras above which depth suffers, as measured there."""
+"""Angle between two optical axes, degrees, above which depth errors grow (same measurement)."""
 
 OTHERWISE = (
     "`slgaussian field --refine` finds them anew from the photographs, --set trust_cameras=true "
     "goes on all the same"
 )
-"""What a user whose cameras are refused may do beside mending them."""
+"""Alternatives to correcting the cameras, for the message that refuses them."""
 
 Pair = tuple[Camera, Camera]
 
 
 @dataclass(frozen=True)
 class Correction:
-    """A usual mistake undone.
+    """Correction of a common mistake in camera data.
 
     Attributes
     ----------
     advice : str
-        Ends a sentence that begins with "they fit".
+        End of a sentence that begins with "they fit".
     apply : callable (Camera, Camera) -> (Camera, Camera)
     """
 
@@ -76,25 +75,25 @@ class Correction:
 
 @dataclass(frozen=True)
 class PairCheck:
-    """Agreement of the matches of two photographs with their cameras.
+    """Agreement of the matches of two photographs with the cameras.
 
     Attributes
     ----------
     views : (str, str)
     matches : int
     agreeing : int
-        Those that agree with one another.
+        Number of matches that agree with each other.
     coarse, fine : float
-        Shares of all matches that the cameras explain up to the distances in ``pixels``.
+        Fractions of all matches that the cameras explain within the distances ``pixels``.
     pixels : (float, float)
-        What :data:`COARSE` and :data:`FINE` are here.
+        Coarse and fine distance for this image size.
     angle : float
         Degrees between the two lines of sight, median of the explained matches; NaN without any.
     gain : float
-        Finely explained matches under the best correction that fits, over those as given; 0 if none
-        fits.
+        Ratio of the matches explained within the fine distance with the best correction to those
+        without; 0 if no correction fits.
     correction : str or None
-        What would make the cameras fit, if that is known.
+        Advice of the correction that makes the cameras fit, if there is one.
     """
 
     views: tuple[str, str]
@@ -109,26 +108,26 @@ class PairCheck:
 
     @property
     def judged(self) -> bool:
-        """Tell whether enough matches agree with one another to judge the cameras."""
+        """Tell whether enough matches agree with each other to judge the cameras."""
         return enough(self.matches, self.agreeing)
 
     @property
     def refuted(self) -> bool:
-        """Tell whether the cameras cannot be those of the photographs."""
-        too_few = self.coarse * self.matches < BOUND * self.agreeing
+        """Tell whether the matches contradict the cameras."""
+        too_few = self.coarse * self.matches < MIN_EXPLAINED * self.agreeing
         return self.judged and (too_few or self.correction is not None)
 
 
 def enough(matches: int, agreeing: int) -> bool:
-    """Tell whether enough matches agree with one another to judge cameras."""
+    """Tell whether enough matches agree with each other to judge cameras."""
     return agreeing >= max(MIN_AGREEING, MIN_AGREEMENT * matches)
 
 
 def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> None:
     """Raise InputError if the matches of a pair refute its cameras.
 
-    The message says what would mend them, if a usual mistake is the cause. Of those that nobody
-    gave (``estimated``) it says to take other photographs.
+    The message gives the correction if the cause is a common mistake. For ``estimated`` cameras it
+    advises to take other photographs.
     """
     bad = [check for check in checks if check.refuted]
     if bad:
@@ -137,18 +136,18 @@ def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> 
 
 
 def check_pairs(views: Sequence[View], graph: MatchGraph) -> list[PairCheck]:
-    """Check the cameras of the pairs of views that show the same things (:func:`telling`)."""
-    return telling(
+    """Check the cameras of the informative pairs of views (:func:`informative_pairs`)."""
+    return informative_pairs(
         {(i, j): check_pair(views[i], views[j], *graph.points(i, j)) for i, j in graph.matches}
     )
 
 
-def telling(checks: Mapping[tuple[int, int], PairCheck]) -> list[PairCheck]:
-    """Of the checks of pairs (i, j) those that tell of their views, in the order of the pairs.
+def informative_pairs(checks: Mapping[tuple[int, int], PairCheck]) -> list[PairCheck]:
+    """Select the checks of pairs (i, j) that connect all views, in the order of the pairs.
 
-    The pair of each view whose matches agree most, and what joins views to one scene: a maximum
-    spanning tree. Most views of a walk show nothing that most others show, and their matches are
-    false; no pair that cannot be judged joins views that have better ones.
+    They form a maximum spanning tree of the agreeing matches. Most pairs of views along a walk show
+    nothing in common, and their matches are wrong. A pair without enough agreement is used only to
+    connect a view that has no other edge in the tree so far.
     """
     piece = {view: view for pair in checks for view in pair}
     sizes = dict.fromkeys(piece, 1)
@@ -166,9 +165,9 @@ def telling(checks: Mapping[tuple[int, int], PairCheck]) -> list[PairCheck]:
 
 
 def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairCheck:
-    """Check what two cameras explain of the matches [M, 2] and [M, 2] of their photographs."""
+    """Check two cameras against the matches [M, 2] and [M, 2] of their photographs, pixels."""
     diagonal = float(np.hypot(*a.grey.shape))
-    coarse, fine = COARSE * diagonal, max(FINE * diagonal, LEAST)
+    coarse, fine = COARSE * diagonal, max(FINE * diagonal, MIN_FINE)
     pair = a.camera, b.camera
     agreeing, finely = (int(agree(at_a, at_b, far).sum()) for far in (coarse, fine))
     within_coarse, within_fine = (explained(*pair, at_a, at_b, far) for far in (coarse, fine))
@@ -191,9 +190,9 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
         explained(*correction.apply(*pair), at_a, at_b, fine).sum() for correction in CORRECTIONS
     ]
     best = int(np.argmax(counts))
-    if counts[best] >= max(FITS * finely, MIN_AGREEING / 2):
+    if counts[best] >= max(MIN_CORRECTED * finely, MIN_AGREEING / 2):
         gain = float(counts[best] / max(within_fine.sum(), 1))
-        advice = CORRECTIONS[best].advice if gain >= BETTER else None
+        advice = CORRECTIONS[best].advice if gain >= MIN_GAIN else None
         check = replace(check, gain=gain, correction=advice)
     return check
 
@@ -203,7 +202,7 @@ def explained(
 ) -> np.ndarray:
     """Find the matches [M, 2] and [M, 2] that two cameras explain: bool [M].
 
-    Those at most ``distance`` pixels (Sampson's) from their epipolar lines whose points lie in
+    A match is explained if its Sampson distance is below ``distance`` pixels and its point lies in
     front of both cameras.
     """
     relative = Relative.between(a, b)
@@ -219,20 +218,20 @@ def explained(
 def agree(at_a: np.ndarray, at_b: np.ndarray, distance: float) -> np.ndarray:
     """Find the matches [M, 2] and [M, 2] that agree on some epipolar geometry: bool [M].
 
-    Those at most ``distance`` pixels off the fundamental matrix that most of them fit (USAC,
-    Raguram et al. 2013, from a fixed seed).
+    They are the inliers, within ``distance`` pixels, of the fundamental matrix with most inliers
+    (USAC, Raguram et al. 2013, fixed seed).
     """
     if len(at_a) < 8:
         return np.zeros(len(at_a), bool)
     try:
         _, inliers = cv2.findFundamentalMat(at_a, at_b, cv2.USAC_ACCURATE, distance, 0.999, 2000)
-    except cv2.error:  # all of them on one line, for instance
+    except cv2.error:  # all points collinear, for instance
         inliers = None
     return np.zeros(len(at_a), bool) if inliers is None else inliers.ravel() > 0
 
 
 def angles(a: Camera, b: Camera, at_a: np.ndarray, at_b: np.ndarray) -> np.ndarray:
-    """Degrees [M] between the two rays of each match [M, 2] and [M, 2]."""
+    """Compute the angle [M], degrees, between the two rays of each match [M, 2] and [M, 2]."""
     rays = []
     for camera, pixels in ((a, at_a), (b, at_b)):
         local = np.concatenate([pixels, np.ones((len(pixels), 1))], 1) @ np.linalg.inv(camera.K).T
@@ -275,7 +274,7 @@ def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera, Came
 
 
 def _scaled(factor: float, centre: bool) -> Callable[[Camera, Camera], Pair]:
-    """Return the change of focal lengths, and of principal points if ``centre``, by a factor."""
+    """Return a function that scales focal lengths, and principal points if ``centre``."""
     scale = np.ones((3, 3))
     scale[:2, : 3 if centre else 2] = factor
     return lambda a, b: (replace(a, K=scale * a.K), replace(b, K=scale * b.K))
@@ -326,4 +325,4 @@ CORRECTIONS = (
         for factor in (1 / 4, 1 / 2, 2, 4)
     ),
 )
-"""The usual mistakes undone, one at a time."""
+"""Corrections of common mistakes, each tried alone."""

@@ -1,8 +1,7 @@
-"""Photographs that no depth can be found from, though they match: no step between them, or a plane.
+"""Degenerate pairs of photographs, which match but determine no depth: no baseline, or a plane.
 
-Two photographs taken from one place, and two of one flat thing, are related by a homography. If
-almost all matches obey one, positions are open, whatever an estimator makes of them: it is said
-which of the usual reasons it is.
+Two photographs taken from one place, or two of one plane, are related by a homography. If almost
+all matches fit a homography, the camera positions are undetermined, whatever an estimator returns.
 """
 
 from __future__ import annotations
@@ -13,26 +12,25 @@ import numpy as np
 from slgaussian.cameras.epipolar import FocalPrior
 
 FLAT = 0.92
-"""Matches on the homography, as a share of those that an essential matrix explains, from which on
-there is hardly anything else."""
+"""Ratio of homography inliers to essential-matrix inliers from which on a pair is degenerate."""
 
 NEAR = 2.0
-"""Pixels up to which a match obeys a homography."""
+"""Largest distance of an inlier of the homography, pixels."""
 
 STILL = 1.5
-"""Pixels, median, up to which matches have not moved, or have as a crop or a turn moves them."""
+"""Largest median distance, pixels, at which identity, crop or rotation explains the matches."""
 
 FOCALS = np.linspace(-3.4, 3.6, 15)
-"""Focal lengths that a turn is tried with, deviations of what is known of them."""
+"""Focal lengths with which a pure rotation is tried, in standard deviations of their prior."""
 
 
 def why_no_depth(
     x: np.ndarray, y: np.ndarray, prior: FocalPrior, explained: int
 ) -> tuple[np.ndarray, tuple[str, str] | None]:
-    """Find the matches [M, 2] and [M, 2], pixels from the middles, of one homography, bool [M].
+    """Find the homography inliers, bool [M], and the reason if the pair is degenerate.
 
-    And the reason why they hold no depth and what to do, two clauses; None if they hold some, of
-    which ``explained`` fit one relative pose.
+    Matches are [M, 2] and [M, 2], pixels from the principal points; ``explained`` is the number of
+    inliers of the relative pose. The reason is a pair of clauses: cause and advice; else None.
     """
     try:
         H, inliers = cv2.findHomography(x, y, cv2.USAC_ACCURATE, NEAR, None, 2000, 0.999)
@@ -56,7 +54,7 @@ def why_no_depth(
 
 
 def _off_crop(x: np.ndarray, y: np.ndarray) -> float:
-    """Median distance, pixels, of ``y`` from the best ``x`` scaled and shifted along the axes."""
+    """Compute the median distance, pixels, of ``y`` from ``x`` after the best scale and shift."""
     off = []
     for k in (0, 1):
         A = np.stack([x[:, k], np.ones(len(x))], 1)
@@ -66,7 +64,7 @@ def _off_crop(x: np.ndarray, y: np.ndarray) -> float:
 
 
 def _off_turn(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> float:
-    """Median distance, pixels, of ``y`` from ``x`` under the best rotation and focal lengths."""
+    """Compute the median distance, pixels, of ``y`` from ``x`` after the best rotation."""
     smallest = np.inf
     for moves in FOCALS if len(prior.directions) else np.zeros(1):
         fa, fb = np.exp(prior.mean + np.full(len(prior.directions), moves) @ prior.directions)

@@ -1,10 +1,10 @@
-"""The relative pose of two photographs from their matches, with focal lengths known or not.
+"""Relative pose of two photographs from their matches, with known or unknown focal lengths.
 
-PoseLib (Larsson, https://github.com/PoseLib/PoseLib) draws the starting points: a calibrated pose
-(five points, Nister 2004) at the usual focal lengths, and, of one lens, a pose with its focal
-length (six points, Kukelova et al. 2012). From each, pose and focal lengths together descend on the
-robust Sampson distance of all matches that lie in front of both cameras, plus what is usual of
-focal lengths; the best end wins, and the curvature there says how sure it is.
+PoseLib (Larsson, https://github.com/PoseLib/PoseLib) provides initial values: a calibrated pose
+(five points, Nister 2004) at typical focal lengths, and, for one lens, a pose with its focal length
+(six points, Kukelova et al. 2012). From each, pose and focal lengths are optimised together: the
+robust Sampson distance of all matches in front of both cameras, plus the prior of the focal
+lengths. The best optimum is returned; the curvature there gives its covariance.
 
 Image coordinates here are pixels from the principal point.
 """
@@ -21,21 +21,21 @@ import poselib
 from slgaussian.io import short_repr
 
 FAR = 6.0
-"""Pixels from its epipolar line from which on a match says nothing of a pose at all."""
+"""Distance to the epipolar line, pixels, from which on a match has no influence on the pose."""
 
 COUPLING = 3.0
-"""Matches err together, by the lens, the shutter and moving things: this many of them are worth one
-that errs by itself."""
+"""Errors of matches are correlated (lens, shutter, moving objects): this many matches count as one
+independent observation."""
 
 NOISE, FLOOR = 1.5, 0.2
-"""The scale of Cauchy's loss is so many times the median distance of the inliers, and the floor,
-pixels, is added in quadrature: what model and detector do not tell."""
+"""The scale of the Cauchy loss is ``NOISE`` times the median distance of the inliers; ``FLOOR``,
+pixels, is added in quadrature for errors of the model and the detector."""
 
 START = 0.6
-"""That scale at first."""
+"""Initial scale of the loss, pixels."""
 
 APART = np.array([(m - d / 2, m + d / 2) for m in (0.0, -1.5, 1.5) for d in (0.0, -1.5, 1.5)])
-"""Focal lengths of two lenses to start from, deviations from what is usual."""
+"""Initial focal lengths of two lenses, in standard deviations from the prior mean."""
 
 RANSAC = {
     "max_epipolar_error": 1.0, "success_prob": 0.999, "max_iterations": 1000,
@@ -44,18 +44,18 @@ RANSAC = {
 """Options of PoseLib's estimators; the error is in pixels."""
 
 ZOOMED = 6.0
-"""Two photographs that should share a focal length do not, if so much of the posterior's logarithm
-speaks for it: among pairs that do, at most 4 did."""
+"""Gain of the log posterior above which two photographs of one lens get separate focal lengths;
+pairs with one focal length gained at most 4."""
 
 FARTHEST = 4.0
-"""Deviations from what is usual up to which the focal length of a start is taken."""
+"""Largest deviation of an initial focal length from the prior mean, in standard deviations."""
 
 ROUGHLY, FINELY = 400, 5
-"""From every start the posterior of so many matches is descended; from so many of the best ends
-that of all."""
+"""Every start is optimised on the first ``ROUGHLY`` matches; the best ``FINELY`` results are
+optimised on all matches."""
 
 MOST = 1200
-"""Matches, the surest first, that are looked at; half as many for starting points."""
+"""Largest number of matches used, the most reliable first; half as many for initial values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,9 @@ class FocalPrior:
     mean : float64 [2]
         Logarithms of focal lengths in pixels.
     sigma : float64 [2]
-        Deviations of these; 0 where a focal length is given.
+        Standard deviations of these; 0 for a given focal length.
     shared : bool
-        Whether both are one lens: their logarithms keep their difference.
+        Whether both views have one lens: the difference of the logarithms is then constant.
     """
 
     mean: np.ndarray
@@ -78,7 +78,7 @@ class FocalPrior:
 
     @property
     def directions(self) -> np.ndarray:
-        """Directions in which the two logarithms may move, in deviations: float64 [F, 2]."""
+        """Return the free directions of the two logarithms, in deviations: float64 [F, 2]."""
         if self.shared:
             return np.full((int(self.sigma.max() > 0), 2), self.sigma.min())
         return np.diag(self.sigma)[self.sigma > 0]
@@ -88,9 +88,9 @@ class FocalPrior:
 class TwoViews:
     """Two cameras: ``X_b = R @ X_a + t``, t of length 1, focal lengths in pixels.
 
-    ``moves`` holds how many deviations of the prior the focal lengths are off its mean, ``cost``
-    the negative logarithm of the posterior, ``scale`` that of the loss, pixels, and ``covariance``
-    [5 + F, 5 + F] that of turn (radians), direction (radians, across t) and moves.
+    ``moves`` are the offsets of the focal lengths from the prior mean in standard deviations,
+    ``cost`` is the negative log posterior, ``scale`` the scale of the loss in pixels, and
+    ``covariance`` [5 + F, 5 + F] that of rotation (radians), direction of t (radians) and moves.
     """
 
     R: np.ndarray
@@ -104,17 +104,17 @@ class TwoViews:
     __repr__ = short_repr
 
     def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Sampson distances [M] in pixels of matches [M, 2] and [M, 2], signed."""
+        """Compute signed Sampson distances [M] in pixels of matches [M, 2] and [M, 2]."""
         numerator, a, b = _sampson(self.fundamental(), x, y)
         return numerator / np.sqrt((a**2).sum(1) + (b**2).sum(1))
 
     def fundamental(self) -> np.ndarray:
-        """F [3, 3] with ``(y, 1) @ F @ (x, 1) = 0``."""
+        """Return F [3, 3] with ``(y, 1) @ F @ (x, 1) = 0``."""
         fa, fb = self.focals
         return _cross_matrix(self.t) @ self.R / np.outer([fb, fb, 1], [fa, fa, 1])
 
     def fundamental_slopes(self, prior: FocalPrior) -> np.ndarray:
-        """Derivatives [5 + F, 3, 3] of :meth:`fundamental` by the steps of :meth:`moved`."""
+        """Return derivatives [5 + F, 3, 3] of :meth:`fundamental` by the steps of :meth:`moved`."""
         F = self.fundamental()
         fa, fb = self.focals
         pixels = np.outer([fb, fb, 1], [fa, fa, 1])
@@ -125,7 +125,7 @@ class TwoViews:
         return np.stack([*(slope / pixels for slope in (*turned, *shifted)), *zoomed])
 
     def depths(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """z-depths [2, M] of matches in either camera, baselines; not positive behind one."""
+        """Compute z-depths [2, M] of matches in both cameras, in baselines; <= 0 if behind."""
         a = _homogeneous(x / self.focals[0]) @ self.R.T
         b = _homogeneous(y / self.focals[1])
         normal = np.cross(a, b)
@@ -136,18 +136,18 @@ class TwoViews:
         )
 
     def angles(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Degrees [M] between the two lines of sight."""
+        """Compute the angle [M] between the two lines of sight, degrees."""
         a = _homogeneous(x / self.focals[0]) @ self.R.T
         b = _homogeneous(y / self.focals[1])
         cross = np.linalg.norm(np.cross(a, b), axis=1)
         return np.degrees(np.arctan2(cross, (a * b).sum(1)))
 
     def inliers(self, x: np.ndarray, y: np.ndarray, within: float) -> np.ndarray:
-        """Find matches in front of both cameras and ``within`` pixels of their lines, bool [M]."""
+        """Find matches in front of both cameras and ``within`` pixels of the epipolar lines."""
         return (np.abs(self.distance(x, y)) < within) & (self.depths(x, y) > 0).all(0)
 
     def moved(self, step: np.ndarray, prior: FocalPrior) -> TwoViews:
-        """Turned by ``step[:3]``, t by ``step[3:5]`` across itself, focal lengths by the rest."""
+        """Apply a step: rotation ``step[:3]``, direction of t ``step[3:5]``, focal lengths rest."""
         t = self.t + step[3:5] @ _across(self.t)
         moves = self.moves + step[5:]
         focals = np.exp(prior.mean + moves @ prior.directions)
@@ -155,16 +155,16 @@ class TwoViews:
         return replace(self, R=R, t=t / np.linalg.norm(t), focals=focals, moves=moves)
 
     def turned_from(self, reference: TwoViews) -> float:
-        """Degrees between two answers: the larger of those of rotation and direction."""
+        """Compute the larger of the angles between rotations and between directions, degrees."""
         cosines = (np.trace(self.R @ reference.R.T) - 1) / 2, self.t @ reference.t
         return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).max())
 
 
 def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> tuple[list[TwoViews], FocalPrior]:
-    """Relative poses that matches [M, 2] and [M, 2], surest first, speak for; the best first.
+    """Estimate relative poses from matches [M, 2] and [M, 2], most reliable first; best pose first.
 
-    Answers within 3 degrees of a better one are left out; there may be none. The prior that comes
-    back is the one given, or that of two lenses where one does not explain the matches.
+    Poses within 3 degrees of a better one are omitted; the list may be empty. The returned prior is
+    the given one, or that of two separate lenses if one lens does not explain the matches.
     """
     x, y = x[:MOST], y[:MOST]
     if len(x) < 8:
@@ -184,7 +184,7 @@ def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> tuple[list[TwoView
 
 
 def _zoomed(views: TwoViews, x: np.ndarray, y: np.ndarray, separate: FocalPrior) -> bool:
-    """Tell whether two focal lengths are worth a try where one was estimated."""
+    """Tell whether to try two focal lengths instead of the shared one."""
     if views.inliers(x, y, 3 * views.scale).mean() < 0.5:
         return True
     moves = np.repeat(views.moves, 2)
@@ -208,14 +208,14 @@ def _solved(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
 
 
 def _rated(ends: list[TwoViews], x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
-    """With their costs on one scale, that of the sharpest, the best first."""
+    """Recompute the costs with one scale of the loss, the smallest; sort by cost."""
     scale = min((end.scale for end in ends), default=START)
     rated = [replace(end, cost=posterior(end, x, y, prior, scale), scale=scale) for end in ends]
     return sorted(rated, key=lambda end: end.cost)
 
 
 def _unlike(ends: list[TwoViews], degrees: float) -> list[TwoViews]:
-    """Those that are not within so many degrees of one before them."""
+    """Drop poses within ``degrees`` of an earlier one."""
     distinct: list[TwoViews] = []
     for end in ends:
         if all(end.turned_from(better) > degrees for better in distinct):
@@ -226,9 +226,9 @@ def _unlike(ends: list[TwoViews], degrees: float) -> list[TwoViews]:
 def posterior(
     views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior, scale: float
 ) -> float:
-    """Negative logarithm of the posterior of two cameras, up to a constant.
+    """Compute the negative log posterior of two cameras, up to a constant.
 
-    Matches that are far off, or behind a camera, cost what those ``FAR`` pixels off do.
+    Matches behind a camera or farther off than ``FAR`` cost as much as matches ``FAR`` pixels off.
     """
     distance = np.where(
         (views.depths(x, y) > 0).all(0), np.minimum(np.abs(views.distance(x, y)), FAR), FAR
@@ -238,7 +238,7 @@ def posterior(
 
 
 def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoViews]:
-    """Yield poses to descend from, of the surest half of the matches [M, 2] and [M, 2]."""
+    """Yield initial poses from the more reliable half of the matches [M, 2] and [M, 2]."""
     directions = prior.directions
     x, y = (np.ascontiguousarray(points[: MOST // 2]) for points in (x, y))
     for moves in APART if len(directions) == 2 else np.zeros((1, len(directions))):
@@ -256,7 +256,7 @@ def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoView
 def _two_views(
     pose: poselib.CameraPose, focals: np.ndarray, moves: np.ndarray
 ) -> Iterator[TwoViews]:
-    """Yield a pose of PoseLib unless it is none: without a model its translation is zero."""
+    """Yield a pose of PoseLib, unless its translation is zero: PoseLib found no model."""
     length = np.linalg.norm(pose.t)
     if length > 0:
         yield TwoViews(np.array(pose.R), np.array(pose.t) / length, focals, moves)
@@ -265,7 +265,7 @@ def _two_views(
 def _descended(
     start: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior, rounds: int
 ) -> TwoViews | None:
-    """Descend the posterior from a start; None if it loses its matches on the way."""
+    """Optimise the posterior from ``start``; None if too few inliers remain."""
     views = start
     for _ in range(rounds):
         inliers = views.inliers(x, y, FAR)
@@ -282,7 +282,7 @@ def _descended(
 
 
 def _descent(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
-    """Levenberg and Marquardt's on Cauchy's loss, by weights (Holland and Welsch 1977)."""
+    """Minimise the Cauchy loss by reweighted Levenberg-Marquardt (Holland and Welsch 1977)."""
 
     def cost(views: TwoViews) -> float:
         loss = 0.5 * np.log1p((views.distance(x, y) / views.scale) ** 2).sum()
@@ -310,7 +310,7 @@ def _descent(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -
 def _normal(
     views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Hessian [P, P] and gradient [P] of the posterior of matches that are all looked at."""
+    """Return the Hessian [P, P] and gradient [P] of the posterior of the given matches."""
     J = jacobian(views, x, y, prior) / views.scale
     distance = views.distance(x, y) / views.scale
     weight = 1 / (1 + distance**2) / COUPLING
@@ -321,7 +321,7 @@ def _normal(
 
 
 def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> np.ndarray:
-    """Derivatives [M, 5 + F] of :meth:`TwoViews.distance` by the steps of
+    """Return derivatives [M, 5 + F] of :meth:`TwoViews.distance` by the steps of
     :meth:`TwoViews.moved`."""
     numerator, a, b = _sampson(views.fundamental(), x, y)
     square = (a**2).sum(1) + (b**2).sum(1)
@@ -345,27 +345,27 @@ def _with_covariance(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: Focal
 def _sampson(
     F: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numerator [M] and the two halves of the denominator's gradient [M, 2] and [M, 2]."""
+    """Return the numerator [M] of the Sampson distance and its gradients [M, 2] and [M, 2]."""
     lines_b = x @ F[:, :2].T + F[:, 2]
     lines_a = y @ F[:2, :2] + F[2, :2]
     return (y * lines_b[:, :2]).sum(1) + lines_b[:, 2], lines_b[:, :2], lines_a
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of two vectors; NumPy's is slow on single ones."""
+    """Compute the cross product of two vectors [3]; ``np.cross`` is slow for single vectors."""
     return np.array(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
 def _cross_matrix(v: np.ndarray) -> np.ndarray:
-    """Return the matrix [3, 3] that multiplies by ``v`` [3] as its cross product does."""
+    """Return the cross-product matrix [3, 3] of a vector [3]."""
     x, y, z = v
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
 
 
 def _across(t: np.ndarray) -> np.ndarray:
-    """Return two unit vectors [2, 3] at right angles to a unit vector [3] and each other."""
+    """Return two unit vectors [2, 3] orthogonal to a unit vector [3] and to each other."""
     side = np.zeros(3)
     side[np.abs(t).argmin()] = 1
     first = _cross(t, side)

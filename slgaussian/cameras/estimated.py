@@ -1,4 +1,4 @@
-"""Cameras that were found from photographs alone, and how far they can be trusted."""
+"""Cameras estimated from photographs alone, with their uncertainty."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from slgaussian.io import short_repr
 from slgaussian.scene import Camera
 
 GOOD, DOUBTFUL, UNUSED = "good", "doubtful", "unused"
-"""Verdicts on a pair: its pose is trusted, uncertain, or not used at all."""
+"""Verdicts on a pair: its pose is reliable, uncertain, or not used."""
 
 
 @dataclass(frozen=True)
 class Focal:
-    """A focal length and where it comes from.
+    """A focal length and its source.
 
     Attributes
     ----------
     pixels : float
-        Of the whole photograph.
+        Focal length of the whole photograph.
     low, high : float
-        Ends of the interval that holds it nine times in ten, pixels.
+        Limits of the 90 % interval, pixels.
     source : str
-        "EXIF"; "matches", if they narrow down what is usual; "guess", if only what is usual is
-        known; "given".
+        "EXIF"; "matches", if matches narrow the prior of typical focal lengths; "guess", if only
+        the prior is known; "given".
     """
 
     pixels: float
@@ -46,15 +46,15 @@ class EstimatedPair:
     ----------
     views : (str, str)
     matches, inliers : int
-        Points matched, and those that the relative pose explains.
+        Numbers of matches, and of matches that the relative pose explains.
     angle : float
         Degrees between the two lines of sight, median of the inliers; NaN without any.
     uncertainty : float
-        Degrees by which rotation or direction of translation may be off, one standard deviation.
+        Standard deviation of the rotation or direction of translation, degrees.
     verdict : str
         :data:`GOOD`, :data:`DOUBTFUL` or :data:`UNUSED`.
     said : str
-        Why not good, a clause; "" if good.
+        Reason if not good, a clause; else "".
     """
 
     views: tuple[str, str]
@@ -68,26 +68,26 @@ class EstimatedPair:
 
 @dataclass(frozen=True, eq=False)
 class EstimatedCameras:
-    """Cameras of a few photographs, in one world.
+    """Cameras of a few photographs in one world frame.
 
-    The world has the axes and the position of the first camera, and the first two are at distance
-    1: photographs alone know no metres.
+    The world frame is that of the first camera, and the distance of the first two cameras is 1:
+    photographs alone do not determine the metric scale.
 
     Attributes
     ----------
     cameras : mapping str -> Camera
-        By name, in the order of the photographs, for whole upright photographs; each says under
-        ``estimated`` how it was found.
+        Cameras of the whole upright photographs by name, in the order of the photographs. The
+        attribute ``estimated`` of each gives its source and uncertainty.
     focals : mapping str -> Focal
     k1 : mapping str -> float
-        First radial distortion (OpenCV's) of each photograph; 0 unless enough views showed it.
+        First radial distortion (OpenCV's) of each photograph; 0 unless enough views determine it.
     pairs : tuple of EstimatedPair
     confidence : float
-        0 to 1: that every pose is right to some degrees.
+        Probability, 0 to 1, that every pose is right to a few degrees.
     warnings : tuple of str
-        What the user had better know, a sentence each.
+        Warnings for the user, a sentence each.
     left_out : mapping str -> str
-        The photographs that could not be placed among those of ``cameras``, and why, a clause each.
+        Reason, a clause, for each photograph whose camera could not be estimated.
     """
 
     cameras: Mapping[str, Camera]
@@ -101,7 +101,7 @@ class EstimatedCameras:
     __repr__ = short_repr
 
     def as_json(self) -> dict[str, Any]:
-        """Return the record of the estimation as plain data, for files."""
+        """Return the estimation record as JSON-compatible data, for files."""
         return {
             "confidence": round(self.confidence, 3),
             "focals": {name: asdict(focal) for name, focal in self.focals.items()},
@@ -114,15 +114,15 @@ class EstimatedCameras:
         }
 
     def in_frame_of(self, reference: Mapping[str, Camera]) -> EstimatedCameras:
-        """The same cameras in the world of others of the same names.
+        """Return the cameras in the world frame of reference cameras of the same names.
 
-        The first camera takes the pose of its namesake, and distances become as large as those of
-        the others, by the median over pairs. Depth ranges that those have stay theirs.
+        The first camera gets the pose of its namesake. Distances are scaled by the median ratio
+        over pairs. Depth ranges are those of the reference cameras.
 
         Raises
         ------
         InputError
-            If the others all stand at one place.
+            If all reference cameras are at one position.
         """
         names = list(self.cameras)
         ratios = [
@@ -133,10 +133,10 @@ class EstimatedCameras:
         scale = float(np.median(ratios))
         if not 0 < scale < np.inf:
             raise InputError(
-                "the given cameras all stand at one place, so that they say no scale for those "
-                "that are found; leave them out (--cameras)"
+                "the given cameras are all at one position, so they give no scale to the estimated "
+                "ones; leave them out (--cameras)"
             )
-        # The first is the origin of a found world; of any other it is brought there first.
+        # If the first camera is not the origin, shift the world to it first.
         start, goal = self.cameras[names[0]], reference[names[0]]
         turn = goal.c2w[:3, :3] @ start.c2w[:3, :3].T
         cameras = {}
@@ -150,7 +150,7 @@ class EstimatedCameras:
         return replace(self, cameras=cameras)
 
     def summary(self) -> str:
-        """One line for people: of several focal lengths the range, of several pairs the weakest."""
+        """Return one line of text: range of the focal lengths, and support of the weakest pair."""
         pixels = [focal.pixels for focal in self.focals.values()]
         low, high = (
             min(focal.low for focal in self.focals.values()),

@@ -1,4 +1,4 @@
-"""Cameras from photographs and nothing else."""
+"""Estimate cameras from photographs alone."""
 
 from __future__ import annotations
 
@@ -13,41 +13,41 @@ from slgaussian.cameras.two_view import EXIF_SPREAD, SPREAD, Described, Photogra
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
 
-WITHIN = 1.645
-"""Deviations on either side of a normal distribution's middle that hold nine tenths of it."""
+Z_90 = 1.645
+"""Standard deviations on either side of the mean that contain 90 % of a normal distribution."""
 
 OPTIMISM, MODEL = 2.0, 0.04
-"""Matches err in more ways than the loss knows, and no lens is a pinhole: the deviation of a focal
-length's logarithm is so many times what the matches say, and that in quadrature. Chosen so that
-about nine in ten true ones of the pairs and the chains of `docs/measured/poses.md` lie in the
-interval."""
+"""The loss underestimates errors of matches, and no lens is a true pinhole: the deviation of a log
+focal length is multiplied by ``OPTIMISM``, and ``MODEL`` is added in quadrature. Chosen so that
+about 90 % of the true focal lengths of the pairs and chains of `docs/measured/poses.md` lie in
+the interval."""
 
 SURE = 0.8
-"""Cameras of three and more are doubted below that confidence."""
+"""Confidence below which cameras of three or more photographs are reported as doubtful."""
 
 DOUBTED = 0.85
-"""Factor of the confidence in a pair whose cameras are doubtful: of 28 that were doubted, 20
+"""Factor of the confidence in a pair whose cameras are doubtful: of 28 doubtful pairs, 20
 photographed and 8 rendered with two focal lengths (``docs/measured/poses.md``), 4 were wrong."""
 
 MENTIONED = 3
-"""Photographs left out of which a warning says why."""
+"""Largest number of photographs left out for which a warning gives the reason."""
 
-TOLD = 0.8
-"""Matches have told a focal length if they narrow it down to less than this part of what is usual.
+NARROWED = 0.8
+"""The source of a focal length is "matches" if its deviation is below this fraction of the prior's.
 """
 
 
 def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
-    """The cameras of two or more photographs.
+    """Estimate the cameras of two or more photographs.
 
-    The same photographs give the same cameras; their order decides only about the frame. Those
-    that cannot be placed are left out, as if they had not been given, if they are fewer than the
-    others, and so are those that are there twice, if two different ones remain.
+    The same photographs give the same cameras; their order determines only the world frame.
+    Photographs that cannot be placed are left out if they are the minority. Duplicates are left out
+    if at least two different photographs remain.
 
     Raises
     ------
     InputError
-        If they cannot be found; the message says of which photographs, why, and what to do.
+        If the estimation fails; the message names the photographs, the reason and what to do.
     """
     once: list[Photograph] = []
     duplicates = {}
@@ -67,7 +67,7 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
 
 
 def _find(photographs: Sequence[Photograph]) -> EstimatedCameras:
-    """As :func:`find_cameras`, of photographs all of which may have a say."""
+    """Implement :func:`find_cameras` for photographs without duplicates."""
     described = [Described.of(photograph) for photograph in photographs]
     remaining, left = described, dict[str, str]()
     solver = PairSolver()
@@ -111,7 +111,7 @@ def _left_out(left: Mapping[str, str], count: int) -> str:
 def _left_out_pairs(
     solver: PairSolver, described: Sequence[Described], left: Mapping[str, str]
 ) -> list[EstimatedPair]:
-    """List the pairs with photographs that were left out, as unused."""
+    """List the pairs that contain a photograph that was left out, with verdict UNUSED."""
     place = {entry.photograph.name: k for k, entry in enumerate(described)}
     pairs = []
     for pose in solver.poses.values():
@@ -179,20 +179,20 @@ def _estimated_cameras(solution: PlacedCameras, described: Sequence[Described]) 
 
 
 def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:
-    """A focal length of the whole photograph with its interval, from the deviation of its
-    logarithm."""
+    """Return the focal length of the whole photograph with its interval, from the standard
+    deviation of its logarithm."""
     prior = EXIF_SPREAD if photograph.focal is not None else SPREAD
     deviation = min(float(np.hypot(OPTIMISM * deviation, MODEL)), prior)
-    wide = float(np.exp(WITHIN * deviation))
+    wide = float(np.exp(Z_90 * deviation))
     if photograph.focal is not None:
         source = "EXIF"
     else:
-        source = "matches" if deviation < TOLD * SPREAD else "guess"
+        source = "matches" if deviation < NARROWED * SPREAD else "guess"
     return Focal(float(pixels), float(pixels / wide), float(pixels * wide), source)
 
 
 def camera_of(photograph: Photograph, focal: Focal, c2w: np.ndarray, sure: float) -> Camera:
-    """The camera of a whole photograph, its principal point in the middle."""
+    """Return the camera of a whole photograph, with the principal point in the centre."""
     f, width, height = focal.pixels, photograph.width, photograph.height
     K = np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]])
     estimated = Estimated((focal.low / f, focal.high / f), focal.source, sure)

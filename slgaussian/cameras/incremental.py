@@ -1,9 +1,9 @@
-"""Cameras of three and more photographs, one after the other, from pairs that were solved.
+"""Incremental structure from motion of three or more photographs, from solved pairs.
 
-Matches of the pairs are joined into tracks. The pair with the most and widest inliers is the start;
-every other view is placed by the points that it sees (perspective n points, by OpenCV's RANSAC, and
-the relative poses of its pairs), and all are adjusted together: the way of Snavely et al. 2006,
-"Photo tourism", and of COLMAP (Schonberger and Frahm 2016).
+Matches of the pairs are joined into tracks. The initial pair has the most and widest inliers. Every
+other view is placed by its triangulated points (perspective-n-point in OpenCV's RANSAC, and the
+relative poses of its pairs), followed by bundle adjustment, as in Snavely et al. 2006, "Photo
+tourism", and COLMAP (Schonberger and Frahm 2016).
 """
 
 from __future__ import annotations
@@ -21,59 +21,59 @@ from slgaussian.cameras.tracks import Tracks, join_tracks, triangulate
 from slgaussian.io import short_repr
 
 PIXELS = 3.0
-"""Farther than this from where its point lands, an observation is left out."""
+"""Largest reprojection error of an inlier, pixels."""
 
 LOOSE = 3.0
-"""That many times as far as long as the focal length is not adjusted to the view."""
+"""Factor of ``PIXELS`` before the focal length has been adjusted to the view."""
 
 WIDE = (1.5, 0.4)
-"""Degrees between lines of sight from which on a point's depth is good enough to place a view; the
-second if no more views can be placed otherwise."""
+"""Smallest triangulation angles, degrees, of the points by which views are placed; the second is
+used if no more views can be placed with the first."""
 
 LEAST, SHARE = 12, 0.25
-"""A view is placed if it sees so many points where they land, and such a share of those it sees."""
+"""Smallest number of inliers, and fraction of the view's observations, to place a view."""
 
 TRUSTED, TIED = 0.5, 5
-"""Where a pair of such a confidence tells the pose, so many points are enough for its scale."""
+"""With a pose from a pair of this confidence, this many points suffice for the scale."""
 
 STARTS, ENOUGH = 4, 0.9
-"""Start pairs tried until all views are placed and such a share of all observations lies where
-their points land."""
+"""Largest number of initial pairs tried, and fraction of inlier observations that, with all views
+placed, ends the search."""
 
 FEW, MANY = 250, 1000
-"""Tracks that each view brings to an adjustment on the way, and at the end; the longest first."""
+"""Tracks per view in an intermediate and in the final bundle adjustment, the longest first."""
 
 DISTORTED_VIEWS, DISTORTED_TRACKS = 4, 300
-"""Fewest views and tracks that distortion is estimated from."""
+"""Smallest numbers of views and tracks for estimating distortion."""
 
 DISTORTION = 0.1
-"""Standard deviation of its prior."""
+"""Standard deviation of the prior of the distortion k1."""
 
 EVIDENCE = 30.0
-"""By so much must the cost fall for distortion to be believed: errors of matches go together, so
-that three of them are worth one, and then this is five natural logarithms of likelihood."""
+"""Smallest decrease of the cost to accept distortion. Errors of matches are correlated, three count
+as one, so this corresponds to a log likelihood ratio of 5."""
 
 
 @dataclass(frozen=True, eq=False)
 class Tie:
-    """Two views that were solved as a pair.
+    """Matches and relative pose of two views.
 
     Attributes
     ----------
     views : (int, int)
     features : (int64 [M], int64 [M])
-        Of each view, those that match and that the relative pose explains.
+        Indices of matching features that are inliers of the relative pose, in each view.
     xy : float64 [M, 2]
-        Where the features of the first lie in the second, pixels; may be sharper than the second's
-        own.
+        Positions of the first view's features in the second view, pixels; may be more accurate than
+        the keypoints of the second view.
     pose : (float64 [3, 3], float64 [3]) or None
-        R and t of ``X_second = R @ X_first + t``, up to scale; None if only matches are known.
+        R and t of ``X_second = R @ X_first + t``, t up to scale; None if unknown.
     focals : (float, float) or None
         Pixels, if the pose is known.
     angle : float
         Degrees between the two lines of sight, median.
     confidence : float
-        0 to 1: that the relative pose is right; matches are used in any case.
+        Probability, 0 to 1, that the relative pose is right; matches are used regardless.
     """
 
     views: tuple[int, int]
@@ -89,14 +89,14 @@ class Tie:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Views in one world.
+    """Views in one world frame.
 
     Attributes
     ----------
     order : int64 [P]
-        The views that were placed; those of ``adjusted`` in its order.
+        Indices of the placed views, in the order of the views of ``adjusted``.
     adjusted : Adjusted
-        Its world is the first of ``order``, and the first two are at distance 1.
+        The world is the frame of the first view in ``order``; the first two are at distance 1.
     """
 
     order: np.ndarray
@@ -122,17 +122,17 @@ def place(
     centers : float64 [V, 2]
         Principal points.
     group : int64 [V]
-        Which views share a focal length.
+        Index of the focal length of each view.
     focal_prior, focal_sigma : float64 [G]
-        As :class:`slgaussian.cameras.bundle.Bundle` has them.
+        As in :class:`slgaussian.cameras.bundle.Bundle`.
     ties : sequence of Tie
-        From views of smaller to those of larger number; in any order.
+        Each from a view of smaller to a view of larger index; in any order.
 
     Returns
     -------
     Placed or None
-        Its first view is that of smallest number, its second the one farthest from it; None without
-        a start.
+        The first view has the smallest index, the second is farthest from it; None if no initial
+        pair can be reconstructed.
     """
     if not ties:
         return None
@@ -143,16 +143,16 @@ def place(
     _, piece = connected_components(tied, directed=False)
     together = np.bincount(piece)[
         piece
-    ]  # views that hang together with each: more cannot be placed
+    ]  # size of each tie's connected component: more views cannot be placed
 
     def worth(tie: Tie) -> tuple[int, float]:
         width = min(tie.angle, 8.0) ** 0.5
         return together[tie.views[0]], len(tie.features[0]) * width * (0.1 + tie.confidence)
 
     starts = sorted((tie for tie in ties if tie.pose is not None), key=worth, reverse=True)
-    trials: list[tuple[tuple[int, int], _Growing]] = []
+    trials: list[tuple[tuple[int, int], _Reconstruction]] = []
     for start in starts[:STARTS]:
-        grown = _Growing(tracks, centers, group, focal_prior, focal_sigma, ties)
+        grown = _Reconstruction(tracks, centers, group, focal_prior, focal_sigma, ties)
         if not grown.grow(start):
             continue
         explained = grown.explained()
@@ -163,9 +163,9 @@ def place(
 
 
 def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> Tracks:
-    """The matches of the ties joined.
+    """Join the matches of the ties into tracks.
 
-    A track lies where its feature in the first of its views lies in the others.
+    Positions in later views are those of the feature in the first view (``Tie.xy``).
     """
     points = [view_points.copy() for view_points in keypoints]
     for tie in reversed(ties):
@@ -174,8 +174,8 @@ def _tracks(keypoints: Sequence[np.ndarray], ties: Sequence[Tie]) -> Tracks:
 
 
 @dataclass(eq=False)
-class _Growing:
-    """Views placed so far; the world is that of the start pair's first."""
+class _Reconstruction:
+    """Views placed so far; the world is the frame of the initial pair's first view."""
 
     tracks: Tracks
     centers: np.ndarray
@@ -184,7 +184,7 @@ class _Growing:
     focal_sigma: np.ndarray
     ties: Sequence[Tie]
     placed: list[int] = field(default_factory=list)
-    known: set[int] = field(default_factory=set)  # lenses of placed views
+    placed_lenses: set[int] = field(default_factory=set)
     k1_sigma: float = 0.0
 
     def __post_init__(self) -> None:
@@ -194,21 +194,21 @@ class _Growing:
         self.k1 = np.zeros(len(self.focal_prior))
 
     def grow(self, start: Tie) -> bool:
-        """Place all that can be; False if the start itself cannot."""
+        """Place as many views as possible; return False if the initial pair cannot be placed."""
         a, b = start.views
         assert start.pose is not None and start.focals is not None
-        self._meet(a, start.focals[0])
-        self._meet(b, start.focals[1])
+        self._add_lens(a, start.focals[0])
+        self._add_lens(b, start.focals[1])
         self.R[b], self.t[b] = start.pose[0], start.pose[1] / np.linalg.norm(start.pose[1])
         self.placed = [a, b]
         if self._adjust(LOOSE, FEW) is None or self._adjust(1.0, FEW) is None:
             return False
         adjusted = 2
-        while (left := self._most_seen()) is not None:
+        while (left := self._next_view()) is not None:
             view, pose = left
             self.R[view], self.t[view] = pose
             self.placed.append(view)
-            # Adjusting all after each of many views would cost their number squared.
+            # Adjusting all views after each new one would take quadratic time.
             if len(self.placed) >= 1.2 * adjusted:
                 self._adjust(LOOSE, FEW)
                 self._adjust(1.0, FEW)
@@ -216,11 +216,11 @@ class _Growing:
         return True
 
     def finished(self) -> Placed | None:
-        """All adjusted, in the frame of the first view."""
+        """Adjust all views in the frame of the first view; None if they have too few inliers."""
         self.placed.sort()
         a = self.placed[0]
         at = -np.einsum("vji,vj->vi", self.R[self.placed], self.t[self.placed])
-        # The unit of length should not be that of two views from one place.
+        # The two views that define the unit of length should not be at one position.
         b = self.placed[int(np.linalg.norm(at - at[0], axis=1).argmax())]
         self.placed = [a, b, *(view for view in self.placed if view not in (a, b))]
         self._reframe()
@@ -237,15 +237,15 @@ class _Growing:
         return Placed(np.array(self.placed), last)
 
     def explained(self) -> int:
-        """Count the observations that lie where their points land."""
+        """Count the inlier observations."""
         return int(self._points(1.0)[1].sum())
 
-    def _meet(self, view: int, focal: float) -> None:
-        """Take a lens's first focal length from a pair."""
+    def _add_lens(self, view: int, focal: float) -> None:
+        """Initialise the focal length of a view's lens from a pair, unless the lens is in use."""
         lens = int(self.group[view])
-        if lens not in self.known and self.focal_sigma[lens] > 0:
+        if lens not in self.placed_lenses and self.focal_sigma[lens] > 0:
             self.focals[lens] = focal
-        self.known.add(lens)
+        self.placed_lenses.add(lens)
 
     def _reframe(self) -> None:
         a, b = self.placed[:2]
@@ -256,7 +256,7 @@ class _Growing:
         self.t /= max(float(np.linalg.norm(self.t[b])), 1e-12)
 
     def _rays(self, mine: np.ndarray) -> np.ndarray:
-        """Undistorted positions [M, 2] on the plane at depth 1 of observations."""
+        """Return the undistorted normalised image coordinates [M, 2] of observations."""
         view = self.tracks.view[mine]
         lens = self.group[view]
         bent = (self.tracks.xy[mine] - self.centers[view]) / self.focals[lens][:, None]
@@ -266,7 +266,7 @@ class _Growing:
         return uv
 
     def _points(self, loose: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points [T, 3] of all tracks, which observations are good, and degrees across [T]."""
+        """Triangulate all tracks: points [T, 3], inliers bool [M], and angles [T] in degrees."""
         tracks = self.tracks
         inside = np.zeros(len(self.centers), bool)
         inside[self.placed] = True
@@ -291,7 +291,7 @@ class _Growing:
             off = local[:, :2] / np.where(front, local[:, 2], 1)[:, None] - uv[mine]
             error = np.linalg.norm(off, axis=1) * self.focals[self.group[view]]
             error = np.where(front, error, 1e9)
-            # Only the worst of a track goes at a time: it may have spoilt the others.
+            # Only the worst observation of a track is dropped at a time: it may bias the others.
             worst = np.maximum.reduceat(error, start)[np.cumsum(np.diff(track, prepend=-1) > 0) - 1]
             bad = (error > loose * PIXELS) & (error >= worst)
             good[mine[bad]] = False
@@ -303,7 +303,7 @@ class _Growing:
         return X, good, self._widths(uv, good)
 
     def _widths(self, uv: np.ndarray, good: np.ndarray) -> np.ndarray:
-        """Degrees between the first line of sight and the one farthest from it, [T]."""
+        """Compute the largest angle [T] to the first line of sight of each track, degrees."""
         widths = np.zeros(self.tracks.count)
         mine = np.flatnonzero(good)
         if not len(mine):
@@ -320,7 +320,7 @@ class _Growing:
         return widths
 
     def _adjust(self, loose: float, max_tracks: int) -> Adjusted | None:
-        """Adjust all placed views; None if they see too little."""
+        """Adjust all placed views; None if there are too few inliers."""
         tracks = self.tracks
         X, good, _ = self._points(loose)
         mine = np.flatnonzero(good)
@@ -367,8 +367,8 @@ class _Growing:
         self.R[self.placed], self.t[self.placed] = adjusted.bundle.R, adjusted.bundle.t
         self.focals[lenses], self.k1[lenses] = adjusted.bundle.focals, adjusted.bundle.k1
 
-    def _most_seen(self) -> tuple[int, tuple[np.ndarray, np.ndarray]] | None:
-        """The view whose place most points tell, and its pose; None if none can be placed."""
+    def _next_view(self) -> tuple[int, tuple[np.ndarray, np.ndarray]] | None:
+        """Return the view with most triangulated points that can be placed, and its pose."""
         tracks = self.tracks
         X, good, width = self._points(1.0)
         triangulated = np.zeros(tracks.count, bool)
@@ -390,12 +390,12 @@ class _Growing:
     def _pose(
         self, view: int, mine: np.ndarray, X: np.ndarray, minimum: int
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """Pose that explains most of what a view sees; None if it is too little."""
+        """Return the pose with most inliers; None if there are fewer than ``minimum``."""
         if len(mine) < minimum:
             return None
         points, lens = X[self.tracks.track[mine]], int(self.group[view])
         best, best_count = None, max(minimum, SHARE * len(mine)) - 1
-        for focal in self._tried(view):
+        for focal in self._focal_candidates(view):
             self.focals[lens] = focal
             uv, within = self._rays(mine), LOOSE * PIXELS / focal
             for R, t in self._guesses(view, points, uv, within, minimum < LEAST):
@@ -408,7 +408,7 @@ class _Growing:
             return None
         R, t, focal, near = best
         self.focals[lens] = focal
-        self.known.add(lens)
+        self.placed_lenses.add(lens)
         if near.sum() < LEAST:
             return R, t
         turn, t = cv2.solvePnPRefineLM(
@@ -416,10 +416,10 @@ class _Growing:
         )
         return cv2.Rodrigues(turn)[0], t[:, 0]
 
-    def _tried(self, view: int) -> list[float]:
-        """Focal lengths that a view may have."""
+    def _focal_candidates(self, view: int) -> list[float]:
+        """Return the focal lengths to try for a view, pixels."""
         lens = int(self.group[view])
-        if lens in self.known or not self.focal_sigma[lens] > 0:
+        if lens in self.placed_lenses or not self.focal_sigma[lens] > 0:
             return [float(self.focals[lens])]
         pair_focals = [
             tie.focals[tie.views.index(view)]
@@ -432,9 +432,9 @@ class _Growing:
     def _guesses(
         self, view: int, points: np.ndarray, uv: np.ndarray, within: float, tied: bool
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Poses that a view may have, by its points and by its pairs with placed views.
+        """Return candidate poses of a view from its points and its pairs with placed views.
 
-        If ``tied``, by those pairs alone that can be trusted.
+        If ``tied``, only pairs of confidence ``TRUSTED`` or more are used.
         """
         poses = []
         if not tied:
@@ -461,7 +461,7 @@ class _Growing:
             if tie.views[0] == view:
                 R, t = R.T, -R.T @ t
             R, base, t = R @ self.R[neighbour], R @ self.t[neighbour], t / np.linalg.norm(t)
-            # uv z = X + base + s t, for each point a distance s: the median of them.
+            # uv z = X + base + s t gives a scale s for each point; their median is used.
             local = points @ R.T + base
             slope = t[:2] - uv * t[2]
             scales = (slope * (uv * local[:, 2:] - local[:, :2])).sum(1) / np.maximum(

@@ -1,6 +1,6 @@
-"""Keypoint matches of a set of views, computed once and passed on to all readers.
+"""Keypoint matches of a set of views, computed once.
 
-Checks of given cameras, the choice of sources, depth ranges and quality read one graph.
+Checks of given cameras, selection of source views, depth ranges and quality read the same graph.
 """
 
 from __future__ import annotations
@@ -10,28 +10,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slgaussian.cameras.matches import RATIO, match, sift
+from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.io import short_repr
 from slgaussian.scene import View
 
-TRIED = 6
-"""Views, the nearest by distance, that each is matched with."""
+NEIGHBOURS = 6
+"""Number of nearest views, by camera distance, with which each view is matched."""
 
 TURNED = 90.0
-"""Degrees between two optical axes from which on two views are not looked at together."""
+"""Angle between two optical axes, degrees, from which on two views are not matched."""
 
 
 @dataclass(frozen=True, eq=False)
 class MatchGraph:
-    """Keypoints of views, and matches of the pairs of views that may see the same things.
+    """Keypoints of views, and matches of the pairs of views that may overlap.
 
     Attributes
     ----------
     keypoints : sequence of V float64 [N, 2]
-        Pixels of the views' images, pixel centres at +0.5.
+        Pixels, pixel centres at +0.5.
     matches : mapping (i, j), i < j, to (int [M], int [M])
-        Keypoints of the two views that match. Pairs are those that stand near by, and those that
-        follow one another: poses that are wrong may have taken a view away from what it sees.
+        Indices of the matching keypoints of the two views. Pairs are neighbouring cameras, and
+        successive views, because wrong poses may separate views that overlap.
     """
 
     keypoints: Sequence[np.ndarray]
@@ -46,7 +46,7 @@ class MatchGraph:
         distances = _distances(views)
         successive = {(i, i + 1) for i in range(len(views) - 1) if distances[i, i + 1] > 0}
         pairs = sorted({*neighbours(views), *successive})
-        matches = {(i, j): match(features[i], features[j], RATIO)[:2] for i, j in pairs}
+        matches = {(i, j): match(features[i], features[j], LOWE_RATIO)[:2] for i, j in pairs}
         return MatchGraph([item.points for item in features], matches)
 
     def points(self, i: int, j: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +55,7 @@ class MatchGraph:
         return self.keypoints[i][first], self.keypoints[j][second]
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays by name, as ``data_specs/matches.toml`` says."""
+        """Return the arrays by name, as specified in ``data_specs/matches.toml``."""
         ends = np.cumsum([len(points) for points in self.keypoints])
         pairs = np.array(list(self.matches), np.int32).reshape(-1, 2)
         counts = [len(first) for first, _ in self.matches.values()]
@@ -70,7 +70,7 @@ class MatchGraph:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> MatchGraph:
-        """Return the graph that :meth:`to_arrays` described."""
+        """Rebuild a graph from the arrays of :meth:`to_arrays`."""
         matches = np.split(arrays["matches"], arrays["match_ends"][:-1])
         return MatchGraph(
             np.split(arrays["keypoints"], arrays["view_ends"][:-1]),
@@ -81,11 +81,11 @@ class MatchGraph:
         )
 
 
-def neighbours(views: Sequence[View], count: int = TRIED) -> list[tuple[int, int]]:
-    """Return the pairs (i, j), i < j, in order, of which one is among the other's nearest views.
+def neighbours(views: Sequence[View], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
+    """Return the sorted pairs (i, j), i < j, of which one view is among the other's nearest views.
 
-    The ``count`` nearest by distance of those that look the same way within :data:`TURNED`, or of
-    all where none do. Where cameras stand in one place two views are no pair.
+    These are the ``count`` nearest views whose optical axes differ by less than :data:`TURNED`, or
+    the nearest of all views if there are none. Views at one position form no pair.
     """
     axes = np.array([view.camera.c2w[:3, 2] for view in views])
     distances = _distances(views)
@@ -102,7 +102,7 @@ def neighbours(views: Sequence[View], count: int = TRIED) -> list[tuple[int, int
 
 
 def _distances(views: Sequence[View]) -> np.ndarray:
-    """Distances [V, V] of cameras in scene units, 0 for those in one place."""
+    """Compute distances [V, V] of cameras in scene units, exactly 0 for equal positions."""
     centers = np.array([view.camera.center for view in views])
     distances = np.linalg.norm(centers[:, None] - centers, axis=-1)
     tolerance = 1e-9 * max(float(np.abs(centers).max()), 1e-12)

@@ -1,6 +1,6 @@
-"""Points that two photographs show both: features found, described and matched.
+"""Detection and matching of local features.
 
-SIFT (Lowe 2004) by OpenCV with the descriptors of RootSIFT (Arandjelovic and Zisserman 2012).
+SIFT (Lowe 2004) of OpenCV with RootSIFT descriptors (Arandjelovic and Zisserman 2012).
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import numpy as np
 from slgaussian.io import short_repr
 
 SIFT = 4000, 0.02
-RATIO = 0.8
-"""Features of an image that views are matched by, at most, and the contrast that they need; and how
-much nearer than the next the nearest must be (:func:`match`)."""
+"""Largest number of features of an image, and OpenCV's contrast threshold."""
+
+LOWE_RATIO = 0.8
+"""Largest ratio of nearest to second-nearest descriptor distance (:func:`match`)."""
 
 _ROWS = 128
 
@@ -31,7 +32,7 @@ class Features:
     descriptors : float32 [N, 128]
         Unit vectors.
     scales : float64 [N]
-        Deviation of the Gaussian that each was found with, pixels.
+        Standard deviation of the Gaussian at which each was detected, pixels.
     angles : float64 [N]
         Orientations, radians, clockwise from x.
     """
@@ -54,26 +55,26 @@ def find_features(grey: np.ndarray, limit: int, contrast: float) -> Features:
     rows = [(*key.pt, key.size, key.angle) for key in keys]
     x, y, size, angle = np.array(rows, np.float64).reshape(-1, 4).T
     raw = np.zeros((0, 128), np.float32) if raw is None else raw
-    # Unit vectors, so products rank as distances do.
+    # The descriptors are unit vectors, so dot products rank like distances.
     descriptors = np.sqrt(raw / np.maximum(raw.sum(1, keepdims=True), 1e-9))
     # OpenCV counts pixel centres at 0.
     return Features(np.stack([x, y], 1) + 0.5, descriptors, size / 2, np.radians(angle))
 
 
 def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Features that are each other's nearest, and nearer than ``ratio`` times the next (Lowe).
+    """Match mutual nearest neighbours that pass Lowe's ratio test with ``ratio``.
 
     Returns
     -------
     int [M], int [M], float [M]
-        Which of each, and the ratio of each match: the smaller the surer.
+        Feature indices in ``a`` and ``b``, and the ratio of each match; smaller is more reliable.
     """
     if len(a) < 2 or len(b) < 2:
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
     rows = len(a)
     best, top, second = np.empty(rows, int), np.empty(rows, np.float32), np.empty(rows, np.float32)
     column = np.full(len(b), -1, np.float32)
-    for start in range(0, rows, _ROWS):  # a few rows at a time stay in the cache
+    for start in range(0, rows, _ROWS):  # blocks of rows fit into the CPU cache
         part = slice(start, start + _ROWS)
         similarity = a.descriptors[part] @ b.descriptors.T
         np.maximum(column, similarity.max(0), out=column)
@@ -84,12 +85,12 @@ def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarra
         second[part] = similarity.max(1)
     nearest, next_nearest = (np.sqrt(np.maximum(2 - 2 * s, 0)) for s in (top, second))
     mutual = np.flatnonzero(top >= column[best])
-    # What is there twice, to the bit, is matched once.
+    # Of features with identical descriptors only the first is matched.
     mutual = mutual[np.unique(best[mutual], return_index=True)[1]]
     matched = np.sort(mutual[nearest[mutual] < ratio * next_nearest[mutual]])
     return matched, best[matched], nearest[matched] / next_nearest[matched]
 
 
 def sift(grey: np.ndarray) -> Features:
-    """Return the SIFT features of a grey uint8 image that views are matched by."""
+    """Return the SIFT features of a grey uint8 image with the parameters :data:`SIFT`."""
     return find_features(grey, *SIFT)

@@ -1,4 +1,4 @@
-"""Three and more photographs: which to look at together, and their cameras from the pairs."""
+"""Cameras of three or more photographs: selection of pairs, and estimation from the pairs."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from slgaussian.errors import InputError, listed
 from slgaussian.io import short_repr
 
 COARSE = 800
-"""Features of a photograph, its largest, that tell quickly which others show the same."""
+"""Number of features, the largest of a photograph, for the quick selection of pairs."""
 
 NEIGHBOURS = 3
-"""Photographs that each is solved with, those that show most of the same."""
+"""Number of photographs with which each is solved, those with most matches."""
 
 COUPLING = 3.0
-"""Matches err together: so many of them are worth one that errs by itself."""
+"""Errors of matches are correlated: this many matches count as one independent observation."""
 
-OPEN = 0.5
+MIN_CONFIDENCE = 0.5
 """Cameras of less confidence are refused."""
 
 UNBACKED = 0.6
-"""What confidence is multiplied by if a photograph is placed that no trusted pair speaks for: right
-on two chains of a walk, and wrong where two rooms held one thing."""
+"""Factor of the confidence if no reliable pair supports a placed photograph: such placements were
+right on two chains of a walk, and wrong where two rooms contained the same object."""
 
 STILL = 1e-3
-"""The first two must be at least so much of the largest distance apart: theirs is the unit."""
+"""Smallest distance of the first two cameras, the unit of length, over the largest distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedCameras:
-    """Cameras of photographs, in their order, in the world of the first.
+    """Cameras of photographs, in their order, in the frame of the first.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class PlacedCameras:
     focals, deviations, k1 : float64 [V]
         Focal lengths in pixels of the images, standard deviations of their logarithms, distortion.
     pairs : tuple of EstimatedPair
-        All that were looked at.
+        All solved pairs.
     confidence : float
     """
 
@@ -76,7 +76,7 @@ class Unplaced(InputError):
     Attributes
     ----------
     left_out : mapping str -> str
-        Their names, and why, a clause each.
+        Reason, a clause, by name of the photograph.
     """
 
     def __init__(self, message: str, left_out: Mapping[str, str]) -> None:
@@ -91,7 +91,7 @@ class PairSolver:
         self.poses: dict[tuple[str, str], PairPose] = {}
 
     def __call__(self, a: Described, b: Described) -> PairPose:
-        """The pose of a pair, in the order of what the two photographs hold."""
+        """Return the pose of a pair, ordered by the digests of the two images."""
         a, b = sorted((a, b), key=lambda item: item.digest)
         names = a.photograph.name, b.photograph.name
         if names not in self.poses:
@@ -100,17 +100,17 @@ class PairSolver:
 
 
 def find_multi_view(described: Sequence[Described], solver: PairSolver) -> PlacedCameras:
-    """The cameras of three or more photographs.
+    """Estimate the cameras of three or more photographs.
 
-    They are worked on in the order of what they hold, so that the order in which they are given
-    decides only about the world.
+    They are processed in the order of their digests, so the order of the arguments determines only
+    the world frame.
 
     Raises
     ------
     Unplaced
-        If some cannot be placed, or not surely enough.
+        If some cannot be placed, or not with enough confidence.
     InputError
-        If none can, or the first two were taken from one place.
+        If none can be placed, or the first two are at one position.
     """
     order = sorted(range(len(described)), key=lambda k: described[k].digest)
     ordered = [described[k] for k in order]
@@ -156,9 +156,9 @@ def find_multi_view(described: Sequence[Described], solver: PairSolver) -> Place
 
 
 def worth_solving(described: Sequence[Described]) -> list[tuple[int, int]]:
-    """Pairs (i, j), i < j, that show most of the same, so many that all hang together.
+    """Select the pairs (i, j), i < j, with most matches, enough to connect all photographs.
 
-    Each is matched with every other, but by few features; only the best are looked at in full.
+    All pairs are matched with few features; only the selected pairs are matched in full.
     """
     subsets = [_largest(item.features) for item in described]
     count = len(subsets)
@@ -183,9 +183,9 @@ def _largest(features: Features) -> Features:
 
 
 def _tie(views: tuple[int, int], pose: PairPose) -> Tie:
-    """Make the tie of a pair; of matches alone for photographs from one place, or of a plane.
+    """Make the tie of a pair; without a pose if the pair is degenerate (one position, or a plane).
 
-    A third one may see the same from elsewhere.
+    A third photograph may show the same points from another position.
     """
     relative = pose.views
     return Tie(
@@ -230,7 +230,7 @@ def _all_placed(
 def _pieces(
     count: int, poses: Mapping[tuple[int, int], PairPose], placed_views: Set[int]
 ) -> list[list[int]]:
-    """Group photographs that hang together: the placed ones, others by pairs; largest first."""
+    """Group connected photographs: the placed ones, others by their pairs; largest group first."""
     joined = np.zeros((count, count))
     for (i, j), pose in poses.items():
         if pose.estimate.verdict != UNUSED:
@@ -244,7 +244,7 @@ def _pieces(
 def _why_unplaced(
     name: str, view: int, poses: Mapping[tuple[int, int], PairPose], placed_views: Set[int]
 ) -> str:
-    """Return the reason against a view by its best pair with a placed one, a clause."""
+    """Return a clause: why a view is not placed, judged by its best pair with a placed view."""
     candidates = [
         pose for views, pose in poses.items() if view in views and placed_views & {*views}
     ]
@@ -259,7 +259,7 @@ def _why_unplaced(
 def _checked(
     pose: PairPose, placed: Placed, views: tuple[int, int], order: Sequence[int]
 ) -> EstimatedPair:
-    """Return the estimate of a pair, unused if all together contradict it; names in input order."""
+    """Return the estimate of a pair in input order, UNUSED if the joint solution contradicts it."""
     estimate = pose.estimate
     if order[views[0]] > order[views[1]]:
         estimate = replace(estimate, views=(estimate.views[1], estimate.views[0]))
@@ -282,14 +282,14 @@ def _confidence(
     placed: Placed,
     pairs: Mapping[tuple[int, int], EstimatedPair],
 ) -> float:
-    """0 to 1: that every pose is right to some degrees.
+    """Compute the probability, 0 to 1, that every pose is right to a few degrees.
 
-    Less if no pair of a view, taken alone, is trusted and says the same as all together.
+    It is lower if a view has no reliable pair that agrees with the joint solution.
 
     Raises
     ------
     Unplaced
-        If that is too little.
+        If it is below :data:`MIN_CONFIDENCE`.
     """
     adjusted = placed.adjusted
     far = np.linalg.norm(adjusted.bundle.t, axis=1)
@@ -297,7 +297,7 @@ def _confidence(
     off = []
     for view in range(1, len(far)):
         turned, moved = adjusted.degrees(view)
-        # Two photographs from one place among others may have any direction between them.
+        # The direction between two of several photographs at one position is arbitrary.
         off += [turned, moved * far[view]]
     worst = COUPLING**0.5 * max(off)
     counts = np.bincount(adjusted.bundle.view)
@@ -305,7 +305,7 @@ def _confidence(
     backed = {view for views, pair in pairs.items() if pair.verdict != UNUSED for view in views}
     if len(backed) < len(described):
         sure *= UNBACKED
-    if sure < OPEN:
+    if sure < MIN_CONFIDENCE:
         fewest = int(counts.argmin())
         name = described[placed.order[fewest]].photograph.name
         why = (

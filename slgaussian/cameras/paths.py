@@ -1,7 +1,6 @@
-"""Viewpoints beside those of the photographs: between two cameras, and a short turn among several.
+"""Camera paths: interpolation between two cameras, and an orbit among several.
 
-A field knows what its photographs saw. Both paths stay among the cameras, for what lies beyond is
-seen by none of them and a picture of it would be a guess.
+Both paths stay among the cameras, because no photograph shows what lies beyond.
 """
 
 from __future__ import annotations
@@ -15,23 +14,23 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
 ALIKE = np.cos(np.radians(45))
-"""A turn is made among the cameras whose viewing directions are within 45 degrees of the middle
-one's: the middle of cameras all around a thing is inside the thing."""
+"""An orbit uses the cameras whose viewing directions are within 45 degrees of the central one: the
+mean position of cameras all around an object is inside the object."""
 
 ROUND = 0.3
-"""The least shorter half axis of a turn, as a fraction of the longer one: above and below the
-baseline of two cameras parallax uncovers what neither saw. At 0.3, at most 0.3 % of a frame is
-empty in the office's hall, 0.6 % in a kitchen and 5.5 % in a street that is driven along."""
+"""Smallest ratio of the half axes of an orbit: above and below the baseline of two cameras, parts
+of the scene appear that neither shows. At 0.3, at most 0.3 % of a frame is empty in an office hall,
+0.6 % in a kitchen and 5.5 % in a street that is driven along."""
 
 
 def between(a: Camera, b: Camera, t: float) -> Camera:
-    """The camera at fraction ``t`` of the way from ``a`` to ``b``.
+    """Interpolate the camera at fraction ``t`` of the way from ``a`` to ``b``.
 
-    Position and intrinsics are interpolated; the orientation is slerped (Shoemake, "Animating
-    Rotation with Quaternion Curves", SIGGRAPH 1985), so that it turns at an even rate about one
-    axis, the shorter way round. ``between(a, b, t)`` is ``between(b, a, 1 - t)`` but for the size
-    of the image and the depth range, which are the first camera's. The second image is brought to
-    as many pixels and laid middle on middle, never stretched: a ball stays round on the way from a
+    Position and intrinsics are interpolated, the orientation by slerp (Shoemake, "Animating
+    Rotation with Quaternion Curves", SIGGRAPH 1985): a rotation about one axis at a constant rate,
+    along the shorter arc. ``between(a, b, t)`` equals ``between(b, a, 1 - t)`` except for the image
+    size and the depth range, which are the first camera's. The second image is scaled isotropically
+    to the pixel count of the first and centred on it, so a ball stays round on the way from a
     landscape photograph to a portrait.
 
     Parameters
@@ -42,7 +41,7 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
     Raises
     ------
     InputError
-        If ``t`` is outside [0, 1], or the cameras face opposite ways: half a turn has no one axis.
+        If ``t`` is outside [0, 1], or the cameras differ by a half turn, whose axis is ambiguous.
     """
     if not 0 <= t <= 1:
         raise InputError(
@@ -52,7 +51,7 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
     from scipy.spatial.transform import Rotation, Slerp
 
     turn = Slerp([0, 1], Rotation.from_matrix([a.c2w[:3, :3], b.c2w[:3, :3]]))
-    # Half a turn is ambiguous, and what noise makes of it is not told by the cameras.
+    # The axis of a half turn is ambiguous and would be determined by noise.
     if (turn.rotations[0].inv() * Rotation.from_matrix(b.c2w[:3, :3])).magnitude() > np.pi - 1e-6:
         raise InputError("between: the two views are half a turn apart, so no way leads between")
     c2w = np.eye(4)
@@ -66,29 +65,29 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
 
 
 def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]:
-    """A short turn among ``cameras``: ``n`` viewpoints evenly along an ellipse, all aimed alike.
+    """Return ``n`` viewpoints evenly along an ellipse among ``cameras``, aimed at one point.
 
-    Its middle is the mean of the cameras, each of which has its say in position and orientation.
-    Its plane is spanned by the two directions in which the cameras spread most; its half axes reach
-    as far as they do, and the shorter is at least 0.3 of the longer. With two cameras that
-    is an ellipse along the baseline, from the first camera's position past the second's and back.
-    Every viewpoint is aimed at the point on the middle's axis that is as far away as the median of
-    ``points``, and none is rolled. Cameras that look elsewhere (:data:`ALIKE`) are left out.
+    The centre is the mean of the cameras, in position and orientation. The plane is spanned by the
+    two directions in which the cameras spread most; the half axes reach as far as the cameras do,
+    and the shorter is at least 0.3 of the longer. With two cameras this is an ellipse along the
+    baseline, from the first camera's position past the second's and back. Every viewpoint is aimed
+    at the point on the central optical axis at the median depth of ``points``, without roll.
+    Cameras that look in other directions (:data:`ALIKE`) are left out.
 
     Parameters
     ----------
     cameras : sequence of Camera
-        Two or more; size, intrinsics and depth range are those of the one nearest to the middle.
+        Two or more; size, intrinsics and depth range are those of the camera nearest to the centre.
     points : float [N, 3]
-        What there is to see, in the world, such as the means of Gaussians.
+        Surface points in the world, such as the means of Gaussians.
     n : int
-        How many viewpoints; the last is one step before the first, so that a film can loop.
+        Number of viewpoints; the last is one step before the first, so that a film can loop.
 
     Raises
     ------
     InputError
-        If there are fewer than two cameras or viewpoints, all cameras are in one place, or nothing
-        lies before them.
+        If there are fewer than two cameras or viewpoints, all cameras are at one position, or no
+        point lies in front of them.
     """
     if n < 2 or len(cameras) < 2:
         raise InputError(
@@ -117,12 +116,12 @@ def _facing_alike(cameras: Sequence[Camera]) -> list[Camera]:
     likeness = axes @ axes.T
     similarity = likeness[likeness.clip(ALIKE).sum(1).argmax()]
     facing = [camera for camera, c in zip(cameras, similarity, strict=True) if c >= ALIKE]
-    # Two that look past each other are all there is: then both.
+    # If only two cameras are given and they look in different directions, both are used.
     return facing if len(facing) > 1 else [cameras[i] for i in sorted(np.argsort(-similarity)[:2])]
 
 
 def _half_axes(offsets: np.ndarray, image_axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The half axes float [3] each of the ellipse in which cameras at ``offsets`` [V, 3] lie."""
+    """Return the half axes, float [3] each, of the ellipse of cameras at ``offsets`` [V, 3]."""
     directions = np.linalg.svd(offsets)[2]
     along = directions[0]
     reach = np.abs(offsets @ along).max()
@@ -133,7 +132,7 @@ def _half_axes(offsets: np.ndarray, image_axes: np.ndarray) -> tuple[np.ndarray,
     if second >= ROUND * reach:
         across = directions[1]
     else:
-        # Across the baseline and in the picture: up or down for cameras side by side.
+        # Orthogonal to the baseline and parallel to the image: vertical for cameras side by side.
         across = max((axis - (axis @ along) * along for axis in image_axes), key=np.linalg.norm)
         across, second = across / np.linalg.norm(across), ROUND * reach
     across = across * (1 if across @ image_axes[1] <= 0 else -1)
@@ -149,8 +148,8 @@ def _median_depth(camera: Camera, points: np.ndarray) -> float:
 
 
 def _aimed(camera: Camera, place: np.ndarray, focus: np.ndarray) -> Camera:
-    """``camera`` moved to ``place`` and turned the shortest way so that ``focus`` stays in its
-    middle."""
+    """Return ``camera`` moved to ``place`` and rotated minimally so that ``focus`` is projected to
+    the centre."""
     before, after = camera.c2w[:3, 2], focus - place
     axis = np.cross(before, after)
     sine, cosine = np.linalg.norm(axis), before @ after

@@ -13,16 +13,16 @@ from slgaussian.cameras.match_graph import neighbours
 from slgaussian.geometry import SceneGeometry
 
 LITTLE_SHARED = 0.3
-"""Overlap below which most of a field is seen once, and its depth is a guess."""
+"""Overlap below which most surfaces are visible in one view only and their depth is a guess."""
 
 GOOD, USABLE, POOR = "good", "usable", "poor"
-"""What a scene may be called."""
+"""Levels of the verdict on a scene."""
 
 MUCH_AGREEMENT, LEAST_AGREEMENT = 0.72, 0.3
 LITTLE_CLASH, MOST_CLASH = 0.16, 0.22
-"""Agreement from which, and clash up to which, a scene is good, and beyond which it is poor. Chosen
-in sight of 26 pairs of photographs (`docs/measured/poses.md`): where depth is broken, clash is
-0.35 and more, else at most 0.18."""
+"""A scene is good with agreement from the first and clash up to the first, and poor with agreement
+below the second or clash above the second. Chosen on 26 pairs of photographs
+(`docs/measured/poses.md`): clash is 0.35 and more where depth is wrong, else at most 0.18."""
 
 
 class Verdict(NamedTuple):
@@ -32,42 +32,41 @@ class Verdict(NamedTuple):
     reason: str
 
     def sentence(self) -> str:
-        """Return a line for people."""
+        """Return the verdict as one line of text."""
         return f"scene: {self.level}" + (f": {self.reason}" if self.reason else "")
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Measures of how photographs fit together, each with those that show the same things.
+    """Measures of the consistency of photographs, over pairs that show the same objects.
 
     Attributes
     ----------
     overlap : float
-        Fraction of the pixels of each view that show a surface, for which it falls inside the
-        other; the smaller of the two. Of several views the median of what each shares with the one
-        that it shares most with.
+        Fraction of the surface pixels of each view that project into the other view; the smaller of
+        the two. For several views, the median over views of the largest overlap with another view.
     confirmed : float
-        Fraction of all such pixels whose surface another view shows at the same depth.
+        Fraction of all surface pixels whose surface another view shows at the same depth.
     angle : float or None
-        Degrees between the lines of sight, median of the explained matches; None without any. Of
-        several pairs the median.
+        Degrees between the lines of sight, median of the explained matches, None without any; for
+        several pairs the median over pairs.
     turn : float
-        Degrees between their optical axes. Of several pairs the median.
+        Degrees between the optical axes; for several pairs the median.
     matches : int
-        Of all pairs.
+        Number of matches of all pairs.
     explained : float
         Fraction of the matches that the cameras explain within ``pixels``.
     pixels : float
     judged : bool
-        Whether the matches could tell right cameras from wrong ones.
+        Whether enough matches agree to judge the cameras.
     apart : int
-        Views that share less than :data:`LITTLE_SHARED` with any other.
+        Number of views that overlap every other by less than :data:`LITTLE_SHARED`.
     agreement : float
-        Fraction of the pixels that fall inside another view whose surface another view shows.
+        Fraction of the pixels that project into another view whose surface another view shows.
     clash : float
-        Fraction of what another view should show that has another colour there
-        (:meth:`slgaussian.geometry.SceneGeometry.clash`), the larger of two views. Of several the
-        median of what each has with the one that it shares most with.
+        Fraction of the pixels visible in another view that have another colour there
+        (:meth:`slgaussian.geometry.SceneGeometry.clash`), the larger of two views; for several
+        views the median over views, each with the view that it overlaps most.
     """
 
     overlap: float
@@ -83,11 +82,11 @@ class Quality:
     clash: float = 0.0
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers, four decimals."""
+        """Return JSON-compatible numbers, rounded to four decimals."""
         return {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self).items()}
 
     def summary(self) -> str:
-        """One line for people."""
+        """Return the measures as one line of text."""
         angle = "" if self.angle is None else f", lines of sight {self.angle:.0f} degrees apart"
         note = "" if self.judged else " (too few agree to judge the cameras)"
         return (
@@ -98,11 +97,11 @@ class Quality:
 
     @property
     def depth(self) -> str:
-        """A clause on how much of the depth is more than a guess, for terminal and page."""
+        """Return a clause on the confirmed fraction of the depth, for terminal and page."""
         return f"another view confirms {self.confirmed:.0%} of the pixels"
 
     def verdict(self) -> Verdict:
-        """Judge the scene by what its photographs say of each other; causes only give reasons."""
+        """Judge the scene by overlap, agreement and clash; angle and turn only give reasons."""
         if self.overlap < LITTLE_SHARED:
             return Verdict(
                 POOR,
@@ -142,10 +141,10 @@ class Quality:
 
 
 def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quality, np.ndarray]:
-    """Measure the quality of views, and see which pixels another view confirms, bool [V, H, W].
+    """Measure the quality of views, and find the pixels that another view confirms, bool [V, H, W].
 
-    What they share is told by their predicted depths, the rest by the checks of pairs that show the
-    same things (:func:`slgaussian.cameras.check.check_pairs`).
+    Overlap, agreement and clash come from the predicted depths, the other measures from the checks
+    of informative pairs (:func:`slgaussian.cameras.check.check_pairs`).
     """
     views, depths = geometry.views, geometry.depths
     shared = np.zeros(len(views))

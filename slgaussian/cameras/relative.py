@@ -1,4 +1,4 @@
-"""The relative geometry of two views: where the points of one land in the other."""
+"""Relative geometry of two views: projection of the points of one view into the other."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from slgaussian.scene import Camera
 
 
 def mapped(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Points [..., M] after a matrix [K, M], [..., K]: the same on any processor.
+    """Multiply points [..., M] by a matrix [K, M], giving [..., K], bitwise equal on any CPU.
 
-    BLAS adds up in an order of its own on each, and a last digit here can tip what is matched.
+    BLAS sums in an order that depends on the CPU, and the last bit can change which points match.
     """
     return np.einsum("...j,kj->...k", points, matrix)
 
 
 def product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The product [N, K] of matrices [N, M] and [M, K], likewise."""
+    """Multiply matrices [N, M] and [M, K], giving [N, K], as reproducibly as :func:`mapped`."""
     return np.einsum("ij,jk->ik", a, b)
 
 
@@ -36,33 +36,33 @@ class Relative:
 
     @staticmethod
     def between(reference: Camera, source: Camera) -> Relative:
-        """The relative geometry that two cameras in one world state."""
+        """Compute the relative geometry of two cameras in one world frame."""
         turn = source.c2w[:3, :3].T
-        # Of one place exactly none, wherever the origin is.
+        # Cameras at one position have t = 0 exactly, whatever the origin.
         t = mapped(reference.center - source.center, turn)
         return Relative(reference.K, source.K, product(turn, reference.c2w[:3, :3]), t)
 
     def reversed(self) -> Relative:
-        """The same geometry with the two views' parts exchanged."""
+        """Return the geometry with reference and source exchanged."""
         return Relative(self.K_src, self.K_ref, self.R.T, -mapped(self.t, self.R.T))
 
     @property
     def infinity(self) -> np.ndarray:
-        """Homography [3, 3] of points at infinity, reference pixels to source pixels."""
+        """Return the homography [3, 3] of points at infinity, reference to source pixels."""
         return product(product(self.K_src, self.R), np.linalg.inv(self.K_ref))
 
     @property
     def epipole(self) -> np.ndarray:
-        """Homogeneous shift [3] a pixel gets in the source per unit of inverse depth."""
+        """Return the homogeneous shift [3] of a pixel in the source per unit of inverse depth."""
         return mapped(self.t, self.K_src)
 
     def project(
         self, pixels: np.ndarray, inverse_depth: np.ndarray | float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Source pixels [..., 2] and z over z [...] of reference pixels [..., 2].
+        """Return source pixels [..., 2] and depth ratios [...] of reference pixels [..., 2].
 
-        The second result is the depth in the source divided by that in the reference; where it is
-        not positive the point is behind the source and its pixel means nothing.
+        The ratio is the depth in the source divided by that in the reference; if it is not positive
+        the point is behind the source and its pixel is meaningless.
         """
         w = np.asarray(inverse_depth, np.float64)[..., None]
         infinity = self.infinity
@@ -71,14 +71,14 @@ class Relative:
         return a[..., :2] / np.where(np.abs(ratio) > 1e-9, ratio, 1e-9)[..., None], ratio
 
     def fundamental(self) -> np.ndarray:
-        """F [3, 3] with ``p_source.T @ F @ p_reference = 0`` (Hartley and Zisserman, ch. 9)."""
+        """Return F [3, 3], ``p_source.T @ F @ p_reference = 0`` (Hartley and Zisserman, ch. 9)."""
         x, y, z = self.t / np.linalg.norm(self.t)
         cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         between = product(product(np.linalg.inv(self.K_src).T, cross), self.R)
         return product(between, np.linalg.inv(self.K_ref))
 
     def epipolar_distance(self, ref: np.ndarray, src: np.ndarray) -> np.ndarray:
-        """Signed Sampson distance [M] in pixels of matches [M, 2] and [M, 2]."""
+        """Compute the signed Sampson distance [M] in pixels of matches [M, 2] and [M, 2]."""
         F = self.fundamental()
         a = np.concatenate([ref, np.ones((len(ref), 1))], 1)
         b = np.concatenate([src, np.ones((len(src), 1))], 1)
@@ -87,7 +87,7 @@ class Relative:
         return (b * Fa).sum(1) / np.maximum(scale, 1e-12)
 
     def parallax(self, ref: np.ndarray) -> np.ndarray:
-        """Pixels [M] that reference pixels [M, 2] move in the source per unit of inverse depth.
+        """Compute the shift [M], source pixels per unit inverse depth, of reference pixels [M, 2].
 
         Exact for distant points.
         """
@@ -96,7 +96,7 @@ class Relative:
         return np.linalg.norm(e[:2] - far * e[2], axis=-1) / np.abs(ratio)
 
     def triangulate(self, ref: np.ndarray, src: np.ndarray) -> np.ndarray:
-        """Inverse depths [M] in the reference that explain matches best; may be negative."""
+        """Compute the best inverse depths [M] of matches in the reference; may be negative."""
         infinity = self.infinity
         a = mapped(ref, infinity[:, :2]) + infinity[:, 2]
         e = self.epipole

@@ -1,9 +1,8 @@
-"""Matches made sharp: the patch around one feature is laid over the other photograph.
+"""Sub-pixel refinement of matches by aligning the patch around one feature to the other photograph.
 
-Features are found in each photograph by itself, and a third of a pixel apart is the same to them.
-Lucas and Kanade's alignment of the patches (IJCAI 1981), affine and indifferent to brightness and
-contrast, halves the error where photographs are sharp. What that does for poses is measured in
-`docs/measured/poses.md`.
+Features are detected in each photograph separately, with an error of about a third of a pixel.
+Lucas-Kanade alignment of the patches (IJCAI 1981), affine and invariant to brightness and contrast,
+halves the error in sharp photographs. `docs/measured/poses.md` gives the effect on poses.
 """
 
 from __future__ import annotations
@@ -16,15 +15,15 @@ import numpy as np
 from slgaussian.cameras.matches import Features
 
 HALF = 7
-"""A patch has so many samples on each side of its middle."""
+"""Samples of a patch on each side of its centre."""
 REACH = 3.0
-"""It reaches so many times the feature's scale."""
+"""Half width of a patch in units of the feature's scale."""
 LEVELS = 5
 STEPS = 8
 LIKENESS = 0.8
-"""Least correlation of the patches at the end."""
+"""Smallest correlation of the aligned patches."""
 FAR = 1.5
-"""Features are moved by at most so many times their scale, and one pixel at least."""
+"""Largest shift of a feature, in units of its scale or pixels, whichever is larger."""
 
 
 def sharpen(
@@ -34,19 +33,19 @@ def sharpen(
     i: np.ndarray,
     j: np.ndarray,
 ) -> np.ndarray:
-    """Locate features ``i`` of the first image in the second, near their matches ``j``.
+    """Locate features ``i`` of the first image in the second image, near their matches ``j``.
 
     Parameters
     ----------
     greys : uint8 [H, W] each
     a, b : Features
-        Of the two images.
+        Features of the two images.
     i, j : int [M]
 
     Returns
     -------
     float64 [M, 2]
-        Pixels; those of ``b`` where the patches do not come to lie on each other.
+        Pixels; the positions of ``b`` where the alignment fails.
     """
     initial = b.points[j]
     if not len(i):
@@ -60,11 +59,13 @@ def sharpen(
     warp = np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], 1)
     warp = warp * (step * zoom)[:, None, None]
     fine = _level(step), _level(step * zoom)
-    wanted = _alike(_sampled(levels[0], fine[0], a.points[i], step[:, None, None] * grid), weight)
+    wanted = _normalise(
+        _sampled(levels[0], fine[0], a.points[i], step[:, None, None] * grid), weight
+    )
     at, patches = initial.copy(), wanted
     side = 2 * HALF + 1
     for _ in range(STEPS):
-        patches = _alike(_sampled(levels[1], fine[1], at, grid @ warp.mT), weight)
+        patches = _normalise(_sampled(levels[1], fine[1], at, grid @ warp.mT), weight)
         down, across = np.gradient(patches.reshape(-1, side, side), axis=(1, 2))
         slope = np.stack([across.reshape(len(at), -1), down.reshape(len(at), -1)], -1)
         jacobian = np.concatenate([slope, slope[..., :1] * grid, slope[..., 1:] * grid], -1)
@@ -90,18 +91,18 @@ def _pyramid(grey: np.ndarray) -> list[np.ndarray]:
 
 
 def _level(step: np.ndarray) -> np.ndarray:
-    """Levels int [M] whose pixels are about as far apart as the samples of each patch."""
+    """Return the pyramid level [M] whose pixel spacing is closest to ``step`` [M]."""
     return np.clip(np.round(np.log2(step)), 0, LEVELS - 1).astype(int)
 
 
 def _sampled(
     levels: Sequence[np.ndarray], level: np.ndarray, at: np.ndarray, offsets: np.ndarray
 ) -> np.ndarray:
-    """Grey float64 [M, S] around pixels [M, 2] at offsets [M, S, 2], each from its level."""
+    """Sample grey values float64 [M, S] at pixels [M, 2] plus offsets [M, S, 2], at levels [M]."""
     places = ((at[:, None] + offsets - 0.5) / 2.0 ** level[:, None, None]).astype(np.float32)
     out = np.empty(places.shape[:2])
     for k, image in enumerate(levels):
-        # The smallest image stands in for levels that it was too small for.
+        # The smallest image is used for levels that do not exist.
         selected = level == k if k < len(levels) - 1 else level >= k
         x, y = places[selected, :, 0], places[selected, :, 1]
         if selected.any():
@@ -111,7 +112,7 @@ def _sampled(
     return out
 
 
-def _alike(patches: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Patches [M, S] with mean 0 and norm 1 under ``weight`` [S]."""
+def _normalise(patches: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Normalise patches [M, S] to mean 0 and norm 1 under ``weight`` [S]."""
     centred = patches - (weight * patches).sum(1, keepdims=True) / weight.sum()
     return centred / np.sqrt((weight * centred**2).sum(1, keepdims=True) + 1e-6)

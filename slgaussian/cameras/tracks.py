@@ -1,4 +1,4 @@
-"""Matches of pairs of views joined into tracks, one a point, and where the points are."""
+"""Tracks: matches of pairs of views joined into one track per point, and triangulation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from slgaussian.io import short_repr
 
 Join = tuple[int, int, np.ndarray, np.ndarray]
-"""Two views and which keypoints of each, int [M] and int [M], show one point."""
+"""Two views and the indices of their matching keypoints, int [M] and int [M]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Tracks:
     xy : float64 [M, 2]
         Observed pixels.
     count : int
-        Number of tracks; each is seen by two views or more.
+        Number of tracks; each has observations in two or more views.
     """
 
     view: np.ndarray
@@ -37,9 +37,9 @@ class Tracks:
 
 
 def join_tracks(keypoints: Sequence[np.ndarray], joins: Sequence[Join]) -> Tracks:
-    """Matches joined; whatever would be seen twice in one view is left out.
+    """Join matches into tracks; tracks with two keypoints in one view are dropped.
 
-    ``keypoints`` are V of float64 [N, 2], pixels.
+    ``keypoints`` are V arrays float64 [N, 2], pixels.
     """
     offsets = np.cumsum([0, *(len(points) for points in keypoints)])
     view = np.repeat(np.arange(len(keypoints)), np.diff(offsets))
@@ -61,21 +61,21 @@ def join_tracks(keypoints: Sequence[np.ndarray], joins: Sequence[Join]) -> Track
 def triangulate(
     R: np.ndarray, t: np.ndarray, view: np.ndarray, track: np.ndarray, uv: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points of least algebraic error (Hartley and Zisserman, ch. 12.2).
+    """Triangulate points of least algebraic error (Hartley and Zisserman, ch. 12.2).
 
     Parameters
     ----------
     R, t : float64 [V, 3, 3], [V, 3]
         World to camera.
     view, track : int64 [M]
-        Of each observation, sorted by track.
+        View and track of each observation, sorted by track.
     uv : float64 [M, 2]
-        On the plane at depth 1.
+        Normalised image coordinates.
 
     Returns
     -------
     float64 [T, 3], int64 [T]
-        A point for each track that occurs, in order, and its first observation.
+        The point of each track that occurs, in order, and the index of its first observation.
     """
     pose = np.concatenate([R, t[:, :, None]], 2)
     rows = uv[:, :, None] * pose[view, 2:3] - pose[view, :2]

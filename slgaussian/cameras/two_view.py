@@ -1,9 +1,9 @@
 """Relative pose of two photographs, with a verdict on it.
 
-An answer is refused if it rests on too little, or if another is about as good: photographs taken
-from one place, of one flat thing, or of different places also give matches, and any estimator
-makes something of them. The bounds were chosen on the pairs of `docs/measured/poses.md`, so that
-hardly any answer is wrong without a word.
+A pose is refused if it has too little support, or if another pose is about as good: photographs
+taken from one position, of one plane, or of different places also have matches, and any estimator
+returns a pose for them. The bounds were chosen on the pairs of `docs/measured/poses.md`, so that
+hardly any wrong pose is reported as good.
 """
 
 from __future__ import annotations
@@ -25,70 +25,70 @@ from slgaussian.cameras.subpixel import sharpen
 from slgaussian.io import short_repr
 
 LONGEST = 1200
-"""Pixels of the longer side to which readers shrink what features are found in."""
+"""Longer side, pixels, to which readers shrink the images for feature detection."""
 
-FEATURES, CONTRAST, RATIO = 6000, 0.01, 0.85
-"""Of SIFT: dark and plain walls have few strong ones."""
+FEATURES, CONTRAST, POSE_RATIO = 6000, 0.01, 0.85
+"""SIFT features, contrast and Lowe's ratio; dark and plain walls have few strong features."""
 
 USUAL, SPREAD = 0.8, 0.3
-"""Focal lengths of phones and cameras, over the longer side, are usually so long, and their
-logarithms spread so much."""
+"""Typical focal length of phones and cameras over the longer side, and standard deviation of its
+logarithm."""
 
 EXIF_SPREAD = 0.05
-"""What EXIF says is off by a few hundredths: some phones crop, some round."""
+"""Standard deviation of the log focal length by EXIF: some phones crop, some round."""
 
 LEAST = 20
 SHARE = 0.2
-"""Fewest matches that agree, and least share of all: by chance up to a dozen do."""
+"""Smallest number and fraction of inliers; by chance up to a dozen matches agree."""
 
 SURE, UNSURE = 0.95, 0.8
-"""Probability, among all answers found, of those within :data:`ALIKE` of the best: a pair is
-doubted below the first and refused below the second."""
+"""Probability of the poses within :data:`ALIKE` of the best, among all solutions, below which a
+pair is doubtful, and refused."""
 
 MOSTLY = 0.85
-"""If more of the inliers than that obey one homography, a pair is refused where another would be
-doubted: what is left to tell the position is little."""
+"""Fraction of inliers on one homography above which a doubtful pair is refused: few matches remain
+to determine the position."""
 
 ALIKE = 10.0
 """Degrees."""
 
 SHARP, BLUNT = 3.0, 6.0
-"""Degrees of uncertainty above which a pair is doubted, and refused."""
+"""Uncertainty, degrees, above which a pair is doubtful, and refused (``ALIKE``: same pose)."""
 
 SMALL, PART = 0.02, 0.2
-"""Parts of a photograph that the inliers must spread over: of each, and of one of them if all obey
-one homography."""
+"""Smallest fraction of a photograph that the inliers must cover: of each photograph, and of one of
+them if all inliers fit one homography."""
 
 ENLARGED = 1.4
-"""From there on a pair is doubted if nothing is known of its focal lengths: a zoom looks alike."""
+"""Scale ratio from which on a pair without known focal lengths is doubtful: it may be a zoom."""
 
-LOOKED_AT = 200
-"""Inliers, about, that are looked at for repetition."""
+REPETITION_SAMPLES, REPETITION_LIMIT = 200, 0.85
+"""Approximate number of inliers tested for repetition, and largest :func:`_repetition`."""
 
 APART = 8.0
-"""Two features are of different things from so many times their scale on."""
+"""Distance, in units of the feature's scale, from which on two features are separate points."""
 
 MIRRORED = 3
-"""Photographs are mirrored if so many times the matches agree once one is turned over."""
+"""A photograph is mirrored if mirroring it multiplies the agreeing matches by this factor."""
 
 SUSPECT = 0.35
-"""Share of matches that agree below which a mirrored photograph is looked for."""
+"""Fraction of agreeing matches below which mirroring is tested."""
 
 
 @dataclass(frozen=True, eq=False)
 class Photograph:
-    """One photograph, upright, and what its file says of the lens.
+    """One upright photograph and the lens information of its file.
 
     Attributes
     ----------
     name : str
-        Unique among those that are looked at together.
+        Unique among the photographs of one call.
     image : uint8 [h, w, 3]
-        RGB; may be smaller than the photograph, its shape kept.
+        RGB; may be smaller than the photograph, with the same aspect ratio.
     width, height : int
         Size of the whole photograph, upright, pixels.
     lens : str
-        What tells lenses apart: maker, model, lens and focal length by EXIF; "" if nothing is said.
+        Identifies the lens: maker, model, lens and focal length by EXIF; "" if unknown.
         Photographs of one size and one lens share a focal length.
     focal : float or None
         Focal length by EXIF, pixels of the whole photograph.
@@ -106,7 +106,7 @@ class Photograph:
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """A photograph, its grey uint8 [h, w] and its features, at the size of its image."""
+    """A photograph with its grey image uint8 [h, w] and its features."""
 
     photograph: Photograph
     grey: np.ndarray
@@ -116,40 +116,40 @@ class Described:
 
     @staticmethod
     def of(photograph: Photograph) -> Described:
-        """Find its features."""
+        """Detect the features of a photograph."""
         grey = cv2.cvtColor(photograph.image, cv2.COLOR_RGB2GRAY)
         return Described(photograph, grey, find_features(grey, FEATURES, CONTRAST))
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of the image; photographs are worked on in the order of it."""
+        """Return the SHA-256 of the image, by which photographs are ordered."""
         return hashlib.sha256(np.ascontiguousarray(self.photograph.image).data).hexdigest()
 
     @cached_property
     def mirrored(self) -> Described:
-        """The same, left and right exchanged."""
+        """Return the mirrored photograph, left and right exchanged."""
         turned = np.ascontiguousarray(self.photograph.image[:, ::-1])
         return Described.of(replace(self.photograph, image=turned))
 
     @property
     def middle(self) -> np.ndarray:
-        """Principal point float64 [2]: the middle, pixels of the image."""
+        """Return the principal point float64 [2]: the image centre, pixels of the image."""
         height, width = self.photograph.image.shape[:2]
         return np.array([width, height]) / 2
 
     @property
     def longer(self) -> int:
-        """Longer side of the image, pixels."""
+        """Return the longer side of the image, pixels."""
         return max(self.photograph.image.shape[:2])
 
     @property
     def shrunk(self) -> float:
-        """Pixels of the image over those of the whole photograph."""
+        """Return the scale of the image: its size over that of the whole photograph."""
         return self.longer / max(self.photograph.width, self.photograph.height)
 
     @property
     def focal(self) -> tuple[float, float]:
-        """Prior of its focal length: logarithm in pixels of the image, and deviation."""
+        """Return the prior of the log focal length, pixels of the image: mean and deviation."""
         stated = self.photograph.focal
         if stated is None:
             return float(np.log(USUAL * self.longer)), SPREAD
@@ -157,7 +157,7 @@ class Described:
 
     @property
     def lens(self) -> tuple[str, int, int, float | None]:
-        """Photographs that agree in this share a focal length."""
+        """Return the identity of the lens; photographs with equal values share a focal length."""
         photograph = self.photograph
         sides = sorted((photograph.width, photograph.height))
         return photograph.lens, sides[0], sides[1], photograph.focal
@@ -165,23 +165,23 @@ class Described:
 
 @dataclass(frozen=True, eq=False)
 class PairPose:
-    """The relative pose of two photographs, if their matches tell one.
+    """Relative pose of two photographs, if their matches determine one.
 
     Attributes
     ----------
     first, second : Described
     views : TwoViews or None
-        In pixels from the middles of the two images.
+        Image coordinates are pixels from the image centres.
     i, j : int [M]
-        Features that are inliers.
+        Indices of the inlier features.
     x, y : float64 [M, 2]
-        Where they lie, pixels from the middles; ``y`` is sharper than the features of ``second``.
+        Their positions, pixels from the image centres; ``y`` is refined to sub-pixel accuracy.
     estimate : EstimatedPair
-        ``found.verdict`` is UNUSED if the pose is not to be used.
+        ``estimate.verdict`` is UNUSED if the pose must not be used.
     advice : str
-        What to do then, a clause.
+        Advice in that case, a clause.
     probability : float
-        Of the pose among all that the matches speak for.
+        Probability of the pose among all solutions.
     """
 
     first: Described
@@ -198,24 +198,24 @@ class PairPose:
     __repr__ = short_repr
 
     def of(self, mask: np.ndarray) -> PairPose:
-        """The same with some of its points, bool [M], as inliers."""
+        """Return the pose with the inliers restricted to ``mask``, bool [M]."""
         estimate = replace(self.estimate, inliers=int(mask.sum()))
         i, j, x, y = (all[mask] for all in (self.i, self.j, self.x, self.y))
         return replace(self, i=i, j=j, x=x, y=y, estimate=estimate)
 
 
 def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> PairPose:
-    """Match two photographs and find their relative pose; refusals are in the verdict.
+    """Match two photographs and estimate their relative pose; the verdict states a refusal.
 
     Parameters
     ----------
     a, b : Described
-        The answer for (b, a) is the same the other way round, but for rounding.
+        The result for (b, a) is the inverse pose, up to rounding.
     prior : FocalPrior, optional
-        Of the two focal lengths, pixels of the images; otherwise what EXIF says and what is usual.
+        Prior of the two focal lengths, pixels of the images; default from EXIF or typical lenses.
     """
     prior = prior or focal_prior(a, b)
-    i, j, ratios = match(a.features, b.features, RATIO)
+    i, j, ratios = match(a.features, b.features, POSE_RATIO)
     order = np.argsort(ratios, kind="stable")
     i, j = i[order], j[order]
     x = a.features.points[i] - a.middle
@@ -231,7 +231,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     count = int(inlier.sum())
     flat, flaw = why_no_depth(x, y, prior, max(count, LEAST))
     if flaw is not None:
-        # A crop, or a plane, that two photographs share fills one of them.
+        # A shared crop or plane must fill one of the two photographs.
         return _refused(every.of(flat), *(_flaw_of_points(every.of(flat), PART, max) or flaw))
     pose = replace(every.of(inlier), views=best)
     if count < max(LEAST, SHARE * len(i)):
@@ -242,7 +242,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     if count < SUSPECT * len(i) and (mirrored := _mirrored(pose)) is not None:
         return mirrored
     assert best.covariance is not None
-    # Of turn or direction, one deviation of all axes together.
+    # Standard deviation of rotation or direction, over all axes together.
     uncertainty = float(np.degrees(np.sqrt(np.trace(best.covariance[:5, :5]))))
     angle = float(np.median(best.angles(pose.x, pose.y)))
     probability = _probability(answers)
@@ -287,7 +287,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
 
 
 def confidence(pose: PairPose) -> float:
-    """0 to 1: that a pose is right to some degrees."""
+    """Compute the probability, 0 to 1, that a pose is right to a few degrees."""
     if pose.estimate.verdict == UNUSED or pose.views is None:
         return 0.0
     enough = 1 - np.exp(-pose.estimate.inliers / LEAST)
@@ -305,7 +305,7 @@ def focal_prior(a: Described, b: Described) -> FocalPrior:
 
 
 def _probability(answers: list[TwoViews]) -> float:
-    """Of the best answer and those like it, among all."""
+    """Compute the probability of the best pose and those like it, among all solutions."""
     odds = np.exp([answers[0].cost - answer.cost for answer in answers])
     near = np.array([answer.turned_from(answers[0]) < ALIKE for answer in answers])
     return float(odds[near].sum() / odds.sum())
@@ -314,13 +314,13 @@ def _probability(answers: list[TwoViews]) -> float:
 def _flaw_of_points(
     pose: PairPose, min_share: float, which: Callable[[float, float], float]
 ) -> tuple[str, str] | None:
-    """Return the flaw of the distribution of inliers, with advice; None if there is none."""
+    """Return a flaw in the distribution of the inliers, with advice; None if there is none."""
     if which(_spread(pose.x, pose.first), _spread(pose.y, pose.second)) < min_share:
         return (
             "all points that both show lie in one small part of a photograph",
             "take photographs that share more of what they show",
         )
-    if _repetition(pose) > RATIO:
+    if _repetition(pose) > REPETITION_LIMIT:
         return (
             "what both show is a pattern that repeats, and fits itself in several ways",
             "take photographs that also show things that are there only once",
@@ -329,15 +329,15 @@ def _flaw_of_points(
 
 
 def _repetition(pose: PairPose) -> float:
-    """Return the median over inliers of Lowe's ratio, had each match been looked for in the first
-    photograph itself: near 1 for patterns that repeat."""
+    """Return the median over inliers of the distance to the match over the distance to the nearest
+    other feature of the first photograph: near 1 for repeated patterns."""
     features = pose.first.features
-    some = slice(None, None, 1 + len(pose.i) // LOOKED_AT)
+    some = slice(None, None, 1 + len(pose.i) // REPETITION_SAMPLES)
     i, j = pose.i[some], pose.j[some]
     descriptors = features.descriptors[i]
     matched = (descriptors * pose.second.features.descriptors[j]).sum(1)
     likeness = descriptors @ features.descriptors.T
-    # One place can have several features: of two orientations, or scales.
+    # One point can have several features, of different orientations or scales.
     far = np.linalg.norm(features.points[i][:, None] - features.points, axis=2)
     likeness[far < APART * features.scales[i][:, None]] = -1
     second_best = likeness.max(1)
@@ -345,7 +345,7 @@ def _repetition(pose: PairPose) -> float:
 
 
 def _spread(points: np.ndarray, of: Described) -> float:
-    """Part of the image that the hull of points [M, 2] covers."""
+    """Compute the fraction of the image that the convex hull of points [M, 2] covers."""
     height, width = of.photograph.image.shape[:2]
     return cv2.contourArea(cv2.convexHull(points.astype(np.float32))) / (height * width)
 
@@ -357,7 +357,7 @@ def _refused(pose: PairPose, reason: str, advice: str) -> PairPose:
 
 
 def _refuse_few(pose: PairPose) -> PairPose:
-    """Too few matches agree: perhaps because one photograph is mirrored."""
+    """Refuse a pair with too few agreeing matches; the reason may be a mirrored photograph."""
     matches = pose.estimate.matches
     return _mirrored(pose) or _refused(
         pose,
@@ -368,9 +368,9 @@ def _refuse_few(pose: PairPose) -> PairPose:
 
 
 def _mirrored(pose: PairPose) -> PairPose | None:
-    """The refusal of a pair of which one is mirrored, as more matches agree then."""
+    """Refuse a pair if more matches agree after mirroring one photograph; else None."""
     first, mirrored = pose.first.features, pose.second.mirrored.features
-    i, j, _ = match(first, mirrored, RATIO)
+    i, j, _ = match(first, mirrored, POSE_RATIO)
     agreeing = int(agree(first.points[i], mirrored.points[j], 1.0).sum())
     if agreeing < max(2 * LEAST, MIRRORED * pose.estimate.inliers):
         return None

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from slgaussian.cameras.check import COARSE, agree
-from slgaussian.cameras.matches import RATIO, match, sift
+from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.cameras.two_view import Photograph
 from slgaussian.datasets.intrinsics import checked_camera
 from slgaussian.datasets.photographs import scene_of
@@ -135,7 +135,7 @@ def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tu
     features = [sift(grey) for grey in greys]
     matches = {}
     for i, j in pairwise(range(len(photos))):
-        a, b, _ = match(features[i], features[j], RATIO)
+        a, b, _ = match(features[i], features[j], LOWE_RATIO)
         p, q = features[i].points[a], features[j].points[b]
         keep = agree(p, q, COARSE * LONGEST)
         matches[i, j] = p[keep], q[keep]

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from slgaussian.cameras.matches import RATIO, Features, match, sift
+from slgaussian.cameras.matches import LOWE_RATIO, Features, match, sift
 from slgaussian.cameras.relative import Relative
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.pose import GATE
@@ -76,7 +76,7 @@ def _median_depths(
     if not np.linalg.norm(camera_a.center - camera_b.center) > 0:
         return None
     relative = Relative.between(camera_a, camera_b)
-    i, j, _ = match(features_a, features_b, RATIO)
+    i, j, _ = match(features_a, features_b, LOWE_RATIO)
     if not len(i):
         return None
     a, b = features_a.points[i], features_b.points[j]
