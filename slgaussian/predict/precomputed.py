@@ -1,8 +1,8 @@
-"""The predictor ``precomputed``: depth made elsewhere, read as its photographs say it is meant.
+"""The predictor ``precomputed``: depth maps from files, interpreted by matches of the photographs.
 
 A file does not say whether depth is along z or along the ray, in which unit, and whether the map
-was stretched, cropped or padded from its photograph. Points that two photographs show both tell:
-under the right reading, depth takes each from one view to where the other shows it.
+was stretched, cropped or padded from its photograph. Under the right interpretation, the depth of a
+keypoint reprojects it to its match in the other view.
 """
 
 from __future__ import annotations
@@ -40,28 +40,29 @@ from slgaussian.predict.view_graph import ViewGraph, link_views
 from slgaussian.scene import Camera, Sample, View
 
 FITS = 0.5
-"""Share of the matches that depth must take to within :data:`slgaussian.cameras.check.COARSE` of
-where they are. Right readings reach 0.8 and more, since some matches lie on borders of depth."""
+"""Share of the matches whose reprojection error must be within
+:data:`slgaussian.cameras.check.COARSE`. Right readings reach 0.8 and more; the rest lies on depth
+edges."""
 
 INFORMED = 0.85
 PARALLAX = 0.3
-"""Depth must fit with less than this share of the error of one depth for all pixels, if that is
-more than ``PARALLAX``: on less motion nearly any depth fits."""
+"""The reprojection error must be below ``INFORMED`` times that of a constant depth, if the latter
+is above ``PARALLAX``: with less parallax nearly any depth fits."""
 
 MUCH_BETTER = 0.9
-"""A less usual reading is taken if its error is below this share of the usual one's."""
+"""A less usual reading is chosen if its error is below this share of the error of the usual one."""
 
 MOVING = 1.0
-"""Least motion of a match by depth, pixels, from which a scale is measured."""
+"""Smallest parallax of a match, pixels, from which a scale is measured."""
 
 SAME_UNIT = 0.03
-"""Relative distance of a scale from a power of ten up to which it is one: millimetres of metres."""
+"""Relative difference up to which a scale is rounded to a power of ten, as for millimetres."""
 
 LEVELS = 10
-"""Steps of confidence that are judged, each of as many pixels."""
+"""Number of quantiles into which confidence is divided."""
 
 FRAMES = re.compile(r"_\d{4,}_\d{4,}$")
-"""End of the name of a sample that is cut from a place: its frames, as in ``hall_0003_0007``."""
+"""Frame numbers at the end of the name of a sample of a place, as in ``hall_0003_0007``."""
 
 Matches = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 """Matching points float64 [M, 2] and [M, 2], pixels, of pairs of views."""
@@ -71,23 +72,23 @@ Depth = Callable[[np.ndarray], np.ndarray]
 
 
 class PrecomputedGeometry(PrecomputedGeometryConfig):
-    """Depth out of files, in the cameras of the sample; colours and discs as ``planesweep``.
+    """Depth maps from files, in the cameras of the sample; Gaussians as those of ``planesweep``.
 
     ``geometry`` is an NPZ with a map of every context view (:mod:`slgaussian.formats.depth_maps`),
-    told apart by its array ``names`` or, without one, by the order of the views; or a folder that
-    holds a file for each view, called like it: for ``images/0013.jpg`` it is ``images/0013.png``,
+    assigned by its array ``names`` or, without one, by the order of the views; or a folder with a
+    file for each view, of the same name: for ``images/0013.jpg`` it is ``images/0013.png``,
     or else ``0013.png``, or another of :data:`slgaussian.masks.configs.DEPTHS`, and confidence
-    ``0013_conf.png``. Of several scenes, each may have a folder of its name there; samples that
-    are cut from one place, ``hall_0003_0007``, share that of the place, ``hall``.
+    ``0013_conf.png``. With several scenes, each may have a subfolder of its name; samples of one
+    place, such as ``hall_0003_0007``, share the subfolder of the place, ``hall``.
 
-    Pixels without depth are completed as those that a sweep does not answer. A pixel of a
-    confidence that other views mostly contradict is a guess.
+    Pixels without depth are completed like pixels that a sweep could not match. Pixels of a level
+    of confidence that other views mostly contradict are marked as guessed.
 
     Raises
     ------
     InputError
-        If there is no such place. When a sample comes: if a map is missing or cannot be read, or
-        no reading of the maps fits the photographs.
+        If the file or folder does not exist. When called: if a map is missing or cannot be read,
+        or no reading of the maps fits the photographs.
     """
 
     def __init__(self, **values: Any) -> None:
@@ -101,8 +102,8 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
             raise InputError(f"precomputed geometry: there is no {str(self.geometry)!r}")
 
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
-        """Gaussians in the world frame of ``sample``; nothing is random."""
-        assert self.geometry is not None  # looked at when this was made
+        """Predict Gaussians in the world frame of ``sample``; the result ignores ``seed``."""
+        assert self.geometry is not None  # checked by __init__
         views = sample.context
         matches = graph or MatchGraph.of(views)
         maps = find_maps(self.geometry, sample)
@@ -154,24 +155,24 @@ def _find_map(folder: Path, view: str) -> DepthMap:
 
 
 def agreeing(views: Sequence[View], graph: MatchGraph) -> Matches:
-    """Return the matches of each pair that agree with one another, whatever the cameras say."""
+    """Return the matches of each pair that fit a fundamental matrix, independent of the cameras."""
     bound = COARSE * float(np.hypot(*views[0].grey.shape))
-    found = {}
+    matches_of_pair = {}
     for pair in graph.matches:
         a, b = graph.points(*pair)
         keep = agree(a, b, bound)
         if keep.sum() >= MIN_MATCHES:
-            found[pair] = a[keep], b[keep]
-    return found
+            matches_of_pair[pair] = a[keep], b[keep]
+    return matches_of_pair
 
 
 def placements(width: int, height: int, photo: tuple[int, int]) -> dict[str, np.ndarray]:
-    """Ways in which a map of a size may lie over a photograph of ``photo`` (width, height).
+    """Return the ways in which a map of a size may cover a photograph of ``photo`` (width, height).
 
     Returns
     -------
     dict str -> float64 [3, 3]
-        From pixels of the photograph to those of the map, by what was done to the photograph.
+        Transforms from pixels of the photograph to those of the map, by operation.
     """
     x, y = width / photo[0], height / photo[1]
     ways = {"stretched": np.diag([x, y, 1.0])}
@@ -200,20 +201,20 @@ def to_view(values: np.ndarray, at: np.ndarray, camera: Camera) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """How well depth takes matches from view to view, under one reading of it.
+    """Reprojection error of the matches under one reading of the depth.
 
     Attributes
     ----------
     error : float
-        Mean distance of the matches from where depth takes them, as a share of the bound, cut at 1.
+        Mean reprojection error as a share of the bound, each clipped at 1.
     share : float
-        Of the matches, that are within the bound.
+        Share of the matches within the bound.
     count : int
-        Matches that have depth, from both sides.
+        Number of matches with depth, in both directions.
     scales : float64 [V]
-        By which the depth of each view was multiplied.
+        Factors of the depth of each view.
     scaling : str
-        "", or what was scaled, for people.
+        Description of the scaling for people; empty without one.
     """
 
     error: float
@@ -224,7 +225,7 @@ class Fitted:
 
 
 def z_at(depth: np.ndarray, at: np.ndarray, camera: Camera, ray: bool) -> Depth:
-    """Look up z of a view's pixels, which ``at`` [3, 3] takes to those of the map; 0 if unknown."""
+    """Return a function that looks up z at pixels of a view; ``at`` [3, 3] maps them to the map."""
 
     def look_up(points: np.ndarray) -> np.ndarray:
         column, row = np.floor(points @ at[:2, :2].T + at[:2, 2]).astype(np.int64).T
@@ -239,9 +240,9 @@ def z_at(depth: np.ndarray, at: np.ndarray, camera: Camera, ray: bool) -> Depth:
 
 
 def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) -> Fitted:
-    """Take matches from view to view by the z-depth of V views, scaled as little as fits.
+    """Reproject matches by the z-depth of V views, and scale it if the error falls much.
 
-    As it is, by one scale for all views, or by one for each.
+    Tried in order: no scale, one scale for all views, one scale for each view.
     """
     bound = COARSE * float(np.hypot(cameras[0].height, cameras[0].width))
     seen = []
@@ -285,7 +286,7 @@ def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) ->
 
 
 Reading = tuple[Any, Sequence[Camera], Sequence[Depth]]
-"""A label of one way to read a file, and the cameras and the depth of V views that it gives."""
+"""A way to read a file: its label, and the cameras and depth of V views that result."""
 
 
 def choose_reading(
@@ -296,8 +297,7 @@ def choose_reading(
     Raises
     ------
     InputError
-        If even that one does not fit the photographs, nor much better than one depth for all pixels
-        of a view does.
+        If that one does not fit the photographs, or not much better than a constant depth.
     """
     tried = [(reading, fit(*reading[1:], matches)) for reading in readings]
     least = min(fitted.error for _, fitted in tried)
@@ -339,12 +339,12 @@ def _read(
             f"{place}: too few matches to check how depth is meant; taken along z, as it is",
             stacklevel=4,
         )
-    said = ["along the ray"] if ray else []
-    said += [f"of {way} photographs"] if len(ways[0]) > 1 else []
-    said += [fitted.scaling] if fitted.scaling else []
-    if said:
+    notes = ["along the ray"] if ray else []
+    notes += [f"of {way} photographs"] if len(ways[0]) > 1 else []
+    notes += [fitted.scaling] if fitted.scaling else []
+    if notes:
         warnings.warn(
-            f"{place}: depth is read {', '.join(said)}: so it takes {fitted.share:.0%} of the "
+            f"{place}: depth is read {', '.join(notes)}: so it takes {fitted.share:.0%} of the "
             "matches to where the other view shows them",
             stacklevel=4,
         )
@@ -382,19 +382,19 @@ def _swept(
     depths: Sequence[np.ndarray],
     confidences: Sequence[np.ndarray | None],
 ) -> tuple[list[SweptView], np.ndarray]:
-    """Check the depth of all views against each other, as after a sweep; and where confidence is
-    low, bool [V, H, W]."""
+    """Cross-check the depths of all views, as after a sweep; also return a mask of low confidence,
+    bool [V, H, W]."""
     links, settings = linked.links, PlaneSweep()
     given = np.array([depth > 0 for depth in depths])
     inverse = [
         np.divide(1, z, out=np.ones(z.shape), where=z > 0).astype(np.float32) for z in depths
     ]
-    everywhere = np.concatenate([link.sparse for own in links for link in own])
+    all_sparse = np.concatenate([link.sparse for own in links for link in own])
     steps = []
     for i, view in enumerate(sample.context):
         ends = np.percentile(inverse[i][given[i]], (0.1, 99.9)) if given[i].any() else []
         try:
-            low, high = depth_range(sample.scene, view, links[i], everywhere)
+            low, high = depth_range(sample.scene, view, links[i], all_sparse)
         except InputError:  # too few matches
             if not len(ends):
                 raise
@@ -411,22 +411,23 @@ def _swept(
                 cross_check(inverse[i], np.where(known, other, blank), link.relative, step)
                 for blank in (np.float32(np.inf), np.float32(0))
             )
-            # What the other view has no depth of may yet agree.
+            # Where the other view has no depth, the pixel may still agree.
             open_ = (far == BEHIND) & (near == IN_FRONT)
             judged[i] |= given[i] & (far != UNSEEN) & ~open_
             agrees[i] |= given[i] & ((far == AGREES) | open_)
-    low_ones = _low(confidences, agrees, judged)
+    low_confidence = _low(confidences, agrees, judged)
     swept = [
-        SweptView(steps[i], inverse[i], agrees[i] & ~low_ones[i], given[i])
+        SweptView(steps[i], inverse[i], agrees[i] & ~low_confidence[i], given[i])
         for i in range(len(steps))
     ]
-    return swept, low_ones
+    return swept, low_confidence
 
 
 def _low(
     confidences: Sequence[np.ndarray | None], agrees: np.ndarray, judged: np.ndarray
 ) -> np.ndarray:
-    """Where confidence is at levels of which other views contradict more than half, from below."""
+    """Return a mask of the lowest confidence levels, of which other views contradict more than
+    half, bool [V, H, W]."""
     low = np.zeros_like(agrees)
     if any(one is None for one in confidences) or not judged.any():
         return low
