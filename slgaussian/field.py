@@ -588,12 +588,7 @@ class SemanticField:
         return edits.files(self.taught, self.names, self.removed)
 
     @staticmethod
-    def load(
-        path: str | Path,
-        encoder: Mapping[str, str | Path] | None = None,
-        *,
-        later: bool = False,
-    ) -> SemanticField:
+    def load(path: str | Path, encoder: Mapping[str, str | Path] | None = None) -> SemanticField:
         """Read a field folder.
 
         Parameters
@@ -602,9 +597,6 @@ class SemanticField:
         encoder : {setting: path or name on the hub}, optional
             Where the files of its encoder are now, if not where they were when it was built, as in
             ``{"model": "models/clip"}``. They are looked at when the field is first asked.
-        later : bool
-            Whether to read the Gaussians, and to see whether they are damaged, when they are first
-            needed.
 
         Raises
         ------
@@ -615,18 +607,14 @@ class SemanticField:
         path = Path(path)
         about, where = field_folder.read_about(path)
         where |= {key: str(place) for key, place in (encoder or {}).items()}
-        with _of_folder(path), _naming_file("bank"):
-            read = field_folder.read_arrays(path, "bank", about.digests["bank"])
-            bank = MemoryBank.from_arrays(read)
-
-        def gaussians() -> Arrays:
-            with _of_folder(path):
-                arrays = field_folder.read_arrays(path, "gaussians", about.digests["gaussians"])
-                _checked(arrays, bank)
-            return arrays
-
-        held = Gaussians.later(gaussians) if later else Gaussians.from_arrays(gaussians())
-        loaded = SemanticField(held, bank, about.cameras, about.settings, where)
+        arrays = {
+            spec: field_folder.read_arrays(path, spec, about.digests[spec])
+            for spec in ("bank", "gaussians")
+        }
+        try:
+            loaded = SemanticField.of(about, arrays, where)
+        except InputError as error:
+            raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
         identity = encoder_identity(about.settings)
         taught, names, removed = edits.read(path, identity, loaded.bank.ids)
         loaded = replace(loaded, taught=taught, names=names, removed=removed)
@@ -652,15 +640,6 @@ class SemanticField:
             bank = MemoryBank.from_arrays(arrays["bank"])
         gaussians = _checked(arrays["gaussians"], bank)
         return SemanticField(gaussians, bank, about.cameras, about.settings, places or {})
-
-
-@contextmanager
-def _of_folder(path: Path) -> Iterator[None]:
-    """Turn an InputError about what a folder holds into a SpecError that names the folder."""
-    try:
-        yield
-    except InputError as error:
-        raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
 
 
 @contextmanager

@@ -6,7 +6,7 @@ Spherical harmonics follow the standard 3D Gaussian splatting convention (Kerbl 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar, overload
 
@@ -27,10 +27,7 @@ SH_C0 = 0.28209479177387814
 
 
 class _Tensor(Generic[Held]):
-    """A tensor among the fields of :class:`Gaussians`, made of its array when first asked for.
-
-    What is held is a tensor or an array; and where neither is, all arrays are still to be read.
-    """
+    """A tensor among the fields of :class:`Gaussians`, made of its array when first asked for."""
 
     def __init__(self, optional: bool = False) -> None:
         self.optional = optional
@@ -47,26 +44,15 @@ class _Tensor(Generic[Held]):
             if self.optional:
                 return None
             raise AttributeError(self.name)
-        stored = _held(of)
-        value = stored.get(self.name)
+        value = of.__dict__.get(self.name)
         if isinstance(value, np.ndarray):
             import torch
 
-            value = stored[self.name] = torch.from_numpy(value)
+            value = of.__dict__[self.name] = torch.from_numpy(value)
         return value
 
     def __set__(self, of: object, value: Held) -> None:
         of.__dict__[self.name] = value
-
-
-def _held(of: object) -> dict[str, Any]:
-    """Return the tensors and arrays of Gaussians by name of the field."""
-    stored = of.__dict__
-    if "_read" in stored:
-        loaded = Gaussians.from_arrays(stored["_read"]())
-        stored.clear()
-        stored.update(loaded.__dict__)
-    return stored
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +115,7 @@ class Gaussians:
             raise InputError(f"gaussians guessed: found shape {shapes['guessed']}, expected ({n},)")
 
     def __len__(self) -> int:
-        return int(_held(self)["means"].shape[0])
+        return int(self.__dict__["means"].shape[0])
 
     def __getitem__(self, keep: torch.Tensor | np.ndarray) -> Gaussians:
         """The Gaussians chosen by a boolean mask [N], or indices: an array or a tensor."""
@@ -143,13 +129,13 @@ class Gaussians:
 
     def _present(self) -> list[tuple[str, Any]]:
         """The (name, tensor or array) pairs that are held, as they are."""
-        stored = _held(self)
+        stored = self.__dict__
         return [(f.name, stored[f.name]) for f in fields(self) if stored.get(f.name) is not None]
 
     @property
     def is_cuda(self) -> bool:
         """True if they lie on a GPU; False of arrays."""
-        return bool(getattr(_held(self)["means"], "is_cuda", False))
+        return bool(getattr(self.__dict__["means"], "is_cuda", False))
 
     def items(self) -> list[tuple[str, torch.Tensor]]:
         """The (name, tensor) pairs that are present."""
@@ -220,13 +206,6 @@ class Gaussians:
         import torch
 
         return Gaussians(**{n: torch.cat([getattr(part, n) for part in parts]) for n in names})
-
-    @staticmethod
-    def later(read: Callable[[], Mapping[str, np.ndarray]]) -> Gaussians:
-        """As :meth:`from_arrays` of what ``read`` returns, which is called when it is needed."""
-        instance = object.__new__(Gaussians)
-        instance.__dict__["_read"] = read
-        return instance
 
 
 def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:

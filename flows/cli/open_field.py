@@ -46,7 +46,7 @@ def open_field(
     fields = checked(Method, layered(preset, values), "query").model_dump(exclude_unset=True)
     chosen = {name: value for name, value in fields.items() if name in RULES}
     Rules(**chosen)
-    field = SemanticField.load(folder, later=True)
+    field = SemanticField.load(folder)
     encoder = field.settings["encoder"]
     places = fields[encoder] if encoder in values else {}
     fixed = values.keys() - (RULES if rules else set()) - {encoder}

@@ -132,48 +132,13 @@ def add_warped(
     The definition of ``cost_volume_cpu.add_products``, on any device.
     """
     h, w, channels = reference.shape
-    corners, weights = bilinear(*positions(start, offset, disparities), (h, w))
-    references, rows = reference.view(h * w, channels, 1), target.view(h * w, channels)
-    products = out.view(h * w, -1, 1)
+    x, y = positions(start, offset, disparities)
+    # ``grid_sample`` has the outermost pixel centres at -1 and 1. It gives 0 beyond one pixel
+    # outside, and NaN for infinite positions, which are therefore clamped.
+    grid = torch.stack([x / (w - 1), y / (h - 1)], -1).mul_(2).sub_(1).clamp_(-3, 3)
+    maps, references = target.permute(2, 0, 1)[None], reference.view(h * w, channels)
+    products = out.view(h * w, -1)
     for first in range(0, h * w, CHUNK):
         part = slice(first, first + CHUNK)
-        # A bilinear sample is a weighted sum of four rows.
-        warped = F.embedding_bag(
-            corners[part].reshape(-1, 4),
-            rows,
-            per_sample_weights=weights[part].reshape(-1, 4),
-            mode="sum",
-        )
-        products[part].baddbmm_(warped.view(-1, len(disparities), channels), references[part])
-
-
-def bilinear(
-    x: torch.Tensor, y: torch.Tensor, size: tuple[int, int]
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the four pixels around each position and their bilinear weights.
-
-    Returns
-    -------
-    corners : int32 [P, D, 4]
-        Flat indices into a map of ``size`` (h, w).
-    weights : float32 [P, D, 4]
-        0 for a corner outside.
-    """
-    h, w = size
-    columns, across = zip(*_neighbours(x, w), strict=True)
-    rows, down = zip(*_neighbours(y, h), strict=True)
-    corners = torch.stack([row * w + column for row in rows for column in columns], -1)
-    return corners, torch.stack([b * a for b in down for a in across], -1)
-
-
-def _neighbours(position: torch.Tensor, length: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """Return the integers below and above, clamped to the map, and their weights."""
-    # Farther outside the weights are zero, and integers must not overflow.
-    position = position.clamp(-1, length)
-    below = position.floor()
-    share = position - below
-    corners = []
-    for index, weight in ((below, 1 - share), (below + 1, share)):
-        inside = (index >= 0) & (index < length)
-        corners.append((index.clamp(0, length - 1).int(), weight * inside))
-    return corners
+        warped = F.grid_sample(maps, grid[None, part], align_corners=True)[0]
+        products[part] += torch.einsum("pc,cpd->pd", references[part], warped)
