@@ -54,24 +54,17 @@ class Clip(ClipConfig):
     texts go through the network one by one, regions ``batch`` by ``batch``, the last batch filled
     up. Another batch changes vectors by about 1e-7.
 
+    Fields are those of :class:`slgaussian.language.configs.ClipConfig`. With crops ``context`` a
+    vector is the mean of that of the region alone and of that of its whole bounding box, made a
+    unit vector again: walls and such say little without their surroundings. It takes twice the
+    time, and is not what the paper does. ``bfloat16`` takes a third of the time where the CPU has
+    it, is slower elsewhere, and changes cosines by up to 1e-3.
+
     Attributes
     ----------
-    model : path or str
-        Folder, name on the Hugging Face hub, or a checkpoint of open_clip, file or folder. The
-        default is the model of LangSplat and the paper.
-    tokenizer : path or str, optional
-        Folder, or name on the hub, of the tokenizer, if it is not beside the model.
-    crops : "masked" or "context"
-        ``masked`` shows a region alone on black. Walls and such say little without their
-        surroundings: ``context`` is the mean of that vector and of the whole bounding box's, made a
-        unit vector again. Twice the time, and not what the paper does.
-    batch : int
-        Regions encoded together; memory goes with it.
-    precision : "float32" or "bfloat16"
-        Of the image tower on a CPU; elsewhere it is always bfloat16. Where the CPU has bfloat16 it
-        is a third of the time, and cosines change by up to 1e-3; where not, it is slower.
     device : str
-        As PyTorch names it; "auto" is "cuda" where there is one, else "cpu".
+        As PyTorch names it; "auto" is "cuda" where there is one, else "cpu". Off the CPU the image
+        tower always computes in bfloat16.
 
     Raises
     ------

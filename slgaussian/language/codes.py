@@ -23,14 +23,8 @@ if TYPE_CHECKING:
 class Grid(GridConfig):
     """The paper's codes: points of an even grid, at random.
 
-    Attributes
-    ----------
-    dimension : int
-        Numbers a code, 1 to 3.
-    decode : "settled" or "nearest"
-        How pixels of a rendered view are read: see :class:`slgaussian.semantic.decode.Decoder`, or
-        each by itself and as it is drawn, as the paper does
-        (:class:`slgaussian.semantic.decode.NearestCode`).
+    With ``decode="settled"`` views are read by :class:`slgaussian.semantic.decode.Decoder`, with
+    ``nearest`` by :class:`slgaussian.semantic.decode.NearestCode`, as the paper does.
 
     Raises
     ------
@@ -49,13 +43,8 @@ class Separated(SeparatedConfig):
     Such points are farther from each other in L1 than as many of the whole grid. For as few objects
     as the cube has corners, the corners.
 
-    Attributes
-    ----------
-    dimension : 1, 2, 3 or "auto"
-        Numbers a code. "auto" takes the fewest with which at most ``error`` of the mixtures of
-        neighbours read as a third object, and three if none do.
-    error : float
-        See ``dimension``; a share from 0 to 1, of mixtures and not of pixels.
+    The dimension "auto" is the smallest with which at most ``error`` of the mixtures of neighbours
+    read as a third object, and three if none is.
 
     Raises
     ------

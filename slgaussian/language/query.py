@@ -148,11 +148,6 @@ class QueryResult:
             return None
         return self._seen.point(int(self._as_good[self._seen.areas[self._as_good].argmax()]))
 
-    @cached_property
-    def peak(self) -> np.ndarray:
-        """bool [H, W]: all pixels where the relevancy is greatest, several objects if they tie."""
-        return self._seen.spread((self.scores == self.score) & bool(len(self._ranked)))
-
 
 def ask(
     texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Rules

@@ -36,11 +36,6 @@ class Precomputed(PrecomputedConfig):
     cropped like the photograph; or the aspect ratio of the view. Each pixel takes the id at its
     centre. Ids do not change, and proposals, merging and voting are skipped.
 
-    Attributes
-    ----------
-    folder : path or str
-        Has no default.
-
     Raises
     ------
     InputError

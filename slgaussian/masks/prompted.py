@@ -30,18 +30,12 @@ class AutomaticProposer(AutomaticConfig, ABC):
     An image is encoded once, even if the next call has the same image with another ``region``.
     Points are prompted in batches. The same input gives the same bytes on the same machine.
 
+    Fields are those of :class:`slgaussian.masks.configs.AutomaticConfig`. Time grows with the
+    square of ``points``. A prompted point takes 30 to 40 MiB; a batch of 4 takes half as long
+    again as one of 16.
+
     Attributes
     ----------
-    model : path or str
-        Folder, or name on the Hugging Face hub. Has no default.
-    preset : str or Automatic
-        A name of :data:`PRESETS`, or custom settings.
-    points : int or None
-        Points along each side instead of the preset's; time grows with their square.
-    level : "s", "m", "l" or "all"
-        Masks of a point that are considered: part, object, group.
-    batch : int
-        Points prompted at a time: 30 to 40 MiB each. A batch of 4 takes half as long again.
     device : str
         "auto" is "cuda" if available, else "cpu". On a CPU all is float32; elsewhere the image
         encoder runs in bfloat16, while prompts and masks stay float32.

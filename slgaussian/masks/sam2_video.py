@@ -41,10 +41,6 @@ class Sam2Video(Sam2VideoConfig):
 
     Attributes
     ----------
-    model : path or str
-        Folder, or name on the Hugging Face hub. Has no default.
-    batch : int
-        Number of objects that are tracked at a time.
     device : str
         As PyTorch names it; "auto" is "cuda" if available, else "cpu".
 

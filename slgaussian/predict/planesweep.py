@@ -64,11 +64,8 @@ class PlaneSweep(PlaneSweepConfig):
     other pixels take propagated depth of their sources or the depth of fitted planes. A surface
     that enough earlier views draw is not drawn again.
 
-    Attributes
-    ----------
-    depth_candidates : int
-        Largest number of depth candidates, 8 to 512. A pair of views has at most one candidate for
-        each pixel of motion. Time and memory are proportional to the number.
+    A pair of views has at most one candidate for each pixel of motion. Time and memory are
+    proportional to ``depth_candidates``.
     """
 
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:

@@ -46,17 +46,15 @@ class MVSplat(MVSplatConfig):
     of depths, here of triangulated matches, over 1.25. With too few matches it is the smallest
     distance between two views, the rule of pixelSplat for scenes of unknown scale.
 
+    **Precision.** Disparity, depth probabilities and geometry are float32 whatever the layers are.
+
+    **Candidates.** Views are correlated at ``depth_candidates`` disparities, interpolated to 128
+    as in training; "auto" takes one for each pixel of motion over the feature map.
+
     **Colour.** ``sh`` has 16 coefficients: colours depend on the viewing direction.
 
     Attributes
     ----------
-    checkpoint : path
-        ``re10k.ckpt``, ``acid.ckpt`` or another of the same shape. Has no default.
-    precision : "float32" or "bfloat16"
-        Precision of the layers. Disparity, depth probabilities and geometry are always float32.
-    depth_candidates : int or "auto"
-        Number of disparities at which views are correlated, interpolated to the 128 of the
-        training, the maximum. "auto" takes one for each pixel of motion over the feature map.
     device : str
         "auto" is "cuda" if available, else "cpu". Gaussians are returned on the CPU.
     config : Config
