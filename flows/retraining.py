@@ -26,7 +26,7 @@ from flows.training import Parted, parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.datasets.new_clips import changes, clips_of, drift
 from slgaussian.errors import InputError, SLGaussianError
-from slgaussian.semantic.versions import Version, Versions, called
+from slgaussian.semantic.versions import Version, Versions, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
 from slgaussian.storage.store import ArtifactStore
@@ -187,7 +187,7 @@ def _learn_what_is_new(
         messages.append(f"{learnt.regressed}; {end}")
     if used is not None and (gone := forgotten_by(versions, used, clips, left_out.keys())):
         messages.append(
-            f"{called(used.number)}, in use, has learnt what was withdrawn or changed since: "
+            f"{version_name(used.number)}, in use, has learnt what was withdrawn or changed since: "
             f"{shorten(gone)}; {end}"
         )
     if new:
@@ -240,14 +240,14 @@ def learn(
     lessons = parted(table, settings.held_out)
     description = _about(settings, lessons)
     if history and description["asked"] == history[-1].facts.get("asked"):
-        used = called(0 if incumbent is None else incumbent.number)
+        used = version_name(0 if incumbent is None else incumbent.number)
         return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
     start, rivals = None, dict(NO_NETWORK)
     forgotten: tuple[str, ...] = ()
     if incumbent is not None:
         _check_share(settings, incumbent)
         start = versions.weights(incumbent)
-        rivals = {"before": called(incumbent.number), **rivals}
+        rivals = {"before": version_name(incumbent.number), **rivals}
         if clips is not None:
             forgotten = forgotten_by(versions, incumbent, clips, failed)
     arguments = settings.codes, settings.seed, None if forgotten else start, store, verbose
@@ -272,7 +272,7 @@ def learn(
     anew = ""
     if incumbent is not None and forgotten:
         anew = (
-            f"; trained anew, as {called(incumbent.number)} has learnt what was withdrawn or "
+            f"; trained anew, as {version_name(incumbent.number)} has learnt what was withdrawn or "
             f"changed since: {shorten(forgotten)}"
         )
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
@@ -289,7 +289,7 @@ def forgotten_by(
 ) -> tuple[str, ...]:
     """The clips that a version has learnt and that are no more, or are others now, sorted."""
     gone: set[str] = set()
-    for learnt in versions.learnt(version):
+    for learnt in versions.training_clips(version):
         changed_clips = changes(learnt, clips, failed)
         gone.update(changed_clips.withdrawn, changed_clips.changed)
     return tuple(sorted(gone))

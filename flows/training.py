@@ -24,7 +24,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.io import write_atomic
 from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.branch import Architecture, load_branch, save_branch
-from slgaussian.semantic.training import TrainingSettings, found_device
+from slgaussian.semantic.training import TrainingSettings, find_device
 from slgaussian.semantic.versions import find_weights
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
@@ -194,7 +194,7 @@ def train_on(
     before comes from the store; what was interrupted goes on. The weights say what they were
     trained on and how they were judged.
     """
-    found_device(options.device)
+    find_device(options.device)
     architecture = architecture or Architecture()
     if start is not None:
         architecture = load_branch(start).architecture

@@ -107,7 +107,7 @@ def versions(
     slgaussian versions models --roll-back
     """
     from flows.cli.tables import table_text
-    from slgaussian.semantic.versions import Versions, called, somebody
+    from slgaussian.semantic.versions import Versions, user_and_host, version_name
 
     folder = Versions(models)
     by_number = {version.number: version for version in folder.all()}
@@ -121,9 +121,9 @@ def versions(
             raise InputError(
                 f"--use: found {use}, expected one of the versions there ({numbers}), or none"
             )
-        folder.use(None if use == "none" else by_number[int(use)], somebody(), why or "")
+        folder.use(None if use == "none" else by_number[int(use)], user_and_host(), why or "")
     if roll_back:
-        folder.roll_back(somebody(), why or "")
+        folder.roll_back(user_and_host(), why or "")
     if not by_number:
         typer.echo(f"{models}: no version")
         return
@@ -138,6 +138,6 @@ def versions(
     for change in folder.history():
         reason = f": {change.why}" if change.why else ""
         typer.echo(
-            f"{called(change.version)} in use since {change.when} instead of "
-            f"{called(change.before)}, by {change.by}{reason}"
+            f"{version_name(change.version)} in use since {change.when} instead of "
+            f"{version_name(change.before)}, by {change.by}{reason}"
         )

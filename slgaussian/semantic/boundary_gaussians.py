@@ -1,10 +1,10 @@
-"""Gaussians along the boundary of an object that have its depth, and another label.
+"""Gaussians along the boundary of an object that have its depth but not its label.
 
-Label maps, depth and colour do not change at the very same pixel. So when an object is removed, a
-thin line of it stays where its outline was, in front of what lies behind. Such Gaussians are told
-by their place: beside the outline in a view, as deep as the object, with a background around them
-that is farther away on the whole. Where an object stands on something there is no such step, and
-nothing is taken.
+Edges in label maps, depth and colour do not coincide to the pixel. When an object is removed, a
+thin line of it therefore remains along its outline, in front of the background. These Gaussians are
+detected by three conditions: they project next to the outline in a view, they are as deep as the
+object, and the mean depth of the background around them is larger. Where an object stands on a
+surface there is no depth step, and no Gaussian is detected.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ import numpy as np
 
 from slgaussian.scene import Camera
 
-BESIDE = 3
-"""Pixels from the outline within which they lie, in views of some hundred pixels."""
+BOUNDARY_RADIUS = 3
+"""Largest distance of boundary Gaussians from the outline, in views of some hundred pixels."""
 
-AROUND = 10
-"""Pixels from the outline up to which the background is looked at."""
+BACKGROUND_RADIUS = 10
+"""Distance from the outline within which the background depth is averaged, pixels."""
 
-ALIKE = 0.03
-"""They are nearer or farther than the object there by at most this share."""
+DEPTH_TOLERANCE = 0.03
+"""Largest relative difference in depth between a boundary Gaussian and the object."""
 
-STEP = 1.1
-"""The background is so many times as far as the object, at least."""
+DEPTH_STEP = 1.1
+"""Smallest ratio of background depth to object depth."""
 
 
 def boundary_gaussians(
     means: np.ndarray,
-    gone: np.ndarray,
+    removed: np.ndarray,
     cameras: Sequence[Camera],
     depths: Sequence[np.ndarray],
     masks: Sequence[np.ndarray],
@@ -42,16 +42,16 @@ def boundary_gaussians(
     ----------
     means : float [N, 3]
         Centres in the world.
-    gone : bool [N]
-        Those of the object itself.
+    removed : bool [N]
+        Gaussians of the object itself.
     cameras : V Camera
     depths : V of float32 [H, W]
-        z-depth of what the views show, the object among it; 0 where nothing is.
+        z-depth of the views, the object included; 0 where empty.
     masks : V of bool [H, W]
-        Where they show the object.
+        Pixels of the object.
     """
     flagged = np.zeros(len(means), bool)
-    rest = np.flatnonzero(~gone)
+    rest = np.flatnonzero(~removed)
     for camera, depth, mask in zip(cameras, depths, masks, strict=True):
         if not mask.any():
             continue
@@ -65,26 +65,27 @@ def boundary_gaussians(
 
 
 def _depth_range(depth: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the depths of boundary Gaussians at each pixel, from and to.
+    """Return the smallest and largest depth of boundary Gaussians at each pixel.
 
-    Both float32 [H, W]; from > to elsewhere.
+    Both float32 [H, W]; away from the boundary the smallest exceeds the largest.
     """
     object_depth = np.where(mask, depth, 0).astype(np.float32)
-    window = _square(BESIDE + 1)
+    window = _square(BOUNDARY_RADIUS + 1)
     far = cv2.dilate(object_depth, window)
     near = cv2.erode(np.where(object_depth > 0, object_depth, np.inf).astype(np.float32), window)
-    outside = _grown(mask, AROUND) & ~_grown(mask, 2 * BESIDE) & (depth > 0)
-    around = (2 * AROUND + 11, 2 * AROUND + 11)
-    total = cv2.blur(np.where(outside, depth, 0).astype(np.float32), around)
-    share = cv2.blur(outside.astype(np.float32), around)
-    behind = total / np.maximum(share, 1e-6)
-    edge = _grown(mask, BESIDE) & (behind >= STEP * far) & np.isfinite(near)
-    return np.where(edge, near * (1 - ALIKE), np.inf), np.where(edge, far * (1 + ALIKE), 0)
+    outside = _dilate(mask, BACKGROUND_RADIUS) & ~_dilate(mask, 2 * BOUNDARY_RADIUS) & (depth > 0)
+    box = (2 * BACKGROUND_RADIUS + 11, 2 * BACKGROUND_RADIUS + 11)
+    total = cv2.blur(np.where(outside, depth, 0).astype(np.float32), box)
+    share = cv2.blur(outside.astype(np.float32), box)
+    background = total / np.maximum(share, 1e-6)
+    edge = _dilate(mask, BOUNDARY_RADIUS) & (background >= DEPTH_STEP * far) & np.isfinite(near)
+    nearest, farthest = near * (1 - DEPTH_TOLERANCE), far * (1 + DEPTH_TOLERANCE)
+    return np.where(edge, nearest, np.inf), np.where(edge, farthest, 0)
 
 
-def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
-    grown: np.ndarray = cv2.dilate(mask.astype(np.uint8), _square(radius)) > 0
-    return grown
+def _dilate(mask: np.ndarray, radius: int) -> np.ndarray:
+    dilated: np.ndarray = cv2.dilate(mask.astype(np.uint8), _square(radius)) > 0
+    return dilated
 
 
 def _square(radius: int) -> np.ndarray:

@@ -1,7 +1,8 @@
-"""The semantic branch: from code images to the feature of every Gaussian (paper, section 3.1).
+"""The semantic branch: network from code images to Gaussian features (paper, section 3.1).
 
-Two networks: ``paper`` is the printed one (:class:`PaperBranch`), ``several`` also sees what other
-views say about each pixel (:class:`SeveralViewsBranch`), which is beyond the paper.
+There are two networks: ``paper`` is that of the paper (:class:`PaperBranch`); ``several`` also
+gets the code that other views have at each pixel (:class:`SeveralViewsBranch`) and is not in the
+paper.
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ from slgaussian.semantic.hard import code_images
 from slgaussian.semantic.versions import find_weights
 
 DIMENSION = 3
-"""Numbers an ID code, as in the paper."""
+"""Dimension of an ID code, as in the paper."""
 
-OWN = DIMENSION + 1
-"""Channels of a code image, and of a feature: the code times the weight, and the weight."""
+CODE_CHANNELS = DIMENSION + 1
+"""Channels of a code image and of a feature: the code times the weight, and the weight."""
 
 
 Name = Literal["several", "paper"]
@@ -49,9 +50,9 @@ class Architecture:
     ----------
     name : str
     widths : tuple of int
-        Channels at full resolution, then after each residual block, at half of it, a quarter ...
+        Channels at full resolution, then after each residual block, at 1/2, 1/4 ... of it.
     hidden : int
-        Of the MLP's one hidden layer.
+        Width of the MLP's one hidden layer.
     """
 
     name: Name = "several"
@@ -59,22 +60,22 @@ class Architecture:
     hidden: int = 32
 
     @property
-    def others(self) -> bool:
-        """True if it sees what other views say (:mod:`slgaussian.semantic.cross_view_labels`)."""
+    def cross_view(self) -> bool:
+        """True if other views are an input (:mod:`slgaussian.semantic.cross_view_labels`)."""
         return self.name == "several"
 
     @property
     def channels(self) -> int:
-        """Channels of the input: a view's own code image and, if wanted, what others say of it."""
-        return 2 * OWN + 2 if self.others else OWN
+        """Channels of the input: the view's code image and, with ``cross_view``, other views'."""
+        return 2 * CODE_CHANNELS + 2 if self.cross_view else CODE_CHANNELS
 
 
 class Branch(nn.Module):
     """A network from input images to features, both at full resolution; see :func:`make_branch`.
 
-    ``forward`` takes float [V, H, W, C] of any size, C of :attr:`Architecture.channels`, the first
-    4 of them the view's own code image. It returns float [V, H, W, 4]: code times weight, and the
-    weight. They are linear fractions of light like any other, and not held to [0, 1].
+    ``forward`` takes float [V, H, W, C] of any size, with C = :attr:`Architecture.channels`; the
+    first 4 channels are the view's own code image. It returns float [V, H, W, 4]: code times
+    weight, and the weight, neither clamped to [0, 1].
     """
 
     def __init__(self, architecture: Architecture) -> None:
@@ -83,16 +84,16 @@ class Branch(nn.Module):
 
 
 class PaperBranch(Branch):
-    """The network as printed (section 3.1, Semantic Parameters Prediction).
+    """The network of the paper (section 3.1, Semantic Parameters Prediction).
 
     The code image M_i [3, H, W] passes through a convolution and residual blocks that each halve
     the resolution (He et al. 2016), is up-sampled back to the full one and added to M_i; an MLP
     maps each pixel of the sum to f_i, three numbers.
 
-    Left open there and chosen here: 3x3 convolutions, ReLU, widths, no normalisation (a batch is
-    one scene), a 1x1 convolution to the three channels of M_i before bilinear up-sampling, one
-    hidden layer, PyTorch's initial weights. The weight beside f_i is 1: every Gaussian has an
-    object, and a pixel without one is (0, 0, 0) in M_i.
+    The paper leaves open, and this implementation chooses: 3x3 convolutions, ReLU, widths, no
+    normalisation (a batch is one scene), a 1x1 convolution to the three channels of M_i before
+    bilinear up-sampling, one hidden layer, PyTorch's default initialisation. The weight channel is
+    1: every Gaussian has an object, and a pixel without one is (0, 0, 0) in M_i.
     """
 
     def __init__(self, architecture: Architecture) -> None:
@@ -114,12 +115,12 @@ class PaperBranch(Branch):
 
 
 class SeveralViewsBranch(Branch):
-    """A network that changes what it is given, and sees what other views say. Beyond the paper.
+    """A residual network that also gets the codes of other views. Not in the paper.
 
-    It gets label images in which pixels without an object took that of their match in another view,
-    and beside them what that view says, of which it may take a part. Convolutions have lateral sums
-    at every level, the MLP adds to its input, and the last layers start at zero: untrained it is
-    :class:`slgaussian.semantic.hard.Filled`.
+    Its input is the code image, in which pixels without an object have the object of their match in
+    another view, and the code of that match, which the network may mix in. Convolutions have
+    lateral connections at every level, the MLP has a skip connection, and the last layers are
+    initialised to zero: untrained, it equals :class:`slgaussian.semantic.hard.Filled`.
     """
 
     def __init__(self, architecture: Architecture) -> None:
@@ -127,19 +128,18 @@ class SeveralViewsBranch(Branch):
         channels, hidden = architecture.channels, architecture.hidden
         self.convolutions = _Convolutions(channels, architecture.widths)
         self.first = nn.Conv2d(channels, hidden, 1)
-        self.last = _zeroed(nn.Conv2d(hidden, OWN + 2, 1))
+        self.last = _zeroed(nn.Conv2d(hidden, CODE_CHANNELS + 2, 1))
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """See :class:`Branch`."""
         stacked = images.permute(0, 3, 1, 2)
         mixed = stacked + self.convolutions(stacked)
         change = self.last(F.relu(self.first(mixed)))
-        # Copying is a product, which sums of half-planes are slow to learn: codes change.
-        weight_change, code_change = change[:, OWN : OWN + 1], change[:, OWN + 1 :]
-        features = mixed[:, :OWN] + change[:, :OWN]
-        features = (
-            features + weight_change * stacked[:, :OWN] + code_change * stacked[:, OWN : 2 * OWN]
-        )
+        # Explicit products: copying a random code is slow to learn for sums of ReLUs.
+        n = CODE_CHANNELS
+        own_factor, other_factor = change[:, n : n + 1], change[:, n + 1 :]
+        features = mixed[:, :n] + change[:, :n]
+        features = features + own_factor * stacked[:, :n] + other_factor * stacked[:, n : 2 * n]
         return features.permute(0, 2, 3, 1)
 
 
@@ -152,7 +152,7 @@ def make_branch(architecture: Architecture, seed: int = 0) -> Branch:
 
 
 def _zeroed(convolution: nn.Conv2d) -> nn.Conv2d:
-    """The convolution, which at first adds nothing."""
+    """Set all parameters of the convolution to zero and return it."""
     for parameter in convolution.parameters():
         nn.init.zeros_(parameter)
     return convolution
@@ -179,7 +179,7 @@ class _Convolutions(nn.Module):
 
 
 class _HalvingBlock(nn.Module):
-    """A residual block that halves the resolution, odd sizes rounded up."""
+    """A residual block that halves the resolution, rounding odd sizes up."""
 
     def __init__(self, before: int, after: int) -> None:
         super().__init__()
@@ -195,27 +195,27 @@ class _HalvingBlock(nn.Module):
 
 @dataclass(frozen=True, eq=False)
 class BranchLifting:
-    """The lifting by a branch."""
+    """The lifting by a trained branch."""
 
     branch: Branch
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
-        """See :class:`slgaussian.semantic.Lifting`; InputError for codes not of three numbers."""
-        wanted = self.branch.architecture.others
-        others = match_across_views(gaussians, label_maps.labels.shape) if wanted else None
-        images = input_images(label_maps.labels, bank.ids, bank.codes, others)
+        """See :class:`slgaussian.semantic.Lifting`; InputError if codes are not [N, 3]."""
+        cross_view = self.branch.architecture.cross_view
+        matches = match_across_views(gaussians, label_maps.labels.shape) if cross_view else None
+        images = input_images(label_maps.labels, bank.ids, bank.codes, matches)
         with torch.no_grad(), inside(self.branch):
             features = features_of(self.branch, images, gaussians.source)
         return replace(gaussians, features=features)
 
 
 def load_branch_lifting(weights: str | Path | None = None) -> BranchLifting:
-    """Return the lifting by the network of a file or folder of weights.
+    """Load the lifting from a file or folder of weights.
 
     Raises
     ------
     InputError
-        If none are given, there are none, or they are damaged.
+        If ``weights`` is None, or the weights are missing or damaged.
     """
     if weights is None:
         raise InputError(
@@ -227,18 +227,18 @@ def load_branch_lifting(weights: str | Path | None = None) -> BranchLifting:
 
 
 def input_images(
-    labels: np.ndarray, ids: np.ndarray, codes: np.ndarray, others: CrossViewLabels | None
+    labels: np.ndarray, ids: np.ndarray, codes: np.ndarray, matches: CrossViewLabels | None
 ) -> torch.Tensor:
     """Make the input images of a branch.
 
     Parameters
     ----------
     labels : int32 [V, H, W]
-        Of the context views.
+        Object ids of the context views.
     ids, codes : int32 [N], float32 [N, 3]
         The ID code of each object.
-    others : CrossViewLabels, optional
-        If the architecture wants them.
+    matches : CrossViewLabels, optional
+        Required by an architecture with ``cross_view``.
 
     Returns
     -------
@@ -247,33 +247,33 @@ def input_images(
     Raises
     ------
     InputError
-        If codes have not three numbers.
+        If codes are not three-dimensional.
     """
     if codes.shape[1] != DIMENSION:
         raise InputError(
             f"lifting 'branch': found codes of {codes.shape[1]} numbers, expected {DIMENSION}, "
             "which branches are trained for; choose such codes, or the lifting 'hard'"
         )
-    if others is None:
+    if matches is None:
         return torch.from_numpy(code_images(labels, ids, codes))
-    filled = code_images(others.fill(labels), ids, codes)
-    carried = others.images(code_images(labels, ids, codes))
-    return torch.from_numpy(np.concatenate([filled, carried], -1))
+    filled = code_images(matches.fill(labels), ids, codes)
+    matched = matches.images(code_images(labels, ids, codes))
+    return torch.from_numpy(np.concatenate([filled, matched], -1))
 
 
 def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> torch.Tensor:
-    """The feature of each Gaussian, float32 [N, 4]: that of its source pixel, int [N].
+    """Compute the feature of each Gaussian, float32 [N, 4]: that of its ``source`` pixel, int [N].
 
-    The network computes where its weights are; what comes out is on the processor.
+    The network runs on the device of its weights; the result is on the CPU.
     """
     images = images.to(next(branch.parameters()).device)
     return branch(images).cpu().flatten(0, 2).index_select(0, source)
 
 
 def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> bytes:
-    """The weights and the architecture as a safetensors file; the same branch, the same bytes.
+    """Encode weights and architecture as a safetensors file, deterministically.
 
-    ``trained`` is plain data that says where the weights come from.
+    ``trained`` is the provenance of the weights, as JSON data.
     """
     tensors = {name: t.detach().contiguous() for name, t in branch.state_dict().items()}
     metadata = {} if trained is None else {"trained": dict(trained)}
@@ -281,12 +281,12 @@ def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> byt
 
 
 def load_branch(path: str | Path) -> Branch:
-    """Read what :func:`save_branch` wrote, ready to infer.
+    """Read a file of :func:`save_branch`; the branch is in evaluation mode.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or is no branch.
+        If the file cannot be read, or is not a branch.
     """
     return branch_of(*read_tensors(path), path)
 
@@ -294,7 +294,7 @@ def load_branch(path: str | Path) -> Branch:
 def branch_of(
     tensors: Mapping[str, torch.Tensor], statement: Mapping[str, Any], path: str | Path
 ) -> Branch:
-    """Return the branch of named tensors; see :func:`load_branch`."""
+    """Build the branch from its named tensors and metadata; see :func:`load_branch`."""
     try:
         values = {**statement["architecture"], "widths": tuple(statement["architecture"]["widths"])}
         if values.pop("others", True) is False:
@@ -325,14 +325,14 @@ def branch_of(
 
 
 def encode_tensors(tensors: Mapping[str, torch.Tensor], statement: Mapping[str, Any]) -> bytes:
-    """A safetensors file; ``about`` is plain data that is kept with it."""
-    # One entry only: several are written in an order that differs from run to run.
+    """Encode tensors as a safetensors file; ``statement`` is JSON data for its metadata."""
+    # One entry only: safetensors writes several in an order that differs from run to run.
     note = {"slgaussian": json.dumps(statement, sort_keys=True)}
     return safetensors.torch.save(dict(sorted(tensors.items())), note)
 
 
 def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Inverse of :func:`encode_tensors`; ``about`` is empty in files made elsewhere.
+    """Inverse of :func:`encode_tensors`; the metadata of other programs' files is empty.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Checkpoints of a training on disk: all that the rest of it depends on, nothing that runs code."""
+"""Training checkpoints on disk: complete state for a resume, in formats that cannot run code."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ CHECKPOINT, METRICS = "checkpoint.safetensors", "metrics.parquet"
 
 
 @dataclass(frozen=True)
-class Place:
-    """The place where a training continues: ``step`` steps are done, ``rows`` are their metrics."""
+class ResumePoint:
+    """State of an interrupted training: number of finished steps, and their rows of metrics."""
 
     step: int
     rows: list[dict[str, Any]]
@@ -34,17 +34,17 @@ def save_checkpoint(
     run: Mapping[str, Any],
     rows: list[dict[str, Any]],
 ) -> None:
-    """Write where a training is, such that a crash at any moment leaves this place or the last.
+    """Write a checkpoint; a crash at any moment leaves either this one or the previous one.
 
     Parameters
     ----------
     folder : Path
-        Gets ``checkpoint.safetensors`` and ``metrics.parquet``, each replaced whole. The metrics
-        go first: what they say of steps that no checkpoint knows of is dropped when one resumes.
+        Gets ``checkpoint.safetensors`` and ``metrics.parquet``, each replaced atomically. The
+        metrics are written first: a resume drops rows of steps after the checkpoint.
     run : mapping
-        What the training is of, as plain data: only the same may go on from here.
+        Settings and inputs of the training, as JSON data; only an equal run may resume.
     rows : list of dict
-        A row a step, as ``data_specs/metrics.toml`` says.
+        One row per step, with the columns of ``data_specs/metrics.toml``.
 
     Raises
     ------
@@ -67,8 +67,8 @@ def save_checkpoint(
 
 def load_checkpoint(
     folder: Path, branch: Branch, optimiser: torch.optim.Optimizer, run: Mapping[str, Any]
-) -> Place:
-    """Set ``branch`` and ``optimiser`` to where :func:`save_checkpoint` left them.
+) -> ResumePoint:
+    """Restore ``branch`` and ``optimiser`` to the state of :func:`save_checkpoint`.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def load_checkpoint(
     """
     file = folder / CHECKPOINT
     if not file.is_file():
-        return Place(0, [])
+        return ResumePoint(0, [])
     tensors, statement = read_tensors(file)
     stored = statement.get("run")
     if stored != dict(run):
@@ -115,13 +115,13 @@ def load_checkpoint(
     except OSError as error:
         raise InputError(f"{metrics}: {error.strerror}; begin in an empty folder") from None
     table = decode_table(data, load_spec("metrics"), str(metrics), "begin in an empty folder")
-    return Place(step, table.to_pylist()[:step])
+    return ResumePoint(step, table.to_pylist()[:step])
 
 
 def _check_state(
     state: Mapping[int, Mapping[str, torch.Tensor]], parameters: Sequence[torch.Tensor]
 ) -> None:
-    """ValueError unless it is that of an AdamW of the parameters."""
+    """Raise ValueError unless ``state`` is that of an AdamW over ``parameters``."""
     for index, moments in state.items():
         shapes = {name: tuple(tensor.shape) for name, tensor in moments.items()}
         shape = tuple(parameters[index].shape) if 0 <= index < len(parameters) else None
@@ -130,7 +130,7 @@ def _check_state(
 
 
 def table_of(rows: list[dict[str, Any]]) -> pa.Table:
-    """Rows as a table of spec ``metrics``."""
+    """Convert rows to a table of spec ``metrics``."""
     return pa.Table.from_pylist(rows, schema=load_spec("metrics").schema)
 
 

@@ -12,14 +12,14 @@ from slgaussian.io import file_digest
 
 
 def weights_digest(place: str | Path) -> str:
-    """Compute the SHA-256 of the file of weights that is meant by a place; raises as its search."""
+    """Compute the SHA-256 of the weights file at ``place``; raises as :func:`find_weights`."""
     from slgaussian.semantic.versions import find_weights
 
     return file_digest(find_weights(place))
 
 
 class BranchConfig(ComponentConfig, title="branch"):
-    """The lifting by the network of a file of weights; the package has none."""
+    """The lifting by a trained network; no weights are shipped with the package."""
 
     target = "slgaussian.semantic.branch:load_branch_lifting"
 

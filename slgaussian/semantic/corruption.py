@@ -1,7 +1,7 @@
-"""Label maps as bad as masks get: the ways in which segmentation and tracking fail.
+"""Corruption of label maps: simulated failures of segmentation and tracking.
 
-To learn from, while the targets stay clean, and to judge by. Each kind harms one object in one
-view: what several views say about an object then differs.
+Used for training, with clean targets, and for evaluation. Each kind corrupts one object in one
+view, so that views of the object disagree.
 """
 
 from __future__ import annotations
@@ -11,35 +11,35 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-ERODED = 0.02
-"""How much is eroded, as a fraction of the shorter image side."""
+EROSION = 0.02
+"""Width of the eroded rim, as a fraction of the shorter image side."""
 
-LEAST = 0.001
-"""Objects that fill less of a view than this are left alone there."""
+MIN_AREA = 0.001
+"""Objects that cover a smaller fraction of a view are not corrupted there."""
 
 
 def missing(labels: np.ndarray, view: int, ident: int, rng: np.random.Generator) -> None:
-    """The object was not found in the view."""
+    """Delete the object from the view, as if segmentation had missed it."""
     labels[view][labels[view] == ident] = 0
 
 
 def wrong_id(labels: np.ndarray, view: int, ident: int, rng: np.random.Generator) -> None:
-    """The object was not recognised in the view: it has an id of its own there."""
+    """Give the object a new id in the view, as if tracking had lost it."""
     labels[view][labels[view] == ident] = labels.max() + 1
 
 
 def eroded(labels: np.ndarray, view: int, ident: int, rng: np.random.Generator) -> None:
-    """The mask of the object in the view lacks a rim."""
+    """Erode the object's mask in the view."""
     mask = (labels[view] == ident).astype(np.uint8)
-    reach = max(1, round(ERODED * min(mask.shape)))
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1,) * 2)
-    # What lies beyond the image is more of the object, so there is no rim at the border.
+    radius = max(1, round(EROSION * min(mask.shape)))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1,) * 2)
+    # The object is assumed to continue beyond the image, so nothing is eroded at the image border.
     remains = cv2.erode(mask, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=1)
     labels[view][(mask > 0) & (remains == 0)] = 0
 
 
 def merged(labels: np.ndarray, view: int, ident: int, rng: np.random.Generator) -> None:
-    """The object was taken for a part of a neighbour in the view, with which it shares a border."""
+    """Give the object the id of a random neighbour in the view, as if they were one object."""
     mask = labels[view] == ident
     near = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     neighbours = np.unique(labels[view][near & ~mask])
@@ -62,28 +62,28 @@ def corrupt(
     fraction: float = 0.3,
     kinds: tuple[str, ...] = tuple(KINDS),
 ) -> np.ndarray:
-    """A copy of label maps in which some objects are harmed, each in one view.
+    """Copy label maps and corrupt some of their objects, each in one view.
 
     Parameters
     ----------
     labels : int32 [V, H, W]
         Object ids; 0 is unassigned.
     rng : numpy Generator
-        Decides which objects, in which view, and how.
+        Draws the objects, their views and the kinds.
     fraction : float
-        Probability of each object to be harmed.
+        Probability that an object is corrupted.
     kinds : tuple of str
         Keys of :data:`KINDS`, equally likely.
     """
     labels = labels.copy()
     ids = np.unique(labels)
-    smallest = LEAST * labels[0].size
+    smallest = MIN_AREA * labels[0].size
     views_of = {
         ident: [v for v, view in enumerate(labels) if np.count_nonzero(view == ident) >= smallest]
         for ident in ids[ids > 0].tolist()
     }
     for ident, views in views_of.items():
-        # The same numbers are drawn whatever comes of them, so that objects do not share a fate.
+        # Always three draws an object, so that objects are independent of each other.
         hit, which, kind = rng.random(), rng.random(), rng.integers(len(kinds))
         if hit < fraction and views:
             KINDS[kinds[kind]](labels, views[int(which * len(views))], ident, rng)

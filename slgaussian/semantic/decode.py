@@ -1,11 +1,11 @@
-"""From a rendered feature image back to object ids, and how sure each pixel is.
+"""Decoding of rendered feature images into object ids, with a confidence per pixel.
 
 The paper takes the code nearest in L1 (section 3.2; :class:`NearestCode`). At the border of two
-objects compositing mixes their codes, and the mixture can be nearest to the code of a third: a halo
-of wrong ids, one or two pixels wide. So only *settled* pixels answer for themselves: their code is
-close to an object's, and pixels around them say the same. The others choose among the objects of
-settled pixels near them, the nearest code again: where two objects mix, that is the one with more
-of the light.
+objects compositing mixes their codes, and the mixture can be nearest to the code of a third object:
+a halo of wrong ids, one or two pixels wide. :class:`Decoder` therefore decodes only *settled*
+pixels by themselves: those whose value is close to an object's code and whose neighbours agree. Any
+other pixel gets the nearest code among those of settled pixels near it: where two objects mix, that
+of the object with the larger blending weight.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.language.nearest import distance, find, make_lookup
 
 CLOSE = 0.25
-"""A settled pixel is off its code by at most this fraction of the distance from that code to the
-next: half would be safe if nothing were mixed in."""
+"""Largest distance of a settled pixel from its code, as a fraction of the distance from that code
+to the next one. Without mixing, 0.5 would be safe."""
 
 AGREE = 4
-"""At least so many of the 3x3 pixels around a settled one, itself included, are close to its code.
-A line of mixtures that crosses a third code is thinner than that mostly."""
+"""Smallest number of pixels, of the 3x3 around a settled pixel and including it, that are close to
+its code. A line of mixtures that crosses a third code is mostly thinner."""
 
 REACH = 2
 """Unsettled pixels choose among the objects of settled pixels at most this many rows and columns
@@ -35,7 +35,7 @@ away: 5x5 pixels."""
 
 
 class Decoder:
-    """Decodes the images of one bank; making it costs some milliseconds, once.
+    """Decodes feature images of one bank. Construction takes some milliseconds.
 
     Parameters
     ----------
@@ -50,29 +50,29 @@ class Decoder:
         self._gaps = _gaps(bank.codes.astype(np.float64))
 
     def __call__(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The object that each pixel shows, and how sure that is.
+        """Decode the object of each pixel, with a confidence.
 
         Parameters
         ----------
         features : float32 [H, W, D + 1]
-            As rendered: code times weight, and the weight.
+            Rendered features: code times weight, and the weight.
 
         Returns
         -------
         ids : int32 [H, W]
             Ids of the bank, 0 where the weight is below :data:`VISIBLE`.
         confidence : float32 [H, W]
-            About the fraction of the pixel's light by which its object leads the next one, from 0
-            to 1: the weight times ``1 - 2 d / g`` at a settled pixel, ``d`` from its code and ``g``
-            from there to the next code, and times ``(e - d) / (e + d)`` at others, ``e`` from the
-            next object that it could choose. A mixture of two objects, s of the second, is s of the
-            way from code to code, so both are ``1 - 2 s`` or less. 0 where there is no object, and
-            where nothing near tells how good the choice was.
+            In [0, 1]; approximates the blending weight of the object minus that of the next one.
+            At a settled pixel it is the weight times ``1 - 2 d / g``, with ``d`` the distance to
+            its code and ``g`` that from this code to the next; elsewhere the weight times
+            ``(e - d) / (e + d)``, with ``e`` the distance to the second nearest candidate. A
+            mixture with fraction s of a second object lies at s of the way between the codes, so
+            both are at most ``1 - 2 s``. 0 without an object, or without a second candidate.
 
         Raises
         ------
         InputError
-            If the shape is another, or a number is NaN or infinite where an object is visible.
+            If the shape is wrong, or a value is NaN or infinite where an object is visible.
         """
         if features.ndim != 3 or features.shape[2] != self._dimension + 1:
             raise InputError(
@@ -91,9 +91,9 @@ class Decoder:
 
 
 class NearestCode:
-    """The paper's decoding (section 3.2): each pixel by itself is the code nearest in L1.
+    """The paper's decoding (section 3.2): the code nearest in L1, independently per pixel.
 
-    A rendered code is not divided by its weight, so one that is drawn thinly lies nearer to zero.
+    Rendered codes are not divided by their weight, so partly transparent ones are biased to zero.
 
     Parameters
     ----------
@@ -107,26 +107,26 @@ class NearestCode:
         self._gaps = _gaps(self._codes)
 
     def __call__(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """As :meth:`Decoder.__call__`; the confidence is ``1 - 2 d / g`` times the weight."""
+        """See :meth:`Decoder.__call__`; the confidence is ``1 - 2 d / g`` times the weight."""
         ids, confidence = np.zeros(features.shape[:2], np.int32), np.zeros(features.shape[:2], "f4")
         visible = features[..., -1] >= VISIBLE
         if not visible.any() or not len(self._ids):
             return ids, confidence
-        drawn = features[visible].astype(np.float64)
-        if not np.isfinite(drawn).all():
-            row = int(np.argwhere(visible)[np.isfinite(drawn).all(1).argmin(), 0])
+        rendered = features[visible].astype(np.float64)
+        if not np.isfinite(rendered).all():
+            row = int(np.argwhere(visible)[np.isfinite(rendered).all(1).argmin(), 0])
             raise InputError(f"decode: features in image row {row} hold NaN or infinity")
         from scipy.spatial import cKDTree
 
-        distance, nearest = cKDTree(self._codes).query(drawn[:, :-1], p=1)
+        distance, nearest = cKDTree(self._codes).query(rendered[:, :-1], p=1)
         ids[visible] = self._ids[nearest]
         lead = np.maximum(0, 1 - 2 * distance / self._gaps[nearest])
-        confidence[visible] = np.minimum(drawn[:, -1], 1) * lead
+        confidence[visible] = np.minimum(rendered[:, -1], 1) * lead
         return ids, confidence
 
 
 def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | NearestCode:
-    """The decoder of a field, as the settings that it was built by have it."""
+    """Make the decoder that the build settings of a field ask for."""
     options = settings.get(str(settings.get("codes")), {})
     return NearestCode(bank) if options.get("decode") == "nearest" else Decoder(bank)
 
@@ -134,10 +134,10 @@ def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | Neare
 def elected_ids(
     label: np.ndarray, weights: np.ndarray, ids: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """As :class:`Decoder`, of a picture drawn with ``labels``: rows of ``ids`` int32 [N], from 1.
+    """Decode a picture rendered by label votes (no codes); returns as :class:`Decoder`.
 
-    ``label`` and ``weights`` are the picture's ``label`` and ``label_weights``, as arrays. The
-    confidence is the lead of the object over the next one itself.
+    ``label`` and ``weights`` are the picture's ``label`` (rows of ``ids`` int32 [N], from 1) and
+    ``label_weights``. The confidence is the object's weight minus that of the next one.
     """
     best, second, total = np.moveaxis(weights, -1, 0)
     visible = total >= VISIBLE
@@ -146,28 +146,28 @@ def elected_ids(
 
 
 def _gaps(codes: np.ndarray) -> np.ndarray:
-    """L1 distance from each code to the nearest other one, float64 [N]; infinite if it is alone."""
+    """Compute the L1 distance from each code to the nearest other one, float64 [N]; inf if none."""
     if len(codes) == 0:
         return np.zeros(0)
     gaps = np.full(len(codes), np.inf)
-    for row, code in enumerate(codes):  # a tree would be as fast, and takes long to import
+    for row, code in enumerate(codes):  # a k-d tree is no faster, and takes long to import
         distances = np.abs(codes - code).sum(1)
         distances[row] = np.inf
         gaps[row] = distances.min()
     return gaps
 
 
-# On one thread: an image is 3 ms of work, and waiting for a second one may cost more than it saves.
+# Single-threaded: an image takes 3 ms, and starting a second thread may cost more than it saves.
 
 
 @kernel
 def _decode(features, lookup, gaps, table, ids, confidence):
-    """Write ``ids`` and ``confidence``; returns which image rows hold what is no number."""
+    """Write ``ids`` and ``confidence``; return the image rows with NaN or infinity, bool [H]."""
     height, width = ids.shape
     codes, (across, down, deep), starts, members = lookup
     bad = np.zeros(height, np.bool_)
     rows, lead = np.empty((height, width), np.int32), np.empty((height, width), np.float32)
-    # With a margin, so that what looks around need not ask whether it is still in the image.
+    # Padded, so that the neighbourhood loops need no bounds checks.
     close = np.full((height + 2, width + 2), -1, np.int32)
     agreed = np.full((height + 2 * REACH, width + 2 * REACH), -1, np.int32)
     for v in range(height):
@@ -176,19 +176,19 @@ def _decode(features, lookup, gaps, table, ids, confidence):
             lead[v],
         )  # fmt: skip
     for v in range(height):
-        _settle(close[v], close[v + 1], close[v + 2], agreed[v + REACH])
+        _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + REACH])
     for v in range(height):
         around = agreed[v : v + 2 * REACH + 1]
-        _answer(features[v], codes, rows[v], lead[v], around, table, ids[v], confidence[v])
+        _decode_row(features[v], codes, rows[v], lead[v], around, table, ids[v], confidence[v])
     return bad
 
 
 @kernel
 def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, close, lead):
-    """Nearest code of each pixel of an image row, -1 where none is visible, and its lead.
+    """Find the nearest code of each pixel of an image row, -1 where none is visible, and its lead.
 
-    ``close`` is the same one pixel to the right, where it is :data:`CLOSE`. Returns whether there
-    is something that is no number.
+    ``close`` gets the code, one pixel to the right, where it is within :data:`CLOSE`. Returns
+    whether the row holds NaN or infinity.
     """
     channels = features.shape[1]
     x, y, z, bad = 0.0, 0.0, 0.0, False
@@ -199,7 +199,7 @@ def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, c
         rows[u] = -1
         if weight < VISIBLE:
             continue
-        # In float32. The last channel, over itself, stands for one that there is not.
+        # Divided in float32. With D = 1 or 2 the missing coordinates stay 0.
         x = np.float64(features[u, 0] / weight)
         if channels > 2:
             y = np.float64(features[u, 1] / weight)
@@ -208,7 +208,7 @@ def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, c
         if not abs(x) + abs(y) + abs(z) + weight < np.inf:
             bad = True
             continue
-        # Less than half way to the next code no other can be nearer, and neighbours are alike.
+        # Closer than half way to the next code, the previous pixel's code is still the nearest.
         d = abs(x - at_x) + abs(y - at_y) + abs(z - at_z)
         if not d < near:
             row, d = find(x, y, z, codes, across, down, deep, starts, members)
@@ -223,8 +223,8 @@ def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, c
 
 
 @kernel
-def _settle(above, close, below, agreed):
-    """Copy those of ``close`` that enough pixels around agree with."""
+def _mark_settled(above, close, below, agreed):
+    """Copy the codes of ``close`` with which enough neighbours agree."""
     for u in range(1, len(close) - 1):
         row = close[u]
         agree = (above[u - 1] == row) + (above[u] == row) + (above[u + 1] == row)
@@ -234,8 +234,8 @@ def _settle(above, close, below, agreed):
 
 
 @kernel
-def _answer(features, codes, rows, leads, agreed, table, ids, confidence):
-    """Ids and confidence of an image row; ``settled`` has :data:`REACH` more on every side."""
+def _decode_row(features, codes, rows, leads, agreed, table, ids, confidence):
+    """Write ids and confidence of an image row; ``agreed`` is padded by :data:`REACH`."""
     channels = features.shape[1]
     x, y, z = 0.0, 0.0, 0.0
     for u in range(len(rows)):
@@ -256,9 +256,9 @@ def _answer(features, codes, rows, leads, agreed, table, ids, confidence):
 
 @kernel
 def _choose(x, y, z, codes, agreed, row, lead):
-    """The nearest code of settled pixels, and its lead; ties go to the lowest row.
+    """Choose the nearest of the settled neighbours' codes; return its row and lead.
 
-    Without a settled pixel it is ``row``, with its ``lead``.
+    Ties go to the lowest row. Without a settled neighbour ``row`` and ``lead`` are returned.
     """
     best, second, chosen, last = np.inf, np.inf, np.int32(-1), np.int32(-1)
     for v in range(2 * REACH + 1):

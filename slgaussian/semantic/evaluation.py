@@ -1,4 +1,4 @@
-"""Score liftings by the objects that novel views show, on lessons they have not seen."""
+"""Evaluation of liftings: IoU of objects in novel views, on held-out lessons."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def label_iou(
     seed: int = 0,
     decoder: type[Decoder] | type[NearestCode] = Decoder,
 ) -> dict[str, float]:
-    """Compute the mean IoU of the objects in the target views, as :func:`novel_labels` shows them.
+    """Compute the mean IoU of :func:`novel_labels` with the target labels.
 
-    Pixels that the target labels leave open do not count. Worse ``labels`` are judged by the same
-    objects, those in ``lesson.labels``: one that is lost counts 0.
+    Unlabelled target pixels are ignored. The objects are always those of ``lesson.labels``: one
+    that corrupted ``labels`` lack counts as IoU 0.
 
     Returns
     -------
     {name: float}
-        In [0, 1]: the mean over target views and the objects in each. NaN if there is none.
+        In [0, 1]: the mean over target views and the objects in each. NaN without objects.
     """
     object_ids = np.unique(lesson.labels)
     object_ids = object_ids[object_ids > 0]
@@ -53,9 +53,9 @@ def novel_labels(
     seed: int = 0,
     decoder: type[Decoder] | type[NearestCode] = Decoder,
 ) -> dict[str, np.ndarray]:
-    """Render and decode the objects of the target views, as a field of these Gaussians shows them.
+    """Render and decode the object ids of the target views, as a field would.
 
-    Rendered with the planned splat and decoded by :mod:`slgaussian.semantic.decode`.
+    Uses :mod:`slgaussian.rasterize.planned` and :mod:`slgaussian.semantic.decode`.
 
     Parameters
     ----------
@@ -63,13 +63,13 @@ def novel_labels(
     liftings : {name: Lifting}
         All get the same labels and codes.
     labels : int32 [V, H, W], optional
-        What liftings are shown of the context views, by default the lesson's own labels.
+        Context labels given to the liftings; by default the lesson's own.
     codes : str
-        Code strategy by name; codes of one to three numbers.
+        Name of the code strategy; codes have one to three dimensions.
     seed : int
-        Decides the codes.
+        Seed of the codes.
     decoder
-        By default as a field decodes unless it is told otherwise.
+        Class of the decoder; the default is that of a field.
 
     Returns
     -------
@@ -96,8 +96,8 @@ def novel_labels(
 
 
 def _ious(predicted: np.ndarray, target: np.ndarray, object_ids: np.ndarray) -> list[float]:
-    """Intersection over union of each of the ``asked`` ids that the target shows."""
-    # Rows of the table are the asked ids, from 1; whatever else there is, is 0.
+    """Compute the IoU of each of ``object_ids`` that the target shows."""
+    # Confusion matrix: row and column k + 1 are object_ids[k]; all other ids are 0.
     rows, columns = (
         np.where(np.isin(image, object_ids), np.searchsorted(object_ids, image) + 1, 0)
         for image in (target, predicted)

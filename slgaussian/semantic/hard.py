@@ -21,18 +21,17 @@ class HardIndex:
         labels = label_maps.labels.ravel()[gaussians.to_arrays()["source"]]
         features = code_images(labels, bank.ids, bank.codes)
         if not bank.dimension:
-            # Without codes the weight says which row of the bank it is, from 1.
+            # Without codes the only channel is the row in the bank, counted from 1.
             rows = np.searchsorted(bank.ids, labels) + 1
             features *= rows[:, None].astype(np.float32)
         return gaussians.with_arrays(features=features)
 
 
 class Filled:
-    """Copy the label of the source pixel, after pixels without an object took one.
+    """Fill unlabelled pixels from other views, then copy the label of the source pixel.
 
-    Theirs is that of the nearest Gaussian of another view, if one is within reach
-    (:mod:`slgaussian.semantic.cross_view_labels`). A pixel that has an object keeps it. Beyond the
-    paper.
+    An unlabelled pixel gets the label of the nearest Gaussian of another view, if one is within
+    reach (:mod:`slgaussian.semantic.cross_view_labels`). Not in the paper.
     """
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
@@ -45,17 +44,17 @@ class Filled:
 
 
 def code_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> np.ndarray:
-    """Look up the label images M_i of the paper (section 3.1), with a weight beside each code.
+    """Compute the code images M_i of the paper (section 3.1), with an additional weight channel.
 
-    A pixel carries the code of its object times the weight, and the weight.
+    The last channel is 1 where the pixel has an object, else 0; the others are its code.
 
-    The paper's images have the three numbers alone, and no way to tell a pixel without an object
-    from one whose code is (0, 0, 0).
+    The paper's images have the three code channels only, and cannot distinguish a pixel without an
+    object from one whose code is (0, 0, 0).
 
     Parameters
     ----------
     labels : int32 [...]
-        Object ids; 0, and what is not among ``ids``, has no object.
+        Object ids; 0 and ids that are not in ``ids`` mean no object.
     ids : int32 [N]
         Positive and ascending.
     codes : float32 [N, D]
@@ -63,9 +62,8 @@ def code_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> np.nd
     Returns
     -------
     float32 [..., D + 1]
-        The weight is 1, or 0 where there is no object.
     """
-    # Ids made elsewhere may be in the millions, too many for a table of all below the largest.
+    # Indexed by row, not by id: ids of other programs may be in the millions.
     table = np.zeros((len(ids) + 1, codes.shape[1] + 1), np.float32)
     table[1:, :-1] = codes
     table[1:, -1] = 1

@@ -1,7 +1,7 @@
-"""A lesson: what the semantic branch learns from, and what liftings are judged by.
+"""Training and evaluation samples of the semantic branch.
 
-The base Gaussians of two or more context views, frozen, with labels of those views, and labels of
-other views of the same scene, which the rendered features should agree with (section 3.1 of the
+A lesson has the frozen base Gaussians of two or more context views, the labels of these views, and
+labels of other views of the same scene as targets of the rendered features (section 3.1 of the
 paper, and its Implementation Details).
 """
 
@@ -22,31 +22,31 @@ from slgaussian.scene import Camera
 from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
 
 GEOMETRY = ("means", "scales", "quats", "opacities", "source")
-"""The arrays of the Gaussians that a lesson stores; labels have no use for colours."""
+"""Arrays of the Gaussians that a lesson stores; colours are not needed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """One sample as the trainer takes it. ID codes are not in it: they are drawn whenever it is.
+    """One training sample, without ID codes, which are drawn anew in every epoch.
 
     Attributes
     ----------
     sample : str
-        A name that no other sample has: its clip and frames.
+        Unique name: the clip and its frames.
     gaussians : Gaussians
-        Predicted from the context views; ``source`` is a flat index into ``labels``. Features are
-        not looked at, nor are colours, which are not stored.
+        Predicted from the context views; ``source`` is a flat index into ``labels``. Features and
+        colours are not used; colours are not stored.
     labels : int32 [V, H, W]
         Object ids of the context views, 0 unassigned.
     cameras : tuple of T Camera
-        Of the target views, H x W pixels.
+        Cameras of the target views, H x W pixels.
     targets : int32 [T, H, W]
-        Object ids of the target views, the same ids as in ``labels``; 0 unassigned.
+        Object ids of the target views, consistent with ``labels``; 0 unassigned.
 
     Raises
     ------
     InputError
-        If any of this does not hold; the message names the sample.
+        If an attribute is invalid; the message names the sample.
     """
 
     sample: str
@@ -84,18 +84,18 @@ class Lesson:
 
     @cached_property
     def content(self) -> str:
-        """Content that random draws are seeded by: labels and cameras, not the sample's name."""
+        """Digest that seeds random draws: of labels and cameras, not of the sample's name."""
         cameras = [np.stack([camera.K for camera in self.cameras])]
         cameras.append(np.stack([camera.c2w for camera in self.cameras]))
         return content_of(self.labels, self.targets, *cameras)
 
     @cached_property
     def matches(self) -> CrossViewLabels:
-        """For each pixel of the context views its place in another one."""
+        """Match of each context pixel in another context view."""
         return match_across_views(self.gaussians, self.labels.shape)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name, as ``data_specs/lesson.toml`` says."""
+        """Return the arrays by name, in the layout of ``data_specs/lesson.toml``."""
         geometry = self.gaussians.to_arrays()
         return {
             "sample": np.array(self.sample),
@@ -109,7 +109,7 @@ class Lesson:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> Lesson:
-        """Inverse of :meth:`to_arrays`; the Gaussians come back without colours, sh [N, 0, 3]."""
+        """Inverse of :meth:`to_arrays`; the Gaussians have no colours, sh [N, 0, 3]."""
         geometry = {name: torch.from_numpy(np.array(arrays[name])) for name in GEOMETRY}
         sh = torch.zeros(len(geometry["means"]), 0, 3)
         H, W = arrays["targets"].shape[1:]

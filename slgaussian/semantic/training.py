@@ -1,26 +1,25 @@
-"""Training the semantic branch: rendered features against the labels of target views.
+"""Training of the semantic branch: rendered features against the labels of target views.
 
 The base Gaussians are frozen and the loss is a mean squared error on the splatted features (paper,
-Implementation Details). Codes are drawn anew whenever a lesson is seen, so that none is learnt by
-heart: the paper does not say. The network ``several`` departs further. Its error is taken where a
-target pixel has an object that the context labels name, since nothing else can be answered; and the
-target of a pixel is the code times the light that the Gaussians give it, since what they leave
-empty is not the branch's to fill.
+Implementation Details). Codes are drawn anew whenever a lesson is used, so the network cannot
+memorise codes; the paper does not state this. The loss of the network ``several`` differs further.
+It counts only target pixels whose object is present in the context labels, since no other object
+can be predicted; and the target is the code times the accumulated alpha of the Gaussians, since the
+branch must not compensate for missing opacity.
 
-Unless asked otherwise, in most of the steps the context labels are corrupted as masks often are
-(:mod:`slgaussian.semantic.corruption`), and the targets stay clean. Without that, on labels that
-agree, there is little to learn beyond copying them.
+By default the context labels are corrupted in most steps (:mod:`slgaussian.semantic.corruption`),
+and the targets stay clean. With consistent labels there is little to learn beyond copying them.
 
-Everything is float32: in bfloat16 the network takes half the time on a processor that multiplies
-such matrices, which is a tenth of a step, and longer than now on others.
+All computation is in float32. bfloat16 halves the network's time, a tenth of a step, on CPUs with
+bfloat16 matrix multiplication, and is slower on others.
 
-Everything random depends on (seed, sample, epoch), and the order of lessons on (seed, epoch): where
-a training stands is its number of steps. PyTorch computes on a given number of threads here, one
-unless said. Its sums of weight gradients depend on how many share the work; the splat's do not. So
-the bytes depend on neither the machine's cores nor interruptions, on one kind of processor.
+All random draws are seeded by (seed, sample, epoch), and the order of lessons by (seed, epoch): the
+step number alone determines the state of all random generators. PyTorch runs on a fixed number of
+threads, by default one, because its sums of weight gradients depend on the number of threads; those
+of the rasteriser do not. Results are therefore the same bytes on one kind of CPU, whatever the
+number of cores and interruptions.
 
-On another device than the processor the network is there, and the splat is not. None has been
-tried.
+On a GPU only the network is moved; rasterisation stays on the CPU. Untested.
 """
 
 from __future__ import annotations
@@ -58,43 +57,43 @@ from slgaussian.semantic.hard import code_images
 from slgaussian.semantic.lesson import Lesson
 
 WARM_UP = 0.05
-"""Fraction of the steps in which the learning rate rises; it then falls to zero as a cosine."""
+"""Fraction of the steps with a rising learning rate, before its cosine decay to zero."""
 
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """Settings of a training, besides its lessons.
+    """Hyperparameters of a training.
 
     Attributes
     ----------
     architecture : Architecture
     steps : int
     batch : int
-        Lessons of a step, whose gradients are averaged.
+        Lessons per step; their gradients are averaged.
     seed : int
     rate : float
-        Highest learning rate, of AdamW.
+        Highest learning rate of AdamW.
     decay : float
-        Its weight decay.
+        Weight decay of AdamW.
     clip : float
-        Longest gradient; longer ones are shortened to it.
+        Largest gradient norm; larger gradients are scaled down to it.
     targets : int
-        Target views a step, chosen at random where a lesson has more.
+        Target views per step, drawn at random if a lesson has more.
     corrupted : float
-        Fraction of the steps in which context labels are corrupted.
+        Fraction of the steps with corrupted context labels.
     codes : str
-        Code strategy by name, as fields will have.
+        Name of the code strategy; should be that of the fields that will use the branch.
     every : int
         Steps between checkpoints.
     device : str
-        Of the network, as PyTorch calls it.
+        PyTorch device of the network.
     threads : int
-        That PyTorch computes on; on it depend the last bits.
+        Number of PyTorch threads; affects the last bits of the result.
 
     Raises
     ------
     InputError
-        If a number is out of its range.
+        If a value is out of range.
     """
 
     architecture: Architecture = field(default_factory=Architecture)
@@ -128,7 +127,7 @@ class TrainingSettings:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a training: ``rate`` in steps a second since it was begun or resumed."""
+    """Progress of a training; ``rate`` is in steps per second since its start or resume."""
 
     step: int
     steps: int
@@ -137,13 +136,13 @@ class Progress:
 
     @property
     def seconds_left(self) -> float:
-        """Until the last step, at this rate."""
+        """Estimated seconds until the last step."""
         return (self.steps - self.step) / self.rate
 
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """Result of a training: the branch, and its course as a table of spec ``metrics``."""
+    """Result of a training: the branch, and the metrics of all steps (spec ``metrics``)."""
 
     branch: Branch
     metrics: pa.Table
@@ -156,31 +155,31 @@ def train(
     start: Branch | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Trained:
-    """Train a branch, or go on where a training in ``folder`` was interrupted.
+    """Train a branch, or resume an interrupted training in ``folder``.
 
     Parameters
     ----------
     lessons : sequence of Lesson
-        Asked for one at a time, so that it may read them from disk. Which lessons they are is the
-        caller's to keep: of a resumed training only their number is compared.
+        Indexed one at a time, so it may read them from disk. The caller must pass the same lessons
+        to a resumed training: only their number is checked.
     settings : TrainingSettings
     folder : Path
-        For ``checkpoint.safetensors`` and ``metrics.parquet``; made if it is not there.
+        For ``checkpoint.safetensors`` and ``metrics.parquet``; created if missing.
     start : Branch, optional
-        Trained weights to begin from, otherwise seeded ones.
+        Initial weights; by default random ones from the seed.
     progress : callable, optional
-        Told of every step.
+        Called after every step.
 
     Raises
     ------
     InputError
-        If there is no such device, there are no lessons, a loss is not finite (the message names
-        the sample), ``start`` is of another architecture, the folder holds another training, or
+        If the device does not exist, there are no lessons, a loss is not finite (the message names
+        the sample), ``start`` has another architecture, or the folder holds another training or
         cannot be written.
     """
     if len(lessons) == 0:
         raise InputError("training: found no lessons, expected at least one")
-    device = found_device(settings.device)
+    device = find_device(settings.device)
     architecture = settings.architecture
     branch = make_branch(architecture, seed_for(settings.seed, "", "branch") % 2**63)
     if start is not None:
@@ -191,7 +190,7 @@ def train(
             )
         branch.load_state_dict(start.state_dict())
     run = asdict(settings) | {
-        # As it comes back from JSON.
+        # In the form in which JSON returns it: tuples become lists.
         "architecture": {**asdict(architecture), "widths": list(architecture.widths)},
         "lessons": len(lessons),
         "start": hashlib.sha256(save_branch(branch)).hexdigest(),
@@ -203,34 +202,34 @@ def train(
             f"training folder {folder}: cannot be made ({error.strerror}); choose another"
         ) from error
     branch.to(device)
-    # The foreach and fused ones do the same sums; this is 1 ms.
+    # The foreach and fused variants compute the same; this one takes 1 ms.
     optimiser = torch.optim.AdamW(
         branch.parameters(), lr=settings.rate, weight_decay=settings.decay, foreach=False
     )
-    place = load_checkpoint(folder, branch, optimiser, run)
-    rows, begun = place.rows, time.perf_counter()
+    resumed = load_checkpoint(folder, branch, optimiser, run)
+    rows, start_time = resumed.rows, time.perf_counter()
     with fixed(settings.threads):
-        for step in range(place.step, settings.steps):
+        for step in range(resumed.step, settings.steps):
             drawn = draw_batch(lessons, settings, step)
             rows.append(_step(branch.train(), optimiser, drawn, settings, step))
             if (step + 1) % settings.every == 0 or step + 1 == settings.steps:
                 save_checkpoint(folder, branch, optimiser, run, rows)
             if progress is not None:
-                rate = (step + 1 - place.step) / (time.perf_counter() - begun)
+                rate = (step + 1 - resumed.step) / (time.perf_counter() - start_time)
                 progress(Progress(step + 1, settings.steps, rows[-1]["loss"], rate))
     return Trained(branch.cpu().eval(), table_of(rows))
 
 
-def found_device(name: str) -> torch.device:
-    """The device of that name; InputError if PyTorch has none here."""
+def find_device(name: str) -> torch.device:
+    """Return the PyTorch device called ``name``; InputError if it is not available."""
     try:
         device = torch.device(name)
         torch.zeros(1, device=device)
-    except Exception as error:  # each kind of device has its own
+    except Exception as error:  # the type depends on the kind of device
         reason = (str(error).splitlines() or [type(error).__name__])[0][:120]
         raise InputError(
-            f"training device: found {name!r}, which PyTorch does not find here ({reason}); "
-            "expected cpu, or another that this installation of PyTorch knows, as cuda"
+            f"training device: found {name!r}, which PyTorch cannot use here ({reason}); "
+            "expected cpu, or another device that this installation of PyTorch supports, as cuda"
         ) from None
     return device
 
@@ -243,29 +242,28 @@ def loss_of(
     codes: str,
     rng: Any,
 ) -> torch.Tensor:
-    """Compute the mean squared error of some of the target views of a lesson.
+    """Compute the mean squared error over the chosen target views of a lesson.
 
-    Of the network ``paper`` it is the printed one, of all pixels: rendered codes against the codes
-    of the targets, (0, 0, 0) where they have no object. Of ``several`` see the module.
+    For the network ``paper`` it is the paper's, over all pixels: rendered codes against the codes
+    of the targets, (0, 0, 0) where they have no object. For ``several`` see the module.
 
     Parameters
     ----------
     branch : Branch
     lesson : Lesson
     labels : int32 [V, H, W]
-        What the branch is shown of the context views, the lesson's own labels or worse.
+        Context labels, the branch's input: the lesson's own labels, or corrupted ones.
     views : sequence of int
-        Which of the targets.
+        Indices of the target views.
     codes : str
-        Code strategy by name.
+        Name of the code strategy.
     rng : numpy Generator
-        Decides the codes.
+        Draws the codes.
 
     Returns
     -------
     scalar tensor
-        Zero, without gradient, if there is nothing to learn from: no object, or for ``several``
-        none that ``labels`` name.
+        Zero, without gradient, if there is no object or, for ``several``, none in ``labels``.
     """
     paper = branch.architecture.name == "paper"
     views_with_codes = np.concatenate([labels, lesson.targets]) if paper else labels
@@ -273,20 +271,20 @@ def loss_of(
     if len(maps.ids) == 0:
         return torch.zeros(())
     drawn = load_codes(codes)(maps, rng)
-    matches = lesson.matches if branch.architecture.others else None
+    matches = lesson.matches if branch.architecture.cross_view else None
     images = input_images(labels, maps.ids, drawn, matches)
     features = features_of(branch, images, lesson.gaussians.source)
     total, counted = torch.zeros(()), 0
     for view in views:
-        wanted = torch.from_numpy(code_images(lesson.targets[view], maps.ids, drawn))
+        target = torch.from_numpy(code_images(lesson.targets[view], maps.ids, drawn))
         planned = plan(lesson.gaussians, lesson.cameras[view])
         rendered = planned.render(features)
         if paper:
-            error = (rendered - wanted)[..., :DIMENSION]
-            weight = torch.ones_like(wanted[..., -1:])
+            error = (rendered - target)[..., :DIMENSION]
+            weight = torch.ones_like(target[..., -1:])
         else:
-            error = rendered - planned.alpha[..., None] * wanted
-            weight = wanted[..., -1:]
+            error = rendered - planned.alpha[..., None] * target
+            weight = target[..., -1:]
         total = total + (weight * error.square()).sum()
         counted += int(weight.sum()) * error.shape[-1]
     return total / counted if counted else torch.zeros(())
@@ -332,7 +330,7 @@ def _step(
 
 
 def _schedule(done: float) -> float:
-    """Fraction of the highest learning rate when a fraction ``done`` of the steps is."""
+    """Return the learning rate, relative to the highest, after a fraction ``done`` of the steps."""
     if done < WARM_UP:
         return done / WARM_UP
     return 0.5 * (1 + math.cos(math.pi * (done - WARM_UP) / (1 - WARM_UP)))

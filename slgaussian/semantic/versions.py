@@ -1,11 +1,11 @@
-"""Trained weights under one folder: every version kept, at most one in use, all of it traceable.
+"""Versions of trained weights in one folder: all are kept, at most one is in use.
 
-``versions/000003.parquet`` is what is known of version 3, a row of spec ``versions``, written once
-and never changed; ``versions/000003.clips.parquet`` are the clips that it learnt, spec ``clips``;
-``weights/<digest>.safetensors`` are its weights; ``current.json`` names the
-version in use, and has the history of that: who or what put which to use when, and why. Each file
-is written whole or not at all and the pointer last, so whatever is killed when, the version in use
-is there, and the history ends with it. Two that add at the same time get different numbers.
+``versions/000003.parquet`` is the record of version 3, a row of spec ``versions``, written once and
+never changed; ``versions/000003.clips.parquet`` lists its training clips, spec ``clips``;
+``weights/<digest>.safetensors`` are its weights; ``current.json`` names the version in use and the
+history of its changes: when, which version, by whom, and why. Files are written atomically and
+``current.json`` last, so after a crash at any moment the version in use exists and is the last in
+the history. Concurrent additions get different numbers.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ POINTER = "current.json"
 
 @dataclass(frozen=True)
 class Version:
-    """Statement about some weights.
+    """Record of a version of the weights.
 
     Attributes
     ----------
     number : int
-        From 1, in order of arrival.
+        From 1, in order of addition.
     digest : str
         SHA-256 of the weights file, hexadecimal.
     parent : int
         The version that training started from; 0 for none.
     made : str
-        When it was added, UTC, ISO 8601.
+        Time of addition, UTC, ISO 8601.
     promoted : bool
         Whether it was put to use when it was added.
     why : str
-        One sentence on that.
+        Reason for that, one sentence.
     facts : mapping
         Settings, data and scores, as JSON data.
     """
@@ -72,13 +72,13 @@ class Change:
     Attributes
     ----------
     when : str
-        UTC, ISO 8601, by the clock of the machine that did it; the order is that of the list.
+        UTC, ISO 8601, by the clock of the changing machine; only the list gives the order.
     version, before : int
-        What is in use since, and what was; 0 for none.
+        Number of the version in use after and before the change; 0 for none.
     by : str
-        Who or what did it: a person on a machine, or the command whose gate it was.
+        User and machine, or the command that promoted it.
     why : str
-        One sentence, empty if none was given.
+        One sentence; empty if no reason was given.
     """
 
     when: str
@@ -89,67 +89,67 @@ class Change:
 
 
 class Versions:
-    """The versions in a folder, which is made when first written to."""
+    """The versions in a folder, which is created by the first addition."""
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
         self.folder = Path(folder)
 
     def all(self) -> list[Version]:
-        """Every version, the oldest first.
+        """Return all versions, the oldest first.
 
         Raises
         ------
         SpecError
-            If one is damaged.
+            If a record is damaged.
         """
         files = sorted((self.folder / "versions").glob("[0-9]*.parquet"))
         return [_read(file) for file in files if re.fullmatch(r"\d{6,}", file.stem)]
 
     def current(self) -> Version | None:
-        """The version in use, None if there is none.
+        """Return the version in use, None if there is none.
 
         Raises
         ------
         SpecError
-            If the pointer is damaged or names a version that is not there.
+            If ``current.json`` is damaged or names a missing version.
         """
         number, _ = self._pointer()
         return self.version(number) if number else None
 
     def history(self) -> list[Change]:
-        """Every change of the version in use, the oldest first; SpecError as :meth:`current`.
+        """Return all changes of the version in use, the oldest first; SpecError as :meth:`current`.
 
-        What happened before there was a history is not in it.
+        Changes made before histories were recorded are missing.
         """
         return self._pointer()[1]
 
     def version(self, number: int) -> Version:
-        """The version of a number; SpecError if it is damaged or not there."""
+        """Return the version with a number; SpecError if its record is damaged or missing."""
         return _read(self._file(number))
 
-    def learnt(self, version: Version) -> list[pa.Table]:
-        """The clips that a version and those that it was trained from learnt, spec ``clips``.
+    def training_clips(self, version: Version) -> list[pa.Table]:
+        """Return the training clips (spec ``clips``) of a version and of all its ancestors.
 
-        A table a version; those of before such tables were kept have none. SpecError if one is
+        One table per version; versions older than these tables have none. SpecError if one is
         damaged.
         """
-        found = []
+        tables = []
         while True:
             file = self._clips_of(version.number)
             if file.exists():
-                repair = "train it again"
-                found.append(decode_table(file.read_bytes(), load_spec("clips"), str(file), repair))
+                content, repair = file.read_bytes(), "train it again"
+                tables.append(decode_table(content, load_spec("clips"), str(file), repair))
             if not version.parent:
-                return found
+                return tables
             version = self.version(version.parent)
 
     def weights(self, version: Version) -> Path:
-        """The weights file of a version.
+        """Return the weights file of a version.
 
         Raises
         ------
         SpecError
-            If it is missing or not what was added.
+            If it is missing or altered.
         """
         file = self.folder / "weights" / f"{version.digest}.safetensors"
         if not file.is_file() or file_sha256(file) != version.digest:
@@ -167,30 +167,31 @@ class Versions:
         rival: Version | None = None,
         clips: pa.Table | None = None,
     ) -> Version:
-        """Keep new weights, and put them to use if ``promote``.
+        """Add new weights, and put them to use if ``promote``.
 
         Parameters
         ----------
         weights : bytes
         facts : dict
-            What else is known.
+            Settings, data and scores, as JSON data.
         promote : bool
         why : str
-            One sentence on that.
+            Reason for ``promote`` being true or false, one sentence.
         parent : Version, optional
-            What they were trained from.
+            The version that training started from.
         by : str
-            Who or what decided, for the history.
+            User or command that decided, for the history.
         rival : Version, optional
-            The version in use that they were compared with, by default ``parent``. If another one
-            was put to use since, they are not, whatever ``promote`` says: nobody compared the two.
+            The version in use that they were compared with, by default ``parent``. If another
+            version has been put to use since, they are not promoted, whatever ``promote`` says,
+            because they were never compared with it.
         clips : table of spec ``clips``, optional
-            What they were trained on, besides what ``parent`` was.
+            Their training clips, without those of ``parent``.
 
         Raises
         ------
         InputError
-            If the folder cannot be written; then the version in use is what it was.
+            If the folder cannot be written; the version in use is then unchanged.
         """
         digest = hashlib.sha256(weights).hexdigest()
         compared = rival or parent
@@ -211,8 +212,8 @@ class Versions:
                 )
                 now, _ = self._pointer()
                 if promote and now != before:
-                    meanwhile = f"{called(now)} came into use while it was trained; {why}"
-                    version = replace(version, promoted=False, why=meanwhile)
+                    reason = f"{version_name(now)} came into use while it was trained; {why}"
+                    version = replace(version, promoted=False, why=reason)
                 if clips is not None:
                     file = encode_table(clips, load_spec("clips"))
                     write_atomic(self._clips_of(version.number), file)
@@ -228,23 +229,23 @@ class Versions:
         return version
 
     def use(self, version: Version | None, by: str, why: str = "") -> None:
-        """Put a version to use, a new one or an old one again; None to have none in use.
+        """Put a version to use, or none at all (None).
 
         Raises
         ------
         InputError
-            If the folder cannot be written, or its weights are damaged (SpecError).
+            If the folder cannot be written, or the version's weights are damaged (SpecError).
         """
         with self._locked():
             self._use(version, by, why)
 
     def roll_back(self, by: str, why: str = "") -> Version | None:
-        """Put to use what the version in use was trained from, None for none, and return it.
+        """Put the parent of the version in use to use, and return it (None if it has none).
 
         Raises
         ------
         InputError
-            If nothing is in use.
+            If no version is in use.
         """
         with self._locked():
             current = self.current()
@@ -261,7 +262,7 @@ class Versions:
             number = version.number
         before, history = self._pointer()
         if before == number:
-            return  # nothing changes, so there is nothing to tell
+            return  # no change, no entry in the history
         when = datetime.now(UTC).isoformat(timespec="seconds")
         history.append(Change(when, number, before, by, why))
         statement = {"version": number, "history": [asdict(change) for change in history]}
@@ -269,8 +270,8 @@ class Versions:
             write_atomic(self.folder / POINTER, json.dumps(statement, indent=1).encode())
         except OSError as error:
             raise InputError(
-                f"{self.folder}: cannot be written ({error.strerror or error}); {called(before)} "
-                "stays in use"
+                f"{self.folder}: cannot be written ({error.strerror or error}); "
+                f"{version_name(before)} stays in use"
             ) from error
 
     def _pointer(self) -> tuple[int, list[Change]]:
@@ -298,7 +299,7 @@ class Versions:
         return hold_lock(self.folder / ".lock", "versions", wait=True)
 
     def _claim(self) -> int:
-        """The next number, taken by making an empty file that nobody else can make."""
+        """Reserve the next number by exclusively creating an empty file."""
         numbers = [int(f.stem) for f in (self.folder / "versions").iterdir() if f.stem.isdigit()]
         number = max(numbers, default=0) + 1
         while True:
@@ -316,25 +317,25 @@ class Versions:
         return self.folder / "versions" / f"{number:06d}.parquet"
 
 
-def called(number: int) -> str:
-    """A version in words; 0 is none."""
+def version_name(number: int) -> str:
+    """Name a version in words; 0 means none."""
     return f"version {number}" if number else "no version"
 
 
-def somebody() -> str:
-    """Name the user and the machine."""
+def user_and_host() -> str:
+    """Return ``user@host``."""
     return f"{user()}@{socket.gethostname()}"
 
 
 def find_weights(place: str | Path) -> Path:
-    """Find the file of weights: the place itself, or in a folder that of the version in use.
+    """Find the weights file: ``place`` itself or, if it is a folder, its version in use.
 
     Raises
     ------
     InputError
         If no version is in use.
     SpecError
-        If what is in use is damaged.
+        If the version in use is damaged.
     """
     if not Path(place).is_dir():
         return Path(place)

@@ -109,7 +109,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
 
     # A person puts version 1 to use. Then what it learnt is withdrawn, and something else comes.
     assert run(monkeypatch, "versions", tmp_path / "models", "--use", "1") == 0
-    assert [table["clip"].to_pylist() for table in versions.learnt(versions.current())] == [
+    assert [table["clip"].to_pylist() for table in versions.training_clips(versions.current())] == [
         [first.key]
     ]
     (tmp_path / "withdrawn.txt").write_text(f"{first.key}\n")
@@ -126,7 +126,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     assert output["forgotten"] == [first.key] and "before" in output["scores"]
     added = versions.all()[-1]
     assert added.number == 2 and added.parent == 0
-    assert [table["clip"].to_pylist() for table in versions.learnt(added)] == [[second.key]]
+    assert [table["clip"].to_pylist() for table in versions.training_clips(added)] == [[second.key]]
     for table in ("views", "pairs", "lessons"):
         assert named(tmp_path, table) == {second.key, judged.key}
 
