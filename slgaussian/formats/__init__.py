@@ -1,1 +1,1 @@
-"""File formats and texts: 3DGS ply, safetensors, strict JSON, images, and how objects print."""
+"""File formats: 3DGS ply, spz, PyTorch files, strict JSON, images, masks and depth maps."""

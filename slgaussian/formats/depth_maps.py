@@ -1,7 +1,7 @@
-"""Files of depth and cameras that other programs wrote: NPZ, PNG, TIFF, NPY, PFM and EXR.
+"""Files of depth and cameras from other programs: NPZ, PNG, TIFF, NPY, PFM and EXR.
 
-Numbers are returned as they are stored; which of several conventions they follow is for the caller
-to find out (:mod:`slgaussian.predict.precomputed`).
+Values are returned as stored; the caller determines which of several conventions they follow
+(:mod:`slgaussian.predict.precomputed`).
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ KEYS = {
     "focal": ("focals", "focal"),
     "names": ("names", "image_names", "image_paths"),
 }
-"""Names of arrays in NPZ: of Depth Anything 3, and what users of VGGT, MapAnything and DUSt3R
-write. The first that is there is read."""
+"""Names of arrays in an NPZ of Depth Anything 3 and of users of VGGT, MapAnything and DUSt3R. The
+first name that exists is read."""
 
 MILLIMETRE = 1e-3
-"""Units in one unit of a map of whole numbers."""
+"""Scene units in one unit of an integer map."""
 
 MOST_BYTES = 48 * MOST_PIXELS
-"""Bytes of the largest NPZ, unpacked: 4 GiB."""
+"""Largest decompressed size of an NPZ, bytes: 4 GiB."""
 
 WRITTEN = (".npy", ".png", ".exr")
-"""Suffixes of maps that are written."""
+"""Suffixes that :func:`write_map` supports."""
 
 CHANNELS = ("Z", "Y", "R", "V", "depth.Z", "Depth.Z", "depth.V", "Depth.V")
-"""Channels of EXR that hold depth, the first that is there."""
+"""EXR channels that contain depth; the first that exists is read."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """A map of depth as it is stored.
+    """A depth map as stored.
 
     Attributes
     ----------
     file : str
-        Names the file, for messages.
+        Name of the file for messages.
     depth : float32 or float64 [h, w]
         Along z or along the ray, in any unit; 0 where unknown.
     confidence : float32 [h, w] or None
-        Higher is surer, of any range.
+        Higher is more reliable; any range.
     K : float64 [3, 3] or None
-        Intrinsics in pixels, if the file holds some.
+        Intrinsics in pixels, if the file contains them.
     """
 
     file: str
@@ -74,7 +74,7 @@ class DepthMap:
 
 @dataclass(frozen=True, eq=False)
 class GeometryFile:
-    """Arrays of an NPZ of N photographs.
+    """Arrays of an NPZ for N photographs.
 
     Attributes
     ----------
@@ -82,9 +82,9 @@ class GeometryFile:
     maps : sequence of N DepthMap
     poses : float64 [N, 4, 4] or None
     inverted : bool
-        Whether poses are called world-to-camera.
+        Whether the name of the array of poses means world-to-camera.
     names : sequence of N str, or None
-        Of the photographs, where the file says them.
+        Names of the photographs, if the file contains them.
     """
 
     file: Path
@@ -96,14 +96,14 @@ class GeometryFile:
     __repr__ = short_repr
 
     def numbers(self, views: Sequence[str]) -> dict[str, int]:
-        """Return the number of the map of each view that has one, by the names of photographs.
+        """Return the index of the map of each view that has one, by the names of photographs.
 
-        Without names, the maps are those of the views in their order.
+        Without names, map i belongs to view i.
 
         Raises
         ------
         InputError
-            If there are no names, and as many maps as views neither.
+            If there are no names and the numbers of maps and views differ.
         """
         if self.names is None:
             if len(self.maps) != len(views):
@@ -121,18 +121,18 @@ class GeometryFile:
 
 
 def name_keys(name: str) -> tuple[str, ...]:
-    """Return what files of a photograph are called: its path without suffix, or the last part."""
+    """Return the names by which files of a photograph are found: path without suffix, and stem."""
     path = Path(name)
     return path.with_suffix("").as_posix(), path.stem
 
 
 def read_geometry(file: Path) -> GeometryFile:
-    """Read an NPZ of depth, and of confidence and cameras where it has some (:data:`KEYS`).
+    """Read an NPZ of depth, and optionally of confidence and cameras (:data:`KEYS`).
 
     Raises
     ------
     InputError
-        If it cannot be read, holds no depth, or arrays are of other numbers of photographs.
+        If it cannot be read, contains no depth, or its arrays differ in the number of photographs.
     """
     arrays = _read_npz(file)
     if "depth" not in arrays:
@@ -179,14 +179,14 @@ def read_geometry(file: Path) -> GeometryFile:
 
 
 def read_map(file: Path, byte: bool = False) -> np.ndarray:
-    """Read a file of one map [h, w]: whole numbers are millimetres, others are as they are.
+    """Read a file of one map [h, w]: integers are millimetres, floating-point values are unchanged.
 
-    With ``byte``, of confidence, they may have 8 bits.
+    With ``byte``, for maps of confidence, 8-bit integers are allowed.
 
     Raises
     ------
     InputError
-        If it cannot be read, or is no map of depth.
+        If it cannot be read, or is not a depth map.
     """
     try:
         if file.suffix == ".npy":
@@ -216,13 +216,13 @@ def read_map(file: Path, byte: bool = False) -> np.ndarray:
 def write_map(file: Path, depth: np.ndarray) -> None:
     """Write z-depth float32 [H, W] as :func:`read_map` reads it: .npy, .png or .exr.
 
-    A .png has 16 bits, thousandths of a unit.
+    A .png has 16 bits, in thousandths of a scene unit.
 
     Raises
     ------
     InputError
-        If the suffix is another, a .png cannot hold so much, OpenEXR is not installed, or the file
-        cannot be written.
+        If the suffix is not supported, a value is too large for .png, OpenEXR is not installed, or
+        the file cannot be written.
     """
     content, suffix = io.BytesIO(), file.suffix.lower()
     if suffix == ".npy":
@@ -255,13 +255,13 @@ def check_exr(file: Path) -> None:
 
 
 def known_depth(depth: np.ndarray) -> np.ndarray:
-    """Return depth as floating-point numbers, 0 where it is not finite and positive."""
+    """Return depth as floating-point numbers, with 0 where it is not finite and positive."""
     depth = depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float32)
     return np.where(np.isfinite(depth) & (depth > 0), depth, 0)
 
 
 def _read_npz(file: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of :data:`KEYS` that an NPZ holds, by our names."""
+    """Return the arrays of an NPZ that :data:`KEYS` lists, by its keys."""
     try:
         with ZipFile(file) as archive:
             size = sum(part.file_size for part in archive.infolist())
@@ -295,8 +295,8 @@ def _read_exr(file: Path) -> np.ndarray:
 
 
 def _stacked(file: Path, name: str, values: np.ndarray) -> np.ndarray:
-    """Return maps [N, h, w] of values with axes of length 1 before and behind."""
-    if values.ndim == 5:  # [1, N, h, w, 1], as VGGT has it
+    """Return maps [N, h, w] without the leading and trailing axes of length 1."""
+    if values.ndim == 5:  # [1, N, h, w, 1] in VGGT
         values = values[0]
     if values.ndim == 4:
         values = values[..., 0] if values.shape[-1] == 1 else values[0]
@@ -310,7 +310,7 @@ def _stacked(file: Path, name: str, values: np.ndarray) -> np.ndarray:
 def _shaped(
     file: Path, name: str, values: np.ndarray, count: int, shape: tuple[int, int]
 ) -> np.ndarray:
-    """Return matrices float64 [count, *shape]; InputError if they are none."""
+    """Return matrices float64 [count, *shape]; InputError for another shape or type."""
     fits = values.dtype.kind in "uif" and values.size == count * shape[0] * shape[1]
     if fits and np.isfinite(values).all():
         return values.reshape(count, *shape).astype(np.float64)

@@ -1,8 +1,8 @@
-"""Image files that anybody made: how large they may be, and the one way in for every reader.
+"""Reading of untrusted image files, with limits on size and format, for all readers.
 
-Size and kind are looked at before anything is decoded. Some kinds that Pillow knows start other
-programs (EPS starts Ghostscript), so only those of photographs, masks and depth maps are taken,
-whatever a file is called.
+Size and format are checked before anything is decoded. Some formats of Pillow start other programs
+(EPS starts Ghostscript), so only formats of photographs, masks and depth maps are accepted,
+whatever the suffix of the file.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from PIL import Image
 from slgaussian.errors import InputError
 
 MOST_PIXELS = 2**30 // 12
-"""Pixels of the largest image, mask, depth map or camera: 89 million, a quarter of a GiB as RGB,
-from where on Pillow warns of files that are made to fill the memory."""
+"""Largest number of pixels of an image, mask, depth map or camera: 89 million, a quarter of a GiB
+as RGB, above which Pillow warns of decompression bombs."""
 
 KINDS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")
-"""Pillow's names of the kinds of file that are opened; HEIC too where a package reads it."""
+"""Pillow's names of the accepted formats; HEIC too if pillow-heif is installed."""
 
 
 class TooLargeError(ValueError):
-    """An image of more than :data:`MOST_PIXELS`."""
+    """An image has more than :data:`MOST_PIXELS` pixels."""
 
 
 def check_size(width: float, height: float) -> None:
-    """Raise :class:`TooLargeError` if an image of that size is not read."""
+    """Raise :class:`TooLargeError` for an image of more than :data:`MOST_PIXELS` pixels."""
     if width * height > MOST_PIXELS:
         raise TooLargeError(
             f"it has {width:.0f}x{height:.0f} pixels, of which at most {MOST_PIXELS:,} are read; "
@@ -41,15 +41,15 @@ def check_size(width: float, height: float) -> None:
 
 @contextmanager
 def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Iterator[Image.Image]:
-    """An image, known by its header only; its pixels are to be taken inside the ``with``.
+    """Open an image and read its header only; load the pixels inside the ``with`` block.
 
     Raises
     ------
     OSError
-        If the file is not there or cannot be read.
+        If the file is missing or cannot be read.
     ValueError
-        If it is none of these kinds, is damaged, has no pixel or more than :data:`MOST_PIXELS`,
-        there or where its pixels are taken. :func:`unreadable` makes a sentence of both.
+        If it has another format, is damaged, empty or above :data:`MOST_PIXELS`; also while the
+        pixels are loaded. :func:`unreadable` converts both errors to a message.
     """
     if isinstance(source, str | Path) and _phone_kind(source) == "HEIC" and _reads_heic():
         kinds = (*kinds, "HEIF")
@@ -74,12 +74,12 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
 def read_mask(
     source: str | Path | BinaryIO, threshold: int = 128, kinds: Sequence[str] = KINDS
 ) -> np.ndarray:
-    """Read a mask of any kind of image, bool [H, W]: its :func:`mask_levels` from ``threshold`` on.
+    """Read a mask image, bool [H, W]: the pixels whose :func:`mask_levels` reach ``threshold``.
 
     Raises
     ------
     InputError
-        If it cannot be read, or no pixel is set though some are not black.
+        If it cannot be read, or no pixel reaches the threshold although some are not black.
     """
     levels = mask_levels(source, kinds)
     mask = levels >= threshold
@@ -91,10 +91,10 @@ def read_mask(
 
 
 def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> np.ndarray:
-    """Read the levels of a mask, uint8 [H, W]: 255 where it is, 0 where not.
+    """Read the levels of a mask, uint8 [H, W]: 255 inside, 0 outside.
 
-    They are grey levels, of 16 bits scaled to 255. Alpha that is not 255 everywhere is the mask
-    instead, unless what it shows is black and white itself, which is laid over black.
+    They are grey levels, 16 bits scaled to 255. An alpha channel that is not 255 everywhere is used
+    instead, unless the colours are black and white; those are composited over black.
 
     Raises
     ------
@@ -120,15 +120,15 @@ def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> 
 
 
 def read_npy(file: Path) -> np.ndarray:
-    """The array of a ``.npy`` file of at most :data:`MOST_PIXELS` numbers; never a pickle.
+    """Read a ``.npy`` file of at most :data:`MOST_PIXELS` numbers, without unpickling.
 
     Raises
     ------
     OSError, ValueError
-        As :func:`opened`.
+        See :func:`opened`.
     """
     try:
-        # Mapped, so that a size that the file does not have is found out before it is allocated.
+        # Memory mapping detects a header that claims more data than the file has before allocation.
         array = np.lib.format.open_memmap(file, mode="r")
     except Exception as bad:  # a damaged header raises almost anything
         if isinstance(bad, OSError) and bad.errno is not None:
@@ -142,7 +142,7 @@ def read_npy(file: Path) -> np.ndarray:
 
 
 def unreadable(path: str | Path, bad: Exception) -> InputError:
-    """The error that says of a file that its content cannot be read, and why."""
+    """Return the error for a file whose content cannot be read, with the reason."""
     kind = _phone_kind(path)
     if kind == "AVIF" or (kind == "HEIC" and not _reads_heic()):
         jpeg = Path(path).with_suffix(".jpg").name
@@ -161,7 +161,7 @@ def unreadable(path: str | Path, bad: Exception) -> InputError:
 
 
 def _phone_kind(path: str | Path) -> str | None:
-    """HEIC or AVIF, as telephones write, by the first bytes (ISO/IEC 23008-12, `ftyp` box)."""
+    """Detect HEIC or AVIF, formats of phones, by the `ftyp` box (ISO/IEC 23008-12); else None."""
     try:
         with Path(path).open("rb") as file:
             start = file.read(12)
@@ -177,7 +177,7 @@ def _phone_kind(path: str | Path) -> str | None:
 
 @cache
 def _reads_heic() -> bool:
-    """Tell whether the package of the extra `heic` is here; Pillow then knows the kind too."""
+    """Tell whether pillow-heif (extra `heic`) is installed, and register it with Pillow."""
     try:
         from pillow_heif import register_heif_opener
     except ImportError:
@@ -187,9 +187,9 @@ def _reads_heic() -> bool:
 
 
 def _reason(bad: Exception) -> str:
-    """The first line of what an error says, without the address of a stream in memory."""
+    """Return the first line of an error message; Pillow's own contains a memory address."""
     if isinstance(bad, Image.UnidentifiedImageError):
-        return "no image of a kind that is read"
+        return "not an image of a supported format"
     if isinstance(bad, OSError) and bad.strerror:
         return bad.strerror
     lines = str(bad).strip().splitlines()

@@ -1,12 +1,12 @@
-"""The standard ``.ply`` of 3D Gaussian splatting, out and in.
+"""Reading and writing of the standard ``.ply`` of 3D Gaussian splatting.
 
 One element ``vertex`` with the property names of the implementation of Kerbl et al., "3D Gaussian
-Splatting", 2023: means ``x y z``, normals ``nx ny nz`` (zero, nobody reads them), colour
+Splatting", 2023: means ``x y z``, normals ``nx ny nz`` (zero, unused), colour
 ``f_dc_0..2`` and ``f_rest_*`` (coefficients 1 and up of red, then of green, then of blue; see
 :mod:`slgaussian.rasterize.harmonics`), ``opacity`` as a logit, ``scale_0..2`` as natural
 logarithms, ``rot_0..3`` as wxyz. This project adds ``f_sem_*`` for features, and ``source`` and
-``label``; viewers pass over what they do not know. Whole numbers are floats too, as long as that is
-exact: there are readers that take every property for one, and read nonsense where one is not.
+``label``; viewers ignore unknown properties. Integers are written as floats if that is exact,
+because some readers assume that every property is a float.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from slgaussian.io import write_file
 from slgaussian.labels import VISIBLE
 
 LOWEST = -104.0
-"""Stands for the logit and the logarithm of 0: the greatest whole number whose sigmoid and
-exponential are 0 in float32. Infinity would spoil the ranges that viewers and packers look for."""
+"""Written for the logit and the logarithm of 0: the largest integer whose sigmoid and exponential
+are 0 in float32. Infinity would break viewers and compressors that compute value ranges."""
 
 HIGHEST = 18.0
-"""Stands for the logit of 1: the least whole number whose sigmoid is 1 in float32."""
+"""Written for the logit of 1: the smallest integer whose sigmoid is 1 in float32."""
 
 REST = (0, 9, 24, 45)
-"""Columns ``f_rest_*`` of degree 0 to 3."""
+"""Number of ``f_rest_*`` columns for degree 0 to 3."""
 
 _MEANS = ["x", "y", "z"]
 _NORMALS = ["nx", "ny", "nz"]
@@ -51,14 +51,14 @@ _HARMLESS = re.compile(
     r"source|index|(\w*_)?ids?|(f_sem|obj_dc|sem\w*|seg\w*|ins_feat|language_feature\w*)_\d+|"
     r"confidence|uncertainty|importance|quality|score|max_radii2D|xyz_gradient_accum|denom"
 )
-"""Properties that change no picture: what viewers of points show, names and features of objects,
-and what only training needs."""
+"""Properties without influence on rendering: point colours, object ids and features, and
+properties for training."""
 
 _ANTIALIASED = re.compile(
     r"anti.?alias\w*\W+(1|true|yes|on)\b|mode\w*\W+(mip|anti.?alias)", re.IGNORECASE
 )
-"""Comments of a header by which Postshot, Brush and others say that Gaussians were trained with
-anti-aliasing: ``postshot.anti_aliasing=1``, ``SplatRenderMode: mip``."""
+"""Header comments by which Postshot, Brush and others mark training with anti-aliasing:
+``postshot.anti_aliasing=1``, ``SplatRenderMode: mip``."""
 
 _UNITS = {
     "f_dc_": "[1] colour that does not depend on the view, harmonic of degree 0",
@@ -73,29 +73,29 @@ _UNITS = {
     **dict.fromkeys(("nx", "ny", "nz"), "[1] normal, unused"),
     **dict.fromkeys("xyz", "[scene unit] centre"),
 }
-"""Unit and meaning of properties by how their names begin."""
+"""Unit and meaning of properties by the prefix of their names."""
 
-_BLOCK = 4096  # rows whose columns are copied in turn while they are in the cache
+_BLOCK = 4096  # rows copied at a time, column by column, so that they fit into the CPU cache
 
 
 def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
-    """Write Gaussians as a binary little-endian ``.ply``: complete, or not at all.
+    """Write Gaussians atomically as a binary little-endian ``.ply``.
 
     Parameters
     ----------
     gaussians : Gaussians
         With harmonics of degree 0 to 3 in the convention "3dgs". An opacity or a scale of 0, and an
-        opacity of 1, are written as finite numbers that read as 0 and 1 again.
+        opacity of 1, are written as finite numbers that are read back as 0 and 1.
     path : path
-        A file that is there already is replaced.
+        An existing file is replaced.
     labels : int [N], optional
-        Object of each Gaussian, 0 where none; written as ``label``.
+        Object of each Gaussian, 0 for none; written as ``label``.
 
     Raises
     ------
     InputError
-        If a number is NaN, infinite or out of range, the degree is above 3, ``labels`` do not fit,
-        or the file cannot be written.
+        If a number is NaN, infinite or out of range, the degree is above 3, ``labels`` have another
+        shape or type, or the file cannot be written.
     """
     check_type(gaussians, Gaussians, "save_ply: expected Gaussians, and then a path")
     gaussians.check()
@@ -108,7 +108,7 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
             f"gaussians sh: found {sh.shape[1]} coefficients a colour, expected 1, 4, 9 or 16: a "
             ".ply holds harmonics of degree 0 to 3"
         )
-    with np.errstate(divide="ignore"):  # of 0, which LOWEST stands for
+    with np.errstate(divide="ignore"):  # log of 0; LOWEST is written instead
         logits = logit(opacities.astype(np.float64)).clip(LOWEST, HIGHEST)
         logs = np.log(scales.astype(np.float64)).clip(LOWEST)
     features = arrays.get("features", np.empty((n, 0)))
@@ -142,11 +142,11 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
 
 
 def save_points(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
-    """Write the centres of Gaussians as a binary ``.ply`` of points, for MeshLab, Open3D and alike.
+    """Write the centres of Gaussians as a binary ``.ply`` point cloud for MeshLab, Open3D etc.
 
-    With ``red``, ``green`` and ``blue`` uchar, the colours that do not depend on the view, and
-    ``label`` int if ``labels`` int [N] are given. Gaussians that are more than half transparent
-    are left out. InputError as :func:`save_ply`.
+    Properties are ``red``, ``green`` and ``blue`` (uchar, view-independent colour), and ``label``
+    (int) if ``labels`` int [N] are given. Gaussians of opacity below 0.5 are left out. Raises
+    InputError as :func:`save_ply`.
     """
     check_type(gaussians, Gaussians, "save_points: expected Gaussians, and then a path")
     gaussians.check()
@@ -169,13 +169,13 @@ def save_points(gaussians: Gaussians, path: str | Path, labels: np.ndarray | Non
 
 
 def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
-    """Read a ``.ply`` of Gaussians that anybody wrote.
+    """Read a ``.ply`` of Gaussians from any program.
 
-    Ascii or binary of either byte order, columns of any number type in any order. Missing
-    ``f_rest_*`` mean colours that do not depend on the view; without a ``source`` of whole numbers
-    the Gaussians are numbered from 0. Rotations are normalised, normals are dropped, and infinite
-    logits of opacity are 0 and 1. ``filter_3D``, the 3D smoothing filter of Mip-Splatting and its
-    kin, is applied to scales and opacities.
+    It may be ASCII or binary of either byte order, with columns of any numeric type in any order.
+    Missing ``f_rest_*`` mean view-independent colours; without an integer ``source`` the Gaussians
+    are numbered from 0. Rotations are normalised, normals are dropped, and infinite logits give
+    opacities 0 and 1. ``filter_3D``, the 3D smoothing filter of Mip-Splatting and related methods,
+    is applied to scales and opacities.
 
     Parameters
     ----------
@@ -184,23 +184,22 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     Returns
     -------
     gaussians : Gaussians
-        In float32. Of what :func:`save_ply` wrote the logit and logarithm were rounded: opacities
-        are off by at most 6e-8, scales by 6e-8 of themselves times 1 + the size of their logarithm.
+        In float32. :func:`save_ply` rounds logits and logarithms: opacities have an error of at
+        most 6e-8, scales a relative error of at most 6e-8 times (1 + abs(log(scale))).
     extra : dict of str to [N]
-        Every other property by its name, in its own type, such as ids and features of objects;
-        ``label`` as int32 if it is whole.
+        Every other property by name, in its stored type, such as ids and features of objects;
+        ``label`` as int32 if its values are integers.
 
     Raises
     ------
     InputError
-        If the file is missing, no ``.ply``, cut short, without the properties of Gaussians (as a
-        plain point cloud is), says or has a property by which they are to be drawn otherwise, or
-        holds a number that makes no Gaussian; the message names the file and the property or
-        vertex.
+        If the file is missing, not a ``.ply``, truncated, lacks properties of Gaussians (such as a
+        point cloud), has a comment or property that demands another rendering, or contains an
+        invalid number; the message names the file and the property or vertex.
     """
     table, comments = _vertices(path)
     n = len(table)
-    # A list property is no column of numbers; it can only be extra.
+    # A list property is not a numeric column; it can only be extra.
     fields = table.dtype.names or ()
     names = [name for name in fields if table.dtype[name].kind != "O"]
     if missing := [name for name in _NEEDED if name not in names]:
@@ -255,7 +254,7 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     if source is not None:
         used.add("source")
     extra = {name: table[name] for name in fields if name not in used}
-    # Copies in the machine's byte order, apart from the file, which is only mapped here.
+    # Copy to native byte order; the file is only memory-mapped.
     extra = {name: np.array(v, v.dtype.newbyteorder("=")) for name, v in extra.items()}
     if "label" in names and (label := _whole(extra["label"])) is not None:
         extra["label"] = label
@@ -265,8 +264,8 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
 def describe(path: str | Path) -> dict[str, Any]:
     """Return ``meaning`` and ``fields`` (unit and meaning by name) of a ``.ply`` after a full read.
 
-    Gaussians are checked as by :func:`load_ply`; a file without ``opacity`` holds points.
-    InputError as there.
+    Gaussians are checked as by :func:`load_ply`; a file without ``opacity`` contains points. Raises
+    InputError as :func:`load_ply`.
     """
     table, _ = _vertices(path)
     names = table.dtype.names or ()
@@ -286,12 +285,12 @@ def _finite(
     names: Sequence[str],
     convert: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Return columns side by side, float32 [N, len(names)], through ``convert`` in float64.
+    """Stack columns, float32 [N, len(names)], after applying ``convert`` in float64.
 
-    InputError if a number is not finite.
+    Raises InputError if a number is not finite.
     """
     values = np.empty((len(table), len(names)), np.float32)
-    with np.errstate(over="ignore"):  # becomes infinite, and is refused below
+    with np.errstate(over="ignore"):  # overflow gives infinity, which is refused below
         for start in range(0, len(table), _BLOCK):
             block = table[start : start + _BLOCK]
             for column, name in enumerate(names):
@@ -314,7 +313,7 @@ def _smoothed(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Convolve Gaussians with isotropic ones of standard deviations ``widths`` [N, 1].
 
-    Their peaks sink as they widen, so that each has as much opacity in all (Yu et al.,
+    The peak opacity decreases so that the integral of each Gaussian is constant (Yu et al.,
     "Mip-Splatting", CVPR 2024, eq. 9).
     """
     wide = np.hypot(scales.astype(np.float64), widths)
@@ -323,7 +322,7 @@ def _smoothed(
 
 
 def _advice(path: str | Path, missing: Sequence[str], names: Sequence[str]) -> str:
-    """Say of a file that lacks properties of Gaussians which kind it is, and how to go on."""
+    """Describe a file that lacks properties of Gaussians, and what to do."""
     if "packed_position" in names:
         plain = f"{Path(path).stem.removesuffix('.compressed')}.plain.ply"
         return (
@@ -339,7 +338,7 @@ def _advice(path: str | Path, missing: Sequence[str], names: Sequence[str]) -> s
 
 
 def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:
-    """The table of a file, and the comments in its header."""
+    """Read the vertex table of a file and the comments in its header."""
     try:
         _check_counts(Path(path))
         data = PlyData.read(str(path))
@@ -361,7 +360,7 @@ def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:
 
 
 def _check_counts(path: Path) -> None:
-    """ValueError if a header tells of more rows than the file has bytes: all would be allocated."""
+    """Raise ValueError if a header claims more rows than the file has bytes, before allocation."""
     size = path.stat().st_size
     with path.open("rb") as file:
         for line in file:
@@ -373,13 +372,13 @@ def _check_counts(path: Path) -> None:
 
 
 def _numbered(names: Sequence[str], prefix: str) -> list[str]:
-    """The names that are ``prefix`` and a number, counted from 0 without a gap."""
+    """Return the names ``prefix`` + 0, 1, ... up to the first gap."""
     return list(takewhile(set(names).__contains__, (f"{prefix}{i}" for i in range(len(names)))))
 
 
 def _whole(values: np.ndarray) -> np.ndarray | None:
-    """Whole numbers as int32 [N], whatever type holds them; None if some are not."""
-    with np.errstate(invalid="ignore"):  # NaN and what is too large come out different
+    """Return integer values of any type as int32 [N]; None if some are not integers."""
+    with np.errstate(invalid="ignore"):  # NaN and overflow differ after the conversion
         integers = values.astype(np.int32)
     return integers if np.array_equal(integers, values) else None
 

@@ -1,8 +1,8 @@
-"""Resampling of photographs and of what belongs to their pixels: one rule, one place.
+"""Resampling of photographs, masks, ids and depth maps.
 
-Photographs are averaged over the area of each new pixel; a mask holds where it covers more than
-half of the new pixel; ids and depths are those at its centre. All of them move by one
-:class:`Window`, so that a truth stays on what it was drawn on, whatever its own size.
+Photographs are averaged over the area of each new pixel; a mask is set where it covers more than
+half of the new pixel; ids and depths are sampled at its centre. All are resampled by the same
+:class:`Window`, so ground truth stays aligned with its photograph, whatever its resolution.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 
 from slgaussian.errors import InputError
 
-if TYPE_CHECKING:  # a question waits for no SciPy
+if TYPE_CHECKING:  # queries must not wait for the import of SciPy
     from scipy.sparse import csr_array
 
 MOST_ASPECT = 0.01
-"""Relative difference of aspect up to which two images can be of one photograph."""
+"""Largest relative difference in aspect ratio of two images of one photograph."""
 
 LEAST_STEP = 0.01
-"""Relative difference of inverse depths of neighbours up to which they are on one surface; a larger
-one has to go on beside them, as on a plane seen at a grazing angle."""
+"""Relative difference of inverse depths up to which neighbours are on one surface; a larger one
+must continue to the next pixels, as on a plane at a grazing angle."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Fit:
     Attributes
     ----------
     full_width, full_height : int
-        Size that the whole image is scaled to, pixels.
+        Size of the scaled image, pixels.
     left, top, width, height : int
         Crop, pixels of the scaled image.
     """
@@ -47,7 +47,7 @@ class Fit:
 
     @staticmethod
     def cover(image_width: int, image_height: int, width: int, height: int) -> Fit:
-        """Fit an image of a size to ``width`` x ``height`` pixels."""
+        """Fit an image of the given size to ``width`` x ``height`` pixels."""
         scale = max(height / image_height, width / image_width)
         full_width = max(width, round(image_width * scale))
         full_height = max(height, round(image_height * scale))
@@ -55,10 +55,10 @@ class Fit:
         return Fit(full_width, full_height, left, top, width, height)
 
     def photograph(self, image: np.ndarray) -> np.ndarray:
-        """Resample a photograph uint8 [H, W, C]: by area if it shrinks, else linearly."""
+        """Resample a photograph uint8 [H, W, C]: area average if it shrinks, else bilinear."""
         shrinks = self.full_width * self.full_height < image.shape[0] * image.shape[1]
-        how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        full = cv2.resize(image, (self.full_width, self.full_height), interpolation=how)
+        interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+        full = cv2.resize(image, (self.full_width, self.full_height), interpolation=interpolation)
         rows, columns = self.top + self.height, self.left + self.width
         return np.ascontiguousarray(full[self.top : rows, self.left : columns])
 
@@ -84,26 +84,26 @@ class Window:
 
     @staticmethod
     def whole(width: int, height: int) -> Window:
-        """Window that shows all of a photograph of ``width`` x ``height`` pixels."""
+        """Return the window of a full photograph of ``width`` x ``height`` pixels."""
         return Window(width, height, 0.0, 0.0, float(width), float(height))
 
     @staticmethod
     def covering(image_width: int, image_height: int, width: int, height: int) -> Window:
-        """Window of a view of ``width`` x ``height`` that an image is fitted to."""
+        """Return the window of a view of ``width`` x ``height`` to which an image is fitted."""
         fit = Fit.cover(image_width, image_height, width, height)
         return Window.whole(image_width, image_height).cropped(fit)
 
     def cropped(self, fit: Fit) -> Window:
-        """Window of a view that is made by ``fit`` of the view of this one."""
+        """Return the window of a view that results from applying ``fit`` to this view."""
         x, y = (self.right - self.left) / fit.full_width, (self.bottom - self.top) / fit.full_height
         left, top = self.left + x * fit.left, self.top + y * fit.top
         right, bottom = left + x * fit.width, top + y * fit.height
         return Window(self.photo_width, self.photo_height, left, top, right, bottom)
 
     def has_shape(self, width: int, height: int) -> bool:
-        """Tell whether ``width`` x ``height`` is the photograph's shape.
+        """Tell whether ``width`` x ``height`` has the photograph's aspect ratio.
 
-        To :data:`MOST_ASPECT`, or what rounding of the smaller to whole pixels makes of it.
+        The tolerance is :data:`MOST_ASPECT` or, if larger, the rounding of the smaller image.
         """
         a, b = width * self.photo_height, height * self.photo_width
         smaller = min(width + height, self.photo_width + self.photo_height)
@@ -111,7 +111,7 @@ class Window:
         return abs(a - b) <= max(MOST_ASPECT * min(a, b), rounding)
 
     def check_shape(self, name: object, width: int, height: int) -> None:
-        """Raise InputError, with the name, if an image has not the shape of the photograph."""
+        """Raise InputError with the name if an image has another aspect than the photograph."""
         if not self.has_shape(width, height):
             raise InputError(
                 f"{name}: is {width}x{height}, of another shape than its photograph, "
@@ -127,10 +127,10 @@ class Window:
         """
         rows, columns = self._overlaps(mask.shape, height, width)
         cover = (rows @ mask.astype(np.float32)) @ columns.T
-        return cover > 0.5 + 1e-5  # what is exactly half stays out, whatever the rounding
+        return cover > 0.5 + 1e-5  # exactly half covered means unset, despite rounding
 
     def ids(self, ids: np.ndarray, height: int, width: int) -> np.ndarray:
-        """Resample ids [H, W] of the whole photograph: those that the pixels' centres lie in."""
+        """Resample ids [H, W] of the whole photograph at the pixel centres (nearest)."""
         x, y = self._centres(ids.shape, height, width)
         places = (
             np.clip(np.floor(at), 0, count - 1).astype(np.int64)
@@ -144,22 +144,22 @@ class Window:
         return sample_depth(depth, x[None], y[:, None])
 
     def boxes(self, boxes: np.ndarray, shape: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
-        """Boxes float64 [n, 4] (x0, y0, x1, y1) in pixels of an image of ``shape`` (height, width)
-        of the whole photograph, in those of the view of ``size``."""
+        """Map boxes float64 [n, 4] (x0, y0, x1, y1) from pixels of an image of the whole photograph
+        with ``shape`` (height, width) to pixels of the view with ``size``."""
         (y0, y1), (x0, x1) = self._ends(shape)
         corners = boxes.reshape(-1, 2, 2) - (x0, y0)
         return (corners * (size[1] / (x1 - x0), size[0] / (y1 - y0))).reshape(-1, 4)
 
     def _ends(self, shape: tuple[int, ...]) -> tuple[tuple[float, float], tuple[float, float]]:
-        """First and last row and column, as edges, in pixels of an image of the photograph."""
+        """Return the first and last row and column edge, pixels of an image of ``shape``."""
         y, x = shape[0] / self.photo_height, shape[1] / self.photo_width
         return (self.top * y, self.bottom * y), (self.left * x, self.right * x)
 
     def _centres(
         self, shape: tuple[int, ...], height: int, width: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Columns float64 [width] and rows [height] of the view's pixel centres in an image of the
-        photograph, from its corner."""
+        """Return columns float64 [width] and rows [height] of the view's pixel centres in an image
+        of the photograph, from its corner."""
         (y0, y1), (x0, x1) = self._ends(shape)
         x = x0 + (x1 - x0) * (np.arange(width) + 0.5) / width
         return x, y0 + (y1 - y0) * (np.arange(height) + 0.5) / height
@@ -174,10 +174,10 @@ class Window:
 def sample_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Sample a depth map at points.
 
-    A point takes the inverse depth of the pixel that it lies in, continued along each axis by the
-    slope towards the neighbour on its side, or away from the other, if they are on one surface:
-    inverse depth is affine on a plane, so planes come out exactly. Across steps and holes nothing
-    is mixed.
+    The inverse depth of the containing pixel is extrapolated along each axis with the slope to the
+    neighbour on that side, or from the opposite neighbour, if both are on one surface. Inverse
+    depth is affine on a plane, so planes are exact. Nothing is interpolated across depth steps and
+    holes.
 
     Parameters
     ----------
@@ -207,16 +207,16 @@ def sample_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     ):
         behind, ahead = (slope[at] for slope in slopes)
         value += offset * np.where(offset < 0, behind, ahead)
-    # Where half a pixel is half the way to the horizon, the slope says too little.
+    # If half a pixel reaches half way to the horizon, the slope is not reliable.
     value = np.where(value > nearest / 2, value, nearest)
     out = np.zeros(value.shape)
     return np.divide(1.0, value, out=out, where=inside & (nearest > 0)).astype(np.float32)
 
 
 def _slopes(inverse: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes of inverse depth [H, W] along rows, to the left and to the right of each pixel.
+    """Compute slopes of inverse depth [H, W] along rows, to the left and right of each pixel.
 
-    Where the neighbour on one side is on another surface, that of the other side; else 0.
+    If one neighbour is on another surface, the slope of the other side is used; if both are, 0.
     """
     step = np.diff(inverse, axis=1)
     pair = valid[:, :-1] & valid[:, 1:]
@@ -236,8 +236,8 @@ def _slopes(inverse: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _overlap(old: int, start: float, stop: float, new: int) -> csr_array:
-    """Share of each of ``new`` pixels, from ``start`` to ``stop``, that each of ``old`` covers:
-    float32 [new, old]."""
+    """Compute the fraction of each of ``new`` pixels, spread over ``start`` to ``stop``, that each
+    of ``old`` pixels covers: float32 [new, old]."""
     from scipy.sparse import csr_array
 
     edges = start + (stop - start) * np.arange(new + 1) / new

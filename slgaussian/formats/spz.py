@@ -1,13 +1,12 @@
-"""The compressed ``.spz`` of Niantic, version 3: about 20 bytes a Gaussian before gzip.
+"""The compressed ``.spz`` of Niantic, version 3: about 20 bytes per Gaussian before gzip.
 
-As its page says (https://github.com/nianticlabs/spz, MIT licence): after a header of 16 bytes, all
-of one attribute and then all of the next, gzipped. Means are fixed-point numbers of 24 bits,
-opacities 8 bits, colours of degree 0 in 8 bits (``0.15 sh + 0.5``), scales 8 bits (16 steps a
-factor of e, from e^-10), rotations 32 bits, higher harmonics 8 bits, of which degree 1 fills 5 and
-the others 4. Its axes are x right, y up, z backward, so y and z are turned here; readers turn them
-as they need.
+Format (https://github.com/nianticlabs/spz, MIT licence): a header of 16 bytes, then one attribute
+of all Gaussians after the other, gzipped. Means are 24-bit fixed-point numbers, opacities 8 bits,
+colours of degree 0 8 bits (``0.15 sh + 0.5``), scales 8 bits (16 steps per factor of e, from
+e^-10), rotations 32 bits, higher harmonics 8 bits, of which degree 1 uses 5 and the others 4. The
+axes are x right, y up, z backward, so y and z are negated here.
 
-The number of fractional bits of means is as large as the scene allows.
+The number of fractional bits of the means is the largest that the extent of the scene allows.
 """
 
 from __future__ import annotations
@@ -30,28 +29,28 @@ CHUNK = 2**20
 COLOUR = 0.15
 
 MOST_BITS = 20
-"""Fractional bits of means, at most."""
+"""Largest number of fractional bits of the means."""
 
 TURN = np.array([1, -1, -1], np.float32)
-"""From x right, y down, z forward to x right, y up, z backward, and back."""
+"""Signs between x right, y down, z forward and x right, y up, z backward."""
 
 _TURN_SH = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""Signs that :data:`TURN` gives the harmonics 1 to 15: degree 1 holds y, z, x; and so on."""
+"""Signs of harmonics 1 to 15 under :data:`TURN`; degree 1 is ordered y, z, x, and so on."""
 
 _MOST = np.float32(511 * np.sqrt(2))
-"""Of a component that is not the largest, which is at most 1 / sqrt 2."""
+"""Scale of the three smaller components, whose magnitude is at most 1 / sqrt 2."""
 
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def save_spz(gaussians: Gaussians, path: str | Path) -> None:
-    """Write Gaussians as ``.spz`` of version 3: complete, or not at all.
+    """Write Gaussians atomically as ``.spz`` of version 3.
 
     Raises
     ------
     InputError
         If a number is NaN, infinite or out of range, the harmonics are above degree 3, the scene is
-        too wide for numbers of 24 bits, or the file cannot be written.
+        too large for 24-bit means, or the file cannot be written.
     """
     gaussians.check()
     arrays = gaussians.to_arrays()
@@ -69,7 +68,7 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
             "8e6, which an .spz holds; write a .ply"
         )
     fixed = np.rint(arrays["means"] * TURN * 2.0**bits).astype("<i4")
-    with np.errstate(divide="ignore"):  # of a scale of 0, which becomes the lowest
+    with np.errstate(divide="ignore"):  # log of a scale of 0, clipped to the smallest value
         logs = np.log(arrays["scales"])
     quats = arrays["quats"][:, [1, 2, 3, 0]] * np.append(TURN, np.float32(1))
     steps = np.repeat([8, 16], [3, 12])[: terms - 1, None]
@@ -91,7 +90,7 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
 def describe(path: str | Path) -> dict[str, Any]:
     """Return ``meaning`` and ``fields`` (unit and meaning by name) of an ``.spz`` of version 3.
 
-    InputError if the file is damaged, cut short, or of another version.
+    Raises InputError if the file is damaged, truncated, or of another version.
     """
     try:
         with gzip.open(path) as stream:
@@ -120,13 +119,13 @@ def describe(path: str | Path) -> dict[str, Any]:
 def pack_quats(quats: np.ndarray) -> np.ndarray:
     """Pack quaternions xyzw float32 [N, 4], of any length but zero, into uint32 [N].
 
-    The number of the largest component (2 bits), then of each other one its sign and its size in 9
-    bits, in units of 1 / (511 sqrt 2). Rotations come out within a quarter of a degree.
+    The index of the largest component (2 bits), then sign and 9-bit magnitude of each other
+    component in units of 1 / (511 sqrt 2). The rotation error is below a quarter of a degree.
     """
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     largest = np.abs(unit).argmax(1)
     rows = np.arange(len(unit))
-    # A quaternion and its negative are one rotation; the largest component is made positive.
+    # A quaternion and its negative are the same rotation; the largest component is made positive.
     unit = unit * np.where(unit[rows, largest] < 0, -1, 1)[:, None]
     smaller = unit[rows[:, None], _OTHERS[largest]]
     sizes = np.minimum(np.rint(np.abs(smaller) * _MOST), 511).astype(np.uint32)

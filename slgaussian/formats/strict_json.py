@@ -1,4 +1,4 @@
-"""JSON that anybody wrote: whatever cannot be used is a ValueError, and nothing else."""
+"""Parsing of untrusted JSON: every problem raises ValueError."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 LONGEST = 18
-"""Digits of the longest whole number that stays one; longer ones do not fit into 64 bits."""
+"""Largest number of digits of an integer that fits into 64 bits."""
 
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 
@@ -17,14 +17,14 @@ _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 def parse(text: str | bytes) -> Any:
     """Parse a JSON text, with or without a byte-order mark.
 
-    Whole numbers of more than :data:`LONGEST` digits become floats. NaN and Infinity pass, as other
-    programs write them where they do not matter: who uses a number names it.
+    Integers of more than :data:`LONGEST` digits become floats. NaN and Infinity are accepted,
+    because other programs write them in unused fields; readers check the numbers that they use.
 
     Raises
     ------
     ValueError
-        If it is not valid JSON, not UTF-8, nested too deeply, has a number that no 64-bit float
-        holds, or text with half of a pair of code units, which can be written to no file.
+        If it is not valid JSON, not UTF-8, nested too deeply, has a number beyond the range of
+        64-bit floats, or text with half of a surrogate pair, which cannot be encoded.
     """
     if isinstance(text, bytes):
         text = text.decode("utf-8-sig")
@@ -41,7 +41,7 @@ def parse(text: str | bytes) -> Any:
 
     try:
         content = json.loads(text, parse_int=whole_number, parse_float=real)
-        # None where a later value of the same key has taken its place.
+        # None if a later value of the same key replaced the number.
         if odd and (bad := next(_not_finite(content), None)):
             raise ValueError(f"{bad[0] or 'it'} is {bad[1]}, expected a number that 64 bits hold")
     except RecursionError:
@@ -55,7 +55,7 @@ def parse(text: str | bytes) -> Any:
 
 
 def _not_finite(content: Any, place: str = "") -> Iterator[tuple[str, float]]:
-    """The numbers that are NaN or infinite, with their places, such as ``frames[0].cx``."""
+    """Yield the path, such as ``frames[0].cx``, and value of NaN and infinite numbers."""
     if isinstance(content, float) and not math.isfinite(content):
         yield place, content
     elif isinstance(content, dict):

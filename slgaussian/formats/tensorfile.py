@@ -1,4 +1,4 @@
-"""Files of ``torch.save``, from anywhere: read so that nothing in them is ever run."""
+"""Reading of untrusted ``torch.save`` files without executing code."""
 
 from __future__ import annotations
 
@@ -12,41 +12,41 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 LONGEST = 200
-"""Letters of the longest name of code that is looked at: torch takes the square of them in time."""
+"""Largest length of a global's name in a pickle: torch's check takes quadratic time."""
 
 PICKLES = 5
-"""Pickles in a file that is no zip archive: three about the format, the content, its tensors."""
+"""Number of pickles in a legacy file: three for the format, the content, its tensors."""
 
 
 SCRIPTED = (
     "it is a TorchScript archive, which holds code; if you trust it, save its tensors alone: "
     "torch.save(torch.jit.load(FILE, map_location='cpu').state_dict(), NEW_FILE)"
 )
-"""The reason to refuse a file of ``torch.jit.save``, as OpenAI publishes CLIP."""
+"""Message for files of ``torch.jit.save``, such as OpenAI's CLIP."""
 
 
 class CodeError(ValueError):
-    """A file that asks for code to be run; its text is the name of what it asks for."""
+    """A file requires code to be run; the message is the name of the global."""
 
 
 def load(source: Path | bytes, mapped: bool = False) -> Any:
-    """Load a file on the CPU, by PyTorch's restricted unpickler.
+    """Load a file on the CPU with PyTorch's restricted unpickler.
 
     Parameters
     ----------
     source : path or bytes
     mapped : bool
-        Map a file into memory where that is possible, so that only what is used is read.
+        Memory-map the file if possible, so that only the tensors in use are read.
 
     Raises
     ------
     CodeError
-        If there is more in it than plain data and tensors.
+        If it contains more than plain data and tensors.
     OSError
         If the file cannot be read.
     ValueError
-        If it is damaged, a TorchScript archive, or packed: ``torch.save`` packs nothing, and what
-        unpacks to a thousandfold could fill the memory.
+        If it is damaged, a TorchScript archive, or compressed: ``torch.save`` never compresses, and
+        a thousandfold expansion could fill the memory.
     """
     stream = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
@@ -69,7 +69,7 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
         if isinstance(stream, io.BytesIO):
             stream.seek(0)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what they warn of ends in an error
+            warnings.simplefilter("ignore")  # the problems that they announce raise errors
             import torch
 
             return torch.load(stream, map_location="cpu", weights_only=True, mmap=mapped and zipped)
@@ -87,7 +87,7 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
 
 
 def _check_names(stream: BinaryIO, count: int) -> None:
-    """ValueError if one of so many pickles has a name of too many letters; none is unpickled."""
+    """Raise ValueError if one of ``count`` pickles has a name that is too long; unpickle none."""
     for _ in range(count):
         try:
             longest = max(
@@ -98,7 +98,7 @@ def _check_names(stream: BinaryIO, count: int) -> None:
                 ),
                 default=0,
             )
-        except Exception:  # what is no pickle raises almost anything
+        except Exception:  # an invalid pickle raises almost anything
             raise ValueError("it cannot be unpickled") from None
         if longest > LONGEST:
             raise ValueError(f"it has a name of {longest} letters")

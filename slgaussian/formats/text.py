@@ -1,4 +1,4 @@
-"""Text files that anybody wrote: UTF-8, with or without a byte-order mark."""
+"""Reading of UTF-8 text files, with or without a byte-order mark."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ from pathlib import Path
 
 
 def read_lines(file: str | Path) -> list[str]:
-    """Read the lines of a file, each as it stands between line feeds, or CR and line feed.
+    """Read the lines of a file, separated by LF or CR LF.
 
-    Other characters at which :meth:`str.splitlines` breaks (U+2028, U+0085, form feed) are part of
-    names.
+    Other characters at which :meth:`str.splitlines` splits (U+2028, U+0085, form feed) may be part
+    of names.
 
     Raises
     ------
     OSError, UnicodeDecodeError
-        If it cannot be read, or is not UTF-8.
+        If it cannot be read, or is not valid UTF-8.
     """
     text = Path(file).read_bytes().decode("utf-8-sig")
     return [line.removesuffix("\r") for line in text.split("\n")]

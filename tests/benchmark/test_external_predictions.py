@@ -204,7 +204,7 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged):
         ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is judged at 104x"),
         ({"size": [10**9, 10**9], "counts": [10**18]}, "has 1000000000x1000000000 pixels"),
         ({"size": [104.0, 144]}, "size.0 is 104.0; "),
-        ({"counts": "0"}, "its counts make up 0 pixels, and its size 14976; write the mask again"),
+        ({"counts": "0"}, "its counts add up to 0 pixels, expected 14976; write the mask again"),
         ({"point": [3]}, "point is [3]; "),
         ({"score": 1.5}, "score is 1.5; "),
         ({"query": ""}, "query is ''; "),

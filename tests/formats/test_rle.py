@@ -69,18 +69,18 @@ def test_any_counts_are_a_mask_or_a_reason(counts):
 @pytest.mark.parametrize(
     ("counts", "why"),
     [
-        ("0181J0002", "make up 23 pixels, and its size 24"),
-        ("0181J0002o", "break off within a number"),
-        ("0181 0002O", "hold ' '"),
-        ("p" * 9, "hold 'p'"),
-        ("o" * 9 + "0", "a number that no image has pixels for"),
-        ("81J", "are no run lengths"),  # 8, 1, -6
-        ([0, 25], "make up 25 pixels"),
-        ([25, -1], "are no run lengths"),
-        ([12.0, 12], "are no run lengths"),
-        ([True] * 24, "are no run lengths"),
-        (24, "are no run lengths"),
-        (None, "are no run lengths"),
+        ("0181J0002", "23 pixels, expected 24"),
+        ("0181J0002o", "end within a number"),
+        ("0181 0002O", "invalid character ' '"),
+        ("p" * 9, "invalid character 'p'"),
+        ("o" * 9 + "0", "larger than any image"),
+        ("81J", "not run lengths"),  # 8, 1, -6
+        ([0, 25], "25 pixels, expected"),
+        ([25, -1], "not run lengths"),
+        ([12.0, 12], "not run lengths"),
+        ([True] * 24, "not run lengths"),
+        (24, "not run lengths"),
+        (None, "not run lengths"),
     ],
 )
 def test_what_is_wrong_is_said(counts, why):
