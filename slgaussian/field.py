@@ -232,20 +232,9 @@ class SemanticField:
         InputError
             If a text cannot be used.
         """
-        from slgaussian.objects import list_objects, small
+        from slgaussian.objects import list_objects
 
-        cameras = [small(camera) for camera in self.cameras.values()]
-        things = list_objects(
-            self.bank,
-            self.best_words(texts, **rules),
-            [(look.ids, look.confidence, look.depth) for look in map(self.render, cameras)],
-            cameras,
-            list(self.cameras),
-            self.labels(),
-            self.gaussians.to_arrays()["means"],
-            self.names,
-        )
-        return [thing for thing in things if thing.id not in self.removed]
+        return list_objects(self, self.best_words(texts, **rules))
 
     def best_words(
         self, texts: Sequence[str] | None = None, **rules: Any

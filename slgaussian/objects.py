@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,10 +12,12 @@ from slgaussian.geometry.boxes import Box, upright_box
 from slgaussian.geometry.room import find_room
 from slgaussian.io import short_repr
 from slgaussian.language import Encoder
-from slgaussian.language.bank import MemoryBank
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.vocabulary import load_vocabulary
 from slgaussian.scene import Camera
+
+if TYPE_CHECKING:
+    from slgaussian.field import SemanticField
 
 COMMON_OBJECTS = (
     "floor", "wall", "table", "chair", "sofa", "door", "window", "plant", "box", "book",
@@ -67,51 +70,38 @@ class SceneObject:
 
 
 def list_objects(
-    bank: MemoryBank,
-    words: Sequence[tuple[tuple[str, float], ...]],
-    looks: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    cameras: Sequence[Camera],
-    views: Sequence[str],
-    labels: np.ndarray,
-    means: np.ndarray,
-    names: Mapping[int, str],
+    field: SemanticField, words: Sequence[tuple[tuple[str, float], ...]]
 ) -> list[SceneObject]:
-    """Describe every object of a bank, by id.
+    """Describe every object of a field that is not removed, by id.
 
-    Parameters
-    ----------
-    bank : MemoryBank
-    words : N tuples
-        The best texts of each object.
-    looks, cameras, views : V each
-        Ids int32, confidence float32 and depth float32, all [H, W], as the context cameras show
-        them, and the names of these views.
-    labels : int32 [M]
-        The object of each Gaussian.
-    means : float32 [M, 3]
-        Their centres, in scene units.
-    names : {id: str}
-        What the user calls some.
+    ``words`` are the best texts of each object of the bank.
     """
+    bank, views = field.bank, list(field.cameras)
+    cameras = [_small(camera) for camera in field.cameras.values()]
+    looks = [field.render(camera) for camera in cameras]
     sums, areas = np.zeros(len(bank)), np.zeros(len(bank))
-    for ids, confidence, _ in looks:
-        rows = np.searchsorted(bank.ids, ids[ids > 0])
+    for look in looks:
+        there = look.ids > 0
+        rows = np.searchsorted(bank.ids, look.ids[there])
         areas += np.bincount(rows, minlength=len(bank))
-        sums += np.bincount(rows, confidence[ids > 0], minlength=len(bank))
-    up = find_room(list(cameras), [depth for _, _, depth in looks]).up
+        sums += np.bincount(rows, look.confidence[there], minlength=len(bank))
+    up = find_room(cameras, [look.depth for look in looks]).up
+    means, labels = field.gaussians.to_arrays()["means"], field.labels()
     order = np.argsort(labels, kind="stable")
     estimated = any(camera.estimated for camera in cameras)
     objects = []
     for row, id_ in enumerate(bank.ids.tolist()):
-        pixels = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
+        if id_ in field.removed:
+            continue
+        members = order[slice(*np.searchsorted(labels[order], [id_, id_ + 1]))]
         objects.append(
             SceneObject(
                 id=id_,
-                name=names.get(id_),
+                name=field.names.get(id_),
                 words=words[row],
                 confidence=float(sums[row] / max(areas[row], 1)),
-                gaussians=len(pixels),
-                box=upright_box(means[pixels], up) if len(pixels) else None,
+                gaussians=len(members),
+                box=upright_box(means[members], up) if len(members) else None,
                 metres=False if estimated else None,
                 views=tuple(views[view] for view in np.flatnonzero(bank.present[row]).tolist()),
             )
@@ -130,7 +120,7 @@ def words_for(encoder: Encoder) -> tuple[str, ...]:
     return tuple(sorted([*vocabulary.colours, *vocabulary.naming]))
 
 
-def small(camera: Camera) -> Camera:
+def _small(camera: Camera) -> Camera:
     """The camera with an image of :data:`LOOK` pixels at most."""
     shrink = min(1.0, LOOK / max(camera.width, camera.height))
     return camera.resized(round(camera.width * shrink), round(camera.height * shrink))
