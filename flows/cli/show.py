@@ -197,7 +197,7 @@ def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
 @options.configured()
 def view(
     ctx: typer.Context,
-    source: options.FieldOrPly,
+    folder: options.Folder,
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="[default: 8080, or a free one]")
     ] = None,
@@ -207,17 +207,15 @@ def view(
 
     Prints the address to open; several people may, and change the same field. Type a word, or click
     a thing to see what it is, to name it, to teach a word for it, or to remove it; Save changes
-    writes all that into the folder of the field. A .ply can only be looked at. Ctrl-C ends it.
+    writes all that into the folder of the field. Ctrl-C ends it.
 
     \b
     slgaussian view field/
     slgaussian view field/ --port 9000
-    slgaussian view scene.ply
     """
     from flows.cli.open_field import open_field
-    from slgaussian.formats.ply import load_ply
     from slgaussian.viewer.auth import listen
-    from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
+    from slgaussian.viewer.page.scene_page import scene_page
     from slgaussian.viewer.server import LiveField, app, serve
 
     def terminate(number: int, frame: object) -> NoReturn:
@@ -228,12 +226,9 @@ def view(
     live = None
     try:
         access = listen(host, port)
-        if source.suffix.lower() == ".ply" and not source.is_dir():
-            page = gaussians_page(load_ply(source)[0], source.stem)
-        else:
-            settings = options.settings_from(ctx, Method)
-            live = LiveField(open_field(source, settings, rules=False)[1], source)
-            page = scene_page(live.field, live=True)
+        settings = options.settings_from(ctx, Method)
+        live = LiveField(open_field(folder, settings, rules=False)[1], folder)
+        page = scene_page(live.field, live=True)
         typer.echo(access.address)
         if access.token:
             typer.echo("whoever has this address sees the scene and can change it", err=True)
@@ -252,7 +247,7 @@ def view(
 @options.configured()
 def export(
     ctx: typer.Context,
-    source: options.FieldOrPly,
+    folder: options.Folder,
     out: Annotated[Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz.")],
     texts: Annotated[
         list[str] | None,
@@ -275,14 +270,13 @@ def export(
     slgaussian export field/ -o scene.html
     slgaussian export field/ -o scene.spz
     slgaussian export field/ -o cloud.ply --points
-    slgaussian export scene.ply -o scene.html
     """
     from flows.cli.open_field import open_field
     from slgaussian.field import SemanticField
-    from slgaussian.formats.ply import load_ply, save_ply, save_points
+    from slgaussian.formats.ply import save_ply, save_points
     from slgaussian.formats.spz import save_spz
     from slgaussian.io import write_file
-    from slgaussian.viewer.page.scene_page import gaussians_page, scene_page
+    from slgaussian.viewer.page.scene_page import scene_page
 
     suffix = out.suffix.lower()
     if suffix not in EXPORTS:
@@ -295,34 +289,18 @@ def export(
         raise InputError(f"{out}: --text is for pages (.html); leave it out")
     if points and suffix != ".ply":
         raise InputError(f"{out}: --points are written as .ply; name such a file")
-    field = labels = None
-    if source.suffix.lower() == ".ply" and not source.is_dir():
-        if texts:
-            raise InputError(f"{source}: a .ply answers no words; leave out --text")
-        if suffix == ".ply" and not points:
-            raise InputError(f"{source}: is a .ply already; name another format")
-        gaussians, _ = load_ply(source)
-    else:
-        if suffix == ".html":
-            settings = options.settings_from(ctx, Method)
-            _, field = open_field(source, settings, rules=False)
-        else:
-            field = SemanticField.load(source)
-        field = field.dropped()
-        gaussians, labels = field.gaussians, field.labels()
-    if suffix == ".ply":
-        (save_points if points else save_ply)(gaussians, out, labels)
-    elif suffix == ".spz":
-        save_spz(gaussians, out)
-    else:
-        if field is None:
-            page = gaussians_page(gaussians, source.stem)
-        else:
-            page = scene_page(field, _photographs(source, field), texts or [])
-        data = page.encode()
+    if suffix == ".html":
+        _, field = open_field(folder, options.settings_from(ctx, Method), rules=False)
+        data = scene_page(field.dropped(), _photographs(folder, field), texts or []).encode()
         write_file(out, data)
         size = f"{len(data) / 1e6:.1f} MB"
         typer.echo(f"{size}, to open in any browser, without a network", err=True)
+    else:
+        field = SemanticField.load(folder).dropped()
+        if suffix == ".spz":
+            save_spz(field.gaussians, out)
+        else:
+            (save_points if points else save_ply)(field.gaussians, out, field.labels())
     typer.echo(out)
 
 

@@ -147,21 +147,20 @@ class LiveField:
         return self.state()
 
 
-def app(page: str, access: Access, live: LiveField | None = None) -> Starlette:
+def app(page: str, access: Access, live: LiveField) -> Starlette:
     """The application that shows a page at ``/``, and answers it at ``POST /api/...``.
 
     Bodies and answers are JSON; what cannot be done has status 400 and ``{"error": sentence}``.
-    Without a field, the page is one that asks nothing.
     """
 
     async def show(request: Request) -> Response:
         return HTMLResponse(page, headers=HEADERS)
 
-    routes = [Route("/", show)]
-    if live is not None:
-        lock = threading.Lock()
-        routes += [_route(name, call, lock) for name, call in _calls(live).items()]
-    return Starlette(routes=routes, middleware=[Middleware(Guard, access=access)])
+    lock = threading.Lock()
+    calls = [_route(name, call, lock) for name, call in _calls(live).items()]
+    return Starlette(
+        routes=[Route("/", show), *calls], middleware=[Middleware(Guard, access=access)]
+    )
 
 
 Call = Callable[[Mapping[str, Any]], dict[str, Any]]

@@ -225,11 +225,3 @@ def test_words_lists_the_vocabulary_by_family(monkeypatch, capsys):
     lines = dict(line.split(": ", 1) for line in capsys.readouterr().out.splitlines())
     assert "red (crimson" in lines["colour"]
     assert "ball (sphere" in lines["solid"]
-
-
-def test_gaussians_of_strangers_are_exported_to_look_at(field, tmp_path, monkeypatch, capsys):
-    ply = tmp_path / "scene.ply"
-    assert run(monkeypatch, "export", field, "-o", ply) == 0
-    for suffix in (".html", ".spz"):
-        assert run(monkeypatch, "export", ply, "-o", tmp_path / f"out{suffix}") == 0
-        assert (tmp_path / f"out{suffix}").stat().st_size

@@ -51,7 +51,6 @@ def place(tmp_path_factory):
         ("export field -o scene.splat", "scene.splat: found '.splat', expected the name of the"),
         ("export field -o a.spz --text red", "--text is for pages"),
         ("export field -o a.html --text unicorn", "no word 'unicorn' is known"),
-        ("export scene.ply -o a.html --text red", "scene.ply: a .ply answers no words"),
         ("objects list field -o a.txt", "expected the name of a picture to end in .png"),
         ("objects extract field 7 -o x.ply", "'7': is no object of the field"),
         ("objects remove field red -o field", "is the field itself"),

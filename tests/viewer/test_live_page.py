@@ -16,7 +16,6 @@ import uvicorn
 from starlette.testclient import TestClient
 
 from slgaussian.field import SemanticField
-from slgaussian.formats.ply import save_ply
 from slgaussian.language.rules import Rules
 from slgaussian.viewer.auth import Access, listen
 from slgaussian.viewer.page.packed import morton_order
@@ -182,8 +181,6 @@ def test_the_command_says_in_a_sentence_what_is_wrong(folder, tmp_path, monkeypa
         port = taken.getsockname()[1]
         assert run(monkeypatch, "view", folder, "--port", port) == 2
         assert f"--port: {port} is in use" in command_said(capsys)
-    assert run(monkeypatch, "view", tmp_path / "no.ply") == 2
-    assert "no.ply" in command_said(capsys)
     assert run(monkeypatch, "view", tmp_path) == 2
     assert "field.json" in command_said(capsys)
 
@@ -218,15 +215,6 @@ def test_the_command_ends_when_it_is_told_to(folder, sign, changed):
         assert (child.returncode, out) == (0, "")
         last = "stopped; changes were not saved" if changed else "stopped"
         assert error.splitlines()[-3:] == ["Ctrl-C ends it", "", last]  # after what is compiled
-
-
-@pytest.mark.whole
-def test_a_ply_is_shown_and_not_asked(browser, field, tmp_path):
-    save_ply(field.gaussians, tmp_path / "strange.ply")
-    with command(tmp_path / "strange.ply") as (_, address), browser.open(address, 700, 440) as tab:
-        tab.wait("globalThis.slgaussian !== undefined")
-        assert tab.evaluate("document.getElementById('search').hidden && !slgaussian.live")
-        assert tab.complaints == [] or all("favicon" in said for said in tab.complaints)
 
 
 @contextmanager

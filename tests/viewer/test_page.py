@@ -5,6 +5,7 @@ import io
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -283,7 +284,9 @@ def test_it_asks_the_network_for_nothing_and_complains_of_nothing(page, file):
 def test_names_are_text_and_never_markup(browser, field, tmp_path):
     id_ = field.inventory()[0].id
     named = field.named(id_, NASTY.replace("\u2028", ""))
-    (tmp_path / "a.html").write_text(scene_page(named, title=NASTY), "utf-8")
+    (tmp_path / "a.html").write_text(
+        scene_page(replace(named, settings={**named.settings, "scene": NASTY})), "utf-8"
+    )
     with shown(browser, tmp_path / "a.html") as tab:
         assert tab.evaluate("document.title") == NASTY
         assert tab.evaluate("document.querySelector('h1').textContent") == NASTY

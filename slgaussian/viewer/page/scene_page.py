@@ -1,4 +1,4 @@
-"""A field, or Gaussians alone, as one HTML page: a file that needs no network, or a live page.
+"""A field as one HTML page: a file that needs no network, or a live page.
 
 The page (``scene.html`` and the scripts beside it) draws as :mod:`slgaussian.rasterize.project`
 does. It may load nothing: its content security policy names the one script and the one style by
@@ -27,16 +27,14 @@ from slgaussian import __version__
 from slgaussian.benchmark.pictures import depth_range, encode_jpeg, label_colors
 from slgaussian.cameras.quality import Quality
 from slgaussian.errors import InputError
-from slgaussian.field import SemanticField, shown
+from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry.room import find_room
 from slgaussian.language.confidence import ABSENT, EVEN_OUT, TYPICAL, Calibration
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.rules import Rules
 from slgaussian.objects import SceneObject
-from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
-from slgaussian.semantic.decode import VISIBLE
 from slgaussian.viewer.page.answers import Answers, answers_of
 from slgaussian.viewer.page.packed import BLOCK, packed
 
@@ -51,7 +49,6 @@ def scene_page(
     field: SemanticField,
     photographs: Mapping[str, np.ndarray] | None = None,
     texts: Sequence[str] = (),
-    title: str | None = None,
     live: bool = False,
 ) -> str:
     """The page of a field, without what was removed from it.
@@ -63,8 +60,6 @@ def scene_page(
         What is shown of views; of others the field as it is drawn there.
     texts : sequence of str
         What the page shall answer beside the words that it knows anyway.
-    title : str, optional
-        The name of the scene if left out.
     live : bool
         Whether :class:`slgaussian.viewer.server.LiveField` answers the page. It then has what was
         removed too, so that it can come back, and holds no answers.
@@ -98,76 +93,18 @@ def scene_page(
         _view(name, camera, look.depth, pictures[name], "rendered" if name in drawn_views else "")
         for (name, camera), look in zip(field.cameras.items(), looks.values(), strict=True)
     ]
-    return _page(
-        gaussians,
-        numbers,
-        views=views,
-        up=up,
-        depths=depth_range(*depths),
-        things=[_thing(thing, field, labels, list(looks)) for thing in things],
-        answers=answers_of(field, ids, texts, live),
-        touching=_touching(next(iter(looks.values())).ids, ids),
-        title=title or str(field.settings.get("scene") or "scene"),
-        honest=_honest(field, gaussians, live),
-        stripes=bool(field.removed),
-        live=live,
-    )
-
-
-def gaussians_page(gaussians: Gaussians, title: str) -> str:
-    """The page of Gaussians alone, such as those of a stranger's ``.ply``: to look at, not to ask.
-
-    The first look is from outside, along z, at most of them; y points down, as such files have it.
-    """
-    if not len(gaussians):
-        raise InputError("there are no Gaussians to show, expected at least one")
-    camera = _before(gaussians.means.numpy())
-    image = rasterize(gaussians, None, camera)
-    rgb = shown(image.values.numpy(), image.alpha.numpy())
-    depth = np.where(image.alpha.numpy() >= VISIBLE, image.depth.numpy(), 0)
-    nothing = np.zeros((0, 0), np.float32)
-    return _page(
-        gaussians,
-        np.zeros(len(gaussians), np.int64),
-        views=[_view("start", camera, depth, rgb, "rendered")],
-        up=np.array([0.0, -1.0, 0.0]),
-        depths=depth_range(depth),
-        things=[],
-        answers=Answers((), nothing, nothing > 0, {}, {}, (), False),
-        touching=[],
-        title=title,
-        honest=f"{len(gaussians):,} Gaussians of a .ply, without objects or words, colours of "
-        f"degree 0 only. Made with slgaussian {__version__}.",
-        stripes=False,
-    )
-
-
-def _page(
-    gaussians: Gaussians,
-    numbers: np.ndarray,
-    *,
-    views: list[dict[str, Any]],
-    up: np.ndarray,
-    depths: tuple[float, float],
-    things: list[dict[str, Any]],
-    answers: Answers,
-    touching: list[list[int]],
-    title: str,
-    honest: str,
-    stripes: bool,
-    live: bool = False,
-) -> str:
+    answers = answers_of(field, ids, texts, live)
+    title = str(field.settings.get("scene") or "scene")
     content = packed(gaussians, numbers, 1 if live else 9)
-    rules = Rules()
     scene_data = {
         "format": 1,
         "made_by": f"slgaussian {__version__}",
         "title": title,
         "views": views,
         "up": np.asarray(up, np.float64).tolist(),
-        "depths": list(depths),
-        "stripes": stripes,
-        "things": things,
+        "depths": list(depth_range(*depths)),
+        "stripes": bool(field.removed),
+        "things": [_thing(thing, field, labels, list(looks)) for thing in things],
         "guesses": gaussians.guessed is not None and bool(gaussians.guessed.any()),
         "texts": list(answers.texts),
         "words": dict(answers.kinds),
@@ -176,16 +113,16 @@ def _page(
         "pairs": answers.pairs,
         "measurements": list(answers.measurements),
         "named": [round(named, 3) for named in answers.named],
-        "touching": touching,
+        "touching": _touching(next(iter(looks.values())).ids, ids),
         "said_words": _said_words(answers, live),
-        "temperature": rules.temperature,
+        "temperature": Rules().temperature,
         "calibration": _calibration(answers.calibration),
         "uncalibrated": answers.uncalibrated,
         "block": BLOCK,
         "layout": content.layout,
         "scale_logs": list(content.scale_logs),
         "maps": _base64(_colour_maps()),
-        "honest": honest,
+        "honest": _honest(field, gaussians, live),
     }
     script, style = _script(live), _read("scene.css")
     connect = "connect-src 'self'; " if live else ""
@@ -209,15 +146,6 @@ def _page(
             )
         ),
     )
-
-
-def _before(means: np.ndarray) -> Camera:
-    """A camera that looks along z at most of the points [N, 3], from before them."""
-    middle = np.median(means, axis=0)
-    reach = np.percentile(np.linalg.norm(means - middle, axis=1), 80)
-    c2w = np.eye(4)
-    c2w[:3, 3] = middle - (0, 0, 2.5 * max(reach, 1e-6))
-    return Camera(np.array([[800.0, 0, 400], [0, 800, 300], [0, 0, 1]]), c2w, 800, 600)
 
 
 def _view(
