@@ -311,9 +311,9 @@ class SemanticField:
         other = replace(self, **parts)
         kept = {"encoder"}
         if other.gaussians is self.gaussians and other.bank is self.bank:
-            kept |= {"_decoder", "_labels", "_by_object"}
+            kept |= {"_decoder", "_labels"}
             if other.cameras is self.cameras:
-                kept |= {"_whole", "up"}
+                kept |= {"_whole"}
                 if other.removed == self.removed:
                     kept |= {"gone", "drawn"}
         other.__dict__.update({name: self.__dict__[name] for name in kept & self.__dict__.keys()})
