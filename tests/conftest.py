@@ -3,6 +3,7 @@
 import logging
 import os
 import signal
+import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from flows.runners.environment import prepare
+from flows.runners.server import LocalServer
 from slgaussian.kernels import threads
 from tests.browser import Browser, executable
 
@@ -23,6 +26,20 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 # No test asserts a wall time, and a deadline is one.
 hypothesis.settings.register_profile("shared", deadline=None)
 hypothesis.settings.load_profile("shared")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Set the address of the one Prefect server of the tests, before any of them imports Prefect.
+
+    Prefect reads it on import; without it, Prefect would start servers of its own.
+    """
+    folder = tempfile.TemporaryDirectory(prefix="slg-flows-")
+    config.add_cleanup(folder.cleanup)
+    os.environ["PREFECT_HOME"] = folder.name  # a worker of pytest-xdist has a server of its own
+    prepare(Path(folder.name))
+    config.slg_server = LocalServer(Path(folder.name))
+    os.environ["PREFECT_API_URL"] = config.slg_server.url
+    os.environ["SLGAUSSIAN_NO_EVENTS"] = "1"  # as in a run with a server of its own
 
 
 WHOLE = {"server", "browser", "s3_server"}
@@ -57,6 +74,16 @@ def one_thread() -> Iterator[None]:
     threads.limit(threads.cores())
     yield
     threads.limit()
+
+
+@pytest.fixture(scope="session")
+def server(request: pytest.FixtureRequest) -> Iterator[LocalServer]:
+    """The address of a running Prefect server."""
+    server = request.config.slg_server
+    server.start()
+    server.wait()
+    yield server
+    server.stop()
 
 
 @pytest.fixture(scope="session")

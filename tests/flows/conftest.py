@@ -1,33 +1,11 @@
-"""One Prefect server for all flow tests; its address is set before anything imports Prefect."""
+"""Commands whose answers are JSON, and short paths for what programs keep."""
 
 import json
-import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-from flows.runners.environment import prepare
-from flows.runners.server import LocalServer
-
-
-def pytest_configure(config):
-    home = Path(tempfile.mkdtemp(prefix="slg-flows-"))
-    prepare(home)
-    config.slg_server = LocalServer(home)
-    os.environ["PREFECT_API_URL"] = config.slg_server.url
-    os.environ["SLGAUSSIAN_NO_EVENTS"] = "1"  # as in a run with a server of its own
-
-
-@pytest.fixture(scope="session")
-def server(request):
-    """The address of a running Prefect server."""
-    server = request.config.slg_server
-    server.start()
-    server.wait()
-    yield server
-    server.stop()
 
 
 @pytest.fixture
