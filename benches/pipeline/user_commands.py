@@ -24,10 +24,11 @@ import sys
 import time
 import urllib.request
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 from benches.common.photograph_pairs import data_folder
 from benches.common.small_rooms import write_rooms
@@ -171,7 +172,7 @@ def office(recorder: Recorder, data: Path | None) -> None:
 def runners(recorder: Recorder, _data: Path | None) -> None:
     """``run`` by each runner on a folder, and by threads on a bucket: the same bytes."""
     base = recorder.work / "runners"
-    write_rooms(base / "rooms", 3)
+    write_rooms(base / "rooms", 2)
     python = Path(recorder.program[0]).parent
 
     def one(name: str, runner: str, store: str) -> None:
@@ -198,7 +199,6 @@ def corpus(recorder: Recorder, _data: Path | None) -> None:
     size = ["--size", "96x128", *store]
     lessons = ["corpus/chunks", *size, "-o", "corpus/lessons"]
     recorder.run("supervise", "supervise", *lessons, out="corpus/lessons")
-    recorder.run("supervise again", "supervise", *lessons, out="corpus/lessons")
     sources = ["corpus/set", "corpus/chunks", *size]
     recorder.run("dataset", "dataset", *sources, out="corpus/set")
     training = ["--lessons", "corpus/lessons", "--steps", "50", *store, "-o", "corpus/trained"]
@@ -287,7 +287,7 @@ def questions(
 def killed(recorder: Recorder, _data: Path | None) -> None:
     """A run killed in the middle, resumed; a damaged store; equal to one that nothing met."""
     base = recorder.work / "killed"
-    config = write_rooms(base / "rooms", 4)
+    config = write_rooms(base / "rooms", 3)
     arguments = ["run", str(config), "--store", "killed/store", "-o", "killed/out"]
     process = subprocess.Popen(
         [*recorder.program, *arguments],
@@ -484,12 +484,20 @@ def installed(work: Path) -> list[str]:
 
 
 def recorded(
-    program: list[str], work: Path, data: Path | None, groups: list[str]
+    program: list[str],
+    work: Path,
+    data: Path | None,
+    groups: list[str],
+    variables: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Result]:
-    """Run the groups of these names in the folder ``work``; return their results by step."""
+    """Run the groups of these names in the folder ``work``; return their results by step.
+
+    ``variables`` are added to the environment, as the address of a Prefect server that runs.
+    """
     ours = ("PREFECT_", "SLGAUSSIAN_", "PYTHONPATH", "COLUMNS")
     env = {k: v for k, v in os.environ.items() if not k.startswith(ours)}
     env |= {"COLUMNS": "100", "DO_NOT_TRACK": "1", "PREFECT_SERVER_ANALYTICS_ENABLED": "false"}
+    env |= variables
     recorder = Recorder(program, work, env)
     for name in groups:
         (work / name).mkdir(exist_ok=True)

@@ -2,31 +2,18 @@
 
 import numpy as np
 import pytest
+from rows import sample
 
 from slgaussian.benchmark.reports.model import Table
 from slgaussian.benchmark.reports.paper_tables import ABSENT, TABLES, paper_section
 from slgaussian.benchmark.statistics import interval_of_mean
 from slgaussian.datasets.published import ANOTHER, RECOGNISED, UNVERIFIED, Standing
-from slgaussian.storage.specs import load_spec
 
 LERF, OVS3D = "lerf_ovs", "ovs3d"
 
-SETTINGS = {
-    "dataset": "anything",
-    "frame": "f",
-    "method": "slgaussian",
-    "protocol": "slgaussian@2",
-    "selection": "near-best",
-    "temperature": 10.0,
-    "canonical": "lerf",
-    "absent": "skip",
-    "note": "",
-}
 
-
-def row_of(scene: str, **more) -> dict:
-    empty = dict.fromkeys(load_spec("samples").columns)
-    return {**empty, **SETTINGS, "scene": scene, "query": "q", **more}
+def row_of(scene: str, **columns) -> dict:
+    return sample(scene, **{"method": "slgaussian", "share": None, **columns})
 
 
 def tables_of(rows, places, ours="slgaussian") -> list[Table]:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rows import sample
 
 from slgaussian.benchmark.reports.score_tables import (
     SCORES,
@@ -15,27 +16,12 @@ from slgaussian.benchmark.reports.score_tables import (
 )
 from slgaussian.benchmark.scores import differences, score_table
 from slgaussian.benchmark.statistics import LEAST, compare
-from slgaussian.storage.specs import load_spec
-
-SETTINGS = {
-    "dataset": "d",
-    "frame": "f",
-    "protocol": "slgaussian@2",
-    "selection": "near-best",
-    "temperature": 10.0,
-    "share": 0.7,
-    "canonical": "lerf",
-    "absent": "skip",
-    "note": "",
-}
 
 
 def rows_of(method: str, *ious: float, **columns) -> list[dict]:
     """One query a scene."""
-    empty = dict.fromkeys(load_spec("samples").columns) | SETTINGS | {"method": method}
-    return [
-        empty | {"scene": f"s{k}", "query": "q", "iou": iou} | columns for k, iou in enumerate(ious)
-    ]
+    named = {"method": method, **columns}
+    return [sample(f"s{k}", iou=iou, **named) for k, iou in enumerate(ious)]
 
 
 def tables_of(*groups):

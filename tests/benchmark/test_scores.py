@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rows import sample
 
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.benchmark.scores import (
@@ -14,23 +15,6 @@ from slgaussian.benchmark.scores import (
 from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, drawn
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
-
-COLUMNS = dict.fromkeys(load_spec("samples").columns)
-GIVEN = {
-    "frame": "f",
-    "method": "m",
-    "protocol": "slgaussian@2",
-    "selection": "near-best",
-    "temperature": 10.0,
-    "share": 0.7,
-    "canonical": "encoder's",
-    "absent": "skip",
-    "note": "",
-}
-
-
-def sample(scene, query, **known):
-    return COLUMNS | GIVEN | {"scene": scene, "query": query} | known
 
 
 def ious(**by_scene):

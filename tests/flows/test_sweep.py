@@ -2,6 +2,7 @@
 
 import re
 
+import command
 import pyarrow.parquet as pq
 import pytest
 from command import run, said, save_photographs, score
@@ -13,6 +14,12 @@ from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
 
+ROOM = {
+    **command.ROOM,
+    "options": {"seed": 1, "objects": 4, "views": 5},
+    "context": ["view_01", "view_03"],
+    "targets": ["view_02"],
+}
 SMALL = {"size": "64x96", "replicas": 1}
 DEPTHS = "planesweep.depth_candidates"
 NAME = "slgaussian, views={}, depth_candidates=16"
@@ -22,7 +29,7 @@ NAME = "slgaussian, views={}, depth_candidates=16"
 def swept(tmp_path_factory, server):
     """A room with 2, 3 and more views than it has, and few depths."""
     folder = tmp_path_factory.mktemp("sweep")
-    values = {"rooms": "0", "out": folder / "out", **SMALL}
+    values = {"scenes": [ROOM], "out": folder / "out", **SMALL}
     values["sweep"] = ["views=2,3,40", f"{DEPTHS}=16"]
     settings = make_settings(values, "test")
     return folder, settings, score(settings, ArtifactStore(folder / "store"))
@@ -39,17 +46,17 @@ def test_each_combination_is_a_method_that_is_asked_the_same(swept):
     psnr = [result.scene_metrics["psnr"] for result in finished.results]
     assert len(set(psnr)) == 3
     (failure,) = finished.failures
-    assert failure.scene == f"room_0: {NAME.format(40)}"
-    assert "found 8 context views" in failure.reason
+    assert failure.scene == f"room: {NAME.format(40)}"
+    assert "found 4 context views" in failure.reason
 
 
 def test_what_a_setting_does_not_touch_is_not_made_again(swept):
     folder, *_ = swept
     rows = pq.read_table(folder / "out" / "artifacts.parquet").to_pylist()
     digests = {(row["scene"], row["stage"]): row["digest"] for row in rows}
-    subset = f"room_0: {NAME.format(2)}"
-    assert digests[subset, "ingest"] == digests["room_0", "ingest"]
-    assert digests[subset, "geometry"] != digests["room_0", "geometry"]
+    subset = f"room: {NAME.format(2)}"
+    assert digests[subset, "ingest"] == digests["room", "ingest"]
+    assert digests[subset, "geometry"] != digests["room", "geometry"]
 
 
 @pytest.mark.parametrize(

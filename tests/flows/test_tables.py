@@ -3,24 +3,12 @@
 from flows.cli.score_tables import scenes_text
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.scores import scene_means
-from slgaussian.storage.specs import load_spec
-
-SETTINGS = {
-    "frame": "f",
-    "protocol": "slgaussian@2",
-    "selection": "near-best",
-    "temperature": 10.0,
-    "share": 0.7,
-    "canonical": "lerf",
-    "absent": "skip",
-    "note": "",
-}
+from tests.benchmark.rows import sample
 
 
 def result_of(scene, *ious, method="m", dataset="d"):
-    named = {"scene": scene, "method": method, "dataset": dataset}
-    empty = dict.fromkeys(load_spec("samples").columns) | SETTINGS | named
-    rows = [empty | {"query": f"q{k}", "iou": iou} for k, iou in enumerate(ious)]
+    named = {"method": method, "dataset": dataset}
+    rows = [sample(scene, f"q{k}", iou=iou, **named) for k, iou in enumerate(ious)]
     other = [row | {"protocol": "langsplat@2", "iou": 0.0} for row in rows]
     metrics = scene_means(rows) | {"psnr": 20.0}
     return SceneResult(scene, rows + other, metrics, {}, {}, dataset, method)

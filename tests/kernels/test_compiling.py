@@ -10,6 +10,7 @@ import numba
 import pytest
 
 from slgaussian.kernels import compiling
+from tests.flows.command import two_walls
 
 FIRST_USE = """
 from slgaussian.kernels import compiling
@@ -62,14 +63,13 @@ def test_a_program_without_a_listener_is_warned_once(at_once, caplog, monkeypatc
 
 @pytest.mark.whole
 def test_the_first_command_says_so_and_the_second_does_not(tmp_path):
-    """A command with few kernels: it ingests a made-up room."""
+    """A command with few kernels."""
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
+    words = ["objects", "list", str(two_walls(tmp_path / "field")), "--json"]
     message = []
-    for out in ("first", "second"):
-        words = ["ingest", "procedural:0", "-o", tmp_path / out, "--store", tmp_path / "store"]
-        words += ["--set", "views=5", "--set", "size=32x32"]
+    for _ in range(2):
         output = subprocess.run(
-            [sys.executable, "-c", FIRST_USE, *map(str, words)],
+            [sys.executable, "-c", FIRST_USE, *words],
             env=env, capture_output=True, text=True,
         )  # fmt: skip
         assert output.returncode == 0, output.stderr

@@ -1,0 +1,22 @@
+"""Rows of samples of which a test names only what it asks for."""
+
+from slgaussian.storage.specs import load_spec
+
+SETTINGS = {
+    "dataset": "d",
+    "frame": "f",
+    "method": "m",
+    "protocol": "slgaussian@2",
+    "selection": "near-best",
+    "temperature": 10.0,
+    "share": 0.7,
+    "canonical": "lerf",
+    "absent": "skip",
+    "note": "",
+}
+
+
+def sample(scene: str, query: str = "q", **columns: object) -> dict:
+    """A row with every column of the spec."""
+    empty = dict.fromkeys(load_spec("samples").columns)
+    return empty | SETTINGS | {"scene": scene, "query": query} | columns

@@ -1,0 +1,29 @@
+"""The short form of :mod:`benches.pipeline.user_commands`: everything that users run, small.
+
+What ``--help`` prints has its tests in ``test_help.py``.
+"""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from benches.pipeline import user_commands
+
+pytestmark = pytest.mark.whole
+
+
+def check(group: str, folder: Path, **variables: str) -> None:
+    """Run a group of commands; statuses and files are as they should be."""
+    program = [str(Path(sys.executable).parent / "slgaussian")]
+    results = user_commands.recorded(program, folder, None, [group], variables)
+    assert user_commands.check(results) == []
+    assert len(results) > 3
+
+
+def test_a_field_is_built_and_asked(tmp_path):
+    check("fields", tmp_path)
+
+
+def test_a_corpus_is_prepared_and_learnt(server, tmp_path):
+    check("corpus", tmp_path, PREFECT_API_URL=server.url)
