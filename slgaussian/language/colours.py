@@ -1,10 +1,10 @@
-"""Colour names of pixels: how much of each named colour is in an sRGB value.
+"""Colour naming: soft membership of sRGB values in named colours, without training.
 
-Explicit and free of training: every name has swatches (``vocabulary.toml``), and a colour is shared
-among names by its distance in CIELAB to the nearest swatch of each. A swatch stands for a line of
-colours: the same surface under less light, which is a scaling of linear RGB, as far as people keep
-its name (a dark red wall is red, while very dark orange is called brown). Near black those lines
-meet, so the chroma needed to be called red shrinks with lightness.
+Every name has swatches (``vocabulary.toml``); memberships depend on the CIELAB distance to each
+name's nearest swatch. A swatch stands for a line of colours: the same surface under less light,
+which scales linear RGB, down to the intensity at which people change the name (a dark red wall is
+red, but very dark orange is called brown). These lines meet near black, so the chroma required of a
+red decreases with lightness.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ import cv2
 import numpy as np
 
 SHADE_STEP = 0.5
-"""Ratio of light between neighbouring points on a swatch's line; about 20 in L*, at most."""
+"""Ratio of intensities of neighbouring points on a swatch's line; at most about 20 in L*."""
 
 LIGHTNESS_WEIGHT = 0.7
-"""A step in L* counts less than one in a* or b*: lamps change lightness, seldom hue."""
+"""Weight of L* relative to a* and b*: illumination changes lightness more than hue."""
 
 SOFTNESS = 5.0
-"""CIELAB distance over which one name gives way to the next (about two just-noticeable steps)."""
+"""Width of the transition between names, CIELAB units (about two just-noticeable differences)."""
 
 _BITS = 6
-"""Bits kept of each sRGB channel; the cells are finer than SOFTNESS, even near black."""
+"""Bits per sRGB channel of the lookup; its cells are smaller than SOFTNESS, even near black."""
 
 
 def to_lab(rgb: np.ndarray) -> np.ndarray:
-    """CIELAB (D65) float32 [H, W, 3] of sRGB, uint8 or float in [0, 1]: L* in [0, 100]."""
+    """Convert sRGB, uint8 or float in [0, 1], to CIELAB (D65) float32 [H, W, 3], L* in [0, 100]."""
     scale = 255 if rgb.dtype == np.uint8 else 1
     return cv2.cvtColor(rgb.astype(np.float32) / np.float32(scale), cv2.COLOR_RGB2Lab)
 
 
 class ColourNames:
-    """From sRGB to the membership in each named colour; ``names`` are in the order given.
+    """Computes the membership of sRGB values in each of ``names``, which are in input order.
 
     Parameters
     ----------
     swatches : mapping name -> (list of "#rrggbb", darkest)
-        ``darkest`` is the smallest share of light, linear, in which a swatch keeps its name; 1 if
+        ``darkest`` is the smallest factor of linear RGB with which a swatch keeps its name; 1 if
         only the swatch itself has it.
     """
 
@@ -50,14 +50,14 @@ class ColourNames:
 
     @cached_property
     def _points(self) -> list[np.ndarray]:
-        """Of each name the points that stand for it: texts need none of them."""
+        """Swatch points of each name, computed on first use: encoding texts needs none."""
         return [_points(*swatch) for swatch in self._swatches]
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
-        """Memberships float32 [..., number of names], summing to 1, of sRGB uint8 [..., 3]."""
+        """Compute memberships [..., number of names], summing to 1, of sRGB uint8 [..., 3]."""
         r, g, b = np.moveaxis(rgb >> (8 - _BITS), -1, 0).astype(np.int32)
         cells = (r << 2 * _BITS) | (g << _BITS) | b
-        # A photograph holds few of the possible cells: name those, then look every pixel up.
+        # Compute memberships of the cells that occur, which are few, then look up every pixel.
         used = np.flatnonzero(np.bincount(cells.ravel(), minlength=1 << 3 * _BITS))
         row = np.zeros(1 << 3 * _BITS, np.int32)
         row[used] = np.arange(len(used))
@@ -72,7 +72,7 @@ class ColourNames:
 
 
 def _points(hexes: list[str], darkest: float) -> np.ndarray:
-    """Weighted CIELAB points [S, 3] that stand for one colour name."""
+    """Compute the weighted CIELAB points [S, 3] of one colour name."""
     rgb = np.array([[int(h[i : i + 2], 16) for i in (1, 3, 5)] for h in hexes]) / 255
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     steps = 1 + int(np.ceil(np.log(darkest) / np.log(SHADE_STEP)))
@@ -86,7 +86,7 @@ def _weighted_lab(rgb: np.ndarray) -> np.ndarray:
 
 
 def _distance2(points: np.ndarray, swatches: np.ndarray) -> np.ndarray:
-    """Squared distance from each point [P, 3] to the nearest swatch, [P]."""
+    """Compute the squared distance from each point [P, 3] to the nearest swatch, [P]."""
     planes = np.ascontiguousarray(points.T)
     nearest = np.full(len(points), np.inf, points.dtype)
     for swatch in swatches:

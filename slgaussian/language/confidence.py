@@ -1,22 +1,18 @@
-"""The probability that an answer is right, from how its objects stand out of the rest of the view.
+"""Probability that an answer is right, by logistic regression on four features of the answer.
 
-A score says how well a text fits the best object, not whether that is the thing: in every view
-something fits best. Four numbers tell right answers from others:
+The score of the best object says how well the text fits it, but some object fits best in every
+view. The features are:
 
-- the *evidence* for the best object. A gap is a mean over all that a text asks for, and a high mean
-  of few measurements is chance more easily than one of many; so it is summed up: the gap times the
-  number of measurements, as a naive Bayes classifier adds up log odds;
-- how many standard deviations the objects of the answer *stand out* of those of the rest;
-- of how many *parts* that do not touch the answer is made. What was only best by chance lies
-  scattered;
-- by how much some object of the scene is *named* so by the classifier, where the noun is one of its
-  classes: it tells best what is not there.
+- the *evidence* for the best object: its gap times the number of measurements that the text asks
+  for, as a naive Bayes classifier sums log-odds. A gap is a mean, and a high mean of few
+  measurements is more likely to be chance;
+- how many standard deviations the answer's objects *stand out* from the other objects;
+- the number of disconnected *parts* of the answer: objects that fit best by chance are scattered;
+- if the noun is a class of the classifier, the highest log-probability of that class in any object
+  of the scene (*named*). It is the best indicator of absent objects.
 
-A logistic curve makes probabilities of them, whose constants an encoder brings along, as its
-cosines have a scale of their own.
-
-``benches/language/answer_confidence.py`` fits the constants, and says how they do at places that
-they were not fitted to.
+The coefficients belong to the encoder, since the scale of its cosines does.
+``benches/language/answer_confidence.py`` fits them and evaluates them at held-out places.
 """
 
 from __future__ import annotations
@@ -27,30 +23,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-EVEN_OUT = 0.02
-"""Added to the standard deviation of the rest, so that a view of two alike things is no proof."""
+STD_OFFSET = 0.02
+"""Added to the standard deviation of the other objects, as two similar objects have almost none."""
 
-TYPICAL = 2.1
-"""How far an answer stands out where there is nothing to compare with, and so nothing against it:
-the median of those whose mask is right."""
+TYPICAL_STAND_OUT = 2.1
+"""Value of ``stands_out`` without other objects to compare with: the median of right masks."""
 
-USUAL = 6
-"""Measurements that a text asks for if nobody counts them, as of a taught word: the median's."""
+TYPICAL_MEASUREMENTS = 6
+"""Default number of measurements, used for taught words: the median over texts."""
 
-OFTEN = -3.0
-"""Log-probability of a noun's classes, in the object that has most of it, that says nothing."""
+NEUTRAL_LOG_PROBABILITY = -3.0
+"""Highest log-probability of a noun's classes in any object at which it is neutral evidence."""
 
-ABSENT = 0.1
-"""Probability that the point is on the thing below which it is said not to be there. Measured, with
-the classifier, at places that the constants were not fitted to: 9 % of what is there is denied, and
-84 % of what is denied is not there, where half of what is asked for is."""
+MIN_POINT_PROBABILITY = 0.1
+"""Probability of the point being on the object below which the object is reported as absent. At
+held-out places, with the classifier, where half of the queried objects are present: 9 % of present
+objects are reported as absent, and 84 % of the objects reported as absent are."""
 
 
 class Signs(NamedTuple):
-    """Measurements that the confidence in an answer rests on; see the module.
+    """Features of the logistic regression; see the module.
 
-    ``parts`` is the logarithm of their number, so that one part adds nothing. ``named`` is 0 where
-    the noun has no classes.
+    ``parts`` is the logarithm of the number of parts, 0 for one part. ``named`` is 0 if the noun
+    has no classes.
     """
 
     evidence: float
@@ -61,7 +56,7 @@ class Signs(NamedTuple):
 
 @dataclass(frozen=True)
 class Curve:
-    """Of a logistic curve: what one more of each of :class:`Signs`, and nothing at all, adds."""
+    """Coefficients of the logistic regression on :class:`Signs`, and its intercept (``offset``)."""
 
     evidence: float
     stands_out: float
@@ -70,7 +65,7 @@ class Curve:
     offset: float
 
     def __call__(self, signs: Signs) -> float:
-        """Probability in (0, 1)."""
+        """Compute the probability, in (0, 1)."""
         at = self.evidence * signs.evidence + self.stands_out * signs.stands_out
         at += self.parts * signs.parts + self.named * signs.named + self.offset
         return 1 / (1 + math.exp(-min(max(at, -50.0), 50.0)))
@@ -78,14 +73,14 @@ class Curve:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Constants of an encoder, fitted to how often its answers are right.
+    """Fitted coefficients of an encoder.
 
     Attributes
     ----------
     mask : Curve
-        Of the mask: its IoU with the thing is above 0.5.
+        Probability that the IoU of the mask with the object is above 0.5.
     point : Curve
-        Of the point: it lies on the thing.
+        Probability that the point lies on the object.
     """
 
     mask: Curve
@@ -101,8 +96,8 @@ class Confidence:
 
     @property
     def verdict(self) -> str:
-        """``found``, ``not sure`` (the mask is rather wrong than right) or ``not here``."""
-        if self.point < ABSENT:
+        """``found``, ``not sure`` (the mask is probably wrong) or ``not here``."""
+        if self.point < MIN_POINT_PROBABILITY:
             return "not here"
         return "found" if self.mask >= 0.5 else "not sure"
 
@@ -110,36 +105,36 @@ class Confidence:
 def signs(
     gaps: np.ndarray, selected: np.ndarray, measurements: int, parts: int, named: float = 0.0
 ) -> Signs:
-    """Measure what the confidence in an answer rests on.
+    """Compute the features of an answer.
 
     Parameters
     ----------
     gaps : float64 [M]
-        Of the objects that a view shows and some photograph holds, to the text; M at least 1.
-    taken : bool [M]
-        The answer. Without any, the best one stands for it.
+        Gaps of the visible objects that some photograph shows; M at least 1.
+    selected : bool [M]
+        Objects of the answer; if none is, the best one is used.
     measurements : int
-        How many the text asks for.
+        Number of measurements that the text asks for.
     parts : int
-        Groups of touching objects that those taken are; less than 1 counts as 1.
+        Number of connected parts of the selected objects; less than 1 counts as 1.
     named : float
-        As :class:`Signs` has it.
+        See :class:`Signs`.
 
     Returns
     -------
     Signs
-        ``stands_out`` is the mean gap of those taken over the mean of the rest, in standard
-        deviations of the rest; :data:`TYPICAL` where fewer than two are left to compare with.
+        ``stands_out`` is the mean gap of the selected objects minus that of the others, in standard
+        deviations of the others; :data:`TYPICAL_STAND_OUT` with fewer than two others.
     """
     best = float(gaps.max())
     if not selected.any():
         selected = gaps == best
-    rest, stands_out = gaps[~selected], TYPICAL
+    rest, stands_out = gaps[~selected], TYPICAL_STAND_OUT
     if len(rest) >= 2:
-        stands_out = float((gaps[selected].mean() - rest.mean()) / (rest.std() + EVEN_OUT))
+        stands_out = float((gaps[selected].mean() - rest.mean()) / (rest.std() + STD_OFFSET))
     return Signs(best * measurements, stands_out, math.log(max(parts, 1)), named)
 
 
 def confidence(calibration: Calibration, at: Signs) -> Confidence:
-    """Compute how likely an answer with these :func:`signs` is right."""
+    """Compute the probabilities that an answer with these :func:`signs` is right."""
     return Confidence(calibration.mask(at), calibration.point(at))

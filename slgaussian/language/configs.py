@@ -14,21 +14,21 @@ CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """The model of LangSplat and the paper."""
 
 MOST_DIMENSIONS = 3
-"""Most numbers a code: channels that are rendered."""
+"""Largest dimension of a code, in rendered channels."""
 
 Dimension = Annotated[int, Field(ge=1, le=MOST_DIMENSIONS)]
 
 
 class LexiconConfig(ComponentConfig, title="lexicon"):
-    """Regions and texts by the words of an explicit vocabulary, without weights of its own."""
+    """Encoder with an explicit vocabulary of words and measurements, without training."""
 
     target = "slgaussian.language.lexicon:Lexicon"
 
     classifier: Literal["auto", "lite0", "none"] = Field(
         "auto",
         validate_default=True,
-        description="What tells nouns that look does not tell: lite0, an ImageNet classifier of "
-        "a package of its own; none; or auto, lite0 where that is installed.",
+        description="Classifier for nouns that appearance cannot describe: lite0, an ImageNet "
+        "classifier in a package of its own; none; or auto, lite0 if it is installed.",
     )
 
     @field_validator("classifier")
@@ -44,7 +44,7 @@ class LexiconConfig(ComponentConfig, title="lexicon"):
 
 
 class ClipConfig(ComponentConfig, title="clip"):
-    """Regions and texts by CLIP, in one space of ``projection_dim`` axes (512 for a ViT-B)."""
+    """CLIP embeddings of regions and texts, ``projection_dim`` axes (512 for a ViT-B)."""
 
     target = "slgaussian.language.clip:Clip"
 
@@ -54,43 +54,44 @@ class ClipConfig(ComponentConfig, title="clip"):
     )
     tokenizer: Annotated[str | Path | None, File(tokenizer_digest)] = Field(
         None,
-        description="CLIP's tokenizer if not beside its model: folder, or name on the hub.",
+        description="CLIP's tokenizer, if not in the model's folder: folder, or name on the hub.",
     )
     crops: Literal["masked", "context"] = Field(
         "masked",
-        description="What CLIP sees of a region: masked, itself on black, or context, also what "
-        "is around it.",
+        description="Crops of a region for CLIP: masked, the region on black, or context, also "
+        "its whole bounding box.",
     )
-    batch: int = Field(4, ge=1, description="Regions encoded together: memory goes with it.")
+    batch: int = Field(4, ge=1, description="Regions encoded together; memory grows with it.")
     precision: Literal["float32", "bfloat16"] = Field(
-        "float32", description="Of CLIP's image tower on a CPU: float32 or bfloat16."
+        "float32", description="Precision of CLIP's image tower on a CPU: float32 or bfloat16."
     )
 
 
 class GridConfig(ComponentConfig, title="grid"):
-    """The paper's codes: points of an even grid, at random."""
+    """The paper's codes: random points of an even grid."""
 
     target = "slgaussian.language.codes:Grid"
 
-    dimension: Dimension = Field(3, description="Numbers a code, 1 to 3.")
+    dimension: Dimension = Field(3, description="Dimension of a code, 1 to 3.")
     decode: Literal["settled", "nearest"] = Field(
         "settled",
-        description="How pixels are read: settled, where borders ask those around, or nearest, as "
-        "the paper.",
+        description="Decoding of pixels: settled, which uses neighbours at borders, or nearest, "
+        "the paper's.",
     )
 
 
 class SeparatedConfig(ComponentConfig, title="separated"):
-    """Every second point of a grid, as on a chessboard, given to objects by simulated annealing."""
+    """Points of a checkerboard grid, assigned to objects by simulated annealing."""
 
     target = "slgaussian.language.codes:Separated"
 
     dimension: Dimension | Literal["auto"] = Field(
-        3, description="Numbers a code, 1 to 3, or 'auto': as few as the scene needs."
+        3, description="Dimension of a code, 1 to 3, or 'auto': the smallest that suffices."
     )
     error: float = Field(
         0.01,
         ge=0,
         le=1,
-        description="With 'auto': mixtures of neighbours that may read as a third object.",
+        description="With 'auto': fraction of mixtures of neighbours that may decode to a third "
+        "object.",
     )

@@ -1,7 +1,7 @@
-"""Regions of a photograph as square pictures of one size, which is what image encoders look at.
+"""Square crops of regions, the input of image encoders.
 
-As LangSplat cuts them (and so the paper): what is outside the region is black, the bounding box is
-cut out, black margins make it a square with it in the middle, and that is scaled bilinearly.
+As in LangSplat and the paper: pixels outside the region are black, the bounding box is cut out,
+padded with black to a centred square, and resized bilinearly.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from slgaussian.errors import InputError
 
 
 def check_regions(encoder: str, image: np.ndarray, masks: np.ndarray) -> None:
-    """InputError unless masks are bool [M, H, W], none empty, and the image is uint8 [H, W, 3]."""
+    """Check masks (bool [M, H, W], none empty) and image (uint8 [H, W, 3]), or raise InputError."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise InputError(
             f"{encoder}: image is {image.dtype} {image.shape}, expected uint8 [H, W, 3]"
@@ -29,7 +29,7 @@ def check_regions(encoder: str, image: np.ndarray, masks: np.ndarray) -> None:
 
 
 def region_crop(image: np.ndarray, mask: np.ndarray, side: int, context: bool) -> np.ndarray:
-    """The picture of one region.
+    """Crop one region.
 
     Parameters
     ----------
@@ -37,14 +37,14 @@ def region_crop(image: np.ndarray, mask: np.ndarray, side: int, context: bool) -
     mask : bool [H, W]
         Not empty.
     side : int
-        Of the picture, pixels.
+        Side of the crop, pixels.
     context : bool
-        Whether the rest of the bounding box stays as it is in place of black.
+        If true, the rest of the bounding box is kept instead of being black.
 
     Returns
     -------
     uint8 [side, side, 3]
-        Where the margin is an odd number of pixels, its smaller half is above or on the left.
+        Of an odd number of padding pixels, the smaller half is above or on the left.
     """
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     window = np.s_[y : y + h, x : x + w]

@@ -12,7 +12,7 @@ from slgaussian.errors import InputError
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.class_evidence import evidence, log_probability
-from slgaussian.language.confidence import OFTEN, USUAL
+from slgaussian.language.confidence import NEUTRAL_LOG_PROBABILITY, TYPICAL_MEASUREMENTS
 from slgaussian.language.relevancy import SOFT, Scorer, sigmoid
 from slgaussian.language.rules import Rules, unmeasured
 from slgaussian.language.taught import TaughtWords, normal, spelled
@@ -77,7 +77,7 @@ class Understood:
     kind: str = "known"
     examples: int = 0
     instead_of: str = ""
-    measurements: int = USUAL
+    measurements: int = TYPICAL_MEASUREMENTS
     named: float = 0.0
     describing: int = 0
     untold: str = ""
@@ -138,7 +138,7 @@ class TextReader:
             unknown,
             encoder.unused_words(text),
             "unknown" if unknown else "known",
-            measurements=getattr(encoder, "measurements", lambda _: USUAL)(text),
+            measurements=getattr(encoder, "measurements", lambda _: TYPICAL_MEASUREMENTS)(text),
             describing=getattr(encoder, "describing", lambda _: 0)(text),
             untold=untold,
             question=getattr(encoder, "question", lambda _: "")(text) if unknown else "",
@@ -209,7 +209,9 @@ class BankReader(TextReader):
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         vector, read = super()._encode(text)
         likeliest = self._likeliest(text)
-        return vector, read if likeliest is None else replace(read, named=likeliest - OFTEN)
+        return vector, read if likeliest is None else replace(
+            read, named=likeliest - NEUTRAL_LOG_PROBABILITY
+        )
 
     def _likeliest(self, text: str) -> float | None:
         """Log-probability of the noun's classes in the object that has most of it."""

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.language.confidence import (
-    ABSENT,
-    EVEN_OUT,
-    TYPICAL,
+    MIN_POINT_PROBABILITY,
+    STD_OFFSET,
+    TYPICAL_STAND_OUT,
     Calibration,
     Confidence,
     Curve,
@@ -29,7 +29,7 @@ def test_signs_are_evidence_deviations_above_the_rest_and_parts():
     deviation = np.sqrt(2 * 0.02**2 / 3)
     at = signs(gaps, taken, 4, 2)
     assert at.evidence == pytest.approx(4 * 0.3)
-    assert at.stands_out == pytest.approx(0.25 / (deviation + EVEN_OUT))
+    assert at.stands_out == pytest.approx(0.25 / (deviation + STD_OFFSET))
     assert at.parts == pytest.approx(np.log(2))
 
 
@@ -37,14 +37,14 @@ def test_without_an_answer_the_best_one_is_looked_at():
     gaps = np.array([-0.3, -0.1, -0.3, -0.3])
     at = signs(gaps, np.zeros(4, bool), 3, 0)
     assert at.evidence == pytest.approx(-0.3)
-    assert at.stands_out == pytest.approx(0.2 / EVEN_OUT)
+    assert at.stands_out == pytest.approx(0.2 / STD_OFFSET)
     assert at.parts == 0
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_with_nothing_to_compare_with_it_stands_out_as_most_do(count):
     at = signs(np.linspace(0.1, 0.0, count), np.arange(count) == 0, 1, 1)
-    assert at.stands_out == TYPICAL
+    assert at.stands_out == TYPICAL_STAND_OUT
 
 
 @given(small, small, st.floats(-5, 5), st.integers(1, 20), st.integers(1, 30), st.integers(0, 30))
@@ -71,9 +71,9 @@ def test_the_lexicon_counts_what_a_text_asks_for():
     ("mask", "point", "verdict"),
     [
         (0.9, 0.95, "found"),
-        (0.5, ABSENT, "found"),
+        (0.5, MIN_POINT_PROBABILITY, "found"),
         (0.49, 0.9, "not sure"),
-        (0.9, ABSENT - 1e-6, "not here"),
+        (0.9, MIN_POINT_PROBABILITY - 1e-6, "not here"),
     ],
 )
 def test_the_verdict(mask, point, verdict):

@@ -30,7 +30,12 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry.room import find_room
-from slgaussian.language.confidence import ABSENT, EVEN_OUT, TYPICAL, Calibration
+from slgaussian.language.confidence import (
+    MIN_POINT_PROBABILITY,
+    STD_OFFSET,
+    TYPICAL_STAND_OUT,
+    Calibration,
+)
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.rules import Rules
 from slgaussian.objects import SceneObject
@@ -223,7 +228,12 @@ def _calibration(calibration: Calibration | None) -> dict[str, Any] | None:
     if calibration is None:
         return None
     curves = {"mask": list(astuple(calibration.mask)), "point": list(astuple(calibration.point))}
-    return {**curves, "absent": ABSENT, "typical": TYPICAL, "even_out": EVEN_OUT}
+    return {
+        **curves,
+        "absent": MIN_POINT_PROBABILITY,
+        "typical": TYPICAL_STAND_OUT,
+        "even_out": STD_OFFSET,
+    }
 
 
 def _said_words(answers: Answers, live: bool) -> str:
