@@ -100,7 +100,7 @@ def sources_of(sources: Sequence[str], settings: PackSettings) -> list[Source]:
     return list(by_name.values())
 
 
-def check_there(sources: Sequence[str]) -> None:
+def check_sources_exist(sources: Sequence[str]) -> None:
     """InputError if a source that would be a file or folder here is not there."""
     for words in sources:
         source = _parted(words)[1]
@@ -118,7 +118,7 @@ def _parted(words: str) -> tuple[str, str]:
 
 
 def _all(sources: Sequence[str], settings: PackSettings) -> Iterator[Source]:
-    check_there(sources)
+    check_sources_exist(sources)
     for words in sources:
         place, source = _parted(words)
         if is_chunks(source):

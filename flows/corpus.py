@@ -26,7 +26,7 @@ from slgaussian.datasets import re10k
 from slgaussian.datasets.pair_selection import Bounds
 from slgaussian.errors import InputError
 from slgaussian.io import atomic_path
-from slgaussian.storage.provenance import speaking
+from slgaussian.storage.provenance import with_provenance
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk, pairs, views
@@ -183,7 +183,7 @@ def _join(
     One that belongs to none is left away.
     """
     count = 0
-    schema = speaking(load_spec(stage).schema)
+    schema = with_provenance(load_spec(stage).schema)
     with atomic_path(file) as name, pq.ParquetWriter(name, schema, compression="zstd") as writer:
         for chunk, stage_refs in refs.items():
             table = _own_rows(store.get(stage_refs[stage]), chunk, owners, failures)

@@ -24,7 +24,7 @@ from slgaussian.io import file_sha256, write_atomic
 from slgaussian.kernels import threads
 from slgaussian.storage import field_folder
 from slgaussian.storage.encoding import encode_table
-from slgaussian.storage.housekeeping import SIDE_BY_SIDE
+from slgaussian.storage.housekeeping import CONCURRENT_READS
 from slgaussian.storage.provenance import software
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
@@ -91,12 +91,12 @@ def write_fields(
 
     missing = [
         missing_folder
-        for missing_folder in store.at_once(look, list(fields))
+        for missing_folder in store.map(look, list(fields))
         if missing_folder is not None
     ]
     if missing and not store.near:
         tell(f"copying {len(missing)} fields from {store.root}")
-    store.at_once(lambda missing_folder: missing_folder.write(store), missing, SIDE_BY_SIDE)
+    store.map(lambda missing_folder: missing_folder.write(store), missing, CONCURRENT_READS)
 
 
 def _earlier(out: Path) -> set[str]:
@@ -123,14 +123,14 @@ class _FieldFolder:
         except (OSError, ValueError):
             return False
         return same and all(
-            store.is_laid_out(ref, self.folder / field_folder.FILES[spec])
+            store.has_content(ref, self.folder / field_folder.FILES[spec])
             for spec, ref in self.parts.items()
         )
 
     def write(self, store: ArtifactStore) -> None:
         """Write it whole, or not at all."""
         field_folder.write(
-            self.folder, self.text, lambda spec, file: store.lay_out(self.parts[spec], file)
+            self.folder, self.text, lambda spec, file: store.link_or_copy(self.parts[spec], file)
         )
 
 

@@ -141,7 +141,7 @@ def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
     table = decode_table(data, spec, str(file), "run `slgaussian supervise` again")
     try:
         for uri in table["uri"].to_pylist()[:1]:
-            store.check_there(uri)
+            store.check_exists(uri)
     except SpecError as error:
         raise InputError(
             f"{file}: its lessons are not in the store {store.root}; give the --store that "

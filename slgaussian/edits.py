@@ -15,7 +15,7 @@ import numpy as np
 from slgaussian.errors import InputError, SpecError
 from slgaussian.io import write_atomic
 from slgaussian.language.taught import TaughtWords
-from slgaussian.storage.encoding import decode_arrays, packed
+from slgaussian.storage.encoding import decode_arrays, encode_artifact
 from slgaussian.storage.specs import load_spec
 
 WORDS = "words.npz"
@@ -35,7 +35,7 @@ def files(taught: TaughtWords, names: Mapping[int, str], removed: Set[int]) -> d
             "names": np.array([names[id_] for id_ in ids], np.str_),
             "removed": np.array(sorted(removed), np.int32),
         }
-        files[EDITS] = packed("edits", arrays, EDITS)[1]
+        files[EDITS] = encode_artifact("edits", arrays, EDITS)[1]
     return files
 
 

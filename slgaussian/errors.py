@@ -1,23 +1,23 @@
-"""The errors a user can cause, each carrying one sentence that says what to do.
+"""Errors that a user can cause, each with a one-sentence message that includes a remedy.
 
-Anything else that escapes the library is a defect of the library. The command line prints these
-without a traceback and exits with status 2; a batch records them in ``failures.parquet``.
+Any other exception that leaves the library is a defect of the library. The command line prints
+these without a traceback and exits with status 2; a batch records them in ``failures.parquet``.
 """
 
 import difflib
 import re
 from collections.abc import Iterable
 
-_LONG = re.compile(r"[^\s/]{256,}")  # no file has such a name
-_NAMED = 4  # names of a piece, and pieces, that a message tells
+_LONG = re.compile(r"[^\s/]{256,}")  # longer than a file name can be
+_NAMED = 4  # numbers of groups, and of names in a group, that a message lists
 _CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 class SLGaussianError(Exception):
-    """Base of every error whose message is written for the user.
+    """Base class of all errors whose message is written for the user.
 
-    What it quotes may come from a file that anybody wrote: what a terminal would obey, or no file
-    can hold, is escaped, and words of more than 255 letters are cut.
+    Messages may quote untrusted files, so control characters and lone surrogates are escaped, and
+    words of more than 255 characters are truncated.
     """
 
     def __init__(self, message: str = "", *more: object) -> None:
@@ -29,37 +29,37 @@ class InputError(SLGaussianError, ValueError):
 
 
 class SpecError(SLGaussianError):
-    """A stored artifact that is missing, damaged or not what its spec says."""
+    """A stored artifact that is missing, damaged or breaks its spec."""
 
 
 def check_type(value: object, expected: type, expectation: str) -> None:
-    """Raise InputError unless a value is of a type.
+    """Raise InputError unless a value is an instance of a type.
 
-    ``expectation`` names the argument and says what it takes: "render: expected a Camera".
+    ``expectation`` names the argument and the expected type: "render: expected a Camera".
     """
     if not isinstance(value, expected):
         raise InputError(f"{expectation}; found a {type(value).__name__}")
 
 
 def did_you_mean(text: object, options: Iterable[str]) -> str:
-    """The end of a sentence about a name that is none: the known name that is nearest to it.
+    """Return the end of a message about an unknown name, with the most similar option.
 
-    ``"; did you mean 'field'?"`` for ``"feild"``, and ``""`` if no known name is near. Case counts
-    for nothing, and neither does the difference between a hyphen and an underscore.
+    ``"; did you mean 'field'?"`` for ``"feild"``, and ``""`` if no option is similar. Case and the
+    difference between hyphen and underscore are ignored.
     """
     plain = {_plain(name): name for name in options}
     near = difflib.get_close_matches(_plain(str(text)), plain, n=1)
     return f"; did you mean {plain[near[0]]!r}?" if near else ""
 
 
-def listed(pieces: Iterable[Iterable[str]]) -> str:
-    """Names of each piece of something that falls apart, not too many, as a message says them."""
-    sorted_pieces = [sorted(names) for names in pieces]
+def listed(groups: Iterable[Iterable[str]]) -> str:
+    """List groups of names for a message, for example unconnected views; long lists are cut."""
+    sorted_groups = [sorted(names) for names in groups]
     parts = []
-    for names in sorted_pieces[:_NAMED]:
+    for names in sorted_groups[:_NAMED]:
         more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
         parts.append(", ".join(map(repr, names[:_NAMED])) + more)
-    rest = sum(map(len, sorted_pieces[_NAMED:]))
+    rest = sum(map(len, sorted_groups[_NAMED:]))
     return "; ".join([*parts, f"{rest} more"] if rest else parts)
 
 
@@ -68,6 +68,6 @@ def _plain(name: str) -> str:
 
 
 def one_line(message: str) -> str:
-    """A message as one line that can be printed and stored anywhere."""
+    """Return a message as one line that is safe to print and store."""
     text = _LONG.sub(lambda word: f"{word[0][:100]}…", str(message))
     return _CONTROL.sub(lambda sign: repr(sign[0])[1:-1], text)

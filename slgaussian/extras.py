@@ -1,4 +1,4 @@
-"""Packages that optional parts need, as the installed package itself declares them."""
+"""Requirements of optional features, from the metadata of the installed package."""
 
 from importlib.metadata import PackageNotFoundError, requires
 
@@ -8,7 +8,7 @@ PACKAGE = "slgaussian"
 
 
 def requirements(extra: str | None = None) -> list[Requirement]:
-    """Return the packages that are always needed, or that an extra needs besides.
+    """Return the requirements of the package, or the additional ones of an extra.
 
     Raises
     ------
@@ -17,17 +17,17 @@ def requirements(extra: str | None = None) -> list[Requirement]:
     """
     declared = [Requirement(line) for line in requires(PACKAGE) or []]
     if extra is None:
-        return [needs for needs in declared if needs.marker is None]
-    return [n for n in declared if n.marker is not None and n.marker.evaluate({"extra": extra})]
+        return [each for each in declared if each.marker is None]
+    return [r for r in declared if r.marker is not None and r.marker.evaluate({"extra": extra})]
 
 
 def install_line(extra: str) -> str:
-    """The command that installs what an extra needs, in backquotes.
+    """Return the command that installs the requirements of an extra, in backquotes.
 
-    It names the packages and not ``slgaussian[extra]``, which an index may not have.
+    It names the packages instead of ``slgaussian[extra]``, which the index may not have.
     """
     try:
-        needed = " ".join(f"'{needs.name}{needs.specifier}'" for needs in requirements(extra))
+        needed = " ".join(f"'{each.name}{each.specifier}'" for each in requirements(extra))
     except PackageNotFoundError:
         needed = f"'.[{extra}]'"
     return f"`pip install {needed}`"

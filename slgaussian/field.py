@@ -29,9 +29,9 @@ from slgaussian.language.taught import TaughtWords, encoder_identity, normal
 from slgaussian.scene import Camera
 from slgaussian.semantic.boundary_gaussians import boundary_gaussians
 from slgaussian.storage import field_folder
-from slgaussian.storage.encoding import Arrays, arrays_digest, packed
+from slgaussian.storage.encoding import Arrays, arrays_digest, encode_artifact
 from slgaussian.storage.field_folder import About
-from slgaussian.storage.provenance import Provenance, making
+from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.specs import load_spec
 
 if TYPE_CHECKING:
@@ -543,9 +543,9 @@ class SemanticField:
         """
         path = Path(path)
         field_folder.check_target(path)
-        with making(self.made()):
+        with record_provenance(self.made()):
             files = {
-                spec: packed(spec, content, field_folder.FILES[spec])
+                spec: encode_artifact(spec, content, field_folder.FILES[spec])
                 for spec, content in self.contents().items()
             }
         about = self.about({spec: digest for spec, (digest, _) in files.items()})

@@ -1,4 +1,4 @@
-"""Atomic writes, digests of files and short reprs: the ground floor, which anything may import."""
+"""Atomic writes, digests of files and short reprs, imported by all other packages."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from typing import Any
 from slgaussian.errors import InputError
 
 FEW = 4
-"""Entries of a collection that are printed; of more, how many there are."""
+"""Largest number of entries of a collection that a repr shows; it counts the others."""
 
 Digest = Callable[[str | Path], str]
-"""Computes of a place the SHA-256, hexadecimal, of what is there."""
+"""Computes the SHA-256, hexadecimal, of the file, folder or model at a place."""
 
 
 def write_atomic(
     path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False, new: bool = False
 ) -> None:
-    """Write a local file so that no reader, and no crash of the program, ever sees a part of it.
+    """Write a local file atomically: readers see the complete file or none, also after a crash.
 
-    With ``sync``, no crash of the machine either: it is on the disk when this returns. With
-    ``new``, FileExistsError if there is one already and the disk knows hard links, which can tell.
+    With ``sync``, also after a crash of the machine, as the data are flushed to the disk. With
+    ``new``, FileExistsError if the file exists and the file system supports hard links.
     """
     with atomic_path(path, new) as temporary, open(temporary, "wb") as file:
         file.write(data)
@@ -41,9 +41,9 @@ def write_atomic(
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str], new: bool = False) -> Iterator[str]:
-    """Yield a name to write a local file under, which replaces ``path`` once it is whole.
+    """Yield the name of a temporary file, which replaces ``path`` when the block ends.
 
-    ``new`` as :func:`write_atomic` has it.
+    ``new`` as in :func:`write_atomic`.
     """
     folder, name = os.path.split(os.fspath(path))
     temporary = os.path.join(folder, f".{name}.{uuid.uuid4().hex[:8]}.tmp")
@@ -55,7 +55,7 @@ def atomic_path(path: str | os.PathLike[str], new: bool = False) -> Iterator[str
             except FileExistsError:
                 raise
             except OSError:
-                pass  # one that has no links
+                pass  # a file system without hard links
             else:
                 os.remove(temporary)
                 return
@@ -68,12 +68,12 @@ def atomic_path(path: str | os.PathLike[str], new: bool = False) -> Iterator[str
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """Yield a folder to fill, which replaces the folder ``path`` once it is whole.
+    """Yield a temporary folder, which replaces the folder ``path`` when the block ends.
 
     Raises
     ------
     InputError
-        If it cannot be written; what is at ``path`` stays then.
+        If it cannot be written; ``path`` is then unchanged.
     """
     try:
         draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
@@ -103,23 +103,23 @@ def file_sha256(file: str | os.PathLike[str]) -> str:
 
 
 CHANGED = "was changed after the run had begun; start the run again"
-"""What is said of a file with another content than a run began with."""
+"""Message about a file whose content changed during a run."""
 
 SETTLED = 2.0
-"""Seconds after which a file's times tell that it was changed: clocks of file systems tick this
-slowly, and a file may be written twice within a tick."""
+"""Seconds after which a file's time stamps are a reliable sign of changes: file systems have a
+time resolution of up to 2 s, and a file may be written twice within it."""
 
 
 @dataclass(frozen=True)
 class KnownFile:
-    """A file, folder or model from outside.
+    """An external file, folder or model, identified by its content.
 
     Attributes
     ----------
     place : str
-        Where it is: a path from the root, or a name as on the Hugging Face hub.
+        Absolute path, or a name on the Hugging Face hub.
     digest : str or None
-        SHA-256 of its content, hexadecimal; None if any content will do.
+        SHA-256 of its content, hexadecimal; None if any content is accepted.
     """
 
     place: str
@@ -127,19 +127,19 @@ class KnownFile:
 
     @staticmethod
     def at(place: str | Path, digest_of: Digest) -> KnownFile:
-        """Return what is at a place now; raises as ``digest_of``."""
+        """Return the file at a place with its current digest; raises as ``digest_of``."""
         path = Path(place)
         resolved = str(path.resolve() if path.exists() else path)
         return KnownFile(resolved, digest_of(resolved))
 
     def checked(self, name: str, digest_of: Digest, otherwise: str = CHANGED) -> str:
-        """Return the place, at which there still is the same content.
+        """Check that the content is unchanged, and return the place.
 
         Raises
         ------
         InputError
-            If it cannot be read, or is another one: then ``otherwise`` is said of it. The sentence
-            begins with ``name`` and the place.
+            If the content cannot be read or has changed. The message begins with ``name`` and the
+            place, and ends with ``otherwise`` for changed content.
         """
         try:
             same = self.digest is None or digest_of(self.place) == self.digest
@@ -153,7 +153,7 @@ class KnownFile:
 def file_digest(place: str | Path) -> str:
     """Return the SHA-256 of a file, hexadecimal; OSError if it cannot be read.
 
-    A file of gigabytes, or one that many scenes share, is read once for each :func:`file_stamp`.
+    The file is read once for each :func:`file_stamp`, as it may be large and shared by many scenes.
     """
     file = Path(place).resolve()
     stamp = file_stamp(file)
@@ -161,10 +161,10 @@ def file_digest(place: str | Path) -> str:
 
 
 def file_stamp(file: str | Path) -> tuple[int, ...] | None:
-    """Return numbers that change whenever a local file's content does; OSError if it is not there.
+    """Return numbers that change whenever a local file's content does; OSError if it is missing.
 
-    The time at which the inode changed is among them: unlike that of the content, no program that
-    copies or unpacks files sets it back. None within :data:`SETTLED` seconds of a change.
+    They include the inode change time, which programs that copy or unpack files cannot set back,
+    unlike the modification time. None within :data:`SETTLED` seconds of a change.
     """
     state = os.stat(file)
     if time.time() - state.st_mtime < SETTLED:
@@ -178,7 +178,7 @@ def _digest_of(file: Path, stamp: tuple[int, ...]) -> str:
 
 
 def write_file(path: str | Path, data: bytes | memoryview) -> None:
-    """Write ``data`` to ``path``, complete or not at all; a file that is there is replaced.
+    """Write ``data`` to ``path`` atomically, replacing an existing file.
 
     InputError if the file cannot be written.
     """
@@ -192,7 +192,7 @@ def write_file(path: str | Path, data: bytes | memoryview) -> None:
 
 
 def short_repr(self: Any) -> str:
-    """Return a ``repr`` of a dataclass that prints shapes of arrays, and no field that is None.
+    """Return a ``repr`` of a dataclass with shapes of arrays, and without fields that are None.
 
     >>> import numpy as np
     >>> from slgaussian.labels import LabelMaps
@@ -205,16 +205,16 @@ def short_repr(self: Any) -> str:
 
 
 def short(value: Any) -> str:
-    """Return a value in a few words: arrays by dtype and shape, the first entries of the rest."""
+    """Return a short text of a value: dtype and shape of arrays, first entries of collections."""
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         return f"{str(value.dtype).removeprefix('torch.')} {list(value.shape)}"
     if isinstance(value, Mapping):
-        plain = all(isinstance(one, (str, int, float)) for one in value.values())
-        entries = (f"{key!r}: {one!r}" if plain else repr(key) for key, one in value.items())
+        plain = all(isinstance(item, (str, int, float)) for item in value.values())
+        entries = (f"{key!r}: {item!r}" if plain else repr(key) for key, item in value.items())
         return f"{{{_listed(entries, len(value))}}}"
     if isinstance(value, (tuple, list)):
-        named = (repr(getattr(one, "name", one)) for one in value)
-        return f"({_listed(named, len(value))})"
+        names = (repr(getattr(item, "name", item)) for item in value)
+        return f"({_listed(names, len(value))})"
     return value.__qualname__ if hasattr(value, "__qualname__") else repr(value)
 
 

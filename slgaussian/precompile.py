@@ -1,9 +1,9 @@
-"""Kernels compiled ahead, by a second process: the first scene on a machine waits less long.
+"""Compilation of kernels in a second process, so that the first scene on a machine is faster.
 
-Numba compiles one kernel at a time in a process, and a scene needs those that find depth first.
-Those that it needs after that are compiled meanwhile, by having them do a little work; what is
-compiled is kept on disk, where the first process finds it. One that both compile at the same time
-costs what it takes and changes nothing.
+Numba compiles one kernel at a time in a process. While the main process compiles the kernels of
+depth prediction, which a scene needs first, this process compiles the kernels of later steps by
+running them on small inputs. Compiled code is cached on disk, where the main process loads it. If
+both processes compile the same kernel, the only cost is the time.
 
     python -m slgaussian.precompile
 """
@@ -20,9 +20,9 @@ from slgaussian.kernels import threads
 
 
 def begin() -> subprocess.Popen[bytes] | None:
-    """Start that process, if no kernel has been compiled yet and there is a core for it.
+    """Start the second process if no kernel is cached yet and there is a second core, else None.
 
-    It says nothing and ends by itself. None if there was no reason to start it.
+    It prints nothing and ends by itself.
     """
     folder = os.environ.get("NUMBA_CACHE_DIR")
     if folder is None or threads.cores() < 2 or next(Path(folder).glob("*/*.nbc"), None):
@@ -31,12 +31,12 @@ def begin() -> subprocess.Popen[bytes] | None:
     begun = subprocess.Popen(
         [sys.executable, "-m", "slgaussian.precompile"], stdin=quiet, stdout=quiet, stderr=quiet
     )
-    atexit.register(begun.poll)  # its seconds are counted with those of the first
+    atexit.register(begun.poll)  # so that its CPU time counts for this process
     return begun
 
 
 def work() -> None:
-    """A little of everything that comes after depth: draw, tell regions and codes apart."""
+    """Run all steps after depth prediction on small inputs: rendering, regions, codes."""
     import numpy as np
 
     from slgaussian.gaussians import Gaussians

@@ -13,11 +13,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 HANDS_OVER_SOCKETS = sys.platform != "win32"
-"""True where a process can start another with an open socket of its own."""
+"""Whether a process can pass an open socket to a process that it starts."""
 
 
 def cores() -> int:
-    """Return the cores that this process may use, which in a container or a job are not all."""
+    """Return the number of cores that this process may use, in a container often not all."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -33,7 +33,7 @@ def processor() -> str:
 
 
 def user() -> str:
-    """Return the name of the user, or the number where there is no name, as in a container."""
+    """Return the user's name, or the numeric id if there is no name, as in a container."""
     try:
         return getpass.getuser()
     except (ImportError, KeyError, OSError):
@@ -41,10 +41,10 @@ def user() -> str:
 
 
 def memory_status(name: str) -> int:
-    """Return bytes by /proc/self/status: ``VmRSS`` (resident), ``VmHWM`` (its peak) or another.
+    """Return bytes from /proc/self/status, such as ``VmRSS`` (resident) or ``VmHWM`` (its peak).
 
-    Not ``getrusage``, whose peak a process has from the one that started it. OSError where there is
-    no such file, as on all systems but Linux.
+    ``getrusage`` is not used because a process inherits its peak from the parent process. OSError
+    on all systems but Linux, which have no such file.
     """
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith(f"{name}:"):
@@ -52,26 +52,26 @@ def memory_status(name: str) -> int:
     raise OSError(f"/proc/self/status: has no {name}")
 
 
-def forget_peak() -> None:
-    """Reset ``VmHWM`` to the resident memory of now; OSError where there is none."""
+def reset_peak_memory() -> None:
+    """Reset ``VmHWM`` to the current resident memory; OSError on all systems but Linux."""
     Path("/proc/self/clear_refs").write_text("5")
 
 
 def trim_memory() -> None:
-    """Give what is freed back to the system, where its C library can."""
+    """Return freed memory to the operating system, if the C library supports it."""
     with suppress(OSError, TypeError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def after_fork(forget: Callable[[], object]) -> None:
-    """Call a function in each process that is forked from this one, where there are forks."""
+    """Call a function in each process forked from this one, on systems with fork."""
     if hasattr(os, "register_at_fork"):
         os.register_at_fork(after_in_child=forget)
 
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Block SIGINT in threads and processes that start within the block, where that can be.
+    """Block SIGINT in threads and processes started within the block, if the system supports it.
 
     A terminal sends it to all processes of a program; only the main process should handle it.
     """

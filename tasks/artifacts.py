@@ -21,7 +21,7 @@ from slgaussian.labels import LabelMaps
 from slgaussian.scene import Camera, Estimated, Sample, View
 from slgaussian.storage.encoding import Arrays
 from slgaussian.storage.field_folder import About
-from slgaussian.storage.provenance import current, making
+from slgaussian.storage.provenance import current_provenance, record_provenance
 from slgaussian.storage.store import ArtifactRef, ArtifactStore, address
 
 TARGET = "target_"
@@ -175,7 +175,7 @@ def put_field(store: ArtifactStore, field: SemanticField) -> ArtifactRef:
     ``meta`` has the numbers of ``gaussians`` and ``objects``, and the ``account``.
     """
     counts = {"gaussians": len(field.gaussians), "objects": len(field.bank)}
-    with making(current() or field.made()):
+    with record_provenance(current_provenance() or field.made()):
         refs = {spec: store.put(spec, content) for spec, content in field.contents().items()}
         description = field.about({spec: ref.digest for spec, ref in refs.items()}).to_json()
         parts = [ref.uri for ref in refs.values()]

@@ -26,8 +26,8 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.io import CHANGED, KnownFile, file_stamp
 from slgaussian.predict.distance import typical_depths
 from slgaussian.scene import Scene, View
-from slgaussian.storage.provenance import saying
-from slgaussian.storage.remote import explained, troubles
+from slgaussian.storage.provenance import record_source
+from slgaussian.storage.remote import explain_error, file_system_errors
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.context import RunContext
@@ -65,8 +65,8 @@ def digest_of(store: ArtifactStore, file: str) -> str:
             return remembered["sha256"]
         with fs.open(path, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
-    except troubles() as error:
-        raise InputError(f"{file}: cannot be read ({explained(error, path)})") from error
+    except file_system_errors() as error:
+        raise InputError(f"{file}: cannot be read ({explain_error(error, path)})") from error
     if stamp is not None:
         store.write(uri, json.dumps({**identity, "sha256": digest}).encode())
     return digest
@@ -226,7 +226,7 @@ def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     bad += [left_out(source.name, InputError(f"{n}: {why}")) for n, why in unplaced.items()]
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)
     meta = {"cameras": told_of(scene.cameras.values()), "left_out": bad}
-    with saying(*source.origin()):
+    with record_source(*source.origin()):
         return run.store.put("packed", {"torch": data}, meta)
 
 

@@ -15,7 +15,7 @@ from PIL import Image
 from slgaussian.datasets.shards import pack
 from slgaussian.labels import LabelMaps
 from slgaussian.scene import Sample
-from slgaussian.storage.encoding import Arrays, packed
+from slgaussian.storage.encoding import Arrays, encode_artifact
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_from_arrays, labels_to_arrays, sample_from_arrays
 from tasks.context import RunContext
@@ -70,7 +70,7 @@ def example(
         "bank": ("bank", store.get(bank)),
     }
     for name, (spec, content) in arrays.items():
-        members[f"{name}.npz"] = packed(spec, content, f"{key}.{name}.npz")[1]
+        members[f"{name}.npz"] = encode_artifact(spec, content, f"{key}.{name}.npz")[1]
     members["about.json"] = json.dumps(description, sort_keys=True, allow_nan=False).encode()
     data = pack(key, members)
     meta = {"about": description, "length": len(data), "sha256": hashlib.sha256(data).hexdigest()}

@@ -21,7 +21,7 @@ from slgaussian.masks.associate import associate
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.storage.provenance import saying
+from slgaussian.storage.provenance import record_source
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays, sample_from_arrays, sample_to_arrays
@@ -52,7 +52,7 @@ def framed(
     targets = framed_views(clip, frames.targets, framing)
     sample = Sample(frames.sample, context, targets)
     licence = "" if isinstance(chunk, ArtifactRef) else licences.stated(Path(chunk.place))
-    with saying(clip.url, licence):
+    with record_source(clip.url, licence):
         return run.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
 
 

@@ -32,7 +32,7 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.predict import Depths
 from slgaussian.predict.view_graph import select_usable
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.storage.provenance import saying
+from slgaussian.storage.provenance import record_source
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import (
     labels_from_arrays,
@@ -145,7 +145,7 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     source, licence = datasets.SOURCES.get(photographs.format, ("", ""))
     if photographs.path is not None:
         licence = licence or licences.stated(photographs.path)
-    with saying(source, licence):
+    with record_source(source, licence):
         return run.store.put("sample", sample_to_arrays(sample), meta)
 
 

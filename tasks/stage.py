@@ -28,7 +28,7 @@ from slgaussian.components.component import Component
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
 from slgaussian.kernels import compiling, threads
-from slgaussian.storage.provenance import Provenance, making
+from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactRef, DamagedError
 from tasks.context import RunContext, StageEvent, current_run
@@ -211,7 +211,7 @@ class Stage:
         peak, compiled = Peak(), compiling.spent()
         start, worked = compiling.clock(), time.process_time()
         try:
-            with compiling.told_to(run.report), making(provenance), peak.watched():
+            with compiling.told_to(run.report), record_provenance(provenance), peak.watched():
                 ref = self.compute(run, **arguments)
         except DamagedError as error:
             run.store.remove([error.uri])  # so that its stage computes it again

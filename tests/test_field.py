@@ -144,7 +144,7 @@ def test_damage_is_named(field, tmp_path, name):
     ("changed", "sentence"),
     [
         ({"cameras": None}, "damaged"),
-        ({"places": {"model": 3}}, "damaged .a place is no text"),
+        ({"places": {"model": 3}}, "damaged .a place is not text"),
         ({"files": {"gaussians.npz": "../../etc"}}, "damaged"),
         ({"format": None}, "format: found none.*expected 1; build the field again"),
         ({"format": 9, "made_by": "slgaussian 9"}, "format: found 9, made by slgaussian 9, expect"),

@@ -151,7 +151,7 @@ def point(what: str, size: float) -> dict[str, float]:
     spent: list[float] = []
     resident_memory.give_back()
     given = system.memory_status("VmRSS")
-    system.forget_peak()
+    system.reset_peak_memory()
     while not spent or (len(spent) < TIMES and spent[0] < SHORT):
         start = time.process_time()
         work()

@@ -32,7 +32,7 @@ import pyarrow as pa
 import torch
 
 from benches.common.harness import parser, publish, table
-from slgaussian.system import forget_peak, memory_status
+from slgaussian.system import memory_status, reset_peak_memory
 from tests.small_files import FORMATS, new_folder, trial, verdict
 
 ROOM = 2**30
@@ -62,7 +62,7 @@ KINDS = {
 
 
 def measured(name: str, number: int, seed: int, folder: Path) -> Found:
-    forget_peak()
+    reset_peak_memory()
     before, begun = memory_status("VmRSS"), time.process_time()
     kind, said = verdict(name, number, seed, folder)
     seconds = time.process_time() - begun

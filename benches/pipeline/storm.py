@@ -193,7 +193,7 @@ def content(store: ArtifactStore) -> dict[str, bytes]:
             found[record.file.uri] = repr(ref and (ref.spec, ref.uri, ref.digest)).encode()
     for files in store.walk(["labels"]):
         uris = [file.uri for file in files]
-        found |= zip(uris, store.at_once(store.read, uris), strict=True)
+        found |= zip(uris, store.map(store.read, uris), strict=True)
     return found
 
 

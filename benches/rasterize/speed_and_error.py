@@ -32,7 +32,7 @@ from slgaussian.kernels import threads
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import PRESETS, Settings, plan, rasterize
 from slgaussian.scene import Camera, Sample
-from slgaussian.system import forget_peak, memory_status
+from slgaussian.system import memory_status, reset_peak_memory
 
 DEFAULT = Settings()
 FINE = {"alpha_min": 2.0**-20, "sigmas": math.inf, "pass_min": 0.0}
@@ -183,7 +183,7 @@ def memory(file: str, job: str) -> dict[str, float]:
     subject = Subject(job, Gaussians.from_arrays(arrays), values, camera)
     JOBS[job](replace(subject.part(5000), camera=camera.resized(32, 32)))
     before = memory_status("VmRSS")
-    forget_peak()
+    reset_peak_memory()
     result = JOBS[job](subject)
     found = {
         "peak": (memory_status("VmHWM") - before) / 1e6,

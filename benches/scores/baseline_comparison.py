@@ -29,7 +29,7 @@ from slgaussian.errors import InputError
 from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.masks import load_proposer
-from slgaussian.system import forget_peak, memory_status
+from slgaussian.system import memory_status, reset_peak_memory
 
 SETS = {"office": "office", "procedural": "rooms"}
 """Data sets, and what the table calls them."""
@@ -86,7 +86,7 @@ def run_alone(name: str, data: Path) -> None:
     inputs = Inputs(sample, field, gaussians, label_maps, load_proposer("regions"), classes=classes)
     give_back()
     before = memory_status("VmRSS")
-    forget_peak()
+    reset_peak_memory()
     answering = ROWS[name].load()(inputs)
     for target in sample.targets:
         view = answering.render(target.camera)

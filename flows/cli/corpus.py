@@ -61,10 +61,10 @@ def ingest(
     """
     settings = checked(IngestSettings, options.settings_from(ctx, IngestSettings), "ingest")
     prepare_prefect(settings.store)
-    from flows.clip_sources import check_there, is_chunks
+    from flows.clip_sources import check_sources_exist, is_chunks
     from slgaussian.datasets.re10k import INDEX
 
-    check_there(sources)
+    check_sources_exist(sources)
     chunks, left_out = sources[0], 0
     if not any(map(is_chunks, sources)):
         from flows.clip_sources import pack
@@ -151,9 +151,9 @@ def dataset(
     values = options.settings_from(ctx, DatasetSettings)
     settings = make_settings(values, "dataset", DatasetSettings)
     prepare_prefect(settings.store)
-    from flows.clip_sources import check_there
+    from flows.clip_sources import check_sources_exist
 
-    check_there(sources)
+    check_sources_exist(sources)
     written = run_flow("dataset", settings, verbose)
     from flows.data_card import CARD
 

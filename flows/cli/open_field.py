@@ -20,7 +20,7 @@ from slgaussian.language.rules import Rules
 from slgaussian.language.taught import TaughtWords, encoder_identity
 from slgaussian.scene import Camera, Scene
 from slgaussian.storage.field_folder import read_about
-from slgaussian.storage.local_copies import kept_arrays
+from slgaussian.storage.local_copies import cached_arrays
 
 RENDERED = ("rgb", "ids", "confidence", "alpha", "depth")
 """Arrays of a view that the user's cache holds."""
@@ -158,4 +158,4 @@ def render_view(folder: Path, field: SemanticField, camera: Camera) -> FieldView
         "processor": threads.processor(),
     }
     key = hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
-    return FieldView(**kept_arrays(f"views/{key}.npz", arrays), field=field, camera=camera)
+    return FieldView(**cached_arrays(f"views/{key}.npz", arrays), field=field, camera=camera)

@@ -20,7 +20,7 @@ from flows.runners.batches import Failure
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import write_atomic
-from slgaussian.storage.provenance import Provenance, making
+from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.store import ArtifactStore, DamagedError
 
 Result = TypeVar("Result")
@@ -59,7 +59,7 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
         threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
     damaged: dict[str, str] = {}
     check_folder(config.out)
-    with making(Provenance(command)):
+    with record_provenance(Provenance(command)):
         while True:
             try:
                 return work(store)

@@ -159,7 +159,7 @@ def roll_call(root: str, probe: str, server: str) -> None:
     """
     store = ArtifactStore(root)
     try:
-        store.check_there(probe)
+        store.check_exists(probe)
     except DamagedError as error:
         raise InputError(f"it has another store at {store.root}") from error
     store.check_writable()

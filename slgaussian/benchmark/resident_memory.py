@@ -6,7 +6,7 @@ import gc
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from slgaussian.system import forget_peak, memory_status, trim_memory
+from slgaussian.system import memory_status, reset_peak_memory, trim_memory
 
 
 def give_back() -> None:
@@ -41,7 +41,7 @@ class Peak:
         for peak in tuple(_watching):
             peak._note()
         with suppress(OSError):
-            forget_peak()
+            reset_peak_memory()
         _watching.append(self)
         try:
             yield

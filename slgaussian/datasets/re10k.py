@@ -31,7 +31,7 @@ from slgaussian.formats import strict_json, tensorfile
 from slgaussian.formats.images import opened
 from slgaussian.io import write_atomic
 from slgaussian.scene import Camera, Scene, View
-from slgaussian.storage.remote import explained, open_place, troubles
+from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 
 if TYPE_CHECKING:  # the name of its index is asked for where nobody waits for torch
     import torch
@@ -173,12 +173,13 @@ def read_index(path: str | Path) -> dict[str, str]:
 
 def chunk_names(path: str | Path) -> list[str]:
     """List the names of the chunks of a split, in order, whether its index knows them or not."""
-    fs, folder = open_place(path, "chunks")
+    fs, folder = open_file_system(path, "chunks")
     try:
         entries = fs.ls(folder, detail=False)
-    except troubles() as error:
+    except file_system_errors() as error:
         raise InputError(
-            f"{path}: cannot be listed ({explained(error, folder)}); expected a folder of chunks"
+            f"{path}: cannot be listed ({explain_error(error, folder)}); "
+            "expected a folder of chunks"
         ) from None
     return sorted(os.path.basename(file) for file in entries if file.endswith(".torch"))
 
@@ -195,10 +196,10 @@ def read_chunk(file: str | Path) -> list[Clip]:
         with fsspec.open(os.fspath(file), "rb") as stream:
             data = stream.read()
     except Exception as error:
-        if not isinstance(error, (*troubles(), ValueError)):
+        if not isinstance(error, (*file_system_errors(), ValueError)):
             raise
         raise InputError(
-            f"{file}: cannot be read as a chunk ({explained(error)}); get it again"
+            f"{file}: cannot be read as a chunk ({explain_error(error)}); get it again"
         ) from None
     return clips_in(data, file)
 

@@ -34,7 +34,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.formats.images import opened
 from slgaussian.storage.encoding import Arrays, decode_arrays, decode_table
-from slgaussian.storage.remote import explained, open_place, troubles
+from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 from slgaussian.storage.specs import load_spec
 
 INDEX = "index.parquet"
@@ -148,10 +148,10 @@ class TrainingSet(Dataset[dict[str, Any]]):
         file = f"{self.folder}/{shard}"
         try:
             # Of the process that asks: some file systems cannot be shared.
-            fs, path = open_place(self.folder, "training set")
+            fs, path = open_file_system(self.folder, "training set")
             data = fs.cat_file(f"{path}/{shard}", start=offset, end=offset + length)
-        except troubles() as error:
-            raise SpecError(f"{file}: cannot be read ({explained(error)}); {ANEW}") from error
+        except file_system_errors() as error:
+            raise SpecError(f"{file}: cannot be read ({explain_error(error)}); {ANEW}") from error
         with _readable(file):
             if len(data) != length:
                 raise ValueError(f"it has {len(data)} of the {length} bytes from {offset} on")
@@ -199,13 +199,13 @@ class TrainingSet(Dataset[dict[str, Any]]):
 
     def _index(self) -> pa.Table:
         file = f"{self.folder}/{INDEX}"
-        fs, path = open_place(self.folder, "training set")
+        fs, path = open_file_system(self.folder, "training set")
         try:
             data = fs.cat_file(f"{path}/{INDEX}")
-        except troubles() as error:
+        except file_system_errors() as error:
             raise InputError(
-                f"{file}: cannot be read ({explained(error)}); expected what `slgaussian dataset` "
-                "wrote"
+                f"{file}: cannot be read ({explain_error(error)}); "
+                "expected what `slgaussian dataset` wrote"
             ) from None
         return decode_table(data, load_spec("training_set"), file, ANEW)
 

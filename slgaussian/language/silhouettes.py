@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from slgaussian.kernels.threads import processor
-from slgaussian.storage.local_copies import kept_arrays
+from slgaussian.storage.local_copies import cached_arrays
 
 SOLIDS = ("ball", "box", "cylinder", "cone", "ring")
 
@@ -65,7 +65,7 @@ def _outlines() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     by what draws them.
     """
     drawn_by = Path(__file__).read_bytes() + f"{cv2.__version__} {processor()}".encode()
-    kept = kept_arrays(f"outlines/{hashlib.sha256(drawn_by).hexdigest()}.npz", _drawn)
+    kept = cached_arrays(f"outlines/{hashlib.sha256(drawn_by).hexdigest()}.npz", _drawn)
     squares = kept["squares"].astype(np.float32)
     return squares, (squares**2).sum(1), kept["aspects"], kept["kinds"]
 

@@ -32,7 +32,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.io import short_repr, write_atomic
 from slgaussian.language.relevancy import UNIT_TOLERANCE
-from slgaussian.storage.encoding import decode_arrays, packed
+from slgaussian.storage.encoding import decode_arrays, encode_artifact
 from slgaussian.storage.specs import load_spec
 
 SPEC = "words"
@@ -248,9 +248,9 @@ class TaughtWords:
             "rivals": self.rivals.astype(np.float16),
         }
 
-    def packed(self) -> bytes:
+    def encode_artifact(self) -> bytes:
         """The bytes of the file of these words; the same of the same."""
-        return packed(SPEC, self.to_arrays(), "taught words")[1]
+        return encode_artifact(SPEC, self.to_arrays(), "taught words")[1]
 
     def save(self, path: str | Path) -> None:
         """Write the words to a file, ``.npz``, that other fields of the encoder can take.

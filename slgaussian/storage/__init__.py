@@ -1,1 +1,1 @@
-"""The artifact store: content by address, its specs and records, upkeep, a field's folder."""
+"""Content-addressed artifact store: specs, records, housekeeping, and the folder of a field."""

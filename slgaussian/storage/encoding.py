@@ -1,8 +1,8 @@
-"""Files of arrays and tables: their bytes, their digests, and what they say of themselves.
+"""Encoding of arrays and tables as files, with content digests and metadata.
 
-A digest is over the content and not over the file, whose bytes also depend on the versions of
-NumPy, zlib and Arrow, and say what made it (:mod:`slgaussian.storage.provenance`): the digest
-outlives all of these.
+A digest is computed over the content, not over the bytes of the file. Those also depend on the
+versions of NumPy, zlib and Arrow and contain the provenance of the file
+(:mod:`slgaussian.storage.provenance`); the digest does not.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slgaussian.formats import strict_json
-from slgaussian.storage.provenance import speaking, statement
+from slgaussian.storage.provenance import provenance_metadata, with_provenance
 from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch
-from slgaussian.storage.tables import MOST_UNPACKED, read_table
+from slgaussian.storage.tables import MAX_UNPACKED_BYTES, read_table
 
 if TYPE_CHECKING:  # a field is read without Arrow, which takes long to import
     import pyarrow as pa
 
 Arrays = dict[str, np.ndarray]
 
-REPAIR = "delete the file and run again to have it made anew"
-"""The advice on a damaged artifact."""
+REPAIR = "delete the file and run again to recompute it"
+"""Advice in messages about a damaged artifact."""
 
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold; now would change the bytes
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # earliest time of a zip member; constant, for the same bytes
 
 
 def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
@@ -44,18 +44,20 @@ def arrays_digest(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def table_digest(table: pa.Table) -> str:
-    """Return the SHA-256 over names, types and values of the columns, whatever their chunks."""
-    # Parquet calls what a list holds "element", Arrow "item".
+    """Return the SHA-256 over names, types and values of the columns, independent of chunks."""
+    # Parquet calls the field of a list type "element", Arrow calls it "item".
     types = [str(f.type).replace("list<element:", "list<item:") for f in table.schema]
     named = zip(table.schema.names, types, strict=True)
     columns = [[name, kind, table.column(name).to_pylist()] for name, kind in named]
     return hashlib.sha256(json.dumps(columns, ensure_ascii=True).encode()).hexdigest()
 
 
-def packed(spec: str, content: Mapping[str, np.ndarray] | pa.Table, file: str) -> tuple[str, bytes]:
+def encode_artifact(
+    spec: str, content: Mapping[str, np.ndarray] | pa.Table, file: str
+) -> tuple[str, bytes]:
     """Return the digest of an artifact and the bytes of its file.
 
-    SpecError, which names ``file``, if the content is not what ``data_specs/<spec>.toml`` says.
+    SpecError, which names ``file``, if the content breaks ``data_specs/<spec>.toml``.
     """
     rules = load_spec(spec)
     if rules.columns:
@@ -69,14 +71,16 @@ def packed(spec: str, content: Mapping[str, np.ndarray] | pa.Table, file: str) -
 
 
 def encode_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, digest: str = "") -> bytes:
-    """Return an ``.npz`` file whose bytes depend on the arrays and their provenance alone.
+    """Return an ``.npz`` file whose bytes depend only on the arrays and their provenance.
 
-    Content that only passed through a stage does not name that stage
+    Content that a stage passes through unchanged does not name that stage
     (:class:`slgaussian.storage.provenance.Provenance`).
     """
     buffer = io.BytesIO()
     method = zipfile.ZIP_DEFLATED if spec.compress else zipfile.ZIP_STORED
-    metadata = json.dumps({**spec.about(sorted(arrays)), **statement(digest)}, ensure_ascii=False)
+    metadata = json.dumps(
+        {**spec.about(sorted(arrays)), **provenance_metadata(digest)}, ensure_ascii=False
+    )
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr(_member(ABOUT), metadata, zipfile.ZIP_DEFLATED, compresslevel=9)
         for name in sorted(arrays):
@@ -93,29 +97,31 @@ def _member(name: str) -> zipfile.ZipInfo:
 
 
 def encode_table(table: pa.Table, spec: Spec, digest: str = "") -> bytes:
-    """Return a Parquet file of the table, which says what it is and what made it.
+    """Return a Parquet file of the table, with its spec and provenance as metadata.
 
-    Its own metadata are those of the spec in any case; ``digest`` as :func:`encode_arrays` has it.
+    The metadata of the given table are dropped. ``digest`` is that of the content.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     rules = spec.schema
     schema = pa.schema([rules.field(name) for name in table.column_names], rules.metadata)
-    table = pa.Table.from_arrays(table.columns, schema=speaking(schema, digest)).combine_chunks()
+    table = pa.Table.from_arrays(
+        table.columns, schema=with_provenance(schema, digest)
+    ).combine_chunks()
     buffer = io.BytesIO()
     pq.write_table(table, buffer, compression="zstd")
     return buffer.getvalue()
 
 
 def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa.Table:
-    """Read what :func:`encode_table` wrote, or wrote before files said what they are.
+    """Read a table of :func:`encode_table`, including files of older versions without metadata.
 
     Raises
     ------
     SpecError
-        Naming ``file`` and ``repair``, what to do, if the bytes are damaged or cut short, are of
-        another spec or a later version of it, or do not hold what ``spec`` says.
+        If the bytes are damaged or truncated, have another spec or a later version of it, or break
+        ``spec``. The message names ``file`` and gives the advice ``repair``.
     """
     with _whole(data, file, spec, repair):
         table = read_table(data)
@@ -127,39 +133,39 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
 
 
 def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> Arrays:
-    """Read what :func:`encode_arrays` wrote; SpecError as :func:`decode_table`."""
+    """Read arrays of :func:`encode_arrays`; SpecError as in :func:`decode_table`."""
     with _whole(data, file, spec, repair):
-        arrays, metadata = unpacked(data)
+        arrays, metadata = decode_npz(data)
         label = metadata.get("spec")
     spec.check_stated(label, file, repair)
     spec.check_arrays(arrays, file)
     return arrays
 
 
-def unpacked(data: bytes) -> tuple[Arrays, dict[str, Any]]:
-    """Return the arrays of what :func:`encode_arrays` wrote and what they say of themselves.
+def decode_npz(data: bytes) -> tuple[Arrays, dict[str, Any]]:
+    """Return arrays and metadata of an ``.npz`` file of :func:`encode_arrays`.
 
-    Nothing of files from before they did. Almost any error if it is something else.
+    Metadata are empty for older files. Raises any exception for other data.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archived:
-        if sum(member.file_size for member in archived.infolist()) > MOST_UNPACKED:
-            raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 30} GiB")
-    # Not np.load, which takes whatever is no zip file for a pickle and says so.
+        if sum(member.file_size for member in archived.infolist()) > MAX_UNPACKED_BYTES:
+            raise ValueError(f"it unpacks to more than {MAX_UNPACKED_BYTES >> 30} GiB")
+    # Not np.load, which takes a file that is no zip archive for a pickle.
     with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
         members: dict[str, Any] = {name: archive[name] for name in archive.files}
     metadata = strict_json.parse(members.pop(ABOUT, b"{}"))
     if any(isinstance(array, bytes) for array in members.values()):
-        raise ValueError("a member is no array")
+        raise ValueError("a member is not an array")
     if not isinstance(metadata, dict) or not isinstance(metadata.get("spec", ""), str):
-        raise ValueError(f"{ABOUT} says no spec")
+        raise ValueError(f"{ABOUT} names no spec")
     return members, metadata
 
 
-def stated(data: bytes) -> dict[str, Any]:
-    """Return what the bytes of a Parquet or NPZ file say of themselves, without its content.
+def read_metadata(data: bytes) -> dict[str, Any]:
+    """Return the metadata of a Parquet or NPZ file, without reading its content.
 
-    Plain data: ``spec``, ``meaning``, ``made`` ...; nothing where they say nothing. Almost any
-    error if they are no such file.
+    Plain data: ``spec``, ``meaning``, ``made`` ...; empty for older files. Raises any exception for
+    other data.
     """
     if data[:4] != b"PAR1":
         with zipfile.ZipFile(io.BytesIO(data)) as members:
@@ -179,6 +185,6 @@ def _whole(data: bytes, file: str, spec: Spec, repair: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # a damaged file raises almost anything
-        why = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        problem = f"{len(data)} bytes that cannot be read ({why})"
-        raise mismatch(file, "file", problem, f"a whole {spec.suffix} file; {repair}") from error
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        problem = f"{len(data)} bytes that cannot be read ({reason})"
+        raise mismatch(file, "file", problem, f"a complete {spec.suffix} file; {repair}") from error

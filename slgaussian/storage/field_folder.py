@@ -1,8 +1,8 @@
-"""The one form in which a field is kept: a folder of a few files, each an artifact of a store too.
+"""The folder in which a semantic field is stored, whose files are also artifacts of a store.
 
-``field.json`` says what the folder is, what made it, where its cameras are and which content the
-other files have, whose data specs are called as they are. A run keeps the same files in its store;
-its output folder has links to them.
+``field.json`` describes the folder: program and settings, cameras, and the digests of the other
+files, each of which is named after its data spec. A run stores the same files in its artifact
+store, and its output folder contains links to them.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from slgaussian.storage.specs import load_spec, mismatch
 from slgaussian.storage.store import is_digest
 
 FORMAT = 1
-"""Version of the folder: what its files are and mean. One without a number was made before."""
+"""Version of the format of the folder. Folders without a version are older."""
 
 ABOUT = "field.json"
 FILES = {"gaussians": "gaussians.npz", "bank": "bank.npz", "objects": "objects.parquet"}
-"""The other files, by data spec."""
+"""Names of the other files by data spec."""
 
 WHAT = (
     "A semantic field: 3D Gaussians that carry ID codes (gaussians.npz), the memory bank that says "
@@ -45,17 +45,17 @@ AGAIN = "build the field again"
 
 @dataclass(frozen=True, eq=False)
 class About:
-    """Content of ``field.json``, wherever the field is: the same of the same field.
+    """Content of ``field.json``, which does not depend on the location of the field.
 
     Attributes
     ----------
     settings : mapping
-        Names and settings of every part that made it, files by content; under ``quality``,
-        ``verdict`` and ``account`` what is said of the result.
+        Names and settings of all components, files by digest; descriptions of the result under
+        ``quality``, ``verdict`` and ``account``.
     cameras : mapping str -> Camera
         The context cameras by view name.
     digests : {spec: SHA-256}
-        Of what the other files hold, as :func:`slgaussian.storage.encoding.packed` gives it.
+        Content digests of the other files, by :func:`slgaussian.storage.encoding.encode_artifact`.
     """
 
     settings: Mapping[str, Any]
@@ -63,7 +63,7 @@ class About:
     digests: Mapping[str, str]
 
     def to_json(self, places: Mapping[str, str] | None = None) -> str:
-        """Return the text of the file; ``places`` are those of the encoder's files here."""
+        """Return the text of the file; ``places`` are the locations of the encoder's files."""
         content = {
             "format": FORMAT,
             "what": WHAT,
@@ -77,12 +77,12 @@ class About:
 
     @staticmethod
     def from_json(text: str | bytes, file: str) -> tuple[About, dict[str, str]]:
-        """Parse what :meth:`to_json` wrote, with the places.
+        """Parse the text of :meth:`to_json`; return the content and ``places``.
 
         Raises
         ------
         SpecError
-            Naming ``file``, if it is damaged or of another version of the format.
+            If the text is damaged or has another version of the format. The message names ``file``.
         """
         try:
             content = strict_json.parse(text)
@@ -95,10 +95,10 @@ class About:
             settings, places = dict(content["settings"]), dict(content["places"])
             settings["encoder"], settings.get(settings["encoder"], {}).items()
             if not all(isinstance(place, str) for place in places.values()):
-                raise ValueError("a place is no text")
+                raise ValueError("a place is not text")
             digests = {spec: content["files"][name] for spec, name in FILES.items()}
             if not all(map(is_digest, digests.values())):
-                raise ValueError("a digest is none")
+                raise ValueError("a digest is not a SHA-256")
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error
         return About(settings, cameras, digests), places
@@ -124,22 +124,22 @@ def write(
     fill: Callable[[str, Path], object],
     beside: Mapping[str, bytes] | None = None,
 ) -> None:
-    """Write a folder: complete, or not at all. A field that is there already is replaced.
+    """Write a folder completely or not at all, replacing a field at the same path.
 
     Parameters
     ----------
     path : path
     text : str
-        ``field.json``, of :meth:`About.to_json`.
+        ``field.json``, by :meth:`About.to_json`.
     fill : callable
-        Given a spec of :data:`FILES` and a path, makes that file.
+        Writes the file of a spec of :data:`FILES` to a path.
     beside : mapping str -> bytes, optional
-        Further files of the folder by name, as :mod:`slgaussian.storage.inputs` has them.
+        Further files of the folder by name, such as that of :mod:`slgaussian.storage.inputs`.
 
     Raises
     ------
     InputError
-        If the folder cannot be written, or holds something that is not a field.
+        If the folder cannot be written, or exists and is not a field.
     """
     check_target(path)
     with atomic_folder(path) as draft:
@@ -151,12 +151,12 @@ def write(
 
 
 def read_about(path: Path) -> tuple[About, dict[str, str]]:
-    """Read ``field.json`` of a folder, and where the encoder's files are.
+    """Read ``field.json`` of a folder, and the locations of the encoder's files.
 
     Raises
     ------
     SpecError
-        If there is none, it is damaged, or of another version of the format.
+        If the file is missing, damaged, or has another version of the format.
     """
     file = path / ABOUT
     if not file.is_file():
@@ -172,7 +172,7 @@ def read_about(path: Path) -> tuple[About, dict[str, str]]:
 
 
 def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
-    """Read the arrays of one file of a folder; SpecError if they are not of this digest."""
+    """Read the arrays of one file of a folder; SpecError if their digest is another one."""
     file, rules = path / FILES[spec], load_spec(spec)
     try:
         data = file.read_bytes()
@@ -181,22 +181,21 @@ def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
     arrays = decode_arrays(data, rules, str(file), repair=AGAIN)
     actual = arrays_digest(arrays)
     if actual != digest:
-        expected = f"{digest[:12]} as {ABOUT} says: it was changed, or is of another field; {AGAIN}"
+        expected = f"{digest[:12]} by {ABOUT}: it was changed or belongs to another field; {AGAIN}"
         raise mismatch(str(file), "digest", f"content {actual[:12]}", expected)
     return arrays
 
 
 def check_target(path: Path, marker: str = ABOUT, kind: str = "a field") -> None:
-    """Make the parents of ``path`` and see that a field may be written there.
+    """Create the parents of ``path`` and check that a field can be written there.
 
-    Or another folder that is known by the file ``marker`` in it; ``kind`` names it.
-
-    Call it before the work, so that hours are not lost to a folder that cannot be written.
+    Other kinds of folder are recognised by a file named ``marker``, and called ``kind`` in
+    messages. Call it before the work, so that no work is lost if the folder cannot be written.
 
     Raises
     ------
     InputError
-        If a parent cannot be made or written, or ``path`` holds something that is no such folder.
+        If a parent cannot be created or written, or ``path`` exists and is not such a folder.
     """
     check_free(path, marker, kind)
     try:
@@ -210,7 +209,7 @@ def check_target(path: Path, marker: str = ABOUT, kind: str = "a field") -> None
 
 
 def check_free(path: Path, marker: str = ABOUT, kind: str = "a field") -> None:
-    """Raise :class:`InputError` if ``path`` holds something that is not ``kind``."""
+    """Raise :class:`InputError` if ``path`` exists, is not empty and is not ``kind``."""
     empty = path.is_dir() and not any(path.iterdir())
     if path.exists() and not (path / marker).is_file() and not empty:
         raise InputError(f"{path}: exists and is not {kind}; choose another folder, or remove it")

@@ -1,7 +1,7 @@
-"""Clean and check a store: ``slgaussian store gc`` and ``verify``.
+"""Garbage collection and verification of a store: ``slgaussian store gc`` and ``verify``.
 
-Files are gone through folder by folder, so memory does not go with their number, except for some
-hundred bytes for each artifact that a record names.
+Files are processed folder by folder. Memory grows only with the number of artifacts that records
+refer to, by some hundred bytes each.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from slgaussian.storage.specs import spec_names
 from slgaussian.storage.store import ArtifactStore, File, ref_of
 from slgaussian.storage.tables import read_table
 
-SIDE_BY_SIDE = 4
-"""Artifacts of a store elsewhere that are read at the same time: each may take 100 MB of memory."""
+CONCURRENT_READS = 4
+"""Number of artifacts of a remote store read concurrently; each may take 100 MB of memory."""
 
 _UNFINISHED = re.compile(r".*/\.[^/]+\.tmp|\.probe-[0-9a-f]{32}")
 _OURS = {"", FOLDER, "digests", *spec_names()}
@@ -29,17 +29,17 @@ _OURS = {"", FOLDER, "digests", *spec_names()}
 
 @dataclass
 class Garbage:
-    """Files that nothing refers to, and that were written before some age.
+    """Numbers of unreferenced files that are older than some age.
 
     Attributes
     ----------
     artifacts, records, unfinished : int
-        Artifacts that no record names; records of other versions of a stage, and unreadable ones;
-        files that a killed program left.
+        Artifacts that no record refers to; unreadable records and those of other stage versions;
+        temporary files of killed programs.
     bytes : int
-        Of all the files among them.
+        Total size of these files.
     kept, young : int
-        Artifacts that are referred to, and those that are not but are too young.
+        Referenced artifacts, and unreferenced ones that are too recent to be removed.
     """
 
     artifacts: int = 0
@@ -57,12 +57,12 @@ def collect(
     keep: Collection[Path] = (),
     delete: bool = False,
 ) -> Garbage:
-    """Find, and with ``delete`` remove, what nothing in a store refers to.
+    """Find unreferenced files of a store, and with ``delete`` remove them.
 
-    What a record under ``keys/`` names stays, with its parts. A file that was written less than
-    ``age`` seconds ago, by the clock of the store, stays too: a run writes what it makes before
-    the record that names it, and always anew, whether it is there or not. Should a run still miss
-    something, it makes it again.
+    Artifacts that a record under ``keys/`` refers to, and their parts, stay. Files written less
+    than ``age`` seconds ago by the clock of the store stay too, because a run writes an artifact
+    before its record, and rewrites an artifact that exists. A run recomputes an artifact that was
+    removed all the same.
 
     Parameters
     ----------
@@ -70,15 +70,15 @@ def collect(
     age : float
         Seconds.
     versions : dict, optional
-        Versions of the stages as they are now. Records of others of these stages, which this
-        installation never reads, are then garbage too, with what only they name.
+        Current versions of the stages. Records of other versions of these stages, which this
+        installation never reads, and artifacts that only they refer to are then garbage too.
     keep : paths
-        Parquet tables with a column ``uri``, such as ``lessons.parquet``: what they name stays.
+        Parquet tables with a column ``uri``, such as ``lessons.parquet``, whose artifacts stay.
 
     Raises
     ------
     InputError
-        If the store cannot be read or written, or a table of ``keep`` is none.
+        If the store cannot be read or written, or a file of ``keep`` is not such a table.
     """
     bound = store.clock() - age
     garbage = Garbage()
@@ -109,7 +109,7 @@ def collect(
                 garbage.unfinished += old
                 gone += [file] * old
             elif ref_of(file.uri) is None:
-                continue  # nobody knows whose it is
+                continue  # not a file of the store
             elif _name(file.uri) in referred:
                 garbage.kept += 1
             else:
@@ -124,19 +124,19 @@ def collect(
 
 @dataclass
 class Damage:
-    """Findings of a look at all artifacts.
+    """Result of the verification of a store.
 
     Attributes
     ----------
     sound : int
-        Artifacts that are what they should be.
+        Number of undamaged artifacts.
     damaged : dict
-        Sentence by path, of artifacts and records that are not.
+        Messages about damaged artifacts and records, by path.
     missing : int
-        Artifacts that a record names and that are not there: they are made when asked for.
+        Number of missing artifacts that a record refers to; runs recompute them on demand.
     superseded : int
-        Artifacts that are not what their specs say now and that only stages of other versions made:
-        nothing reads them any more.
+        Number of artifacts that break the current specs and belong only to other stage versions;
+        nothing reads them.
     """
 
     sound: int = 0
@@ -148,11 +148,11 @@ class Damage:
 def verify(
     store: ArtifactStore, remove: bool = False, versions: Mapping[str, int] | None = None
 ) -> Damage:
-    """Read every artifact and record of a store, and compare them with their specs and digests.
+    """Read all artifacts and records of a store and check them by their specs and digests.
 
-    With ``remove`` those that are damaged are deleted, so that the next run that asks for one makes
-    it again. ``versions`` are those of the stages as they are now, as for :func:`collect`.
-    InputError if the store cannot be read, or not written with ``remove``.
+    With ``remove``, damaged files are deleted, so that the next run recomputes them. ``versions``
+    are the current versions of the stages, as for :func:`collect`. InputError if the store cannot
+    be read, or with ``remove`` not written.
     """
     damage = Damage()
     present: set[bytes] = set()
@@ -163,14 +163,14 @@ def verify(
         if ref is None:
             return None
         try:
-            store.fetch(file.uri, "an artifact", lambda data: store.understood(ref, data))
+            store.fetch(file.uri, "an artifact", lambda data: store.decode(ref, data))
         except SpecError as error:
             return str(error)
         return ""
 
     for files in store.walk():
         for file, problem in zip(
-            files, store.at_once(problem_of, files, SIDE_BY_SIDE), strict=True
+            files, store.map(problem_of, files, CONCURRENT_READS), strict=True
         ):
             if problem:
                 damage.damaged[file.uri] = problem
@@ -196,11 +196,11 @@ def verify(
 
 
 def _is_current(record: Record, versions: Mapping[str, int] | None) -> bool:
-    """Tell whether it can be read, and is of the version of its stage, where that is known."""
+    """Return whether a record is readable and has the current version of its stage, if known."""
     version = (versions or {}).get(record.stage, record.version)
     return record.ref is not None and record.version == version
 
 
 def _name(uri: str) -> bytes:
-    """Return what tells artifacts apart, in few bytes: there may be millions."""
+    """Return the digest in a path, as bytes to save memory: there may be millions."""
     return uri.rpartition("/")[2].partition(".")[0].encode()

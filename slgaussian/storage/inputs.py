@@ -1,7 +1,6 @@
-"""Photographs that a field was built from, in a file beside it.
+"""The optional file ``photographs.json`` of a field: paths and digests of its photographs.
 
-``photographs.json`` has the place and the digest of each. Only a page made of the field reads it,
-to show the photographs themselves. A field without it is whole.
+Only the viewer page reads it, to show the photographs themselves.
 """
 
 from __future__ import annotations
@@ -22,10 +21,10 @@ ABOUT = "The photographs that the field in this folder was built from. No questi
 
 
 def describe_photographs(places: Mapping[str, str]) -> dict[str, bytes]:
-    """Return the file by its name, of photographs by view name and place.
+    """Return the file's content by its name, from the places of photographs by view name.
 
-    A place is a file by its path from the root, which is read for its digest, or the name of a
-    view that a camera file knows, which is left out.
+    A place is the absolute path of a file, which is read to compute its digest, or the name of a
+    view in a camera file; entries without a file path are omitted.
     """
     files = {name: place for name, place in places.items() if os.path.isabs(place)}
     photographs = {name: [place, file_digest(place)] for name, place in files.items()}
@@ -34,14 +33,14 @@ def describe_photographs(places: Mapping[str, str]) -> dict[str, bytes]:
 
 
 def read_photographs(folder: Path) -> dict[str, tuple[Path, str]]:
-    """Return place and SHA-256 (hexadecimal) of a field's photographs by view name.
+    """Return path and SHA-256 (hexadecimal) of a field's photographs by view name.
 
-    None where the file is not there, or of an earlier version.
+    Empty if the file is missing or has an earlier version.
 
     Raises
     ------
     SpecError
-        If the file is damaged, or of a later version.
+        If the file is damaged, or has a later version.
     """
     file = folder / FILE
     if not file.is_file():
@@ -55,7 +54,7 @@ def read_photographs(folder: Path) -> dict[str, tuple[Path, str]]:
         photographs = {}
         for name, (place, digest) in content["photographs"].items():
             if not isinstance(place, str) or not isinstance(digest, str):
-                raise ValueError("a place is no text")
+                raise ValueError("a place is not text")
             photographs[name] = Path(place), digest
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error

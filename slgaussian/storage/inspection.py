@@ -1,4 +1,4 @@
-"""Spec, origin and digest of files, from the files alone, and one check: ``slgaussian inspect``."""
+"""Inspection of files without a store: spec, provenance, digest, damage; ``slgaussian inspect``."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from slgaussian.storage.specs import load_spec, mismatch, parse_label, spec_name
 
 SPLATS = {".ply": ply.describe, ".spz": spz.describe}
 SUFFIXES = (".npz", ".parquet", ".json", ".safetensors", *SPLATS)
-REPAIR = "fetch or make it again"
+REPAIR = "download or create it again"
 
 
 def inspect(path: Path) -> list[dict[str, Any]]:
-    """Inspect a file, or each file of a folder that slgaussian wrote; InputError if none is.
+    """Inspect a file, or all files of a folder that slgaussian wrote; InputError if there is none.
 
-    Each has a ``path``, ``spec``, ``meaning``, ``fields`` (unit and meaning by name), ``made`` (its
-    origin as the file states it) and ``digest``, the SHA-256 of the content of a table or arrays,
-    of other files themselves. ``problem`` is empty unless it is damaged or breaks its spec.
+    Returns rows with ``path``, ``spec``, ``meaning``, ``fields`` (unit and meaning by name),
+    ``made`` (provenance in the file) and ``digest``, the SHA-256 of the content of tables and
+    arrays, and of other files as a whole. ``problem`` describes damage or a broken spec, else "".
     """
     files = sorted(path.rglob("*.*")) if path.is_dir() else [path]
     inspected = []
@@ -35,7 +35,7 @@ def inspect(path: Path) -> list[dict[str, Any]]:
         except SpecError as error:
             inspected.append(row | {"problem": str(error)})
         except InputError:
-            if not path.is_dir():  # else somebody else's, such as the index that a run was given
+            if not path.is_dir():  # in a folder, skip files of other programs
                 raise
     if not inspected:
         raise InputError(f"{path}: found no file there that slgaussian wrote, expected some")
@@ -53,13 +53,13 @@ def _read(path: Path) -> dict[str, Any]:
             deserialize(data)
             metadata = strict_json.parse(data[8 : 8 + int.from_bytes(data[:8], "little")])
         elif path.suffix in (".npz", ".parquet"):
-            metadata = encoding.stated(data)
+            metadata = encoding.read_metadata(data)
         else:
             metadata = strict_json.parse(data)
         label = metadata.get("spec", "")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a file") from error
-    except InputError as error:  # of a file of splats, which says what is wrong
+    except InputError as error:  # of the reader of exported Gaussians
         raise SpecError(str(error)) from error
     except Exception as error:  # a damaged file raises almost anything
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]

@@ -1,7 +1,7 @@
-"""Copies of a remote store's files on the local disk, no more of them than a bound allows.
+"""Local disk cache of a remote store's files, with a bound on its size.
 
-fsspec's own ``filecache`` has no bound, and keeps an index of all copies that processes which share
-the folder write over each other.
+fsspec's ``filecache`` has no bound, and processes that share its folder overwrite each other's
+index.
 """
 
 from __future__ import annotations
@@ -24,24 +24,23 @@ from slgaussian.io import write_atomic
 DEFAULT_BOUND = "10 GB"
 
 ABANDONED = 3600.0
-"""Seconds after which an unfinished copy is taken for that of a process that was killed."""
+"""Seconds after which an unfinished copy is assumed to belong to a killed process."""
 
 
 @dataclass
 class LocalCache:
-    """Files by their path in the store, which names their content: a copy is never out of date.
+    """Files by their path in the store, which contains their digest, so copies are never stale.
 
-    Any number of processes may share the folder. Each looks at the whole of it after every
-    sixteenth of the bound that it wrote itself, and then removes what was not used for longest down
-    to seven eighths; so with up to two processes it stays below the bound, and goes above by at
-    most a sixteenth for each further one. What cannot be read or written is left out: this is only
-    an aid.
+    Several processes may share the folder. Whenever a process has written a sixteenth of the bound,
+    it scans the folder and removes the least recently used files until seven eighths of the bound
+    are left. Two processes thus stay below the bound, and each further process may exceed it by a
+    sixteenth. Files that cannot be read or written are skipped.
 
     Attributes
     ----------
     folder : path
     bound : int
-        Bytes. Files of more than an eighth of it are not kept.
+        Bytes. Files larger than an eighth of it are not cached.
     """
 
     folder: Path
@@ -50,10 +49,9 @@ class LocalCache:
 
     @classmethod
     def from_environment(cls) -> LocalCache | None:
-        """Return the one of ``SLGAUSSIAN_CACHE`` and ``SLGAUSSIAN_CACHE_SIZE``; None of size 0.
+        """Return the cache of ``SLGAUSSIAN_CACHE`` and ``SLGAUSSIAN_CACHE_SIZE``; None for size 0.
 
-        By default the folder ``slgaussian/objects`` of the user's cache, and
-        :data:`DEFAULT_BOUND`.
+        Defaults: the folder ``slgaussian/objects`` of the user's cache, and :data:`DEFAULT_BOUND`.
         """
         text = os.environ.get("SLGAUSSIAN_CACHE_SIZE") or DEFAULT_BOUND
         try:
@@ -70,13 +68,13 @@ class LocalCache:
         path = self.folder / uri
         try:
             data = path.read_bytes()
-            os.utime(path)  # the time of its last use
+            os.utime(path)  # time of last use
         except OSError:
             return None
         return data
 
     def put(self, uri: str, data: bytes) -> None:
-        """Keep a copy of the file at ``uri``."""
+        """Store a copy of the file at ``uri``."""
         if len(data) > self.bound // 8:
             return
         if self._written is None or self._written + len(data) > self.bound // 16:
@@ -88,7 +86,7 @@ class LocalCache:
             self._written = (self._written or 0) + len(data)
 
     def drop(self, uri: str) -> None:
-        """Keep no copy of the file at ``uri``."""
+        """Remove the copy of the file at ``uri``."""
         with suppress(OSError):
             (self.folder / uri).unlink()
 
@@ -96,7 +94,7 @@ class LocalCache:
         files = []
         for folder, _, names in os.walk(self.folder):
             for path in (Path(folder, name) for name in names):
-                with suppress(OSError):  # gone meanwhile
+                with suppress(OSError):  # removed meanwhile
                     state = path.lstat()
                     files.append((state.st_mtime, state.st_size, path))
         total = size + sum(length for _, length, _ in files)
@@ -110,10 +108,12 @@ class LocalCache:
         self._written = 0
 
 
-def kept_arrays(uri: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mapping[str, np.ndarray]:
-    """Return arrays by name as ``make`` makes them, once: they are kept in the user's cache.
+def cached_arrays(
+    uri: str, make: Callable[[], Mapping[str, np.ndarray]]
+) -> Mapping[str, np.ndarray]:
+    """Return the arrays of ``make`` by name, computed once and cached for the user.
 
-    ``uri`` names all that they depend on. What is kept in a damaged file is made anew.
+    ``uri`` identifies all inputs of the computation. Damaged files are computed again.
     """
     cache = LocalCache.from_environment()
     if cache is None:
@@ -133,5 +133,5 @@ def kept_arrays(uri: str, make: Callable[[], Mapping[str, np.ndarray]]) -> Mappi
 
 
 def user_cache() -> Path:
-    """Return the folder of this program in the user's cache: ``$XDG_CACHE_HOME``, ``~/.cache``."""
+    """Return this program's folder in the user's cache, ``$XDG_CACHE_HOME`` or ``~/.cache``."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "slgaussian"

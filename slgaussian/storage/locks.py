@@ -1,4 +1,4 @@
-"""One at a time: a lock that the kernel takes back from a process however that ends."""
+"""Inter-process file locks, which the kernel releases however their process ends."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ class BusyError(InputError):
 
 @contextmanager
 def hold_lock(file: Path, action: str, wait: bool = False) -> Iterator[None]:
-    """Hold a lock for the time of the block; ``kill -9`` releases it too.
+    """Hold a lock within the block; ``kill -9`` releases it too.
 
     Parameters
     ----------
     file : Path
-        The lock, made if it is not there, in a folder that is made likewise. It stays behind, and
-        means nothing then.
+        Lock file, created with its folder if missing. It is not removed; an unlocked file has no
+        effect.
     action : str
-        What is to be done, to begin the message with.
+        Beginning of the error message, such as the command.
     wait : bool
-        Wait for whoever holds it.
+        Wait until the lock is free.
 
     Raises
     ------
     BusyError
-        If another process holds it, and ``wait`` is not set.
+        If another process holds the lock and ``wait`` is false.
     InputError
         If the file cannot be written.
     """

@@ -1,8 +1,8 @@
-"""Provenance of a file, as the file says it: program, stage, settings, versions of software.
+"""Provenance in a file's metadata: program, stage, settings and versions of software.
 
-Never when, where or by whom, and nothing of one machine: what the same installation makes of the
-same input has the same bytes. It is no part of an artifact's digest, which is over the content: a
-new version of a package makes no artifact another one.
+It has no time, place, user or property of the machine, so the same installation writes the same
+bytes from the same input. It is not part of an artifact's digest, which is over the content, so a
+new version of a package does not change digests.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ PACKAGES = (
     "torch", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "scikit-image", "pyarrow",
     "matplotlib", "prefect", "transformers", "pycolmap",
 )  # fmt: skip
-"""Packages whose version may change a number; those that are not installed are left out."""
+"""Packages whose version may change results; packages that are not installed are omitted."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """The work that makes files.
+    """The computation that writes files.
 
     Attributes
     ----------
     stage : str
-        The stage, command or function.
+        Name of the stage, command or function.
     version : int or None
-        That of the stage.
+        Version of the stage.
     settings : mapping
-        Plain data: those that play a part, files and weights by their content.
+        Relevant settings as plain data, files and weights by digest.
     of : mapping
-        What it was made of, by the name that the work has for it: the spec of an artifact.
+        Specs of the input artifacts by argument name.
     passed_through : set of str
-        The digests of these: what comes out as it went in was made by others.
+        Digests of the inputs. An output with one of these digests has its origin elsewhere.
     source, licence : str
-        Where the data come from and under which licence they are, where that is known.
+        Source and licence of the data, if known.
     """
 
     stage: str
@@ -62,8 +62,8 @@ _made: ContextVar[Provenance | None] = ContextVar("made", default=None)
 
 
 @contextmanager
-def making(work: Provenance) -> Iterator[None]:
-    """Have the files that are written within the block say that this made them."""
+def record_provenance(work: Provenance) -> Iterator[None]:
+    """Record this provenance in all files that are written within the block."""
     token = _made.set(work)
     try:
         yield
@@ -72,24 +72,25 @@ def making(work: Provenance) -> Iterator[None]:
 
 
 @contextmanager
-def saying(source: str, licence: str) -> Iterator[None]:
-    """Have the files that are written within the block also say where their data come from."""
-    work = current()
-    with nullcontext() if work is None else making(replace(work, source=source, licence=licence)):
+def record_source(source: str, licence: str) -> Iterator[None]:
+    """Also record source and licence of the data in all files written within the block."""
+    work = current_provenance()
+    updated = None if work is None else replace(work, source=source, licence=licence)
+    with nullcontext() if updated is None else record_provenance(updated):
         yield
 
 
-def current() -> Provenance | None:
-    """Return the work of the innermost :func:`making`."""
+def current_provenance() -> Provenance | None:
+    """Return the provenance of the innermost :func:`record_provenance`."""
     return _made.get()
 
 
-def statement(digest: str = "") -> dict[str, Any]:
-    """Return what a file with content of this digest says: ``made``, ``source`` and ``licence``.
+def provenance_metadata(digest: str = "") -> dict[str, Any]:
+    """Return the metadata of a file with this content digest: ``made``, ``source``, ``licence``.
 
-    The latter where they are known.
+    Source and licence are omitted if unknown.
     """
-    work = current()
+    work = current_provenance()
     if work is not None and digest in work.passed_through:
         work = None
     record: dict[str, Any] = {"program": f"slgaussian {__version__}"}
@@ -104,13 +105,13 @@ def statement(digest: str = "") -> dict[str, Any]:
     return {"made": record, **{name: text for name, text in origin.items() if text}}
 
 
-def speaking(schema: pa.Schema, digest: str = "") -> pa.Schema:
-    """Return a schema of a data spec that says what makes the table, as a Parquet file has it."""
+def with_provenance(schema: pa.Schema, digest: str = "") -> pa.Schema:
+    """Add the provenance to an Arrow schema's metadata, as a Parquet file stores it."""
     entries = {
         name: entry
         if isinstance(entry, str)
         else json.dumps(entry, sort_keys=True, ensure_ascii=False)
-        for name, entry in statement(digest).items()
+        for name, entry in provenance_metadata(digest).items()
     }
     return schema.with_metadata({**(schema.metadata or {}), **entries})
 

@@ -1,7 +1,7 @@
-"""Records of the work that made artifacts: small JSON files under ``keys/`` in a store.
+"""Records that map cache keys to artifacts: small JSON files under ``keys/`` in a store.
 
-They are in the store itself, so that every process and machine that uses it finds what another has
-made. They are read as JSON and checked: nobody who may write to the store can have code run.
+They are in the store itself, so that all processes and machines that use the store share results.
+They are parsed as JSON and validated, so write access to a store does not allow code execution.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FILE = re.compile(r"keys/(?P<stage>[^/]+)/v(?P<version>\d+)/[0-9a-f]{2}/[0-9a-f
 
 @dataclass(frozen=True)
 class Record:
-    """A file under ``keys/``: the stage, its version, and the ref; None if it cannot be read."""
+    """A file under ``keys/``: stage, version, and the ref, None if it cannot be read."""
 
     file: File
     stage: str
@@ -32,7 +32,7 @@ class Record:
 
     @property
     def named(self) -> list[str]:
-        """Paths of the artifacts that it names: the one that was made, and the parts of that."""
+        """Paths of the artifact and of its parts."""
         return [] if self.ref is None else self.ref.uris
 
 
@@ -43,12 +43,11 @@ class Records:
         self.store = store
 
     def find(self, key: str) -> ArtifactRef | None:
-        """Return what the work of this key made, if it is still there.
+        """Return the artifact of a cache key.
 
-        A record or an artifact that is lost or damaged (:meth:`ArtifactStore.check`) is none: the
-        work is done again. Files whose sizes and times are still those of the record are taken to
-        be as they were; whoever reads one compares its digest anyway. InputError if the store does
-        not answer.
+        None if the record or the artifact is missing or damaged (:meth:`ArtifactStore.check`).
+        Files with the size and modification time in the record are not checked again; reading them
+        compares the digest anyway. InputError if the store does not answer.
         """
         try:
             ref, stamps = self._read(_place(key))
@@ -61,16 +60,16 @@ class Records:
         return ref
 
     def keep(self, key: str, ref: ArtifactRef) -> None:
-        """Note what the work of this key made; InputError if the store cannot be written to."""
+        """Write the record of a cache key; InputError if the store cannot be written."""
         record = {**asdict(ref), "stamp": self._stamps(ref)}
         self.store.write(_place(key), json.dumps(record, sort_keys=True).encode())
 
     def all(self) -> Iterator[list[Record]]:
-        """Yield all records, those of a folder at a time."""
+        """Yield all records, one list for each folder."""
 
         def record_of(file: File) -> Record:
             match = _FILE.fullmatch(file.uri)
-            assert match is not None  # only such files are asked for
+            assert match is not None  # filtered below
             try:
                 ref = self._read(file.uri)[0]
             except SpecError:
@@ -78,16 +77,16 @@ class Records:
             return Record(file, match["stage"], int(match["version"]), ref)
 
         for files in self.store.walk([FOLDER]):
-            yield self.store.at_once(record_of, [f for f in files if _FILE.fullmatch(f.uri)])
+            yield self.store.map(record_of, [f for f in files if _FILE.fullmatch(f.uri)])
 
     def _stamps(self, ref: ArtifactRef) -> list[str] | None:
-        """Return those of the file and of its parts; None if one has none."""
+        """Return the stamps of the file and of its parts; None if a stamp is missing."""
         stamps = [self.store.stamp(uri) for uri in ref.uris]
         present = [stamp for stamp in stamps if stamp is not None]
         return present if len(present) == len(stamps) else None
 
     def _read(self, uri: str) -> tuple[ArtifactRef, Any]:
-        """Return the ref in a record, and the stamps of its files; SpecError if there is none."""
+        """Return the ref in a record and the stamps of its files; SpecError if it is invalid."""
 
         def parse(data: bytes) -> tuple[ArtifactRef, Any]:
             try:
@@ -95,7 +94,7 @@ class Records:
                 stamp = fields.pop("stamp", None)
                 ref = ArtifactRef(**fields)
                 is_valid = ref.spec in spec_names() and ref.uri == address(ref.spec, ref.digest)
-                # Nothing outside the store is even looked at, whoever wrote the record.
+                # A forged record must not point outside the store.
                 is_valid = is_valid and is_digest(ref.digest) and all(map(_is_below, ref.uris))
             except (ValueError, TypeError, AttributeError):
                 is_valid = False

@@ -1,7 +1,7 @@
-"""Places given as URLs: which are refused, how they are opened, and what their errors mean.
+"""Locations given as URLs: checks, opening, and explanations of errors.
 
-What a network does to a request passes, mostly: the library of each file system asks again, after a
-while that grows (of S3, s3fs and botocore five times each, or ``AWS_MAX_ATTEMPTS``).
+The library of each file system repeats failed requests with exponential backoff (s3fs and botocore
+five times each, or ``AWS_MAX_ATTEMPTS``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
 CONNECT, ANSWER = 10, 30
-"""Seconds that a server of S3 may take to be reached, and then to send the next bytes."""
+"""Timeouts of S3 in seconds: for the connection, and for the next bytes."""
 
 _LOGIN = re.compile(r"://[^/:@\s]*:(?!\d+(?:/|$))[^@\s]*@")  # a number after the colon is a port
 _QUERY = re.compile(
@@ -36,42 +36,42 @@ _LOGINS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE"
 
 
 def check_url(url: str | os.PathLike[str], name: str) -> None:
-    """Raise :class:`InputError` if a place is written with a password, key or token in it.
+    """Raise :class:`InputError` if a URL contains a password, key or token.
 
-    What is in a URL ends in messages, manifests, process lists and shell histories. The message
-    says the rest of it only.
+    URLs appear in messages, manifests, process lists and shell histories. The message has the URL
+    without its credentials.
 
     Parameters
     ----------
     url : str or path
     name : str
-        What it is of, to begin the message with.
+        Beginning of the message, such as "store".
     """
     text = os.fspath(url)
     if redacted(text) != text:
         raise InputError(
             f"{name} {redacted(text)}: found credentials in the URL, expected none; take them out "
-            f"and give them by the environment ({_LOGINS}, or what else its file system reads)"
+            f"and set environment variables ({_LOGINS}, or those of its file system)"
         )
 
 
 def redacted(text: str) -> str:
-    """Return a text with ``***`` for logins and keys in its URLs."""
+    """Replace logins and keys in the URLs of a text by ``***``."""
     return _QUERY.sub(r"\1***", _LOGIN.sub("://***@", text))
 
 
-def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSystem, str]:
+def open_file_system(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSystem, str]:
     """Open the file system of a folder or fsspec URL; return it and the path in it.
 
-    Its listings are asked anew every time: other machines write there too.
+    Listings are not cached, as other machines may write to it.
 
     Raises
     ------
     InputError
-        If the URL holds credentials, fsspec does not know it, or the package is missing that
-        speaks its protocol.
+        If the URL contains credentials, fsspec does not know its protocol, or the package for that
+        protocol is missing.
     """
-    import fsspec  # a tenth of a second, and URLs are checked by commands that open nothing
+    import fsspec  # takes 0.1 s, and some commands only check URLs
 
     check_url(url, name)
     text = os.fspath(url)
@@ -95,17 +95,15 @@ def open_place(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSyst
         from botocore.exceptions import FlexibleChecksumError
         from s3fs import core
 
-        if FlexibleChecksumError not in core.S3_RETRYABLE_ERRORS:  # what was cut on the way
+        if FlexibleChecksumError not in core.S3_RETRYABLE_ERRORS:  # truncated transfers
             core.add_retryable_error(FlexibleChecksumError)
     if not path:
-        raise InputError(
-            f"{name} {text}: found no bucket in it, expected as in {text}bucket/folder"
-        )
+        raise InputError(f"{name} {text}: found no bucket, expected one as in {text}bucket/folder")
     return fs, path
 
 
-def troubles() -> tuple[type[Exception], ...]:
-    """Return the errors that file systems raise; those of S3 are not all ``OSError``."""
+def file_system_errors() -> tuple[type[Exception], ...]:
+    """Return the exception types of file systems; some of S3 are not ``OSError``."""
     loaded = (
         (sys.modules.get("botocore.exceptions"), "BotoCoreError"),
         (sys.modules.get("botocore.parsers"), "ResponseParserError"),
@@ -114,10 +112,10 @@ def troubles() -> tuple[type[Exception], ...]:
     return (OSError, *(getattr(module, error) for module, error in loaded if module is not None))
 
 
-def explained(error: Exception, path: str = "") -> str:
-    """Describe one of :func:`troubles`, with what to do about it; ``path`` is for a bucket's name.
+def explain_error(error: Exception, path: str = "") -> str:
+    """Describe an error of :func:`file_system_errors`, with advice.
 
-    An error of the local disk is said as the system says it.
+    For errors of the local disk, the operating system's message. ``path`` begins with the bucket.
     """
     kind = type(error).__name__
     if isinstance(error, OSError) and error.strerror and not isinstance(error, PermissionError):

@@ -1,15 +1,15 @@
-"""Specs of stored data: one ``.toml`` file a spec, read by one validator.
+"""Specs of stored data, one ``.toml`` file each, and their validator.
 
 A spec with ``fields`` lists named arrays with dtype and shape; the letters of a shape are axes,
 whose sizes must agree within one artifact. A spec with ``columns`` lists those of a table. Both are
 checked when an artifact is written and again when it is read.
 
-A spec with ``keys`` lists those of a JSON file. In the place of a key, ``*`` stands for any name of
-an object and ``[]`` for each of a list.
+A spec with ``keys`` lists those of a JSON file. In a key, ``*`` stands for any name in an object
+and ``[]`` for every item of a list.
 
-A spec has a version, and files carry its name, version and meaning with the unit, bounds and
-meaning of each field (:mod:`slgaussian.storage.provenance` adds what made them): in Parquet as
-Arrow's metadata of fields and schema, in NPZ as a member :data:`ABOUT` of JSON.
+A spec has a version. Files contain its name, version and meaning, and the unit, bounds and meaning
+of each field, in Parquet as Arrow's metadata of fields and schema, in NPZ as a JSON member
+:data:`ABOUT`. :mod:`slgaussian.storage.provenance` adds the provenance.
 """
 
 from __future__ import annotations
@@ -27,37 +27,37 @@ import numpy as np
 
 from slgaussian.errors import SpecError
 
-if TYPE_CHECKING:  # arrays are read without Arrow, which takes a tenth of a second to import
+if TYPE_CHECKING:  # reading arrays does not need Arrow, whose import takes 0.1 s
     import pyarrow as pa
 
 ABOUT = "about.json"
-"""The member of an ``.npz`` file that says what the arrays are and what made them."""
+"""Member of an ``.npz`` file with the metadata: spec, meaning of the arrays, provenance."""
 
 OWNER = "slgaussian"
-"""Whose specs these are: a file names its spec as ``slgaussian/labels@1``."""
+"""Namespace of the specs: a file names its spec as ``slgaussian/labels@1``."""
 
 UNITS = {
-    "1": "a pure number, as a share, a ratio or a direction",
-    "count": "how many",
-    "id": "a name in numbers: equal or not, nothing else",
-    "index": "a place in an order, from 0 unless the meaning says otherwise",
+    "1": "a dimensionless number, such as a fraction, a ratio or a direction",
+    "count": "a number of items",
+    "id": "an identifier: numbers that are only compared for equality",
+    "index": "a position in an order, from 0 unless the meaning says otherwise",
     "pixel": "pixels; the centre of the first one is at 0.5",
-    "scene unit": "the length that the cameras of the scene are given in; metres where they are",
+    "scene unit": "the unit of length of the scene's cameras; metres if they are metric",
     "second": "seconds",
     "microsecond": "microseconds",
     "byte": "bytes of 8 bits",
-    "octet": "one byte of a file that the array holds, encoded as its meaning says",
+    "octet": "one byte of a file stored in the array, in the format that the meaning gives",
     "decibel": "dB",
-    "grey level": "0 black to 255 full",
+    "grey level": "0 (black) to 255 (white)",
 }
-"""Every unit of the specs, and what it means."""
+"""Meaning of every unit of the specs."""
 
 ROUNDING = 1e-9
-"""By how much a number of a table may be out of its bounds: a sum of shares may end above 1."""
+"""Tolerance of the bounds of table columns, as a sum of fractions may be rounded above 1."""
 
 
 def arrow_type(name: str) -> pa.DataType:
-    """Return Arrow's type by its name in specs, as ``float64`` or ``string list``."""
+    """Return Arrow's type for its name in specs, such as ``float64`` or ``string list``."""
     import pyarrow as pa
 
     kind = pa.type_for_alias(name.removesuffix(" list"))
@@ -71,20 +71,20 @@ class Entry:
     Attributes
     ----------
     type : str
-        Of an array a NumPy name, or ``str`` for text of any length; of a column one of
-        :func:`arrow_type`; of a value ``text``,
-        ``integer``, ``number``, ``bool``, ``object``, ``list`` or ``any``.
+        For arrays a NumPy dtype, or ``str`` for text of any length; for columns a name of
+        :func:`arrow_type`; for JSON values ``text``, ``integer``, ``number``, ``bool``, ``object``,
+        ``list`` or ``any``.
     doc : str
     shape : tuple of int and str
-        Of an array: numbers, and letters of ``Spec.axes``.
+        Shape of an array: sizes, and letters of ``Spec.axes``.
     nullable, optional : bool
-        Whether a value may be empty, and whether it may be missing.
+        Whether a value may be null, and whether it may be missing.
     unit : str
-        One of :data:`UNITS`; empty for text, truth values and objects.
+        One of :data:`UNITS`; empty for text, booleans and objects.
     low, high : float or None
-        Inclusive bounds of the values, in lists of each entry. Floats are finite.
+        Inclusive bounds of the values, or of the items of lists. Floats must be finite.
     values : tuple
-        All values that there may be; empty for any.
+        All allowed values; empty if any value is allowed.
     """
 
     type: str
@@ -99,11 +99,11 @@ class Entry:
 
     @property
     def is_bounded(self) -> bool:
-        """Tell whether some values of the type may not be."""
+        """Whether only some values of the type are allowed."""
         return bool(self.values) or self.low is not None or self.high is not None
 
     def describe(self, plain: bool = False) -> dict[str, Any]:
-        """Return meaning, unit, bounds and values: plain data, or text as Arrow's metadata are."""
+        """Return meaning, unit, bounds and values, as text for Arrow or as ``plain`` data."""
         entries: dict[str, Any] = {"meaning": self.doc, "unit": self.unit}
         entries |= {"low": self.low, "high": self.high, "values": list(self.values)}
         stated = {name: value for name, value in entries.items() if value not in (None, "", [])}
@@ -120,15 +120,15 @@ class Spec:
     ----------
     name, doc : str
     version : int
-        Raised by hand when files of the version before are no longer what the spec says.
+        Increased by hand when files of the previous version break the spec.
     compress : bool
-        Whether arrays are deflated.
+        Whether arrays are compressed.
     file : str
-        What a file of it is called outside a store, if it always has one name.
+        File name outside a store, if it is always the same.
     axes : mapping
-        What each letter of a shape counts.
+        Meaning of each letter of a shape.
     open : bool
-        Whether arrays may have any names, and are not listed.
+        Whether the arrays have arbitrary names, which are not listed.
     """
 
     name: str
@@ -166,7 +166,7 @@ class Spec:
         return pa.schema(columns, {"spec": self.label, "meaning": self.doc})
 
     def about(self, names: Iterable[str]) -> dict[str, Any]:
-        """Return what an ``.npz`` file with the arrays ``names`` says of itself, as plain data."""
+        """Return the metadata of an ``.npz`` file with the arrays ``names``, as plain data."""
         listed = {name: self.fields[name] for name in names if name in self.fields}
         letters = {axis for entry in listed.values() for axis in entry.shape}
         return {
@@ -180,9 +180,9 @@ class Spec:
         }
 
     def check_stated(self, label: str | None, file: str, repair: str) -> None:
-        """Raise :class:`SpecError` if a file that names its spec so is not to be read by this one.
+        """Raise :class:`SpecError` if a file with this label has another spec or a later version.
 
-        None is a file from before specs were named; whether it fits is seen of its content.
+        Old files have no label (None); for them only the content is checked.
         """
         if label is None or label == self.label:
             return
@@ -190,11 +190,11 @@ class Spec:
         if name != self.name:
             raise mismatch(file, "spec", f"{label:.80}", f"{self.label}; {repair}")
         if version > self.version:
-            text = f"{self.label} at most: a later {OWNER} wrote it, so install that one"
+            text = f"at most {self.label}: a later {OWNER} wrote it, so install that version"
             raise mismatch(file, "spec", label, f"{text}, or {repair}")
 
     def check_arrays(self, arrays: Mapping[str, np.ndarray], file: str) -> None:
-        """Raise :class:`SpecError` at the first array that is not what this spec says."""
+        """Raise :class:`SpecError` at the first array that breaks this spec."""
         if self.open:
             return
         unknown = sorted(set(arrays) - set(self.fields))
@@ -208,7 +208,7 @@ class Spec:
                 raise mismatch(file, name, "no such field", _shape_text(entry))
 
     def check_table(self, table: pa.Table, file: str) -> None:
-        """Raise :class:`SpecError` at the first column that is not what this spec says."""
+        """Raise :class:`SpecError` at the first column that breaks this spec."""
         import pyarrow as pa
         import pyarrow.compute as pc
 
@@ -236,7 +236,7 @@ def load_spec(name: str) -> Spec:
     Raises
     ------
     SpecError
-        If there is no such spec; the message lists those there are.
+        If there is no such spec; the message lists all specs.
     """
     if name not in spec_names():
         raise SpecError(f"no data spec {name!r}: expected one of {', '.join(spec_names())}")
@@ -257,27 +257,27 @@ def spec_names() -> tuple[str, ...]:
 
 
 def parse_label(label: str) -> tuple[str, int]:
-    """Split the label of a spec into name and version; of any other text the text and 0."""
+    """Split the label of a spec into name and version; return any other text with version 0."""
     match = re.fullmatch(rf"{OWNER}/([a-z_]+)@([1-9]\d{{0,5}})", label)
     return (label, 0) if match is None else (match[1], int(match[2]))
 
 
 def mismatch(file: str, field: str, actual: str, expected: str) -> SpecError:
-    """Return a :class:`SpecError` about a file in the one form of all."""
+    """Return a :class:`SpecError` with the file, the field, the actual and the expected."""
     return SpecError(f"{file}: {field}: found {actual}, expected {expected}")
 
 
 def _check_values(
     values: np.ndarray, entry: Entry, name: str, file: str, slack: float = 0.0
 ) -> None:
-    """Raise :class:`SpecError` if values are not finite, or not among those of an entry."""
+    """Raise :class:`SpecError` if values are not finite, or not allowed by the entry."""
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         raise mismatch(file, name, "NaN or infinity", "finite numbers")
     if entry.values:
-        strange = sorted(set(np.unique(values).tolist()) - set(entry.values))
-        if strange:
-            raise mismatch(file, name, f"{strange[0]!r:.80}", f"one of {list(entry.values)}")
-    # One pass for each bound that there is: arrays may be large.
+        invalid = sorted(set(np.unique(values).tolist()) - set(entry.values))
+        if invalid:
+            raise mismatch(file, name, f"{invalid[0]!r:.80}", f"one of {list(entry.values)}")
+    # Only one pass over the array for each bound, as arrays may be large.
     if entry.low is not None and values.size and (minimum := values.min()) < entry.low - slack:
         raise mismatch(file, name, f"{minimum:g}", f"values of at least {entry.low:g}")
     if entry.high is not None and values.size and (maximum := values.max()) > entry.high + slack:
@@ -287,7 +287,7 @@ def _check_values(
 def _check_array(
     array: np.ndarray, field: Entry, name: str, file: str, sizes: dict[str, tuple[int, str]]
 ) -> None:
-    """``sizes`` has the size of each letter so far, and the array that it is from."""
+    """Check an array; ``sizes`` has the size of each axis so far, and the array that set it."""
     actual, expected = f"{array.dtype} {list(array.shape)}", _shape_text(field)
     fits = array.dtype.kind == "U" if field.type == "str" else array.dtype == field.type
     if not fits or array.ndim != len(field.shape):

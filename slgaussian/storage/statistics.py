@@ -1,6 +1,6 @@
-"""Statistics of a field: its Gaussians, codes and bytes, as the field says it of itself.
+"""Statistics of a field, stored with it: numbers of Gaussians and codes, and bytes.
 
-The same of the same input: how many seconds a field took is no part of it.
+They are deterministic; timings are not among them.
 """
 
 from __future__ import annotations
@@ -16,21 +16,22 @@ class FieldStatistics:
     Attributes
     ----------
     gaussians_made, gaussians_kept : int
-        How many were predicted, and how many the field has.
+        Numbers of predicted Gaussians and of those in the field.
     change_mean, change_rms, change_greatest : float
-        What keeping fewer changed in the context views, measured by drawing them before and after,
-        in grey levels; see :class:`slgaussian.rasterize.merging.Change`.
+        Difference between renderings of the context views before and after merging Gaussians, in
+        grey levels; see :class:`slgaussian.rasterize.merging.Change`.
     code_dimensions : int
-        Numbers of an ID code; 0 without codes.
+        Dimension of the ID codes; 0 without codes.
     replicas_asked : int
+        Number of copies of each view that vote.
     bytes_gaussians, bytes_bank : int
-        Of the arrays of Gaussians and memory bank.
+        Sizes of the arrays of Gaussians and memory bank.
     replicas_computed : int or None
-        Copies of one view, at most, that were segmented or asked of the tracker; the others are
-        known to be the same. None where that was not told.
+        Largest number of copies of one view that were segmented or tracked; the others are
+        identical. None if unknown.
     depths_tried, depths_possible : int or None
-        Depth candidates of all views, and how many the settings allow; None where the predictor
-        does not tell.
+        Numbers of depth candidates of all views, compared and allowed by the settings; None if the
+        predictor does not report them.
     """
 
     gaussians_made: int
@@ -47,16 +48,16 @@ class FieldStatistics:
     depths_possible: int | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Plain numbers, four decimals."""
+        """Return plain numbers, rounded to four decimals."""
         return {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(self).items()}
 
     def lines(self) -> list[str]:
-        """Describe them for people, a line each."""
+        """Return a readable description, line by line."""
         share = self.gaussians_kept / max(self.gaussians_made, 1)
         lines = [
-            f"Gaussians: {self.gaussians_kept:,} of {self.gaussians_made:,} made ({share:.0%}); "
-            f"that changes the context views by {self.change_mean:.2f} grey levels in the mean, "
-            f"{self.change_rms:.2f} in the root mean square, {self.change_greatest:.1f} at most"
+            f"Gaussians: {self.gaussians_kept:,} of {self.gaussians_made:,} predicted "
+            f"({share:.0%}); change of the context views: {self.change_mean:.2f} grey levels mean, "
+            f"{self.change_rms:.2f} root mean square, {self.change_greatest:.1f} maximum"
         ]
         if self.depths_tried is not None:
             lines.append(f"depth candidates: {self.depths_tried:,} of {self.depths_possible:,}")
@@ -65,6 +66,6 @@ class FieldStatistics:
             *lines,
             f"ID codes: {self.code_dimensions} numbers each",
             f"replicas: {'' if computed is None else f'{computed} computed of '}"
-            f"{self.replicas_asked} asked for",
+            f"{self.replicas_asked} requested",
             f"bytes: Gaussians {self.bytes_gaussians:,}, memory bank {self.bytes_bank:,}",
         ]

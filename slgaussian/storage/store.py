@@ -1,4 +1,4 @@
-"""Content-addressed artifacts: arrays and tables on any file system, written whole or not at all.
+"""Content-addressed store of arrays and tables on any file system, with atomic writes.
 
 The same content has the same digest (:mod:`slgaussian.storage.encoding`) and the same path.
 """
@@ -28,32 +28,32 @@ from slgaussian.storage.encoding import (
     arrays_digest,
     decode_arrays,
     decode_table,
-    packed,
-    stated,
+    encode_artifact,
+    read_metadata,
     table_digest,
 )
 from slgaussian.storage.local_copies import LocalCache
-from slgaussian.storage.remote import explained, open_place, troubles
+from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 from slgaussian.storage.specs import load_spec, mismatch, spec_names
 
-if TYPE_CHECKING:  # a field is read without Arrow and fsspec, which take long to import
+if TYPE_CHECKING:  # reading a field does not need Arrow and fsspec, whose import is slow
     import pyarrow as pa
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-PART = 16 * 2**20
-"""Bytes of a part of an upload; from two of them on it is done in parts, shown when all arrived."""
+UPLOAD_PART_BYTES = 16 * 2**20
+"""Bytes of a part of a multipart upload, which becomes visible when all parts have arrived."""
 
-READINGS = 3
-"""So often a file of a store elsewhere is read before it counts as damaged."""
+READ_ATTEMPTS = 3
+"""Number of attempts to read a file of a remote store before it counts as damaged."""
 
-AT_ONCE = 16
-"""Requests that are under way at the same time where many small ones are made."""
+CONCURRENT_REQUESTS = 16
+"""Number of concurrent small requests."""
 
 
 class DamagedError(SpecError):
-    """An artifact that is not there or not whole; ``uri`` is its place in the store."""
+    """An artifact is missing or damaged; ``uri`` is its path in the store."""
 
     def __init__(self, message: str, uri: str) -> None:
         super().__init__(message, uri)
@@ -65,18 +65,18 @@ class DamagedError(SpecError):
 
 @dataclass(frozen=True)
 class ArtifactRef:
-    """A small, JSON-able stand-in for an artifact.
+    """A small, JSON-serialisable reference to an artifact.
 
     Attributes
     ----------
     spec : str
-        Name of the data spec it follows.
+        Name of its data spec.
     uri : str
-        Path relative to the root of the store, so that a store can move.
+        Path relative to the root of the store, so that a store can be moved.
     digest : str
         SHA-256 of the content, hexadecimal; equal digests mean equal content.
     meta : dict
-        A few plain values for people to read. Never part of the identity.
+        Plain values for information, not part of the identity.
     """
 
     spec: str
@@ -86,7 +86,7 @@ class ArtifactRef:
 
     @property
     def uris(self) -> list[str]:
-        """Paths of the artifact and of the parts that it names."""
+        """Paths of the artifact and of its parts."""
         return [self.uri, *self.meta.get("parts", ())]
 
 
@@ -102,30 +102,30 @@ class File:
 class ArtifactStore:
     """Artifacts under one root, at ``<spec>/<aa>/<digest>.npz`` or ``.parquet``.
 
-    Of a store on another machine, copies of what was read or written are kept on the local disk
+    Files of a remote store that were read or written are cached on the local disk
     (:class:`~slgaussian.storage.local_copies.LocalCache`).
 
     Parameters
     ----------
     root : str or path
-        A folder or any fsspec URL (``memory://x``, ``s3://bucket/prefix``). A folder is made when
-        first written to, a bucket never.
+        A folder or any fsspec URL (``memory://x``, ``s3://bucket/prefix``). A folder is created on
+        the first write, a bucket never.
 
     Attributes
     ----------
     root : str
-        As passed, for people to read; it never holds credentials.
+        As passed, for messages; without credentials.
     fs, path
         The file system, and the root's path in it.
     local, near : bool
-        Whether it is a folder, as a disk of this machine has; or that, or in this process.
+        Whether it is a local folder; whether it is a local folder or in the memory of this process.
     cache : LocalCache or None
-        Copies of what is not near.
+        Local copies of the files of a store that is not near.
 
     Raises
     ------
     InputError
-        If the URL holds credentials, fsspec does not know it, or the package that speaks its
+        If the URL contains credentials, fsspec does not know its protocol, or the package for that
         protocol is not installed.
     """
 
@@ -133,7 +133,7 @@ class ArtifactStore:
         from fsspec.implementations.local import LocalFileSystem
         from fsspec.implementations.memory import MemoryFileSystem
 
-        self.fs, self.path = open_place(root, "store")
+        self.fs, self.path = open_file_system(root, "store")
         self.local = isinstance(self.fs, LocalFileSystem)
         self.root = self.path if self.local else os.fspath(root).rstrip("/")
         self.near = self.local or isinstance(self.fs, MemoryFileSystem)
@@ -144,33 +144,33 @@ class ArtifactStore:
     ) -> ArtifactRef:
         """Write an artifact and return its ref; the same content twice is one file.
 
-        It is written even if it is there: one that is damaged is then whole again, and one that
-        nothing refers to yet is young again for :func:`slgaussian.storage.housekeeping.collect`.
-        Where other work made the same content before, of the two statements of what made it the
-        one that is first in order stays, so that the bytes do not depend on who came first.
-        ``meta`` of the ref also has the ``bytes`` of the file.
+        An existing file is written again, which repairs damage and renews its time, so that
+        :func:`slgaussian.storage.housekeeping.collect` does not remove it before it has a record.
+        If files of the same content have different provenance, the provenance that sorts first is
+        kept, so the bytes do not depend on which process wrote first. ``meta`` of the ref also has
+        the ``bytes`` of the file.
 
         Raises
         ------
         SpecError
-            If the content is not what ``data_specs/<spec>.toml`` says.
+            If the content breaks ``data_specs/<spec>.toml``.
         InputError
-            If the store cannot be written to.
+            If the store cannot be written.
         """
-        digest, data = packed(spec, content, f"new {spec} artifact")
+        digest, data = encode_artifact(spec, content, f"new {spec} artifact")
         ref, is_new = ArtifactRef(spec, address(spec, digest), digest), True
         while True:
-            there = None
-            with suppress(SpecError):  # nothing there, or nothing whole
-                there, _ = self.fetch(
-                    ref.uri, "an artifact", lambda read: self.near or self.understood(ref, read)
+            stored = None
+            with suppress(SpecError):  # missing or damaged
+                stored, _ = self.fetch(
+                    ref.uri, "an artifact", lambda read: self.near or self.decode(ref, read)
                 )
-                if _precedence(there) < _precedence(data):
-                    self.understood(ref, there)
-                    data = there
+                if _precedence(stored) < _precedence(data):
+                    self.decode(ref, stored)
+                    data = stored
             try:
-                self.write(ref.uri, data, new=is_new and there is None)
-            except FileExistsError:  # others made the same in between, or it cannot be read
+                self.write(ref.uri, data, new=is_new and stored is None)
+            except FileExistsError:  # another process wrote it meanwhile, or it is unreadable
                 is_new = False
                 continue
             if self.cache is not None:
@@ -178,28 +178,28 @@ class ArtifactStore:
             return replace(ref, meta={**(meta or {}), "bytes": len(data)})
 
     def get(self, ref: ArtifactRef) -> Any:
-        """Read an artifact, arrays by name or a table, checked against its spec and its digest.
+        """Read an artifact, arrays by name or a table, and check its spec and digest.
 
         Raises
         ------
         DamagedError
-            If the file is missing, cut short, altered or not what the spec says: one sentence
-            with the file, the field, what was found and what was expected.
+            If the file is missing, truncated, altered or breaks its spec. The message has the file,
+            the field, the actual and the expected value.
         InputError
-            If a store on another machine does not answer.
+            If a remote store does not answer.
         """
         self._check_address(ref)
         if self.cache is not None and (data := self.cache.get(ref.uri)) is not None:
             with suppress(SpecError):
-                return self.understood(ref, data)
+                return self.decode(ref, data)
             self.cache.drop(ref.uri)
         data, content = self._fetch_artifact(ref)
         if self.cache is not None:
             self.cache.put(ref.uri, data)
         return content
 
-    def understood(self, ref: ArtifactRef, data: bytes) -> Arrays | pa.Table:
-        """Return the content of an artifact's bytes; DamagedError if ``ref`` says otherwise."""
+    def decode(self, ref: ArtifactRef, data: bytes) -> Arrays | pa.Table:
+        """Decode the bytes of an artifact; DamagedError if its spec or digest do not match."""
         rules, file = load_spec(ref.spec), f"{self.root}/{ref.uri}"
         content: Arrays | pa.Table
         try:
@@ -217,75 +217,74 @@ class ArtifactStore:
         return content
 
     def read(self, uri: str, expected: str = "a file") -> bytes:
-        """Read a file; DamagedError if it is not there, ``expected`` names it."""
+        """Read a file; DamagedError if it is missing, ``expected`` describes it."""
         passed = OSError if self.local else FileNotFoundError
         try:
             return self._ask("read", lambda: self.fs.cat_file(f"{self.path}/{uri}"), passed)
         except FileNotFoundError as error:
             raise self._damaged(uri, "nothing", expected) from error
         except OSError as error:
-            raise self._damaged(uri, explained(error), "a readable file") from error
+            raise self._damaged(uri, explain_error(error), "a readable file") from error
 
     def fetch(
-        self, uri: str, expected: str, understood: Callable[[bytes], Result]
+        self, uri: str, expected: str, decode: Callable[[bytes], Result]
     ) -> tuple[bytes, Result]:
-        """Return the bytes of a file, and what ``understood`` makes of them.
+        """Return the bytes of a file, and the result of ``decode`` for these bytes.
 
-        What came over a network and is not understood may have been cut short on the way, and is
-        read again before that is believed. SpecError then, as ``understood`` raises it, and as
-        :meth:`read`.
+        If ``decode`` raises SpecError, a file of a remote store is read again, because the
+        transfer may have been truncated. SpecError of the last attempt, or of :meth:`read`.
         """
-        for left in reversed(range(1 if self.near else READINGS)):
+        for left in reversed(range(1 if self.near else READ_ATTEMPTS)):
             data = self.read(uri, expected)
             try:
-                return data, understood(data)
+                return data, decode(data)
             except SpecError:
                 if not left:
                     raise
         raise AssertionError  # the last reading has raised
 
-    def lay_out(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> None:
-        """Make a new local file that is an artifact's: a hard link if it can be one, else a copy.
+    def link_or_copy(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> None:
+        """Create a local file of an artifact: a hard link if possible, else a copy.
 
-        A link takes no room. It outlives the artifact: what is removed from a store or made anew
-        there leaves it as it was.
+        A link takes no disk space. It stays unchanged when the artifact is removed from the store
+        or written again.
 
         Raises
         ------
         DamagedError
             If the artifact is missing or damaged.
         InputError
-            If a store on another machine does not answer.
+            If a remote store does not answer.
         OSError
             If the file cannot be written.
         """
         self._check_address(ref)
         data, _ = self._fetch_artifact(ref)
         if self.local:
-            # It fails on another disk, one that has no links, or where another user owns the file.
+            # Fails across disks, without support of links, or if another user owns the file.
             with suppress(OSError):
                 os.link(f"{self.path}/{ref.uri}", path)
                 return
         Path(path).write_bytes(data)
 
-    def is_laid_out(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> bool:
-        """Tell whether a local file holds what :meth:`lay_out` would make it hold."""
+    def has_content(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> bool:
+        """Return whether a local file already has the content that :meth:`link_or_copy` writes."""
         try:
-            self.understood(ref, Path(path).read_bytes())
+            self.decode(ref, Path(path).read_bytes())
         except (OSError, DamagedError):
             return False
         return True
 
     def check(self, ref: ArtifactRef) -> None:
-        """Raise :class:`DamagedError` if the artifact, or a part that it names, is not whole.
+        """Raise :class:`DamagedError` if the artifact or one of its parts is missing or damaged.
 
-        Those of a local store are read and compared with their digests. Of one elsewhere it is only
-        asked whether they are there: to fetch everything for a run that finds all of it done would
-        take hours, and damage is found when they are read.
+        Files of a local store are read and their digests compared. For a remote store only their
+        existence is checked: downloading all files of a cached run would take hours, and damage is
+        detected when they are read.
         """
         self._check_address(ref)
         if not self.near:
-            self.at_once(self.check_there, ref.uris)
+            self.map(self.check_exists, ref.uris)
             return
         for uri in ref.uris:
             part = ref_of(uri)
@@ -294,24 +293,24 @@ class ArtifactStore:
             self.get(part)
 
     def stamp(self, uri: str) -> str | None:
-        """Return bytes and time (ns) of a file of a local store; None without one, or elsewhere."""
+        """Return size and time (ns) of a local store's file; None if missing or remote."""
         with suppress(OSError):
             if self.local:
                 state = os.stat(f"{self.path}/{uri}")
                 return f"{state.st_size} {state.st_mtime_ns}"
         return None
 
-    def check_there(self, uri: str) -> None:
+    def check_exists(self, uri: str) -> None:
         """Raise :class:`DamagedError` if there is no file at a path relative to the root."""
         if not self._ask("read", lambda: self.fs.exists(f"{self.path}/{uri}")):
             raise self._damaged(uri, "nothing", "an artifact")
 
     def check_writable(self) -> None:
-        """Raise :class:`InputError` now rather than after the work if nothing can be written."""
+        """Raise :class:`InputError` if the store cannot be written; call it before the work."""
         self.clock()
 
     def clock(self) -> float:
-        """Return the Unix time that files are stamped with; InputError if none can be written."""
+        """Return the store's Unix time, from a new file; InputError if it cannot be written."""
         probe = f".probe-{uuid.uuid4().hex}"
         self.write(probe, b"")
         try:
@@ -320,9 +319,9 @@ class ArtifactStore:
             self.remove([probe])
 
     def write(self, uri: str, data: bytes, new: bool = False) -> None:
-        """Write a file that is no artifact, whole or not at all; InputError if that fails.
+        """Write a file atomically; InputError if that fails.
 
-        FileExistsError if it is to be ``new`` and is there, where the file system can tell.
+        With ``new``, FileExistsError if the file exists and the file system can detect that.
         """
         path = f"{self.path}/{uri}"
 
@@ -331,13 +330,15 @@ class ArtifactStore:
                 os.makedirs(os.path.dirname(path), exist_ok=True)
                 write_atomic(path, data, sync=True, new=new)
             else:
-                # One put, or parts that are shown when the last has arrived: whole or not at all.
-                self.fs.pipe_file(path, data, **({} if self.near else {"chunksize": PART}))
+                # A single put or a multipart upload, both of which are atomic.
+                self.fs.pipe_file(
+                    path, data, **({} if self.near else {"chunksize": UPLOAD_PART_BYTES})
+                )
 
         self._ask("write", write_file, FileExistsError if new else ())
 
     def remove(self, uris: Iterable[str]) -> None:
-        """Delete files, whether they are there or not; InputError if that fails."""
+        """Delete files; missing files are ignored. InputError if that fails."""
 
         def remove_file(uri: str) -> None:
             if self.cache is not None:
@@ -346,23 +347,26 @@ class ArtifactStore:
                 path = f"{self.path}/{uri}"
                 self._ask("delete", lambda: self.fs.rm_file(path), FileNotFoundError)
 
-        self.at_once(remove_file, list(uris))
+        self.map(remove_file, list(uris))
 
     def walk(self, folders: Sequence[str] = ("",)) -> Iterator[list[File]]:
-        """Yield the files in folders and all below, a folder at a time; nothing where none is.
+        """Yield the files in folders and their subfolders, one list for each folder.
 
-        InputError if the store cannot be read.
+        Missing folders are ignored. InputError if the store cannot be read.
         """
-        for start in range(0, len(folders), AT_ONCE):
-            for files, below in self.at_once(self._list, folders[start : start + AT_ONCE]):
+        for start in range(0, len(folders), CONCURRENT_REQUESTS):
+            for files, below in self.map(self._list, folders[start : start + CONCURRENT_REQUESTS]):
                 if files:
                     yield files
                 yield from self.walk(below)
 
-    def at_once(
-        self, function: Callable[[Item], Result], items: Sequence[Item], workers: int = AT_ONCE
+    def map(
+        self,
+        function: Callable[[Item], Result],
+        items: Sequence[Item],
+        workers: int = CONCURRENT_REQUESTS,
     ) -> list[Result]:
-        """Call a function for each item, those of a store elsewhere side by side: it waits."""
+        """Call a function for each item, concurrently for a remote store to hide latency."""
         if self.near or len(items) < 2:
             return [function(item) for item in items]
         with ThreadPoolExecutor(workers) as pool:
@@ -374,36 +378,37 @@ class ArtifactStore:
         request: Callable[[], Result],
         passed: type[Exception] | tuple[type[Exception], ...] = (),
     ) -> Result:
-        """Make a request; InputError that one cannot ``verb`` there, of errors not ``passed``."""
+        """Make a request; InputError with ``verb`` for its errors, except the types ``passed``."""
         try:
             return request()
-        except troubles() as error:
+        except file_system_errors() as error:
             if isinstance(error, passed):
                 raise
-            do = "; choose a writable folder with --store" if self.local and verb == "write" else ""
+            writes = self.local and verb == "write"
+            hint = "; choose a writable folder with --store" if writes else ""
             if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-                do = "; make room there (`slgaussian store gc`), and run again"
-            reason = explained(error, self.path)
-            message = f"store {self.root}: cannot {verb} there ({reason}){do}"
+                hint = "; make room there (`slgaussian store gc`), and run again"
+            reason = explain_error(error, self.path)
+            message = f"store {self.root}: cannot {verb} there ({reason}){hint}"
             raise InputError(message) from error
 
     def _fetch_artifact(self, ref: ArtifactRef) -> tuple[bytes, Any]:
         expected = f"a {ref.spec} artifact"
-        return self.fetch(ref.uri, expected, lambda data: self.understood(ref, data))
+        return self.fetch(ref.uri, expected, lambda data: self.decode(ref, data))
 
     def _list(self, uri: str) -> tuple[list[File], list[str]]:
-        """Return the files in a folder and the folders in it, each sorted."""
+        """Return the files and the folders in a folder, each sorted."""
         files, folders = [], []
         try:
             folder = f"{self.path}/{uri}".rstrip("/")
-            none = FileNotFoundError, NotADirectoryError
-            entries = self._ask("read", lambda: self.fs.ls(folder, detail=True), none)
+            missing = FileNotFoundError, NotADirectoryError
+            entries = self._ask("read", lambda: self.fs.ls(folder, detail=True), missing)
         except (FileNotFoundError, NotADirectoryError):
             return [], []
         for entry in entries:
             inside = entry["name"].rstrip("/").removeprefix(f"{self.path}/")
             if inside == uri:
-                continue  # an object store may have a file of the folder's name
+                continue  # an object store may have a file with the name of the folder
             if entry["type"] == "directory":
                 folders.append(inside)
             else:
@@ -427,27 +432,27 @@ def address(spec: str, digest: str) -> str:
 
 
 def ref_of(uri: str) -> ArtifactRef | None:
-    """Return the ref of the artifact at a path of a store; None if it is another file."""
+    """Return the ref of the artifact at a path of a store; None for other files."""
     spec, digest = uri.partition("/")[0], uri.rpartition("/")[2].partition(".")[0]
     is_artifact = spec in spec_names() and is_digest(digest) and uri == address(spec, digest)
     return ArtifactRef(spec, uri, digest) if is_artifact else None
 
 
 def is_digest(text: str) -> bool:
-    """Tell whether it is a SHA-256, hexadecimal, and so no way out of a folder either."""
+    """Return whether a text is a hexadecimal SHA-256, and thus safe as a file name."""
     return re.fullmatch(r"[0-9a-f]{64}", text) is not None
 
 
 def _written(info: Mapping[str, Any]) -> float:
-    """Return when a file was written, as its file system says it."""
+    """Return the time at which a file was written, from its file system."""
     stamp = next(info[name] for name in ("mtime", "LastModified", "created") if name in info)
     return stamp.timestamp() if isinstance(stamp, datetime) else float(stamp)
 
 
 def _precedence(data: bytes) -> tuple[bool, str]:
-    """Return what orders two files of the same content: one that names its maker is first."""
+    """Return the sort key of files of the same content: those with a stage come first."""
     try:
-        maker = stated(data).get("made", {})
+        maker = read_metadata(data).get("made", {})
         return "stage" not in maker, json.dumps(maker, sort_keys=True)
     except Exception:  # a damaged file raises almost anything
         return True, "~"

@@ -1,4 +1,4 @@
-"""Parquet tables that anybody wrote: how much they may hold, and the one way in."""
+"""Reading of untrusted Parquet tables with a bound on their unpacked size."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import pyarrow as pa
 
-MOST_UNPACKED = 8 * 2**30
-"""Bytes that a file of arrays or a table may unpack to."""
+MAX_UNPACKED_BYTES = 8 * 2**30
+"""Largest unpacked size of a file of arrays or a table, bytes."""
 
 _WIDTHS = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "INT96": 8}
 
 
 def read_table(source: bytes | str | Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a table whose unpacked size is known, and bounded, before it is unpacked.
+    """Read a table after computing and checking its unpacked size.
 
-    Of numbers and pages the footer says it. A text that a dictionary holds once may stand in any
-    number of rows: where that could make too much, dictionaries are read alone, and their lengths
-    are summed up.
+    The footer gives the size of numbers and pages. A text that a dictionary stores once may occur
+    in any number of rows: if the bound could be exceeded, the dictionaries are read first and the
+    lengths of the texts summed.
 
     Parameters
     ----------
     source : bytes or path
     columns : sequence of str, optional
-        Names of those to read; all if left out.
+        Names of the columns to read; default all.
 
     Raises
     ------
     ValueError, OSError, ArrowException
-        If the file is damaged, or unpacks to more than :data:`MOST_UNPACKED`.
+        If the file is damaged, or unpacks to more than :data:`MAX_UNPACKED_BYTES`.
     """
     import pyarrow as pa
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     def opened(texts: Sequence[str] = ()) -> pq.ParquetFile:
-        # A third of the time of pq.read_table, which asks what else may be in a folder.
+        # Takes a third of the time of pq.read_table, which also looks for a partitioned data set.
         place = pa.BufferReader(source) if isinstance(source, bytes) else source
         return pq.ParquetFile(place, read_dictionary=list(texts))
 
@@ -52,14 +52,14 @@ def read_table(source: bytes | str | Path, columns: Sequence[str] | None = None)
             if chunk.physical_type == "BYTE_ARRAY":
                 bound = chunk.num_values * chunk.total_uncompressed_size
                 worst[chunk.path_in_schema] = worst.get(chunk.path_in_schema, 0) + bound
-    if total <= MOST_UNPACKED < total + sum(worst.values()):
+    if total <= MAX_UNPACKED_BYTES < total + sum(worst.values()):
         for name, bound in worst.items():
-            if "." in name:  # of lists
+            if "." in name:  # lists
                 total += bound
                 continue
             for texts in opened([name]).read([name], use_threads=False).column(name).chunks:
                 lengths = pc.binary_length(texts.dictionary.cast(pa.binary())).cast(pa.int64())
                 total += pc.sum(lengths.take(texts.indices)).as_py() or 0
-    if total > MOST_UNPACKED:
-        raise ValueError(f"it unpacks to more than {MOST_UNPACKED >> 30} GiB")
+    if total > MAX_UNPACKED_BYTES:
+        raise ValueError(f"it unpacks to more than {MAX_UNPACKED_BYTES >> 30} GiB")
     return file.read(columns, use_threads=False)

@@ -24,7 +24,7 @@ from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.errors import InputError, SpecError
-from slgaussian.storage.encoding import stated
+from slgaussian.storage.encoding import read_metadata
 from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -83,7 +83,9 @@ def test_files_say_where_photographs_are_from_and_their_licence(output):
         "packed": {("", "LICENSE.txt: Take it as you like")},
         "sample": {("https://video/0", ""), ("https://video/1", ""), ("", "")},
     }.items():
-        found = [stated(file.read_bytes()) for file in (folder / "store" / spec).rglob("*.npz")]
+        found = [
+            read_metadata(file.read_bytes()) for file in (folder / "store" / spec).rglob("*.npz")
+        ]
         assert {(said.get("source", ""), said.get("licence", "")) for said in found} == expected
 
 

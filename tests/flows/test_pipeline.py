@@ -18,7 +18,7 @@ from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.build import build_field
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.storage.encoding import stated
+from slgaussian.storage.encoding import read_metadata
 from slgaussian.storage.housekeeping import verify
 from slgaussian.storage.inspection import inspect
 from slgaussian.storage.records import Records
@@ -102,7 +102,7 @@ def test_every_artifact_says_which_stage_made_it(first):
     seen = set()
     for records in Records(store).all():
         for record in records:
-            said = stated(store.read(record.ref.uri))
+            said = read_metadata(store.read(record.ref.uri))
             assert said["spec"] == load_spec(record.ref.spec).label
             assert (said["made"]["stage"], said["made"]["stage_version"]) == (
                 record.stage,
@@ -142,7 +142,7 @@ def test_the_table_of_artifacts_leads_from_a_file_back_to_the_photographs(first)
         seen.add(row["stage"])
         waiting += row["inputs"]
     assert seen == own.keys() - {"benchmark"}
-    sample = stated(store.read(own["ingest"]["uri"]))
+    sample = read_metadata(store.read(own["ingest"]["uri"]))
     assert (sample["source"], sample["licence"]) == datasets.SOURCES["procedural"]
 
 
@@ -180,7 +180,7 @@ def test_each_scene_leaves_its_field_as_the_command_field_builds_it(first, tmp_p
         if file.suffix == ".json":  # which has the digests of what the others hold
             assert data == mine
             continue
-        made, by = ({**stated(one)["made"]} for one in (data, mine))
+        made, by = ({**read_metadata(one)["made"]} for one in (data, mine))
         stage = "supervision" if file.name == "bank.npz" else "field"
         assert (made["stage"], by["stage"]) == (stage, "build_field")
         assert made["software"] == by["software"]

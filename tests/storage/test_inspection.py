@@ -25,7 +25,7 @@ from slgaussian.scene import Camera
 from slgaussian.semantic.branch import Architecture, make_branch, save_branch
 from slgaussian.storage.encoding import encode_arrays, encode_table
 from slgaussian.storage.inspection import inspect
-from slgaussian.storage.provenance import Provenance, making
+from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 from tests.rasterize.hard_cases import splats
@@ -35,7 +35,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def artifact(tmp_path) -> Path:
-    with making(Provenance("masks", 5, {"replicas": 3}, {"sample": "sample"})):
+    with record_provenance(Provenance("masks", 5, {"replicas": 3}, {"sample": "sample"})):
         ref = ArtifactStore(tmp_path / "store").put("labels", labels(3))
     return tmp_path / "store" / ref.uri
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from slgaussian.errors import InputError
-from slgaussian.storage.local_copies import ABANDONED, LocalCache, kept_arrays
+from slgaussian.storage.local_copies import ABANDONED, LocalCache, cached_arrays
 
 ROOT = Path(__file__).parents[2]
 KB = bytes(1000)
@@ -94,10 +94,10 @@ def test_arrays_are_made_once_and_anew_where_the_file_is_damaged(tmp_path, monke
     for times, damage in ((1, None), (1, None), (2, b"PK no archive"), (2, None), (3, b"")):
         if damage is not None:
             (tmp_path / "outlines" / "a.npz").write_bytes(damage)
-        found = kept_arrays("outlines/a.npz", make)
+        found = cached_arrays("outlines/a.npz", make)
         assert len(made) == times
         np.testing.assert_array_equal(found["squares"], [[0, 1, 2], [3, 4, 5]])
         assert found["squares"].dtype == np.uint8
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
-    kept_arrays("outlines/a.npz", make)
+    cached_arrays("outlines/a.npz", make)
     assert len(made) == 4

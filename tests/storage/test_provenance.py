@@ -20,9 +20,14 @@ from slgaussian.storage.encoding import (
     decode_table,
     encode_arrays,
     encode_table,
-    stated,
+    read_metadata,
 )
-from slgaussian.storage.provenance import Provenance, making, software, statement
+from slgaussian.storage.provenance import (
+    Provenance,
+    provenance_metadata,
+    record_provenance,
+    software,
+)
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 
@@ -50,7 +55,7 @@ def store() -> ArtifactStore:
 
 
 def test_arrays_say_what_they_are_and_what_made_them(store):
-    with making(MADE):
+    with record_provenance(MADE):
         ref = store.put("labels", labels())
     with np.load(io.BytesIO(store.read(ref.uri))) as file:
         assert set(file.files) == {"about.json", "labels", "margin"}
@@ -64,11 +69,11 @@ def test_arrays_say_what_they_are_and_what_made_them(store):
     assert margin["axes"] == ["V", "H", "W"]
     assert (margin["unit"], margin["low"], margin["high"]) == ("1", 0, 1)
     assert about["fields"]["labels"]["meaning"] == load_spec("labels").fields["labels"].doc
-    assert stated(store.read(ref.uri)) == about
+    assert read_metadata(store.read(ref.uri)) == about
 
 
 def test_tables_say_so_in_arrows_metadata(store):
-    with making(MADE):
+    with record_provenance(MADE):
         ref = store.put("failures", failures("a"))
     data = store.read(ref.uri)
     schema = pq.read_schema(io.BytesIO(data))
@@ -79,13 +84,13 @@ def test_tables_say_so_in_arrows_metadata(store):
     assert (said["source"], said["licence"]) == ("drawn here", "CC0-1.0")
     for name, column in load_spec("failures").columns.items():
         assert schema.field(name).metadata[b"meaning"].decode() == column.doc
-    assert stated(data)["made"] == SAID
+    assert read_metadata(data)["made"] == SAID
     assert store.get(ref).equals(failures("a"))
 
 
 def test_what_made_a_file_is_no_part_of_its_digest(store, monkeypatch):
     plain = store.put("labels", labels())
-    with making(MADE):
+    with record_provenance(MADE):
         ref = store.put("labels", labels())
         bytes_then = store.read(ref.uri)
         monkeypatch.setattr(
@@ -104,24 +109,24 @@ def test_of_two_works_with_one_result_the_same_is_named_in_any_order():
         store = ArtifactStore(f"memory://{uuid.uuid4().hex}")
         store.put("labels", labels())  # nobody says who
         for made in order:
-            with making(made):
+            with record_provenance(made):
                 ref = store.put("labels", labels())
         store.put("labels", labels())
         left.append(store.read(ref.uri))
     assert left[0] == left[1] == left[2]
-    assert stated(left[0])["made"]["stage"] == "masks"
+    assert read_metadata(left[0])["made"]["stage"] == "masks"
 
 
 def test_what_only_passes_through_was_made_by_others(store):
     digest = arrays_digest(labels())
-    with making(Provenance("a", 1, passed_through={digest})):
+    with record_provenance(Provenance("a", 1, passed_through={digest})):
         ref = store.put("labels", labels())
-        assert "stage" not in stated(store.read(ref.uri))["made"]
-    with making(Provenance("z", 1)):
+        assert "stage" not in read_metadata(store.read(ref.uri))["made"]
+    with record_provenance(Provenance("z", 1)):
         store.put("labels", labels())
-    with making(Provenance("a", 1, passed_through={digest})):
+    with record_provenance(Provenance("a", 1, passed_through={digest})):
         store.put("labels", labels())
-    assert stated(store.read(ref.uri))["made"]["stage"] == "z"
+    assert read_metadata(store.read(ref.uri))["made"]["stage"] == "z"
 
 
 def mute(arrays) -> bytes:
@@ -132,7 +137,7 @@ def mute(arrays) -> bytes:
 
 def test_files_from_before_they_spoke_are_read(store):
     data = mute(labels())
-    assert stated(data) == {}
+    assert read_metadata(data) == {}
     back = decode_arrays(data, load_spec("labels"), "f.npz")
     np.testing.assert_array_equal(back["labels"], labels()["labels"])
     ref = store.put("labels", labels())
@@ -142,9 +147,9 @@ def test_files_from_before_they_spoke_are_read(store):
     pq.write_table(failures("a").replace_schema_metadata(None), buffer)
     assert decode_table(buffer.getvalue(), load_spec("failures"), "f").equals(failures("a"))
     # And made to speak when the same is put again.
-    with making(MADE):
+    with record_provenance(MADE):
         store.put("labels", labels())
-    assert stated(store.read(ref.uri))["made"]["stage"] == "masks"
+    assert read_metadata(store.read(ref.uri))["made"]["stage"] == "masks"
 
 
 @pytest.mark.parametrize(
@@ -153,7 +158,7 @@ def test_files_from_before_they_spoke_are_read(store):
         ("slgaussian/bank@1", "{label}; mend"),
         (
             "slgaussian/labels@{next}",
-            "{label} at most: a later slgaussian wrote it, so install that one, or mend",
+            "at most {label}: a later slgaussian wrote it, so install that version, or mend",
         ),
         ("else's", "{label}; mend"),
     ],
@@ -198,20 +203,20 @@ def test_who_comes_in_between_is_heard(tmp_path, monkeypatch):
 
     def interrupted(self, uri, what="a file"):
         monkeypatch.setattr(ArtifactStore, "read", read)
-        with making(first):
+        with record_provenance(first):
             ArtifactStore(tmp_path / "store").put("labels", labels())
         raise SpecError("nothing")
 
     monkeypatch.setattr(ArtifactStore, "read", interrupted)
-    with making(second):
+    with record_provenance(second):
         ref = store.put("labels", labels())
-    assert stated(store.read(ref.uri))["made"]["stage"] == "a"
+    assert read_metadata(store.read(ref.uri))["made"]["stage"] == "a"
     assert [file.name for file in tmp_path.rglob("*.*")] == [ref.uri.split("/")[-1]]
 
 
 def test_the_same_work_leaves_the_same_bytes_whatever_the_tables_own_metadata():
     spec, table = load_spec("failures"), failures("a", "b")
     named = table.set_column(0, "scene", pa.array(["a", "b"]))
-    with making(MADE):
+    with record_provenance(MADE):
         assert encode_table(named, spec) == encode_table(table, spec)
-        assert json.dumps(statement()) == json.dumps(statement())
+        assert json.dumps(provenance_metadata()) == json.dumps(provenance_metadata())

@@ -13,7 +13,7 @@ from forwarder import Forwarder
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.storage.records import Records
-from slgaussian.storage.store import PART, ArtifactStore
+from slgaussian.storage.store import UPLOAD_PART_BYTES, ArtifactStore
 
 s3fs = pytest.importorskip("s3fs")
 
@@ -72,7 +72,9 @@ store.put("weights", weights(int(sys.argv[2])))
 """
 
 
-@pytest.mark.parametrize("size", [2 * 2**20, 2 * PART + 2**20], ids=["one put", "parts"])
+@pytest.mark.parametrize(
+    "size", [2 * 2**20, 2 * UPLOAD_PART_BYTES + 2**20], ids=["one put", "parts"]
+)
 def test_kill_9_in_the_middle_of_an_upload_leaves_nothing_to_be_seen(
     store, bucket, s3_server, size
 ):
