@@ -21,9 +21,9 @@ from pydantic_core import PydanticCustomError
 
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig
-from slgaussian.components.method import BANK, KEEP, OWN, VOTES
+from slgaussian.components.method import BANK, KEEP, METHOD_FIELDS, VOTES
 from slgaussian.components.method import Method as BuildMethod
-from slgaussian.components.registry import KINDS, brought, find_config
+from slgaussian.components.registry import KINDS, find_config, plugins
 from slgaussian.datasets import FROM_FILES
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.formats.text import read_lines
@@ -230,7 +230,7 @@ class MethodSettings(QueryRules):
     def built_by(self) -> BuildMethod:
         """Method of building a field; InputError if files cannot be read."""
         parts: dict[str, Any] = {kind: self.part(kind) for kind in KINDS}
-        return BuildMethod(**parts, **self.model_dump(include=set(OWN)))
+        return BuildMethod(**parts, **self.model_dump(include=set(METHOD_FIELDS)))
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -244,7 +244,7 @@ class MethodSettings(QueryRules):
 def _brought() -> Iterator[tuple[str, Any]]:
     """Yield table and default config of each component that another package brings."""
     for kind, registered in KINDS.items():
-        for name in brought(registered.group):
+        for name in plugins(registered.group):
             # What is wrong with one is said when it is asked for.
             with suppress(InputError):
                 config = find_config(kind, name)

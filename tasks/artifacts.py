@@ -258,7 +258,7 @@ class Decoded(Mapping[Any, np.ndarray]):
         return _pixels(self.files[key])
 
     def __contains__(self, key: Any) -> bool:
-        return key in self.files  # without decoding it
+        return key in self.files  # does not decode the image
 
     def __iter__(self) -> Iterator[Any]:
         return iter(self.files)

@@ -31,7 +31,7 @@ from slgaussian.storage.remote import explain_error, file_system_errors
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.context import RunContext
-from tasks.scene import known_by, told_of
+from tasks.scene import data_identity, describe_cameras
 from tasks.stage import stage
 
 STAMPS = ("mtime", "LastModified", "last_modified", "ETag", "etag", "created")
@@ -57,7 +57,7 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     fs, path = fsspec.core.url_to_fs(os.fspath(file))
     try:
         stamp = _stamp(fs, path)
-        name = fs.unstrip_protocol(path)  # whole, so that no other folder has the same
+        name = fs.unstrip_protocol(path)  # the absolute path, which is unique
         identity = {"path": name, "stamp": stamp}
         uri = f"digests/{hashlib.sha256(name.encode()).hexdigest()}.json"
         remembered = _remembered(store, uri)
@@ -114,7 +114,7 @@ def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re1
         for clip in re10k.read_chunk(chunk.place):
             if clip.key in clips:
                 raise InputError(
-                    f"{chunk.place}: two clips have the key {clip.key!r}; give them their own"
+                    f"{chunk.place}: two clips have the key {clip.key!r}; give them different keys"
                 )
             clips[clip.key] = clip
         if digest_of(run.store, chunk.place) != chunk.digest:
@@ -176,11 +176,11 @@ class PosedFolder:
         """Return the identity for cache keys: the name, and digests of the files."""
         format, place = recognise(self.path)
         if format == "photographs":  # camera estimation is slow
-            inputs = known_by(datasets.inputs(format, place, ())[0], {}, place)
+            inputs = data_identity(datasets.inputs(format, place, ())[0], {}, place)
         else:
             scene, _ = posed_scene(self.path)
             files = [file for name in scene.cameras for file in scene.sources(name)]
-            inputs = known_by(dict.fromkeys(files), scene.cameras, place)
+            inputs = data_identity(dict.fromkeys(files), scene.cameras, place)
         return {"name": self.name, "format": format, **inputs}
 
     def scene(self) -> Scene:
@@ -208,7 +208,7 @@ class Room:
         return datasets.SOURCES["procedural"]
 
 
-@stage("packed", version=2)  # to be raised too when other cameras are found in photographs
+@stage("packed", version=2)  # increase it also when camera estimation changes
 def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     """Pack the scene of a source as a chunk of one clip: spec ``packed``.
 
@@ -225,7 +225,7 @@ def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     unplaced = scene.found.get("left_out", {})
     bad += [left_out(source.name, InputError(f"{n}: {why}")) for n, why in unplaced.items()]
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)
-    meta = {"cameras": told_of(scene.cameras.values()), "left_out": bad}
+    meta = {"cameras": describe_cameras(scene.cameras.values()), "left_out": bad}
     with record_source(*source.origin()):
         return run.store.put("packed", {"torch": data}, meta)
 

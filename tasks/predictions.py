@@ -1,4 +1,4 @@
-"""Predicted Gaussians of all samples of a chunk, the slow part, which masks do not change."""
+"""Prediction of Gaussians for all samples of a chunk, the slow step, independent of masks."""
 
 from __future__ import annotations
 

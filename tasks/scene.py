@@ -82,7 +82,7 @@ class Photographs:
 
     @cached_property
     def inputs(self) -> dict[str, Any]:
-        """Digests of the data by :func:`known_by`, computed once.
+        """Digests of the data by :func:`data_identity`, computed once.
 
         Raises
         ------
@@ -94,9 +94,11 @@ class Photographs:
     def look(self) -> dict[str, Any]:
         """Compute :attr:`inputs` again."""
         if self.path is None:
-            return known_by([], {}, Path())
+            return data_identity([], {}, Path())
         views = [*self.context, *self.targets]
-        return known_by(*datasets.inputs(self.format, self.path, views, **self.options), self.path)
+        return data_identity(
+            *datasets.inputs(self.format, self.path, views, **self.options), self.path
+        )
 
     def identity(self) -> dict[str, Any]:
         """Return the identity of the sample for cache keys: content, but no locations of files."""
@@ -119,7 +121,7 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=10)  # to be raised too when other cameras are found in photographs
+@stage("ingest", version=10)  # increase it also when camera estimation changes
 def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     """Read the sample of a scene: spec ``sample``.
 
@@ -136,7 +138,7 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     targets = [view.name for view in sample.targets]
     matches = run.store.put("matches", graph.to_arrays())
     meta = {
-        "cameras": told_of(cameras),
+        "cameras": describe_cameras(cameras),
         "left_out": left_out,
         "targets": targets,
         "matches": {"uri": matches.uri, "digest": matches.digest},
@@ -149,7 +151,7 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
         return run.store.put("sample", sample_to_arrays(sample), meta)
 
 
-def told_of(cameras: Iterable[Camera]) -> str:
+def describe_cameras(cameras: Iterable[Camera]) -> str:
     """Describe the origin of cameras: given, or estimated with their confidence."""
     estimates = [camera.estimated for camera in cameras if camera.estimated is not None]
     if not estimates:
@@ -179,7 +181,9 @@ def _same_picture(target: View, view: View) -> bool:
     return float(np.abs(difference).mean()) < COPY
 
 
-def known_by(files: Iterable[Path], cameras: Mapping[str, Camera], path: Path) -> dict[str, Any]:
+def data_identity(
+    files: Iterable[Path], cameras: Mapping[str, Camera], path: Path
+) -> dict[str, Any]:
     """Return the identity of data by content, for a cache key.
 
     Parameters
@@ -280,7 +284,7 @@ def geometry(
     if "matches" in sample.meta:
         stored = ArtifactRef("matches", **sample.meta["matches"])
         graph = MatchGraph.from_arrays(run.store.get(stored))
-    else:  # of a clip
+    else:  # a sample of a clip
         graph = MatchGraph.of(views.context)
     gaussians, quality, depths = predict(views, graph, predictor, seed, trust_cameras)
     gaussians.check()

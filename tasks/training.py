@@ -1,4 +1,4 @@
-"""Train the semantic branch on stored lessons, judge it on others, and report."""
+"""Training of the semantic branch on stored lessons, evaluation on held-out ones, and report."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tasks.stage import stage
 
 
 class StoredLessons(Sequence[Lesson]):
-    """The lessons that a table of spec ``lessons`` lists, each read when it is asked for."""
+    """Lessons of a table of spec ``lessons``, read from the store on access."""
 
     def __init__(self, store: ArtifactStore, table: pa.Table) -> None:
         self.store = store
@@ -47,13 +47,13 @@ class StoredLessons(Sequence[Lesson]):
 
 
 def branch_to_arrays(branch: Branch) -> Arrays:
-    """A branch as spec ``weights``."""
+    """Convert a branch to spec ``weights``."""
     return {"safetensors": np.frombuffer(save_branch(branch), np.uint8)}
 
 
 def branch_from_arrays(arrays: Arrays) -> Branch:
     """Inverse of :func:`branch_to_arrays`."""
-    # Read through a file, as what is given by hand is: metadata come from files alone.
+    # Written to a file first, because the loader reads safetensors metadata only from files.
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "branch.safetensors"
         file.write_bytes(arrays["safetensors"].tobytes())
@@ -68,11 +68,10 @@ def train(
     settings: TrainingSettings,
     checkpoints: Path,
 ) -> ArtifactRef:
-    """Weights of the semantic branch: spec ``weights``.
+    """Train the semantic branch: spec ``weights``.
 
-    ``start`` are weights to begin from. ``checkpoints`` is a local folder in which an interrupted
-    training of this very key goes on.
-    ``meta["metrics"]`` is the place of the metrics in the store.
+    ``start`` are the initial weights. An interrupted training with the same cache key is resumed
+    from the local folder ``checkpoints``. ``meta["metrics"]`` locates the metrics in the store.
     """
 
     def tell(progress: Progress) -> None:
@@ -98,7 +97,7 @@ def train(
 
 
 LABELS = ("as found", "corrupted")
-"""What liftings are shown."""
+"""Kinds of context labels on which liftings are evaluated."""
 
 
 @stage("judge", version=3)
@@ -110,7 +109,7 @@ def judge(
     codes: str,
     seed: int,
 ) -> ArtifactRef:
-    """Scores of the branch, of the weights ``before`` it and of controls: spec ``judgements``."""
+    """Score the branch, the weights ``before`` it and the baselines: spec ``judgements``."""
     store = run.store
     stored = StoredLessons(store, store.get(lessons))
     lifts = liftings(store, branch, before)
@@ -130,7 +129,7 @@ def judge(
 def liftings(
     store: ArtifactStore, branch: ArtifactRef, before: ArtifactRef | None
 ) -> dict[str, Lifting]:
-    """A branch and, if it began from other weights, those; and the controls."""
+    """Return the trained branch, the weights ``before`` it if any, and the baselines."""
     refs = {"before": before, "branch": branch}
     trained = {
         name: branch_from_arrays(store.get(ref)) for name, ref in refs.items() if ref is not None
@@ -140,14 +139,14 @@ def liftings(
 
 
 def labels_of(lesson: Lesson, kind: str, seed: int) -> np.ndarray:
-    """Labels of the context views of a kind of :data:`LABELS`, int32 [V, H, W]."""
+    """Return the context labels of a kind of :data:`LABELS`, int32 [V, H, W]."""
     if kind == "as found":
         return lesson.labels
     return corrupt(lesson.labels, rng_for(seed, lesson.content, "corrupted"))
 
 
 SHOWN = "corrupted"
-"""The kind of labels in the pictures: as found, liftings hardly differ to the eye."""
+"""Labels in the pictures: with uncorrupted labels the liftings look almost the same."""
 
 
 @stage("training_report", version=5)
@@ -160,9 +159,9 @@ def training_report(
     seed: int,
     manifest: Mapping[str, Any],
 ) -> ArtifactRef:
-    """The page of a training: spec ``report``.
+    """Write the report of a training: spec ``report``.
 
-    ``lessons`` are those held out, and ``codes`` and ``seed`` those of the judgements.
+    ``lessons`` are the held-out ones, ``codes`` and ``seed`` those of the judgements.
     """
     store = run.store
     rows = store.get(judgements)
@@ -183,7 +182,7 @@ def _examples(
     codes: str,
     seed: int,
 ) -> list[Example]:
-    """The lessons of the greatest, middle and least gain over no branch."""
+    """Choose the lessons with the largest, median and smallest gain over lifting ``hard``."""
     ious: dict[str, dict[str, float]] = {}
     for row in judgements.to_pylist():
         by_object = ious.setdefault(row["sample"], {})

@@ -163,5 +163,5 @@ def test_files_of_two_fields_are_not_mixed(field, tmp_path):
     moved = replace(field.gaussians, means=field.gaussians.means + 1)
     replace(field, gaussians=moved).save(tmp_path / "other")
     shutil.copy(tmp_path / "other" / "gaussians.npz", tmp_path / "field")
-    with pytest.raises(SpecError, match=r"gaussians\.npz: digest: .*of another field"):
+    with pytest.raises(SpecError, match=r"gaussians\.npz: digest: .*another field"):
         SemanticField.load(tmp_path / "field")

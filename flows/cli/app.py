@@ -73,7 +73,7 @@ def main() -> None:
         return Waiting(sys.stderr)
 
     try:
-        with compiling.told_to(lambda text: waiting()(text)):
+        with compiling.report_to(lambda text: waiting()(text)):
             status = app(prog_name="slgaussian", standalone_mode=False)
     except TyperException as error:
         typer.echo(f"error: {usage_sentence(error)}", err=True)

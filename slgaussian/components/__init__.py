@@ -1,1 +1,1 @@
-"""Components of the method: found by name, configured, loaded, known by what they depend on."""
+"""Components of the method: registry, configs, loading, identity by settings and file contents."""

@@ -11,7 +11,7 @@ from slgaussian.errors import InputError
 
 
 def list_components() -> str:
-    """Return every component of every kind with its fields, or its problem, as Markdown."""
+    """Return all components with their fields, or their import error, as Markdown."""
     text = []
     for kind, group in KINDS.items():
         text.append(f"## {kind.capitalize()}\n\n{group.help}")

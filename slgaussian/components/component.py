@@ -1,4 +1,4 @@
-"""A component of the method, with the values of all its fields."""
+"""A configured component of the method."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from slgaussian.io import CHANGED, KnownFile
 
 @dataclass(frozen=True)
 class Component:
-    """A component with its values, as its results depend on them; cheap to pass on and to pickle.
+    """A component with all settings that its results depend on; small and picklable.
 
     Attributes
     ----------
     kind : str
         One of :data:`slgaussian.components.registry.KINDS`.
     name : str
-        By which the registry knows it.
+        Name in the registry.
     settings : mapping
-        All fields of its config, those left out with their defaults, and what else was given for
-        its implementation. A file, folder or model is a :class:`slgaussian.io.KnownFile`.
+        All fields of its config, including defaults, and other arguments of its implementation.
+        Files, folders and models are :class:`slgaussian.io.KnownFile`.
     """
 
     kind: str
@@ -34,13 +34,13 @@ class Component:
 
     @staticmethod
     def of(kind: str, name: str, values: Mapping[str, Any] | None = None) -> Component:
-        """Return the component with these values, files among them by place.
+        """Return the component with these field values; files are given by their places.
 
         Raises
         ------
         InputError
-            If there is no such component, it has no such field, a value does not fit, a file cannot
-            be read or a value cannot be written down.
+            If the component or a field is unknown, a value is invalid or not JSON-serialisable, or
+            a file cannot be read.
         """
         config, values = find_config(kind, name), values or {}
         beside = _fields_beside(config, values)
@@ -51,7 +51,7 @@ class Component:
                 try:
                     settings[key] = KnownFile.at(settings[key], file.digest)
                 except (OSError, InputError) as error:
-                    checked.load()  # which knows better what is wrong with its file
+                    checked.load()  # its error message is more specific
                     raise InputError(f"{name} {key} {settings[key]}: {error}") from error
         component = Component(kind, name, settings)
         try:
@@ -64,31 +64,31 @@ class Component:
     def stored(
         kind: str, identity: Mapping[str, Any], places: Mapping[str, str] | None = None
     ) -> Component:
-        """Return the component of a kind that an artifact or a cache key names.
+        """Return the component of a kind from the identity in an artifact or cache key.
 
         Parameters
         ----------
         kind : str
         identity : mapping
-            Of a whole method, as :meth:`slgaussian.components.method.Method.identity` gives it, or
-            of some of its components: ``{"encoder": "clip", "clip": {"model": digest}}``.
+            Identity of a method (:meth:`slgaussian.components.method.Method.identity`), or of some
+            of its components: ``{"encoder": "clip", "clip": {"model": digest}}``.
         places : {field: place}, optional
-            Where its files are. One of which no digest is known may be any.
+            Locations of its files. The content of a file without a stored digest is not checked.
 
         Raises
         ------
         InputError
-            If there is no such component, or it has no such field.
+            If the component or a field is unknown.
         """
         name, places = identity[kind], places or {}
         config = find_config(kind, name)
-        # What is no field any more and was not set never mattered.
+        # Fields that were removed from the config and had no value had no effect.
         stored = identity.get(name, {}).items()
         settings = {key: v for key, v in stored if v is not None or key in config.model_fields}
         keys = {**settings, **places}
         unknown = keys.keys() - config.model_fields.keys() - set(_fields_beside(config, keys))
         if unknown:
-            config(**dict.fromkeys(unknown))  # which refuses them
+            config(**dict.fromkeys(unknown))  # raises InputError
         for key in config.files():
             place, digest = places.get(key), settings.get(key)
             if not place is digest is None:
@@ -97,22 +97,22 @@ class Component:
 
     @property
     def implementation(self) -> Any:
-        """The class or function that the name stands for."""
+        """The class or function registered under the name."""
         return find_config(self.kind, self.name).implementation()
 
     def identity(self) -> dict[str, Any]:
-        """Return the settings as artifacts and cache keys hold them: plain, files by content."""
+        """Return the settings for artifacts and cache keys: plain data, files by digest."""
         return {
             key: value.digest if isinstance(value, KnownFile) else value
             for key, value in self.settings.items()
         }
 
     def places(self) -> dict[str, str]:
-        """Return where its files are, by field."""
+        """Return the locations of its files, by field."""
         return {key: known_file.place for key, known_file in self.files.items() if known_file.place}
 
     def values(self, otherwise: str = CHANGED) -> dict[str, Any]:
-        """Return the settings, files by place; InputError as :meth:`load`."""
+        """Return the settings, with files as places; InputError as in :meth:`load`."""
         marks = find_config(self.kind, self.name).files()
         places = {
             key: known_file.checked(key, marks[key].digest, otherwise)
@@ -121,13 +121,12 @@ class Component:
         return {**self.settings, **places}
 
     def load(self, otherwise: str = CHANGED) -> Any:
-        """Return the component, ready to work.
+        """Load the component.
 
         Raises
         ------
         InputError
-            If a file is no longer the one that is known, of which ``otherwise`` is said; or as the
-            component does.
+            If the content of a file has changed, with message ``otherwise``; or by the component.
         """
         return self.implementation(**self.values(otherwise))
 
@@ -138,7 +137,7 @@ class Component:
 
 
 def _fields_beside(config: type[ComponentConfig], keys: Iterable[str]) -> list[str]:
-    """Of some keys those that the implementation takes and the config has not, as a device."""
+    """Return the keys that only the implementation accepts, not the config, such as a device."""
     unknown = [key for key in keys if key not in config.model_fields]
     accepted = getattr(config.implementation(), "model_fields", {}) if unknown else {}
     return [key for key in unknown if key in accepted]

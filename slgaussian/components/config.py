@@ -1,6 +1,7 @@
-"""The config of a component: its fields, declared once, in a module that imports nothing heavy.
+"""Base class of component configs, which declare the fields of a component once.
 
-Command line, configuration files, JSON schema, cache identity and documentation are made from it.
+Command line, configuration files, JSON schema, cache identity and documentation are derived from
+a config. The modules of configs must not import large packages.
 """
 
 from __future__ import annotations
@@ -18,35 +19,35 @@ from slgaussian.io import Digest
 
 @dataclass(frozen=True)
 class File:
-    """Mark of a field whose value is the place of a file, folder or model.
+    """Marker of a field whose value is the location of a file, folder or model.
 
-    Annotated as ``Path`` the value is a path; as ``str | Path``, it may also be a name, as on the
-    Hugging Face hub.
+    With the annotation ``Path`` the value is a path; with ``str | Path``, it may also be a name on
+    the Hugging Face hub.
 
     Attributes
     ----------
     digest : callable
-        Computes of a place the SHA-256, hexadecimal, by which artifacts and cache keys know it.
+        Computes the SHA-256, hexadecimal, that identifies the content in artifacts and cache keys.
     """
 
     digest: Digest
 
 
 class ComponentConfig(BaseModel):
-    """Base of configs. Keyword ``title`` of a subclass: name of the component, for messages.
+    """Base class of configs. Class keyword ``title``: name of the component, for messages.
 
     Attributes
     ----------
     target : str or callable, optional
-        The implementation, as ``"package.module:name"`` or itself, which takes the fields by
-        keyword; a subclass without one implements the component itself.
+        The implementation, an object or ``"package.module:name"``, which is called with the fields
+        as keyword arguments. A subclass without a target implements the component itself.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     target: ClassVar[str | Callable[..., Any] | None] = None
 
     def __init__(self, **values: Any) -> None:
-        """Raise InputError, one sentence, if a field is unknown or a value does not fit."""
+        """Validate the values; InputError if a field is unknown or a value is invalid."""
         try:
             super().__init__(**values)
         except ValidationError as error:
@@ -54,32 +55,32 @@ class ComponentConfig(BaseModel):
 
     @classmethod
     def files(cls) -> dict[str, File]:
-        """Return the marks of the fields that are files, folders or models, by name."""
+        """Return the markers of the fields that are files, folders or models, by name."""
         return {
-            name: mark
+            name: marker
             for name, field in cls.model_fields.items()
-            for mark in field.metadata
-            if isinstance(mark, File)
+            for marker in field.metadata
+            if isinstance(marker, File)
         }
 
     @classmethod
     def takes_name(cls, field: str) -> bool:
-        """Return whether a field that is a file may also be a name, as on the Hugging Face hub."""
+        """Return whether a field for a file also accepts a name on the Hugging Face hub."""
         return str in get_args(cls.model_fields[field].annotation)
 
     @classmethod
     def implementation(cls) -> Any:
-        """Import the class or function of the component."""
+        """Import and return the class or function of the component."""
         target = cls.target or cls
         return pkgutil.resolve_name(target) if isinstance(target, str) else target
 
     def load(self) -> Any:
-        """Return the component, ready to work; raises as its implementation does."""
+        """Load the component; raises as its implementation."""
         return self if self.target is None else self.implementation()(**dict(self))
 
 
 def expected(config: type[ComponentConfig], name: str) -> str:
-    """Describe the values that a field takes: ``"a whole number from 1 to 3 or 'auto'"``."""
+    """Describe the values that a field accepts: ``"a whole number from 1 to 3 or 'auto'"``."""
     options = _options(config, name)
     is_place = any(option.get("format") == "path" for option in options)
     words = [_words(option, "a name" if is_place else "text") for option in options]
@@ -87,7 +88,7 @@ def expected(config: type[ComponentConfig], name: str) -> str:
 
 
 def _options(config: type[ComponentConfig], name: str) -> list[dict[str, Any]]:
-    """Return the JSON schemas of which a value fits one, but for null and what no file can hold."""
+    """Return the alternative JSON schemas of a field, without null and types of Python only."""
     schema = config.model_json_schema()["properties"][name]
     options = schema.get("anyOf", [schema])
     return [option for option in options if option.get("type") != "null" and "$ref" not in option]
@@ -108,7 +109,7 @@ def _words(schema: Mapping[str, Any], text: str) -> str:
 
 
 def _sentence(error: ValidationError, config: type[ComponentConfig]) -> str:
-    # A misspelt key leaves another one missing; it is the cause, so it goes first.
+    # A misspelt key also causes a missing key; report the misspelt one.
     first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     title = config.model_config.get("title") or config.__name__.lower()
     name = str(first["loc"][0]) if first["loc"] else ""
@@ -116,7 +117,7 @@ def _sentence(error: ValidationError, config: type[ComponentConfig]) -> str:
         fields = config.model_fields
         near = did_you_mean(name, fields) or f"; the keys are {', '.join(fields) or 'none'}"
         return f"unknown key '{title}.{name}'{near}"
-    if "error" in first.get("ctx", {}):  # of a validator of its own
+    if "error" in first.get("ctx", {}):  # by a custom validator
         return f"{title} {name}: ".replace(" :", ":") + str(first["ctx"]["error"])
     if first["type"] == "missing":
         return f"{title} {name}: is missing, expected {expected(config, name)}"

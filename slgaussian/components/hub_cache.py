@@ -1,4 +1,4 @@
-"""The Hugging Face hub's cache on this machine: what it holds, without asking the network."""
+"""Local cache of the Hugging Face hub, read without network access."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from slgaussian.extras import install_line
 
 
 def is_hub_name(place: str | Path) -> bool:
-    """Return whether a place can be a name on the hub, OWNER/NAME."""
+    """Return whether a place has the form of a name on the hub, OWNER/NAME."""
     return str(place).count("/") == 1 and not str(place).startswith((".", "~", "/"))
 
 
 def hub_download(place: str) -> Callable[..., str]:
-    """Return the function that downloads a name; InputError if it is not installed."""
+    """Return huggingface_hub's download function; InputError if it is not installed."""
     try:
         from huggingface_hub import snapshot_download
     except ImportError as problem:
@@ -27,7 +27,7 @@ def hub_download(place: str) -> Callable[..., str]:
 
 
 def local_place(place: str | Path) -> str:
-    """Return the place of a model or tokenizer on this machine.
+    """Return the local path of a model or tokenizer.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ def local_place(place: str | Path) -> str:
     Returns
     -------
     str
-        The folder in the hub's cache of a name, which its revision ``main`` stands for; any other
-        place as it is.
+        For a name, the folder of its revision ``main`` in the hub's cache; any other place is
+        returned unchanged.
 
     Raises
     ------
     InputError
-        If the cache does not hold the name.
+        If the name is not in the cache.
     """
     name = str(place)
     if Path(name).exists() or not is_hub_name(name):

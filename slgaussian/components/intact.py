@@ -1,4 +1,4 @@
-"""Check the files of a component: by the hub's digest of them, or by loading and trying them."""
+"""Checks of a component's files, by the hub's digests or by loading and testing the component."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ AGAIN = "get it again"
 
 
 def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
-    """Check the files of a component, and download nothing.
+    """Check the files of a component without downloading anything.
 
-    Files are compared with those that the hub knows, where its cache keeps them. Models are loaded,
-    by which their configuration, names and shapes are compared; then neither their weights nor what
-    they make of one grey image may be NaN or infinite, and they are asked what is known
+    Files in the hub's cache are compared with the hub's digests. Models are loaded, which checks
+    their configuration and the names and shapes of tensors. Their weights and their outputs for a
+    grey image must be finite, and they are tested on pictures with known answers
     (:mod:`slgaussian.components.known_answers`).
 
     Parameters
     ----------
     kind, name : str
-        As :func:`slgaussian.components.registry.find_config` takes them.
+        Arguments of :func:`slgaussian.components.registry.find_config`.
     values : mapping
         Fields of the component.
 
     Returns
     -------
     str
-        A sentence about the files; empty of a component that has none.
+        A sentence about the files; empty for a component without files.
 
     Raises
     ------
@@ -66,12 +66,12 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
 
 
 def is_of_hub(file: Path) -> bool:
-    """Return whether the hub's cache keeps a file under its SHA-256.
+    """Return whether a file is in the hub's cache and its content has the cached SHA-256.
 
     Raises
     ------
     InputError
-        If it is kept under another one, or cannot be read.
+        If its content has another SHA-256, or it cannot be read.
     """
     stored = file.resolve()
     if not SHA256.fullmatch(stored.name):
@@ -90,9 +90,9 @@ def is_of_hub(file: Path) -> bool:
 
 
 def check_numbers(part: Any, source: str) -> None:
-    """Raise InputError if weights of a loaded part, or what it makes of an image, are no numbers.
+    """Raise InputError if weights or outputs of a loaded component are NaN or infinite.
 
-    Encoders and proposers are asked about one grey image; other parts have their weights checked.
+    Outputs are those of encoders and proposers for one grey image.
     """
     network = getattr(part, "network", None)
     if network is None:

@@ -1,7 +1,7 @@
-"""Known answers of models on pictures that come with scikit-image: whether weights are trained.
+"""Tests of models on pictures of scikit-image with known answers, to detect untrained weights.
 
-Random weights have hardly any right. No published weights have been asked here, so a component is
-not refused for its answers.
+Random weights have hardly any answer right. The tests have not been run with published weights, so
+a component is not refused for its answers.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ PICTURES = {
     "rocket": "a photo of a rocket",
     "astronaut": "a photo of an astronaut",
 }
-"""Pictures of scikit-image, and what each shows."""
+"""Captions of pictures of scikit-image."""
 
 ALIKE = 0.7
-"""IoU from which a mask of a coin is right."""
+"""Smallest IoU of a correct mask of a coin."""
 
 SHIFT = 6
-"""Columns by which coins move from one frame to the next."""
+"""Displacement of the coins between frames, in pixels to the right."""
 
 
 def name_pictures(encoder: Any) -> str:
-    """Count the :data:`PICTURES` whose own text fits better than the others."""
+    """Count the :data:`PICTURES` whose caption is the most similar of all captions."""
     texts, right = encoder.encode_text(list(PICTURES.values())), 0
     for number, name in enumerate(PICTURES):
         image = getattr(skimage.data, name)()
@@ -41,7 +41,7 @@ def name_pictures(encoder: Any) -> str:
 
 
 def find_coins(proposer: Any) -> str:
-    """Count the coins of which a prompt at the middle gives the mask."""
+    """Count the coins whose mask results from a point prompt at the centre."""
     import torch
 
     image, coins = coin_picture()
@@ -57,7 +57,7 @@ def find_coins(proposer: Any) -> str:
 
 
 def follow_coins(tracker: Any) -> str:
-    """Count the coins that are found again, a little to the right."""
+    """Count the coins that are tracked correctly to a shifted frame."""
     from slgaussian.geometry import SeenView
     from slgaussian.scene import Camera, View
 
@@ -92,7 +92,7 @@ KNOWN: dict[str, Callable[[Any], str]] = {
     "tracker": follow_coins,
     "predictor": order_depths,
 }
-"""What is asked of a component with pretrained weights, by its kind."""
+"""Test of components with pretrained weights, by kind."""
 
 
 def coin_picture() -> tuple[np.ndarray, np.ndarray]:

@@ -1,4 +1,4 @@
-"""The whole method: a component of every kind, and the fields that they share."""
+"""The method: a component of every kind, and common fields."""
 
 from __future__ import annotations
 
@@ -11,49 +11,49 @@ from slgaussian.components.registry import KINDS
 from slgaussian.errors import InputError, did_you_mean
 
 KEEP = ("needed", "all")
-"""Gaussians that a field keeps: those that the scene needs, or all that were predicted."""
+"""Gaussians of a field: merged where neighbours are similar, or all predicted Gaussians."""
 
 BANK = ("groups", "objects")
-"""Contents of a memory bank: objects and the groups that a word may mean as one, or, as in the
+"""Entries of a memory bank: objects and groups of objects that a word may denote, or, as in the
 paper, objects alone."""
 
 VOTES = ("views", "copies")
-"""Who votes on label maps: copies of a view that differ, and then all views on what is one object;
-or, as in the paper, all copies of each view and nobody else."""
+"""Voting on label maps: distinct copies of a view vote per pixel, then all views vote on which
+regions are one object; or, as in the paper, all copies of each view vote and nothing else."""
 
-OWN = ("replicas", "votes", "seed", "keep", "bank")
-"""The fields of the method that belong to no component."""
+METHOD_FIELDS = ("replicas", "votes", "seed", "keep", "bank")
+"""Fields of the method that belong to no component."""
 
 
 @dataclass(frozen=True, init=False)
 class Method:
-    """The method by which a field is built.
+    """Configuration of all steps that build a field.
 
     Parameters
     ----------
     predictor, proposer, tracker, encoder, codes, lifting : str or Component
-        The component of each kind, by its name or with its fields.
+        The component of each kind: its name, or a configured component.
     replicas : int
-        How many copies of each view vote on its labels (five in the paper, section 3.2).
+        Number of copies of each view that vote on its labels (five in the paper, section 3.2).
     votes : "views" or "copies"
-        Who votes besides; see :func:`slgaussian.masks.associate.associate`.
+        Voters on labels; see :func:`slgaussian.masks.associate.associate`.
     seed : int
-        Of everything random: ID codes, and what components of other packages draw. The same seed
-        gives the same bytes, whatever scene and views are called.
+        Seed of all random numbers: ID codes, and those of components of other packages. The same
+        seed gives the same bytes, independent of the names of scene and views.
     keep : "needed" or "all"
-        Whether even neighbours become larger Gaussians (:mod:`slgaussian.rasterize.merging`), or
-        the field has all that were predicted, in the paper one a pixel.
+        Whether similar neighbours are merged (:mod:`slgaussian.rasterize.merging`), or the field
+        has all predicted Gaussians, in the paper one per pixel.
     bank : "groups" or "objects"
-        Whether the memory bank holds groups of objects too (:mod:`slgaussian.masks.levels`), and a
-        text is scored on both, or, as in the paper, objects alone and the best of their views.
+        Whether the memory bank also has groups of objects (:mod:`slgaussian.masks.levels`), and
+        texts are scored on both; or, as in the paper, only objects, each by its best view.
     settings : mapping, optional
-        Fields of the components that are given by name, each under its name:
+        Fields of components that are given by name, by this name:
         ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
 
     Raises
     ------
     InputError
-        If there is no such component or field, or a file cannot be read.
+        If a component or field is unknown, or a file cannot be read.
     """
 
     predictor: Component
@@ -87,11 +87,11 @@ class Method:
         fields = dict(settings or {})
         for name in fields:
             if name not in [choice for choice in chosen if isinstance(choice, str)]:
-                takers = (choice if isinstance(choice, str) else choice.name for choice in chosen)
+                names = (choice if isinstance(choice, str) else choice.name for choice in chosen)
                 raise InputError(
-                    f"settings: found some of {name!r}, expected none but those of the predictor, "
+                    f"settings: found some of {name!r}, expected only those of the predictor, "
                     "proposer, tracker, encoder, codes and lifting, which are "
-                    f"{', '.join(map(repr, takers))}"
+                    f"{', '.join(map(repr, names))}"
                 )
         for kind, choice in zip(KINDS, chosen, strict=True):
             if isinstance(choice, Component):
@@ -104,32 +104,32 @@ class Method:
             if text not in choices:
                 near = did_you_mean(text, choices)
                 raise InputError(f"{name}: found {text!r}, expected {' or '.join(choices)}{near}")
-        for name, value in zip(OWN, (replicas, votes, seed, keep, bank), strict=True):
+        for name, value in zip(METHOD_FIELDS, (replicas, votes, seed, keep, bank), strict=True):
             object.__setattr__(self, name, value)
 
     @property
     def components(self) -> tuple[Component, ...]:
-        """The components, in the order in which they work."""
+        """The components, in the order in which they are used."""
         return tuple(getattr(self, kind) for kind in KINDS)
 
     def identity(self) -> dict[str, Any]:
-        """Return what a field depends on besides the sample, as cache keys and artifacts hold it.
+        """Return all inputs of a field except the sample, for cache keys and artifacts.
 
-        The name of each component, the fields of :data:`OWN`, and under a component's name its
-        fields, files by content; of a component without fields nothing.
+        The name of each component by kind, the :data:`METHOD_FIELDS`, and the fields of each
+        component by its name, files by digest.
         """
         named = {component.kind: component.name for component in self.components}
         tables = {each.name: each.identity() for each in self.components if each.settings}
-        shared = {name: getattr(self, name) for name in OWN}
+        shared = {name: getattr(self, name) for name in METHOD_FIELDS}
         return {**named, **shared, **tables}
 
     def check(self) -> None:
-        """Load every component once, so that an error comes before any has worked.
+        """Load every component once, to detect errors before the work.
 
         Raises
         ------
         InputError
-            If a value is out of bounds, or files do not fit.
+            If a value is out of bounds, or files are invalid.
         """
         for component in self.components:
             component.load()

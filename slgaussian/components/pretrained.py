@@ -1,10 +1,10 @@
-"""Models of ``transformers``: found in a folder or the hub's cache, known by content, loaded whole.
+"""Loading of ``transformers`` models from folders or the hub's cache, and their digests.
 
 A model is a folder with ``config.json`` and ``model.safetensors`` (or the parts that
-``model.safetensors.index.json`` lists), as ``save_pretrained`` writes it, or the name of one on
-the Hugging Face hub. Where a component converts them, it may also be a checkpoint of open_clip:
-a file, or a folder or name on the hub with one of :data:`OPEN_CLIP_WEIGHTS`. Other formats could
-run code, so they are not read.
+``model.safetensors.index.json`` lists), as written by ``save_pretrained``, or the name of such a
+model on the Hugging Face hub. If the component has a converter, it may also be a checkpoint of
+open_clip: a file, or a folder or name on the hub with one of :data:`OPEN_CLIP_WEIGHTS`. Other
+formats are not read because they may execute code.
 """
 
 from __future__ import annotations
@@ -36,25 +36,25 @@ TOKENIZER = (
     "special_tokens_map.json",
     "added_tokens.json",
 )
-"""Files of tokenizers that ``transformers`` reads where they are there."""
+"""Files of tokenizers that ``transformers`` reads if present."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """The models that a component can use.
+    """The models that a component supports.
 
     Attributes
     ----------
     part : str
         Name of the component, for messages.
     class_name : str
-        Class of ``transformers`` that they are loaded as.
+        Class of ``transformers`` to load.
     types : tuple of str
-        Values of ``model_type`` in ``config.json`` that fit.
+        Supported values of ``model_type`` in ``config.json``.
     example : str
         A name on the hub.
     convert : callable, optional
-        Makes the network of a checkpoint of open_clip, for components that can use one.
+        Converts a checkpoint of open_clip to the network, if the component supports that.
     """
 
     part: str
@@ -65,25 +65,24 @@ class Family:
 
 
 def load_pretrained(model: str | Path | None, family: Family, device: str = "auto") -> Any:
-    """Load a model in float32, ready to infer, without gradients.
+    """Load a model in float32 for inference, without gradients.
 
     The same content on the same device is loaded once and shared: do not change it.
 
     Parameters
     ----------
     model : path or str
-        Folder, name on the hub, or where the family has a converter, a checkpoint of open_clip.
-        What the hub's cache holds is not asked for again.
+        Folder, name on the hub, or if the family has a converter, a checkpoint of open_clip. Files
+        in the hub's cache are used without asking the hub.
     family : Family
     device : str
-        As PyTorch names it; "auto" is "cuda" where there is one, else "cpu".
+        PyTorch device; "auto" is "cuda" if available, else "cpu".
 
     Raises
     ------
     InputError
-        If ``transformers`` is not installed, there is no such model, it is of another
-        architecture, its files are damaged, tensors are missing or of another shape, or the device
-        cannot be used.
+        If ``transformers`` is not installed, the model is missing or of another architecture, its
+        files are damaged, tensors are missing or have other shapes, or the device cannot be used.
     """
     part = family.part
     try:
@@ -111,12 +110,12 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
             f"model {model}: is a file, or of open_clip; {part} expected a folder with {CONFIG} "
             f"and {WEIGHTS}, or a name on the hub, such as {family.example}"
         )
-    return _loaded(model_files, model_digest(model), family, chosen_device(device))
+    return _loaded(model_files, model_digest(model), family, resolve_device(device))
 
 
 @lru_cache(maxsize=4)
 def _loaded(model_files: ModelFiles, digest: str, family: Family, device: str) -> Any:
-    """The model of :func:`load_pretrained`; a few are kept, as a run uses for all its scenes."""
+    """Load the model of :func:`load_pretrained`; cached, as all scenes of a run use the same."""
     if model_files.checkpoint is None or family.convert is None:
         loaded = _load_folder(model_files.folder, family)
     else:
@@ -129,20 +128,20 @@ def _loaded(model_files: ModelFiles, digest: str, family: Family, device: str) -
 
 
 def load_tokenizer(place: str | Path, class_name: str) -> Any:
-    """Load the tokenizer of a class of ``transformers``, found by :func:`find_tokenizer`.
+    """Load a tokenizer of a ``transformers`` class, located by :func:`find_tokenizer`.
 
     Raises
     ------
     InputError
-        If there is none, or it cannot be read.
+        If it is missing or cannot be read.
     """
     import transformers
 
     folder = find_tokenizer(place)
     try:
-        with quiet():
+        with quiet_transformers():
             return getattr(transformers, class_name).from_pretrained(folder, local_files_only=True)
-    except Exception as problem:  # it raises what its parsers raise, of any kind
+    except Exception as problem:  # its parsers raise errors of any type
         reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise InputError(
             f"tokenizer {folder}: cannot be loaded as {class_name} ({reason}); get it again"
@@ -154,7 +153,7 @@ def _load_folder(folder: Path, family: Family) -> Any:
     import transformers
 
     try:
-        with quiet():
+        with quiet_transformers():
             loaded, report = getattr(transformers, family.class_name).from_pretrained(
                 folder,
                 local_files_only=True,
@@ -162,7 +161,7 @@ def _load_folder(folder: Path, family: Family) -> Any:
                 dtype=torch.float32,
                 output_loading_info=True,
             )
-    except Exception as problem:  # it raises what its layers raise, of any kind
+    except Exception as problem:  # its layers raise errors of any type
         reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise InputError(
             f"model {folder}: cannot be loaded as {family.class_name} ({reason}); get it again, "
@@ -177,8 +176,8 @@ def _load_folder(folder: Path, family: Family) -> Any:
     return loaded
 
 
-def chosen_device(device: str) -> str:
-    """Return the device itself, or for "auto" the best one."""
+def resolve_device(device: str) -> str:
+    """Return the device itself, or for "auto" the fastest available one."""
     if device != "auto":
         return device
     import torch
@@ -193,11 +192,11 @@ class ModelFiles:
     Attributes
     ----------
     folder : Path
-        Where it is, and with it what else belongs to it, such as a tokenizer.
+        Folder of the model and of its other files, such as a tokenizer.
     files : tuple of Path
         Configuration and weights.
     checkpoint : Path or None
-        The weights, if they are open_clip's, which is the last of ``files`` then.
+        The last of ``files`` if it is a checkpoint of open_clip.
     """
 
     folder: Path
@@ -206,13 +205,13 @@ class ModelFiles:
 
 
 def find_model(model: str | Path) -> ModelFiles:
-    """Find the files of a model, downloaded to the hub's cache if it is a name not there yet.
+    """Find the files of a model; download a name that is not in the hub's cache.
 
     Raises
     ------
     InputError
-        If there is no such folder, file or name, the hub cannot be reached, or the folder holds no
-        model.
+        If there is no such folder, file or name, the hub cannot be reached, or the folder contains
+        no model.
     """
     path = Path(model)
     if path.is_dir():
@@ -229,12 +228,12 @@ def find_model(model: str | Path) -> ModelFiles:
 
 
 def find_tokenizer(place: str | Path) -> Path:
-    """Find a tokenizer: a folder, or a name on the hub, with any of :data:`TOKENIZER`.
+    """Find the folder of a tokenizer, given as a folder or name on the hub.
 
     Raises
     ------
     InputError
-        If there is none, or the hub cannot be reached.
+        If its files are missing, or the hub cannot be reached.
     """
     if Path(place).is_dir():
         _tokenizer_files(Path(place))
@@ -250,7 +249,7 @@ def _from_hub(
     expected: str,
     check: Callable[[Path], object],
 ) -> Path:
-    """The hub's cached folder of a name; the first of the ``wanted`` files that pass the check."""
+    """Return the hub's cached folder of a name, downloading the first of ``wanted`` that passes."""
     name = str(name)
     if not is_hub_name(name):
         raise InputError(
@@ -280,18 +279,18 @@ def _from_hub(
 
 
 def model_digest(model: str | Path) -> str:
-    """Compute the SHA-256 of a model, hexadecimal, over its configuration and weights.
+    """Compute the SHA-256 of a model, hexadecimal.
 
-    And over the files beside them that say how images and texts are brought to it.
+    It covers configuration, weights, and the settings of image preprocessor and tokenizer.
 
     Raises
     ------
     InputError
-        As :func:`find_model`.
+        As in :func:`find_model`.
     """
     model_files = find_model(model)
     beside = [model_files.folder / name for name in (PREPROCESSOR, *TOKENIZER)]
-    # The name of a checkpoint is the user's own.
+    # A checkpoint may have any file name.
     named = {
         "checkpoint" if file == model_files.checkpoint else file.name: file
         for file in model_files.files
@@ -302,7 +301,7 @@ def model_digest(model: str | Path) -> str:
 def tokenizer_digest(place: str | Path) -> str:
     """Compute the SHA-256 of a tokenizer, hexadecimal; InputError as in :func:`find_tokenizer`.
 
-    Only its own files count, whatever else the folder holds.
+    Other files in the folder have no effect.
     """
     return _digest({file.name: file for file in _tokenizer_files(find_tokenizer(place))})
 
@@ -325,7 +324,7 @@ def _tokenizer_files(folder: Path) -> list[Path]:
 
 
 def _files_of_model(folder: Path) -> ModelFiles:
-    """The files of the model in a folder; InputError if one is missing."""
+    """Find the files of the model in a folder; InputError if one is missing."""
     present = [(folder / name).is_file() for name in (WEIGHTS, INDEX)]
     if not any(present):
         for name in OPEN_CLIP_WEIGHTS:
@@ -362,7 +361,7 @@ def read_json(file: Path) -> dict[str, Any]:
 
 
 def table_in(content: Mapping[str, Any], key: str, file: Path) -> Mapping[str, Any]:
-    """Return the object under a key of a JSON file, empty where there is none; else InputError."""
+    """Return the object at a key of a JSON file, empty if missing; InputError for other types."""
     table = content.get(key, {})
     if not isinstance(table, dict):
         raise InputError(f"{file}: {key} is {table!r:.60}, expected an object; get it again")
@@ -370,8 +369,8 @@ def table_in(content: Mapping[str, Any], key: str, file: Path) -> Mapping[str, A
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """No bars and no tables on the way: what is wrong with a model is said in one sentence."""
+def quiet_transformers() -> Iterator[None]:
+    """Suppress progress bars and reports of ``transformers``; errors are raised in one sentence."""
     from transformers.utils import logging
 
     level, bars = logging.get_verbosity(), logging.is_progress_bar_enabled()

@@ -1,6 +1,6 @@
-"""Find the implementation that a name stands for, importing it only then.
+"""Registry of components by name, with lazy imports.
 
-Those of this package stand in tables, those of others are their entry points.
+Built-in components are listed in tables, those of other packages are entry points.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ class Kind:
     Attributes
     ----------
     package : str
-        The package of ``slgaussian`` whose table has the built-in ones.
+        Subpackage of ``slgaussian`` with the table of built-in components.
     plural : str
-        What the table (in capitals) and the entry points of other packages are called.
+        Name of the table (in capitals) and of the group of entry points.
     default : str
-        The component that is taken if none is named.
+        Name of the default component.
     help : str
-        What such a component does, for users.
+        Task of the component, for users.
     """
 
     package: str
@@ -42,55 +42,52 @@ class Kind:
 
     @property
     def table(self) -> Mapping[str, str]:
-        """The built-in components: ``"package.module:attribute"`` by name."""
+        """Built-in components: ``"package.module:attribute"`` by name."""
         return getattr(import_module(f"slgaussian.{self.package}"), self.plural.upper())
 
     @property
     def group(self) -> str:
-        """The group of entry points by which other packages bring such components."""
+        """Group of entry points for components of other packages."""
         return f"slgaussian.{self.plural}"
 
 
 KINDS = {
-    "predictor": Kind(
-        "predict", "predictors", "planesweep", "What makes Gaussians of photographs."
-    ),
-    "proposer": Kind("masks", "proposers", "regions", "What finds object masks in a photograph."),
-    "tracker": Kind("masks", "trackers", "geometric", "What carries masks from view to view."),
-    "encoder": Kind(
-        "language", "encoders", "lexicon", "What turns regions and words into vectors."
-    ),
+    "predictor": Kind("predict", "predictors", "planesweep", "Predicts Gaussians from photos."),
+    "proposer": Kind("masks", "proposers", "regions", "Proposes object masks in a photograph."),
+    "tracker": Kind("masks", "trackers", "geometric", "Tracks masks from view to view."),
+    "encoder": Kind("language", "encoders", "lexicon", "Encodes regions and words as vectors."),
     "codes": Kind(
         "language",
         "codes",
         "separated",
-        "How objects get ID codes (grid as in the paper, exact without any).",
+        "Assigns ID codes to objects (grid as in the paper, exact without codes).",
     ),
-    "lifting": Kind("semantic", "liftings", "hard", "What gives Gaussians their ID codes."),
+    "lifting": Kind("semantic", "liftings", "hard", "Assigns ID codes to Gaussians."),
 }
-"""The kinds of components of the method, in the order in which they work."""
+"""The kinds of components of the method, in the order in which they are used."""
 
 
 def names_of(kind: str) -> tuple[str, ...]:
-    """Return the names of the components of one of :data:`KINDS`; none of them is imported."""
-    return tuple({**KINDS[kind].table, **brought(KINDS[kind].group)})
+    """Return the names of the components of one of :data:`KINDS` without importing them."""
+    return tuple({**KINDS[kind].table, **plugins(KINDS[kind].group)})
 
 
 def find_config(kind: str, name: str) -> type[ComponentConfig]:
-    """Return the config class of the component of a kind and name.
+    """Return the config class of a component.
 
-    What is registered and is none, a class or function, becomes the target of one without fields.
+    A registered class or function that is not a config becomes the target of a config without
+    fields.
 
     Raises
     ------
     InputError
-        As :func:`resolve`, or if a component of another package has the name of a built-in one.
+        As in :func:`resolve`, or if a component of another package has the name of a built-in one.
     """
     group = KINDS[kind].group
-    for built_in in KINDS if name in brought(group) else ():
+    for built_in in KINDS if name in plugins(group) else ():
         if name in KINDS[built_in].table:
             raise InputError(
-                f"{kind} {name!r}: the package {_owner(brought(group)[name])} brings one, but a "
+                f"{kind} {name!r}: the package {_owner(plugins(group)[name])} brings one, but a "
                 f"{built_in} of this name is built in; remove that package, or have its entry "
                 "point renamed"
             )
@@ -106,25 +103,25 @@ def find_config(kind: str, name: str) -> type[ComponentConfig]:
 
 
 def load_component(kind: str, name: str, values: Mapping[str, Any]) -> Any:
-    """Return the component of a kind and name with these values; raises as it and `find_config`.
+    """Load a component; raises as its implementation and :func:`find_config`.
 
-    Values are fields of its config, or what its implementation takes besides, such as a device.
+    ``values`` are fields of its config, or other arguments of its implementation, such as a device.
     """
     return find_config(kind, name).implementation()(**values)
 
 
 def resolve(called: str, table: Mapping[str, str], name: str, group: str | None = None) -> Any:
-    """Return the object that ``table[name]`` (``"package.module:attribute"``) points to.
+    """Import the object of ``table[name]`` (``"package.module:attribute"``).
 
-    Or else that of this name among the entry points of ``group``, if one is given.
+    If the table has no such name, import the entry point of this name in ``group``.
 
     Raises
     ------
     InputError
-        If there is none: the message lists the names that are, and says which of them is nearest.
-        If an entry point cannot be imported.
+        If the name is unknown, with the known names and the most similar one; or if an entry point
+        cannot be imported.
     """
-    external = {} if group is None else brought(group)
+    external = {} if group is None else plugins(group)
     if name in table:
         module, attribute = table[name].split(":")
         return getattr(import_module(module), attribute)
@@ -136,7 +133,7 @@ def resolve(called: str, table: Mapping[str, str], name: str, group: str | None 
         )
     try:
         return external[name].load()
-    except Exception as error:  # whatever another package does when it is imported
+    except Exception as error:  # importing another package may raise anything
         raise InputError(
             f"{called} {name!r}: {external[name].value} of the package {_owner(external[name])} "
             f"cannot be imported ({type(error).__name__}: {error}); repair or remove that package"
@@ -144,28 +141,28 @@ def resolve(called: str, table: Mapping[str, str], name: str, group: str | None 
 
 
 @cache
-def brought(group: str) -> Mapping[str, EntryPoint]:
-    """Return the entry points of a group by name, in alphabetical order; nothing is imported."""
+def plugins(group: str) -> Mapping[str, EntryPoint]:
+    """Return the entry points of a group by name, sorted, without importing them."""
     return {entry.name: entry for entry in sorted(_installed().select(group=group))}
 
 
-_installed = cache(entry_points)  # it reads a file of every package
+_installed = cache(entry_points)  # reads a file of every package
 
 
 @cache
-def known_by(group: str, name: str) -> str:
-    """Return what identifies an object that another package brings, "" for any other.
+def plugin_identity(group: str, name: str) -> str:
+    """Return the identity of an entry point for cache keys, "" for a built-in object.
 
-    Package, version and the SHA-256 of its Python files, since code changes more often than
-    versions do. The files are those of the package or module that the entry point begins with;
-    nothing of it is imported.
+    It has package, version and the SHA-256 of the Python files, as code changes more often than
+    versions. The files are those of the top-level package or module of the entry point, which is
+    not imported.
     """
-    if name not in brought(group):
+    if name not in plugins(group):
         return ""
-    entry = brought(group)[name]
+    entry = plugins(group)[name]
     try:
         spec = find_spec(entry.module.partition(".")[0])
-    except (ImportError, ValueError):  # which importing it says better
+    except (ImportError, ValueError):  # importing it gives a better message
         spec = None
     folders = [] if spec is None else [Path(p) for p in spec.submodule_search_locations or ()]
     files = [(file.relative_to(top), file) for top in folders for file in top.rglob("*.py")]

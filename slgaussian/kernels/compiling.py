@@ -19,24 +19,24 @@ AGAIN = 1.0
 """Smallest interval between two messages, seconds."""
 
 _log = logging.getLogger(__name__)
-_tell: ContextVar[Callable[[str], None] | None] = ContextVar("tell", default=None)
+_reporter: ContextVar[Callable[[str], None] | None] = ContextVar("reporter", default=None)
 _lock = threading.Lock()
 _watch: _Watch | None = None
-_own = threading.local()
+_local = threading.local()
 
 
 @contextmanager
-def told_to(tell: Callable[[str], None]) -> Iterator[None]:
+def report_to(tell: Callable[[str], None]) -> Iterator[None]:
     """Report the compilation of this thread within the block to ``tell``.
 
     ``tell`` receives a sentence at most once a second, and an empty text when the compilation ends.
     Outside such a block the logger ``slgaussian.kernels.compiling`` warns once.
     """
-    token = _tell.set(tell)
+    token = _reporter.set(tell)
     try:
         yield
     finally:
-        _tell.reset(token)
+        _reporter.reset(token)
 
 
 def watch() -> None:
@@ -69,7 +69,7 @@ def spent() -> float:
 
     Counted since :func:`watch`.
     """
-    return getattr(_own, "seconds", 0.0)
+    return getattr(_local, "seconds", 0.0)
 
 
 def clock() -> float:
@@ -84,14 +84,14 @@ class _Stopped:
     """Timer of the intervals in which a thread holds or awaits Numba's compiler lock."""
 
     def begun(self) -> None:
-        _own.depth = getattr(_own, "depth", 0) + 1
-        if _own.depth == 1:
-            _own.start = time.perf_counter()
+        _local.depth = getattr(_local, "depth", 0) + 1
+        if _local.depth == 1:
+            _local.start = time.perf_counter()
 
     def ended(self) -> None:
-        _own.depth -= 1
-        if _own.depth == 0:
-            _own.seconds = spent() + time.perf_counter() - _own.start
+        _local.depth -= 1
+        if _local.depth == 0:
+            _local.seconds = spent() + time.perf_counter() - _local.start
 
 
 class _Watch:
@@ -100,11 +100,11 @@ class _Watch:
     Kernels that a kernel calls are compiled within it.
     """
 
-    said_once = False
+    warned = False
 
     def __init__(self) -> None:
         self.depth = self.kernels = 0
-        self.seconds = self.start = self.told = 0.0
+        self.seconds = self.start = self.last_report = 0.0
         self.showing = False
 
     def begun(self) -> None:
@@ -114,9 +114,9 @@ class _Watch:
         self.depth += 1
         self.kernels += 1
         spent = self.seconds + now - self.start
-        if spent >= SILENT and now - self.told >= AGAIN:
-            self.told, self.showing = now, True
-            self._say(
+        if spent >= SILENT and now - self.last_report >= AGAIN:
+            self.last_report, self.showing = now, True
+            self._report(
                 "compiling kernels for this processor, once, up to a minute: "
                 f"{self.kernels} in {spent:.0f} s"
             )
@@ -128,12 +128,12 @@ class _Watch:
             self.seconds += took
             if self.showing:
                 self.showing = False
-                self._say("")
+                self._report("")
 
-    def _say(self, text: str) -> None:
-        tell = _tell.get()
-        if tell is not None:
-            tell(text)
-        elif text and not _Watch.said_once:
-            _Watch.said_once = True
+    def _report(self, text: str) -> None:
+        reporter = _reporter.get()
+        if reporter is not None:
+            reporter(text)
+        elif text and not _Watch.warned:
+            _Watch.warned = True
             _log.warning("compiling kernels for this processor, once; it takes up to a minute")

@@ -1,4 +1,4 @@
-"""Random numbers that depend on what is computed, never on when, where or under which name."""
+"""Seeds derived from content, so that results do not depend on time, machine or names."""
 
 import hashlib
 from collections.abc import Collection
@@ -7,29 +7,29 @@ import numpy as np
 
 
 def seed_for(seed: int, content: str, stage: str) -> int:
-    """A 64-bit seed, the same on every machine.
+    """Return a 64-bit seed, the same on every machine.
 
     Parameters
     ----------
     seed : int
-        Of the run.
+        Seed of the run.
     content : str
-        What the scene is, as :func:`content_of` says it, never what it is called. Empty for what
-        belongs to no scene.
+        Digest of the scene by :func:`content_of`, not its name. Empty for random numbers that
+        belong to no scene.
     stage : str
-        What it is drawn for.
+        Purpose of the random numbers.
     """
     digest = hashlib.sha256(f"{seed}\x1f{content}\x1f{stage}".encode()).digest()
     return int.from_bytes(digest[:8], "little")
 
 
 def rng_for(seed: int, content: str, stage: str) -> np.random.Generator:
-    """A NumPy generator seeded by :func:`seed_for`."""
+    """Return a NumPy generator with the seed of :func:`seed_for`."""
     return np.random.default_rng(seed_for(seed, content, stage))
 
 
 def content_of(*arrays: np.ndarray) -> str:
-    """SHA-256, hexadecimal, of the types, shapes and values of arrays, in their order."""
+    """Return the SHA-256, hexadecimal, of the dtypes, shapes and values of ordered arrays."""
     digest = hashlib.sha256()
     for array in arrays:
         digest.update(f"{array.dtype.str}{array.shape}".encode())
@@ -38,28 +38,28 @@ def content_of(*arrays: np.ndarray) -> str:
 
 
 def held_out(clip: str, fraction: float) -> bool:
-    """Return whether a clip is kept to judge by, for good, and not learnt from.
+    """Return whether a clip belongs to the held-out clips, which are never trained on.
 
-    It depends on the key of the clip and on nothing else: a clip stays where it is when others
-    arrive, all its samples are on one side, and a greater fraction keeps what a smaller one does.
-    The key and not the content, which samples of one clip do not share; and no run's seed, or
-    weights trained in one run would be judged in the next by what they have learnt from.
+    The split depends only on the clip's key: it does not change when clips are added, all samples
+    of a clip are in one part, and a larger fraction includes the clips of a smaller one. It does
+    not depend on content, which differs between samples of a clip, nor on the seed of a run, as
+    weights from one run would then be evaluated in another run on their own training clips.
 
     Parameters
     ----------
     clip : str
-        Its key.
+        Key of the clip.
     fraction : float
-        Of all clips, in [0, 1], about: of few clips by chance more or fewer.
+        Expected fraction of held-out clips, in [0, 1].
     """
     return seed_for(0, clip, "held out") < fraction * 2**64
 
 
 def hold_out(clips: Collection[str], fraction: float) -> set[str]:
-    """Return those of several clips that are :func:`held_out`.
+    """Return the :func:`held_out` clips among several.
 
-    If chance holds out none and ``fraction`` is not 0, the one that a greater fraction would hold
-    out first, unless there is no other.
+    If there is none, ``fraction`` is not 0 and there are at least two clips, return the clip that
+    the smallest larger fraction would hold out.
     """
     chosen = {clip for clip in clips if held_out(clip, fraction)}
     if chosen or not fraction or len(clips) < 2:

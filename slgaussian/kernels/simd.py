@@ -1,12 +1,11 @@
-"""Sixteen numbers at a time inside Numba functions, whatever the optimiser thinks of the loop.
+"""Explicit SIMD in Numba functions, with vectors of sixteen numbers.
 
-LLVM's own vectoriser gives up on loops that address several arrays or hold a branch. A vector here
-is one LLVM value: arithmetic between vectors, and between a vector and a scalar, is the usual
-operators, and becomes SSE, AVX or NEON as the machine has it: several registers where one is
-narrower. Products and sums may be fused, which
-only makes them more exact. Names start with ``v`` so that they do not read as NumPy's.
+LLVM's auto-vectoriser fails on loops that access several arrays or contain branches. A vector here
+is one LLVM value, which the usual arithmetic operators combine with vectors and scalars. It is
+compiled to SSE, AVX or NEON, in several registers if one is too narrow. Products and sums may be
+fused, which only reduces rounding errors. Names start with ``v`` to distinguish them from NumPy's.
 
-Only for arguments and variables inside ``njit`` functions; a vector cannot leave one.
+Vectors can only be variables inside ``njit`` functions and arguments between them.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ def _floats(kind: types.Type) -> bool:
 
 
 def _spread(context, builder, value, kind, target):
-    """``value`` of type ``kind`` as a vector ``target``: vectors unchanged, scalars repeated."""
+    """Return ``value`` of type ``kind`` as a vector ``target``: vectors as is, scalars repeated."""
     if isinstance(kind, _Vector):
         return value
     scalar = context.cast(builder, value, kind, target.dtype)
@@ -74,10 +73,10 @@ def _mask_operands(a: types.Type, b: types.Type) -> bool:
 
 
 def _install(function, emit, applies, mask=False):
-    """Make ``function`` an operator of vectors.
+    """Implement the operator ``function`` for vectors.
 
-    By types and instructions alone: Numba would inline an ``overload`` wherever it is used, and
-    kernels of vectors would compile for much longer.
+    It uses typing and lowering instead of ``overload``, which Numba would inline at every use, so
+    that kernels would take much longer to compile.
     """
 
     @type_callable(function)
@@ -175,16 +174,16 @@ def _store(half):
 vload, vload_half = _load(half=False), _load(half=True)
 """``vload(array, index)``: the vector at ``array[index : index + LANES]``, 1-D and contiguous.
 
-``vload_half`` takes the bits of float16 in uint16, as Numba knows no float16, and gives float32.
+``vload_half`` reads float16 stored as uint16, as Numba does not support float16, into float32.
 """
 
 vstore, vstore_half = _store(half=False), _store(half=True)
-"""``vstore(array, index, vector)`` writes ``array[index : index + LANES]``; likewise, rounded."""
+"""``vstore(array, index, vector)`` writes ``array[index : index + LANES]``; the second float16."""
 
 
 @intrinsic
 def prefetch(typing, array, index):
-    """Ask for the cache line of element ``index`` of a contiguous ``array``, to read it soon."""
+    """Prefetch the cache line of element ``index`` of a contiguous ``array``."""
 
     def lower(context, builder, signature, args):
         data = context.make_array(array)(context, builder, args[0]).data
@@ -200,7 +199,7 @@ def prefetch(typing, array, index):
 
 @intrinsic
 def lowest_bit(typing, bits):
-    """The place of the lowest bit of a uint32 that is set; it is not zero."""
+    """Return the index of the lowest set bit of a non-zero uint32."""
 
     def lower(context, builder, signature, args):
         return builder.cttz(args[0], ir.IntType(1)(1))
@@ -210,7 +209,7 @@ def lowest_bit(typing, bits):
 
 @intrinsic
 def vzero(typing):
-    """The float32 vector 0, 0, ..."""
+    """Return a float32 vector of zeros."""
 
     def lower(context, builder, signature, args):
         return ir.Constant(ir.VectorType(ir.FloatType(), LANES), [0.0] * LANES)
@@ -220,9 +219,9 @@ def vzero(typing):
 
 @intrinsic
 def vwhere(typing, mask, a, b):
-    """Elements of ``a`` where ``mask``, elsewhere of ``b``; either may be a scalar, not both.
+    """Return ``a`` where ``mask`` is true, else ``b``; at most one of them may be a scalar.
 
-    With a scalar mask, ``a`` and ``b`` are float64 scalars: so a formula serves both kinds.
+    With a scalar mask, ``a`` and ``b`` are float64 scalars, so that formulas work for both.
     """
     if isinstance(mask, types.Boolean):
         return types.float64(
@@ -242,7 +241,7 @@ def vwhere(typing, mask, a, b):
 
 @intrinsic
 def vsum(typing, vector):
-    """Sum of the elements, always in the same order."""
+    """Return the sum of the elements, always in the same order."""
 
     def lower(context, builder, signature, args):
         value, width = args[0], LANES
@@ -300,7 +299,7 @@ vsqrt, vfloor, vceil, vabs = (_function(name) for name in ("sqrt", "floor", "cei
 
 @intrinsic
 def vwiden(typing, vector):
-    """A float32 vector in float64."""
+    """Convert a float32 vector to float64."""
     return _F64(vector), lambda _, builder, signature, args: builder.fpext(
         args[0], ir.VectorType(ir.DoubleType(), LANES)
     )
@@ -308,7 +307,7 @@ def vwiden(typing, vector):
 
 @intrinsic
 def vnarrow(typing, vector):
-    """A float64 vector rounded to float32."""
+    """Round a float64 vector to float32."""
     return _F32(vector), lambda _, builder, signature, args: builder.fptrunc(
         args[0], ir.VectorType(ir.FloatType(), LANES)
     )
@@ -316,7 +315,7 @@ def vnarrow(typing, vector):
 
 @intrinsic
 def _shift_exponent(typing, vector, magic):
-    """``vector`` times 2^n, where n is the integer that ``magic`` was rounded to."""
+    """Return ``vector`` times 2^n, where n is the integer in the last bits of ``magic``."""
 
     def lower(context, builder, signature, args):
         bits = ir.VectorType(ir.IntType(32), LANES)
@@ -327,12 +326,12 @@ def _shift_exponent(typing, vector, magic):
 
 
 MAGIC = np.float32(1.5 * 2**23)
-"""Added to a small number, it leaves its nearest integer in the last bits."""
+"""Constant that, added to a small number, leaves the nearest integer in the last bits."""
 
 
 @kernel
 def vexp2(x):
-    """2 to the power of a float32 vector, at most 127; below -100 it stays at 2^-100.
+    """Return 2 to the power of a float32 vector, at most 127; for x below -100, 2^-100.
 
     Relative error 1.5e-7: a polynomial of degree 5 on [-1/2, 1/2] (minimax, 9.1e-8, and exact at
     0) and a shift.
@@ -378,7 +377,7 @@ _mantissa = _split(
 
 @kernel
 def vlog2(x):
-    """Logarithm to base 2 of a positive float32 vector; of 0, about -127.
+    """Return the binary logarithm of a positive float32 vector; about -127 for 0.
 
     Relative error 2e-7, near 1 too: the series of the inverse hyperbolic tangent.
     """

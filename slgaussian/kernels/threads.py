@@ -43,7 +43,7 @@ nothing: CLIP ViT-B/16 took 2.1 s of CPU for four pictures on two busy cores wit
 with four."""
 
 
-_own = threading.local()
+_local = threading.local()
 
 
 class Sources(NamedTuple):
@@ -96,7 +96,7 @@ if "NUMBA_CACHE_DIR" not in os.environ:
 
 @cache
 def processor() -> str:
-    """What the processor calls itself, and how many of its cores can be used."""
+    """Return the processor's name and the number of usable cores."""
     return f"{system.processor()}, {cores()} cores"
 
 
@@ -109,7 +109,7 @@ def limit(workers: int = 1) -> int:
     import cv2
     import torch
 
-    size = _own.size = max(1, cores() // max(1, workers))
+    size = _local.size = max(1, cores() // max(1, workers))
     torch.set_num_threads(size)
     cv2.setNumThreads(size)
     return size
@@ -120,18 +120,18 @@ def allotted() -> int:
 
     :func:`kernels_on` overrides it temporarily.
     """
-    return getattr(_own, "size", 0) or cores()
+    return getattr(_local, "size", 0) or cores()
 
 
 @contextlib.contextmanager
 def kernels_on(count: int) -> Iterator[None]:
     """Run kernels of the calling thread on ``count`` threads within the block."""
-    before = getattr(_own, "size", 0)
-    _own.size = count
+    before = getattr(_local, "size", 0)
+    _local.size = count
     try:
         yield
     finally:
-        _own.size = before
+        _local.size = before
 
 
 @contextlib.contextmanager

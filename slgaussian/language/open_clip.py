@@ -20,7 +20,7 @@ import torch
 from slgaussian.components.pretrained import (
     OPEN_CLIP_CONFIG,
     ModelFiles,
-    quiet,
+    quiet_transformers,
     read_json,
     table_in,
 )
@@ -143,7 +143,7 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
             renamed[ours] = tensor.T.contiguous() if theirs in TRANSPOSED else tensor
     renamed["logit_scale"] = renamed["logit_scale"].reshape(())
     try:
-        with quiet():
+        with quiet_transformers():
             network, report = CLIPModel.from_pretrained(
                 None,
                 config=network_config,

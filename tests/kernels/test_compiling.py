@@ -24,7 +24,7 @@ main()
 def at_once(monkeypatch):
     monkeypatch.setattr(compiling, "SILENT", 0.0)
     monkeypatch.setattr(compiling, "AGAIN", 0.0)
-    monkeypatch.setattr(compiling._Watch, "said_once", False)
+    monkeypatch.setattr(compiling._Watch, "warned", False)
     compiling.watch()
 
 
@@ -38,7 +38,7 @@ def new_kernel():
 
 def test_a_kernel_is_told_while_it_is_compiled_and_never_again(at_once):
     kernel, report = new_kernel(), []
-    with compiling.told_to(report.append):
+    with compiling.report_to(report.append):
         kernel(1)
         assert report[0].startswith("compiling kernels for this processor, once")
         # Whole on a terminal of 80 columns, though there may be hundreds.

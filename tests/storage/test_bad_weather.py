@@ -39,7 +39,7 @@ def weather(bucket, s3_server, monkeypatch):
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_each_fault_passes(weather, fault, monkeypatch):
-    monkeypatch.setattr(storing, "PART", 5 * 2**20)  # the least that S3 takes
+    monkeypatch.setattr(storing, "UPLOAD_PART_BYTES", 5 * 2**20)  # the least that S3 takes
     own, store = weather(0.1 if fault == "time-out" else 0.33, fault)
     refs = [store.put("labels", labels(value)) for value in range(3)]
     refs.append(store.put("failures", failures("a", "b")))

@@ -145,7 +145,7 @@ def test_what_others_wrote_is_refused_in_one_sentence(tmp_path, name):
 def test_a_spec_that_nobody_knows_and_a_later_version_are_problems(tmp_path):
     spec = replace(load_spec("labels"), version=9)
     (tmp_path / "l.npz").write_bytes(encode_arrays(labels(), spec))
-    assert "slgaussian/labels@1 at most" in inspect(tmp_path / "l.npz")[0]["problem"]
+    assert "at most slgaussian/labels@1" in inspect(tmp_path / "l.npz")[0]["problem"]
     spec = replace(spec, name="cakes")
     (tmp_path / "l.npz").write_bytes(encode_arrays(labels(), spec))
     assert "spec: found 'slgaussian/cakes@9', expected one" in inspect(tmp_path)[0]["problem"]

@@ -94,7 +94,7 @@ def test_what_made_a_file_is_no_part_of_its_digest(store, monkeypatch):
         ref = store.put("labels", labels())
         bytes_then = store.read(ref.uri)
         monkeypatch.setattr(
-            encoding, "statement", lambda digest: {"made": {"program": "slgaussian 99"}}
+            encoding, "provenance_metadata", lambda digest: {"made": {"program": "slgaussian 99"}}
         )
         later = store.put("labels", labels(4))
     assert plain == ref and plain.uri == ref.uri

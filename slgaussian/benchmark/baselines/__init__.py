@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from slgaussian.components.registry import brought, known_by, resolve
+from slgaussian.components.registry import plugin_identity, plugins, resolve
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Row:
     @property
     def brought_by(self) -> str:
         """The package that brings the method, by its content; empty for one of ours."""
-        return "" if self.method in METHODS else known_by(GROUP, self.method)
+        return "" if self.method in METHODS else plugin_identity(GROUP, self.method)
 
 
 ROWS = {
@@ -128,7 +128,7 @@ ROWS = {
         variant=True,
     ),
 }
-ROWS |= {name: Row(name, "of another package") for name in brought(GROUP) if name not in ROWS}
+ROWS |= {name: Row(name, "of another package") for name in plugins(GROUP) if name not in ROWS}
 """The table of all methods, in its order."""
 
 

@@ -12,7 +12,7 @@ import torch
 from pydantic import PrivateAttr
 
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.components.pretrained import chosen_device
+from slgaussian.components.pretrained import resolve_device
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.threads import inside
@@ -82,7 +82,7 @@ class MVSplat(MVSplatConfig):
                 f"mvsplat depth_candidates: found {self.depth_candidates!r}, expected 2 to "
                 f'{maximum} or "auto"'
             )
-        device = chosen_device(self.device)
+        device = resolve_device(self.device)
         network = load_network(self.checkpoint, self.config)
         try:
             self._network = network.to(device)
