@@ -211,11 +211,7 @@ class Stage:
         peak, compiled = Peak(), compiling.spent()
         start, worked = compiling.clock(), time.process_time()
         try:
-            with (
-                compiling.report_to(run.report),
-                record_provenance(provenance),
-                peak.watched(),
-            ):
+            with compiling.report_to(run.report), record_provenance(provenance), peak.watched():
                 ref = self.compute(run, **arguments)
         except DamagedError as error:
             run.store.remove([error.uri])  # so that its stage computes it again
