@@ -1,7 +1,7 @@
-"""Measurements on a region of a photograph, as evidence for or against each descriptor.
+"""Measurements of image regions: evidence for or against each descriptor.
 
-Evidence lies in [-1, 1]: 1 is clearly so, -1 clearly not, 0 cannot tell. Lengths are relative to
-the image and to the region, so that the resolution of a photograph matters little.
+Evidence lies in [-1, 1]: 1 for, -1 against, 0 undecided. Lengths are relative to the image or the
+region, so that the resolution of a photograph has little influence.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ROOM = ("level", "sheer", "flush", "height", "waist", "grounded", "rise", "exten
 _CROP = 160  # longest side of the crop on which surfaces are measured, pixels
 _KNOWN = 0.3  # share of a region whose normals must be known
 _FEW = 16  # pixels of a region that must have a depth
-_HALF_SEEN = 0.25  # share of a region that a colour must have for even evidence
+_HALF_SEEN = 0.25  # share of a region's pixels with a colour at which its evidence is 0
 
 
 class Descriptors:
@@ -36,7 +36,7 @@ class Descriptors:
     ----------
     colours : ColourNames
     groups : mapping name -> (colour -> weight)
-        Kinds of colour; each becomes a descriptor, as every colour does.
+        Groups of colours; each group is a descriptor, like each colour.
     """
 
     def __init__(self, colours: ColourNames, groups: Mapping[str, Mapping[str, float]]) -> None:
@@ -57,7 +57,7 @@ class Descriptors:
     def measure(
         self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
     ) -> np.ndarray:
-        """Evidence float64 [M, len(names)] of non-empty masks bool [M, H, W] on uint8 [H, W, 3]."""
+        """Measure non-empty masks bool [M, H, W] on uint8 [H, W, 3]: float64 [M, len(names)]."""
         lab, memberships = to_lab(image), self._colours(image)
         crops, rows, room = [], [], []
         for mask in masks:
@@ -78,22 +78,22 @@ class Descriptors:
 
 
 def _ramp(value: float, low: float, high: float) -> float:
-    """-1 up to ``low``, 1 from ``high`` on, straight between."""
+    """Map ``value`` linearly from [low, high] to [-1, 1], clamped."""
     return min(max((2 * value - low - high) / (high - low), -1.0), 1.0)
 
 
 def _ramps(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """:func:`_ramp` of many, which costs a single number ten times as much."""
+    """Apply :func:`_ramp` to an array; for a single number it takes ten times as long."""
     return np.clip((2 * values - low - high) / (high - low), -1, 1)
 
 
 def _share_evidence(shares: np.ndarray) -> np.ndarray:
-    """Logarithmic in the share: a quarter is even, all of it is 1, a sixteenth is -1."""
+    """Compute evidence from shares, logarithmically: 1 gives 1, 1/4 gives 0, 1/16 gives -1."""
     return np.clip(1 + np.log(np.maximum(shares, 1e-6)) / np.log(1 / _HALF_SEEN), -1, 1)
 
 
 def _solid_evidence(match: np.ndarray) -> np.ndarray:
-    """A solid is seen where its outline matches well, and better than that of any other."""
+    """Compute evidence for solids: their outline matches well, and better than all others."""
     best_other = np.stack([np.delete(match, k, axis=1).max(1) for k in range(match.shape[1])], 1)
     return 0.4 * _ramps(match, 0.7, 0.95) + 0.6 * _ramps(match - best_other, -0.04, 0.04)
 
@@ -123,7 +123,7 @@ def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[fl
     )
     specks = max(-discs, -_ramp(p.minor / max(p.spots, 1), 0.008, 0.025))
     speckled = min(specks, _ramp(p.spots, 4, 9), _ramp(p.contrast, 12, 28), -crossed, -even)
-    # Boards of furniture meet at right angles.
+    # Wooden boards of furniture join at right angles.
     aligned = max(_ramp(p.along, 0.3, 0.55), _ramp(p.crossed, 0.35, 0.6))
     grained = min(aligned, _ramp(p.roughness, 0.7, 1.3), -coarse)
     veined = min(rough, -coarse, -_ramp(p.along, 0.4, 0.6), _ramp(p.contrast, 8, 16))
@@ -145,7 +145,7 @@ def _outline(inside: np.ndarray) -> list[float]:
     contours, _ = cv2.findContours(
         np.pad(inside, 1).view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE
     )
-    # A pixel counts as its whole square: outlines run through pixel centres, half a pixel inside.
+    # Contours run through pixel centres; add the four corners to cover whole pixels.
     hull = cv2.convexHull(np.concatenate(contours))[:, 0]
     hull = cv2.convexHull(np.concatenate([hull + d for d in ((0, 0), (0, 1), (1, 0), (1, 1))]))
     area = float(np.count_nonzero(inside))
@@ -190,7 +190,7 @@ def _place(mask: np.ndarray, box: tuple[int, int, int, int]) -> list[float]:
 def _room(
     inside: np.ndarray, window: tuple[slice, slice], around: Surroundings | None
 ) -> np.ndarray:
-    """Evidence of :data:`ROOM`, 0 for what is not known of enough of the region."""
+    """Compute the evidence for :data:`ROOM`; 0 where too few pixels have the quantity."""
     out = dict.fromkeys(ROOM, 0.0)
     if around is None:
         return np.array(list(out.values()))
@@ -219,7 +219,7 @@ def _room(
 
 
 def _percentiles(values: np.ndarray, percents: tuple[float, ...]) -> list[float]:
-    """As ``np.percentile``, which takes ten times as long where values are few."""
+    """Compute ``np.percentile``, ten times as fast for few values."""
     ordered, results = np.sort(values), []
     for percent in percents:
         place = (len(ordered) - 1) * (percent / 100)

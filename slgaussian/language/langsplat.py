@@ -1,11 +1,11 @@
-"""The mask and the place that LangSplat (arXiv 2312.16084) takes from a relevancy image.
+"""Mask and localisation of LangSplat's evaluation (arXiv 2312.16084) from a relevancy image.
 
-Facts from the published evaluation (`evaluate_iou_loc.py`), written anew. There the image comes
-from a network a pixel and is noisy; here it is one number an object, so that the maximum is a
-plateau and sums must be exact, or rounding would choose among its pixels. Relevancies are therefore
-rounded to 2^-30 and added as whole numbers.
+A clean-room implementation of the protocol in `evaluate_iou_loc.py`. There the image is predicted
+per pixel and is noisy; here it has one value per object, so the maximum is a plateau and rounding
+errors would choose among its pixels. Relevancies are therefore rounded to multiples of 2^-30, whose
+sums are exact.
 
-With three granularities LangSplat takes the one whose smoothed image is highest. A field has one.
+LangSplat takes, of three granularities, the one with the highest smoothed value. A field has one.
 """
 
 from __future__ import annotations
@@ -14,31 +14,32 @@ import cv2
 import numpy as np
 
 FILTER = 30
-"""Side of the mean filter, pixels; its window lies from -15 to +14 around a pixel."""
+"""Side of the mean filter, pixels; its window extends from -15 to +14 around a pixel."""
 
 FILTER_WIDTH = 988
-"""Width of the images that :data:`FILTER` was chosen for, those of LERF."""
+"""Width of LERF's images, for which :data:`FILTER` was chosen, pixels."""
 
 MASK_THRESHOLD = 0.4
-"""Bound in the image stretched to [-1, 1]: 0.7 of its range."""
+"""Threshold of the mask after rescaling to [-1, 1], i.e. at 0.7 of the range."""
 
 MAJORITY = 7
-"""Side of the window in which most pixels must be set for a pixel of the mask."""
+"""Side of the window of the majority filter of masks, pixels."""
 
 _STEPS = 2**30
 
 
 def rescaled_filter(width: int) -> int:
-    """The side that covers as much of an image ``width`` pixels wide as 30 of LERF's do."""
+    """Scale :data:`FILTER` to an image ``width`` pixels wide."""
     return max(1, round(FILTER * width / FILTER_WIDTH))
 
 
 def smoothed(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
-    """Mean over ``side`` squared, the image mirrored at its edges without repeating them.
+    """Apply a ``side`` x ``side`` mean filter with mirrored borders (BORDER_REFLECT_101).
 
-    float64 [H, W] of float [H, W] in [0, 1], within 2^-30, equal where windows hold equal values.
+    Takes float [H, W] in [0, 1]; returns float64 [H, W], accurate to 2^-30 and exactly equal for
+    windows with equal values.
     """
-    # Whole numbers whose sums stay below 2^53 are added exactly in float64, in any order.
+    # Sums of integers below 2^53 are exact in float64, in any order.
     steps = np.rint(relevancy.astype(np.float64) * _STEPS)
     window = (side, side)
     sums = cv2.boxFilter(steps, -1, window, normalize=False, borderType=cv2.BORDER_REFLECT_101)
@@ -46,46 +47,45 @@ def smoothed(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
 
 
 def find_mask(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
-    """The mask bool [H, W] of a relevancy image: smoothed, stretched, cut, cleaned.
+    """Compute the mask bool [H, W] of a relevancy image: smooth, rescale, threshold, clean.
 
-    The mean of the image and its :func:`smoothed` is stretched to [-1, 1], negative values are
-    cut off, and what is above :data:`MASK_THRESHOLD` is kept where it has the majority of the
-    :data:`MAJORITY` squared around, of what the image has of it. The last row and column of the
-    image have no say there: the published code leaves them out of every window. An image of one
-    value gives an empty mask.
+    The mean of the image and its :func:`smoothed` version is rescaled to [-1, 1] and thresholded at
+    :data:`MASK_THRESHOLD`; a :data:`MAJORITY`-sided majority filter cleans the result. As in the
+    published code, windows end at the image border and exclude the last row and column. A constant
+    image gives an empty mask.
     """
     blend = 0.5 * (smoothed(relevancy, side) + relevancy)
     low, high = blend.min(), blend.max()
     stretched = (blend - low) / (high - low + 1e-9)
-    return _most_around(np.clip(2 * stretched - 1, 0, 1) > MASK_THRESHOLD)
+    return _majority_filter(np.clip(2 * stretched - 1, 0, 1) > MASK_THRESHOLD)
 
 
 def find_point(relevancy: np.ndarray, side: int = FILTER) -> tuple[tuple[int, int], np.ndarray]:
-    """Find where the :func:`smoothed` image is greatest: a pixel (x, y), and all bool [H, W].
+    """Find the maximum of the :func:`smoothed` image: one pixel (x, y), and the plateau [H, W].
 
-    LangSplat counts a hit if *any* of them lies in a box of the truth, which a plateau that spans
-    the picture would always do. The one pixel is that of the plateau nearest its centroid, the
-    first in row-major order of several.
+    LangSplat counts a hit if *any* maximal pixel lies in a ground-truth box, which a plateau over
+    the whole picture always satisfies. The single pixel is the one of the plateau nearest to its
+    centroid; ties go to the first in row-major order.
     """
     values = smoothed(relevancy, side)
     plateau = values == values.max()
     rows, columns = np.nonzero(plateau)
     n = len(rows)
-    # Times n, so that all are whole numbers and equally near ones tie.
+    # Multiplied by n, so that all values are integers and ties are exact.
     squared = (n * rows - rows.sum()) ** 2 + (n * columns - columns.sum()) ** 2
     best = int(squared.argmin())
     return (int(columns[best]), int(rows[best])), plateau
 
 
-def _most_around(mask: np.ndarray) -> np.ndarray:
-    """Find the pixels around which more than half of the window is set."""
-    set_, voting = mask.astype(np.float32), np.ones(mask.shape, np.float32)
-    for image in (set_, voting):
+def _majority_filter(mask: np.ndarray) -> np.ndarray:
+    """Return the pixels with more than half of the window set, bool [H, W]."""
+    votes, valid = mask.astype(np.float32), np.ones(mask.shape, np.float32)
+    for image in (votes, valid):
         image[-1], image[:, -1] = 0, 0
-    around, of = (
+    count, total = (
         cv2.boxFilter(
             image, -1, (MAJORITY, MAJORITY), normalize=False, borderType=cv2.BORDER_CONSTANT
         )
-        for image in (set_, voting)
+        for image in (votes, valid)
     )
-    return 2 * around > of
+    return 2 * count > total

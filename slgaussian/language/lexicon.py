@@ -1,22 +1,21 @@
-"""The lexicon: a region and text encoder without weights, for an explicit vocabulary.
+"""The lexicon: a region and text encoder for an explicit vocabulary, without trained weights.
 
-Every axis of the space is one descriptor (a colour, a pattern, an outline, a place ...). A region's
-vector holds the evidence for each, in [-1, 1]; a text's vector is the sum of its words, each a
-weighting of descriptors. Their product adds up evidence as a naive Bayes classifier adds up log
-odds: every word of "red striped ball" speaks for or against a region, and what was not asked for is
-silent. Two more axes make this work with cosines:
+Every axis of the space is one descriptor (a colour, pattern, outline, place ...). A region's vector
+holds the evidence for each, in [-1, 1]; a text's vector is the sum over its words, each of which is
+a set of weights of descriptors. The dot product sums evidence as a naive Bayes classifier sums
+log-odds: every word of "red striped ball" is evidence for or against a region, and other
+descriptors do not count. Two additional axes make cosines comparable:
 
-- *rest* takes up the length that a region's evidence leaves, so all regions have the same length
-  before they are made unit vectors and their cosines compare;
-- *neutral*, on which no region lies, is the direction of phrases that say nothing ("object"), so
-  that relevancy is above 0.5 exactly if the evidence for a text outweighs that against it. It also
-  takes up the length that a text's words leave. A word's weights sum to 1, so one that spreads them
-  over many habits ("picture") lies nearer to "object" than one that asks for a single measurement,
-  and does not outbid a text that says more: relevancies of different texts compare.
+- *rest* fills a region's vector up to length 1, so that evidence is not rescaled;
+- *neutral*, which is 0 for all regions, is the direction of generic phrases ("object"), so that
+  relevancy is above 0.5 exactly if the evidence for a text outweighs that against it. It also fills
+  a text's vector up to length 1. A word's weights sum to 1, so a word with many weak descriptors
+  ("picture") is nearer to "object" than one with a single descriptor, and does not win against a
+  more specific text: relevancies of different texts are comparable.
 
-What cannot be seen is not claimed: an unknown word is left out and named, never guessed. The words
-and how each is measured are listed in docs/reference/lexicon.md. Nouns that a look does not tell,
-an ImageNet classifier does (:mod:`slgaussian.language.classifier`).
+Unknown words are ignored and reported, never guessed. docs/reference/lexicon.md lists the words and
+their measurements. Nouns that appearance cannot describe are left to an ImageNet classifier
+(:mod:`slgaussian.language.classifier`).
 """
 
 from __future__ import annotations
@@ -39,32 +38,32 @@ if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
 
 OTHERS = "teach it by examples, or build the field with --encoder clip, which knows any word"
-"""What to do about a word that nothing tells."""
+"""Advice for an unknown word."""
 
-MENTIONED = 3
-"""Unknown words of a text that are mentioned."""
+MAX_LISTED = 3
+"""Largest number of unknown words that a message lists."""
 
-REMEMBERED = 4096
-"""Texts whose reading is kept."""
+CACHE_SIZE = 4096
+"""Number of texts whose reading is cached."""
 
 POSITIVE = 0.8
-"""Evidence for a descriptor counts this much of evidence against: one word that does not fit
-outweighs one that does, so a red box is not, on balance, a red ball."""
+"""Weight of evidence for a descriptor, relative to evidence against: one word that does not fit
+outweighs one that does, so a red box does not count as a red ball."""
 
-SAYS = 0.5
-"""Length, in a text's unit vector, of a word that asks for one descriptor: four such words fill it.
-The order of objects for one text does not depend on it."""
+WORD_LENGTH = 0.5
+"""Length, in a text's unit vector, of a word with one descriptor: four such words fill it. It does
+not affect the order of objects for one text."""
 
 
 @dataclass(eq=False)
 class Lexicon:
-    """Regions and texts by the words of an explicit vocabulary, without weights; see the module.
+    """Encoder with an explicit vocabulary of words and measurements; see the module.
 
     Attributes
     ----------
     classifier : str
-        ``lite0`` if regions are also named by :mod:`slgaussian.language.classifier`; its weights
-        are needed for regions, not for texts. Else ``none``.
+        ``lite0`` to classify regions too (:mod:`slgaussian.language.classifier`); its weights are
+        needed for regions, not for texts. Otherwise ``none``.
     """
 
     classifier: str = "none"
@@ -89,10 +88,10 @@ class Lexicon:
         standing=1.36,
         agreement=1.02,
     )
-    """Of a softmax over the candidates of a text, fitted to their IoU with what is labelled at 12
-    places and in 8 made-up rooms. ``python -m benches.language.fit_ranking DATA`` fits it anew, to
-    more rooms, and has with each place left out a mean IoU of .56 on single things, .49 in an
-    office, .42 at other places and .80 in rooms; the best candidates have .85, .78, .60 and .90."""
+    """Weights of a softmax over the candidates of a text, fitted to their IoU with the labels of 12
+    places and 8 procedural rooms. ``python -m benches.language.fit_ranking DATA`` fits it anew, to
+    more rooms. Its leave-one-place-out mean IoU is .56 on single objects, .49 in an office, .42 at
+    other places and .80 in rooms; the best candidates reach .85, .78, .60 and .90."""
 
     def __post_init__(self) -> None:
         from slgaussian.language.colours import ColourNames
@@ -104,8 +103,8 @@ class Lexicon:
         )
         self._axis = {name: i for i, name in enumerate(self._descriptors.names)}
         self.canonical = self._vocabulary.canonical
-        # Of one text several things are asked one after the other.
-        self._read = lru_cache(REMEMBERED)(self._vocabulary.read)
+        # Several methods read the same text in turn.
+        self._read = lru_cache(CACHE_SIZE)(self._vocabulary.read)
 
     @property
     def width(self) -> int:
@@ -115,7 +114,7 @@ class Lexicon:
     def encode_regions(
         self, image: np.ndarray, masks: np.ndarray, around: Surroundings | None = None
     ) -> np.ndarray:
-        """Unit vectors of regions.
+        """Encode regions as unit vectors.
 
         Parameters
         ----------
@@ -124,7 +123,7 @@ class Lexicon:
         masks : bool [M, H, W]
             The regions, each with at least one pixel; they may overlap.
         around : Surroundings, optional
-            Where the pixels lie in the room. Without it, what a word asks of that is silent.
+            3D positions of the pixels. Without it, descriptors of the room count as undecided.
 
         Returns
         -------
@@ -156,9 +155,9 @@ class Lexicon:
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Classify regions bool [M, H, W] and the whole uint8 photograph.
 
-        uint8 [M, 1000] and [1000], as :func:`~slgaussian.language.class_evidence.quantised`
-        has them; None without a classifier. InputError if its weights are missing or not those
-        known.
+        Returns uint8 [M, 1000] and [1000], from
+        :func:`~slgaussian.language.class_evidence.quantised`; None without a classifier. InputError
+        if its weights are missing or have another SHA-256 than expected.
         """
         if self.classifier == "none":
             return None
@@ -172,7 +171,7 @@ class Lexicon:
         return quantised(pooled), quantised(scores.mean((0, 1)))
 
     def classes(self, text: str) -> tuple[int, ...]:
-        """The classes that the noun of ``text`` means; InputError as in :meth:`encode_text`."""
+        """Return the ImageNet classes of the noun; InputError as in :meth:`encode_text`."""
         return self._read(text).classes
 
     def describing(self, text: str) -> int:
@@ -180,7 +179,7 @@ class Lexicon:
         return sum(word.family not in NOUNS for word in self._read(text).words)
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
-        """Unit vectors float32 [Q, C] of texts.
+        """Encode texts as unit vectors float32 [Q, C].
 
         Raises
         ------
@@ -196,20 +195,20 @@ class Lexicon:
                 total = sum(abs(weight) for weight in word.weights.values())
                 for name, weight in word.weights.items():
                     vector[self._axis[name]] += weight / total
-            vector *= SAYS
+            vector *= WORD_LENGTH
             vector /= max(1.0, float(np.linalg.norm(vector)))
             vector[-1] = np.sqrt(max(0.0, float(1.0 - vector @ vector)))
         return vectors.astype(np.float32)
 
     def untold(self, text: str, by_class: bool) -> str:
-        """The reason why ``text`` cannot be answered; empty if it can.
+        """Return the reason why ``text`` cannot be answered; empty if it can.
 
-        ``by_class``: whether a classifier has seen the regions. InputError as in
+        ``by_class`` is true if a classifier has classified the regions. InputError as in
         :meth:`encode_text`.
         """
         reading = self._read(text)
         if reading.unknown and not reading.noun:
-            unknown = ", ".join(map(repr, reading.unknown[:MENTIONED]))[:100]
+            unknown = ", ".join(map(repr, reading.unknown[:MAX_LISTED]))[:100]
             return f"no word {unknown} is known here{self.question(text)}; {OTHERS}"
         if reading.classes and not by_class and not any(w.weights for w in reading.words):
             return (
@@ -219,21 +218,21 @@ class Lexicon:
         return ""
 
     def question(self, text: str) -> str:
-        """Ask for the known words that are spelled as unknown ones of ``text`` nearly are."""
-        near = map(self._vocabulary.nearest, self._read(text).unknown[:MENTIONED])
+        """Suggest known words with a spelling similar to the unknown ones of ``text``."""
+        near = map(self._vocabulary.nearest, self._read(text).unknown[:MAX_LISTED])
         words = " and ".join(repr(word) for word in near if word is not None)
         return f"; did you mean {words}?" if words else ""
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """The words of ``text`` that are not known; InputError as in :meth:`encode_text`."""
+        """Return the unknown words of ``text``; InputError as in :meth:`encode_text`."""
         return self._read(text).unknown
 
     def unused_words(self, text: str) -> Mapping[str, str]:
-        """Other words of ``text`` that do not count, with the reason."""
+        """Return other ignored words of ``text``, with the reason."""
         return self._read(text).unused
 
     def read_as(self, text: str) -> str:
-        """The words of ``text`` that count, as the vocabulary spells them."""
+        """Return the words of ``text`` that count, in the vocabulary's spelling."""
         return " ".join(word.name for word in self._read(text).words)
 
     def measurements(self, text: str) -> int:

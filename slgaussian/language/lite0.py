@@ -1,10 +1,10 @@
 """EfficientNet-Lite0 (Tan and Le, ICML 2019, without squeeze-and-excitation) in OpenCV.
 
-OpenCV runs it in three quarters of PyTorch's time, gives the same bits on any number of threads,
-and is loaded anyway, where importing PyTorch takes 1.6 s of the processor. So the weights, a file
-of ``torch.save`` in the form before PyTorch 1.6, are read here, their batch normalisation is folded
-into the convolutions, and OpenCV is given the network as a model of ONNX
-(https://github.com/onnx/onnx/blob/main/onnx/onnx.proto) in memory.
+OpenCV takes three quarters of PyTorch's time, gives the same bits on any number of threads, and is
+imported anyway, while importing PyTorch takes 1.6 s of CPU time. This module therefore reads the
+weights, a ``torch.save`` file in the format before PyTorch 1.6, folds batch normalisation into the
+convolutions, and builds an ONNX model
+(https://github.com/onnx/onnx/blob/main/onnx/onnx.proto) in memory for OpenCV.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ import cv2
 import numpy as np
 
 STAGES = ((1, 1, 1), (2, 2, 6), (2, 2, 6), (3, 2, 6), (3, 1, 6), (4, 2, 6), (1, 1, 6))
-"""Of EfficientNet-B0: blocks, stride of the first block, expansion of the channels."""
+"""Stages of EfficientNet-B0: blocks, stride of the first block, expansion of the channels."""
 
 EPSILON = 1e-3
-"""Of batch normalisation."""
+"""Epsilon of batch normalisation."""
 
 
 class _Unpickler(pickle.Unpickler):
     """Reads a state dict whose tensors become (dtype, key of the storage, offset, shape, strides).
 
-    No name is looked up in a module, so nothing in a file is ever run; KeyError for another name.
+    It never looks names up in modules, so no code of a file can run; KeyError for other names.
     """
 
     def find_class(self, module: str, name: str) -> Any:
@@ -44,7 +44,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 def read_weights(file: Path) -> dict[str, np.ndarray]:
-    """Read the tensors of the weights' file, whose digest the caller has checked, by name."""
+    """Read the tensors of the weights file by name; the caller has checked its digest."""
     with file.open("rb") as stream:
         for _ in range(3):  # magic number, version, sizes of C types
             _Unpickler(stream).load()
@@ -67,14 +67,16 @@ def read_weights(file: Path) -> dict[str, np.ndarray]:
 
 
 def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
-    """Return the network: from float32 [1, 3, H, W] to logits [1, 1000, H/32, W/32] of cells.
+    """Build the network: from float32 [1, 3, H, W] to logits [1, 1000, H/32, W/32] of cells.
+
+    H and W may be any multiples of 32; the input is RGB, (x - 127) / 128. Each cell is averaged
+    with its neighbours before the last layer, because the network was trained on means of 7 x 7
+    cells, and a single cell carries too little evidence.
 
     Parameters
     ----------
     weights : dict of str to array
-        As in the file. H and W may be any multiples of 32. The input is RGB, (x - 127) / 128. Each
-        cell is averaged with its neighbours before the last layer, as the network was trained on
-        means of 7 x 7 cells and one alone sees too little.
+        From :func:`read_weights`.
     """
     nodes: list[bytes] = []
     tensors: list[bytes] = []
@@ -94,7 +96,7 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
     def convolve(x: str, name: str, kernel: np.ndarray, bias: np.ndarray, stride: int = 1) -> str:
         tensors.extend((_tensor(f"{name}.kernel", kernel), _tensor(f"{name}.bias", bias)))
         size = kernel.shape[2]
-        padding = size - stride  # as TensorFlow pads ``SAME``, where the stride divides the side
+        padding = size - stride  # TensorFlow's ``SAME`` padding, if the stride divides the side
         before, after = padding // 2, padding - padding // 2
         return add(
             "Conv",
@@ -112,7 +114,7 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
         bias = weights[f"{norm}.bias"] - weights[f"{norm}.running_mean"] * scale
         kernel = weights[f"{name}.weight"] * scale[:, None, None, None]
         y = convolve(x, name, kernel, bias, stride)
-        # OpenCV's name of the layer: unlike ONNX's Clip it is fused into the convolution.
+        # OpenCV's own operator: it is fused into the convolution, unlike ONNX's Clip.
         return add("ReLU6", y, min_value=0.0, max_value=6.0) if clip else y
 
     x = normalised("image", "_conv_stem", "_bn0", 2)

@@ -1,4 +1,4 @@
-"""The one pixel that stands for a region: the middle of where it is thickest."""
+"""The pixel that represents a region: the centre of its thickest part."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import cv2
 import numpy as np
 
 ROUNDED = 1e-6
-"""Relative error of OpenCV's distances, at most: they are float32."""
+"""Largest relative error of OpenCV's distances, which are float32."""
 
 
 def central_point(region: np.ndarray) -> tuple[int, int]:
-    """The pixel (x, y) = (column, row) of a region that lies deepest inside it.
+    """Find the pixel (x, y) = (column, row) of a region that is farthest from its outside.
 
-    In the largest 4-connected component of the bool [H, W] mask (the first in row-major order if
-    several are largest), the pixel whose Euclidean distance to the nearest pixel outside is
-    largest; the image ends at its edges. Ties go to the first pixel in row-major order.
+    It lies in the largest 4-connected component of the bool [H, W] mask (of several, the first in
+    row-major order) and has the largest Euclidean distance to the nearest pixel outside, pixels
+    beyond the image included. Ties go to the first pixel in row-major order.
     """
     x, y, w, h = cv2.boundingRect(region.view(np.uint8))
     part, left, top = _largest_part(region[y : y + h, x : x + w])
@@ -23,9 +23,9 @@ def central_point(region: np.ndarray) -> tuple[int, int]:
 
 
 def _largest_part(region: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """The largest 4-connected part of bool [h, w], the first of equal ones, in a border of 0.
+    """Crop the largest 4-connected component of bool [h, w], the first of equal ones.
 
-    uint8, cut to the part, and the column and row where that begins.
+    Returns it as uint8 with a border of zeros, and the column and row of the crop.
     """
     _, parts, stats, _ = cv2.connectedComponentsWithStats(
         np.ascontiguousarray(region).view(np.uint8), connectivity=4, ltype=cv2.CV_32S
@@ -43,10 +43,10 @@ def _largest_part(region: np.ndarray) -> tuple[np.ndarray, int, int]:
 
 
 def _deepest(inside: np.ndarray) -> tuple[int, int]:
-    """First pixel, in row-major order, with the greatest distance to the nearest one outside.
+    """Find the first pixel, in row-major order, with the largest distance to the outside.
 
-    ``inside`` uint8 [h, w] is 0 along its borders. Squared distances are whole numbers: what is
-    nearly as deep by the rounded distances of OpenCV is measured exactly.
+    ``inside`` uint8 [h, w] is 0 along its borders. Squared distances are integers, so pixels that
+    OpenCV's rounded distances cannot separate are compared exactly.
     """
     depth = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     greatest = float(depth.max())
@@ -59,7 +59,7 @@ def _deepest(inside: np.ndarray) -> tuple[int, int]:
 
 
 def _squared_distance(inside: np.ndarray, row: int, column: int, limit: float) -> int:
-    """To the nearest pixel outside, which is nearly ``about`` away."""
+    """Compute the squared distance to the nearest pixel outside, which is about ``limit`` away."""
     reach = int(limit) + 2
     top, left = max(0, row - reach), max(0, column - reach)
     outside = np.argwhere(inside[top : row + reach + 1, left : column + reach + 1] == 0)

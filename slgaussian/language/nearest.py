@@ -1,7 +1,7 @@
-"""The ID code nearest to a value in L1 (paper, section 3.2), by a table over code space.
+"""Nearest ID code in L1 (paper, section 3.2), by a lookup table over code space.
 
-The cube is cut into cells, and each knows the codes that are nearest to any point of it: mostly one
-code, and then no distance need be computed to know the answer.
+The cube is divided into cells, and each cell lists all codes that are nearest to some point of it,
+mostly a single one.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from slgaussian.kernels.work_sharing import share, take
 from slgaussian.language.configs import MOST_DIMENSIONS
 
 LEVELS = {1: 12, 2: 7, 3: 5}
-"""How often the cube is halved along every axis, by the dimension: 4,096 to 32,768 cells, which
-stay in the cache of a core. More made the answers no faster."""
+"""Number of bisections of the cube along every axis, by dimension: 4,096 to 32,768 cells, which fit
+in a core's cache. More cells were no faster."""
 
 SLACK = 1e-9
-"""By how much another code must be nearer everywhere in a cell for a code to be left out: far above
-what rounding does to a distance in float64, 1e-15, so that it cannot change the answer."""
+"""A code is excluded from a cell if another is nearer by this much everywhere in it: far above the
+rounding error of float64 distances, 1e-15, so that the result is exact."""
 
 BEYOND = 1.0
-"""How far outside the cube the table serves. Farther out distances lose digits, and every code is
-compared, as the definition says."""
+"""Distance from the cube up to which the table is used. Farther out distances lose precision, and
+all codes are compared."""
 
 SHARE = 4096
-"""Values that a thread takes at a time."""
+"""Number of values per unit of work of a thread."""
 
 
 class Lookup(NamedTuple):
-    """The codes and, for each cell, those that may be nearest in it.
+    """The codes and, for each cell, the candidates for the nearest code.
 
     Attributes
     ----------
     codes : float64 [N, 3]
-        Zero in the dimensions that the codes do not have.
+        Padded with zeros to three dimensions.
     cells : three of int
-        Cells along each axis.
+        Number of cells along each axis.
     starts : int32 [cells + 1]
         Cell c has the candidates ``members[starts[c] : starts[c + 1]]``.
     members : int32 [candidates]
@@ -53,12 +53,12 @@ class Lookup(NamedTuple):
 
 
 def make_lookup(codes: np.ndarray) -> Lookup:
-    """The table for ``codes`` float [N, D] in the cube [0, 1]^D, D from 1 to 3, N at least 1.
+    """Build the table for ``codes`` float [N, D] in [0, 1]^D, D from 1 to 3, N at least 1.
 
     Raises
     ------
     InputError
-        If the shape is another, or a number is NaN or outside [0, 1].
+        If the shape is wrong, or a value is NaN or outside [0, 1].
     """
     codes = np.asarray(codes)
     if codes.ndim != 2 or not 1 <= codes.shape[1] <= MOST_DIMENSIONS or len(codes) == 0:
@@ -91,7 +91,7 @@ def make_lookup(codes: np.ndarray) -> Lookup:
 
 
 def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
-    """Index of the code nearest to each value in L1 distance; ties go to the lowest index.
+    """Find the code nearest to each value in L1 distance; ties go to the lowest index.
 
     Parameters
     ----------
@@ -103,13 +103,13 @@ def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
     Returns
     -------
     int32 [...]
-        Indices into ``codes``, what comparing with every code in float64 gives.
+        Indices into ``codes``, equal to those of an exhaustive search in float64.
 
     Raises
     ------
     InputError
-        If there are no codes, shapes do not fit, a code is outside [0, 1], or a number is NaN or
-        infinite: a value that is not a number is near no code.
+        If there are no codes, shapes do not fit, a code is outside [0, 1], or a value is NaN or
+        infinite.
     """
     values, codes = np.asarray(values), np.asarray(codes)
     lookup = make_lookup(codes)
@@ -131,9 +131,10 @@ def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
 
 @kernel
 def _divide(codes, cells, axes, starts, members, divided, candidates):
-    """Pass the candidates of each cell on to those of its halves that they may be nearest in.
+    """Distribute the candidates of each cell to its halves.
 
-    With ``divided`` empty, count them: int64 a new cell; else write them to ``candidates``.
+    Returns the number of candidates per new cell, int64. Unless ``divided`` (the new ``starts``) is
+    empty, also writes them to ``candidates``.
     """
     counts = np.zeros(cells[0] * cells[1] * cells[2], np.int64)
     low, high, place = np.zeros(3), np.zeros(3), np.empty(3, np.int64)
@@ -168,7 +169,7 @@ def _divide(codes, cells, axes, starts, members, divided, candidates):
 def _may_win(code, rival, low, high):
     """Test whether ``code`` may be as near as ``rival`` to a point between ``low`` and ``high``.
 
-    Along an axis ``|x - other| - |x - code|`` is monotonous: its greatest value is at an end.
+    Along an axis ``|x - rival| - |x - code|`` is monotonic, so its maximum is at an end.
     """
     lead = 0.0
     for k in range(3):
@@ -180,16 +181,16 @@ def _may_win(code, rival, low, high):
 
 @kernel(inline="always")
 def find(x, y, z, codes, across, down, deep, starts, members):
-    """Row of the code nearest to a value, and its distance, float64; zeros past the dimension.
+    """Find the row of the code nearest to (x, y, z), and its distance, float64.
 
-    The arguments after the value are a :class:`Lookup` taken apart, its cells one by one: Numba
-    counts references to what it takes out of a tuple, each time.
+    Unused coordinates are 0. The other arguments are the unpacked fields of a :class:`Lookup`:
+    Numba counts references whenever it unpacks a tuple.
 
-    Outside the cube an axis adds one distance to all codes, so the nearest cell has the answer.
+    Outside the cube an axis adds the same distance to all codes, so the nearest cell is valid.
     """
     best, row = np.inf, np.uint32(0)
     if max(abs(x - 0.5), abs(y - 0.5), abs(z - 0.5)) <= 0.5 + BEYOND:
-        # Unsigned, so that Numba does not look for indices that count from the end.
+        # Unsigned, so that Numba omits the handling of negative indices.
         i = np.uint32(min(max(x * across, 0.0), across - 1.0))
         j = np.uint32(min(max(y * down, 0.0), down - 1.0))
         k = np.uint32(min(max(z * deep, 0.0), deep - 1.0))
@@ -209,7 +210,7 @@ def find(x, y, z, codes, across, down, deep, starts, members):
 
 @kernel(inline="always")
 def distance(x, y, z, codes, row):
-    """L1 distance of a value from a code, summed in the order of the axes."""
+    """Compute the L1 distance of a value from a code, summed in the order of the axes."""
     return abs(x - codes[row, 0]) + abs(y - codes[row, 1]) + abs(z - codes[row, 2])
 
 

@@ -1,6 +1,6 @@
-"""Nouns: which of the 1,000 classes of ImageNet a word means, by the tree of WordNet.
+"""Table from nouns to ImageNet classes, derived from the WordNet hierarchy.
 
-The table is made by ``benches/language/noun_table.py`` from WordNet 3.0, Copyright 2006 by
+``benches/language/noun_table.py`` makes the table from WordNet 3.0, Copyright 2006 by
 Princeton University, all rights reserved; ``noun_classes.LICENSE`` beside it is its licence.
 """
 
@@ -12,12 +12,12 @@ from functools import cache
 from importlib.resources import files
 
 TABLE = "noun_classes.txt.xz"
-"""A line for each set of classes: their numbers, a tab, and the words that mean it."""
+"""One line per set of classes: their numbers, a tab, and its words."""
 
 
 @cache
 def noun_classes() -> Mapping[str, tuple[int, ...]]:
-    """The classes of every noun of the table, of one to three words in lower case."""
+    """Read the table: classes by noun, which has one to three words in lower case."""
     table: dict[str, tuple[int, ...]] = {}
     content = files(__package__).joinpath(TABLE).read_bytes()
     for line in lzma.decompress(content).decode().splitlines():

@@ -1,4 +1,4 @@
-"""An image of object ids made ready for questions."""
+"""An image of object ids, with derived quantities that queries share."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from slgaussian.language.locate import central_point
 
 
 class ObjectMap:
-    """The object of a bank that each pixel shows, and what depends on no text.
+    """The object of each pixel, as rows of a bank, and quantities that depend on no text.
 
     Parameters
     ----------
     ids_map : int [H, W]
-        Object id of each pixel, 0 where none.
+        Object id of each pixel, 0 for none.
     ids : int32 [N]
-        The ids there are, positive and ascending: those of the bank.
+        Ids of the bank, positive and ascending.
 
     Attributes
     ----------
     rows : uint8, uint16 or int32 [H, W]
-        1 + the place of the pixel's object in ``ids``, 0 where none.
+        1 + the row of the pixel's object in ``ids``, 0 for none.
     areas : int64 [N]
-        Pixels of each object.
+        Number of pixels of each object.
 
     Raises
     ------
     InputError
-        If the map is no image of whole numbers, or holds an id that is not in ``ids``.
+        If the map is not an integer image, or holds an id that is not in ``ids``.
     """
 
     def __init__(self, ids_map: np.ndarray, ids: np.ndarray) -> None:
@@ -45,13 +45,13 @@ class ObjectMap:
 
     @cached_property
     def _index(self) -> np.ndarray:
-        """:attr:`rows` as NumPy looks things up by."""
+        """:attr:`rows` in NumPy's index type."""
         return self.rows.astype(np.intp)
 
     def spread(self, values: np.ndarray, nothing: object = 0) -> np.ndarray:
-        """An image [H, W] with each object's value of ``values`` [N], ``nothing`` where none is."""
+        """Map ``values`` [N] of objects to an image [H, W], with ``nothing`` where no object is."""
         if self.rows.dtype == np.uint8 and values.dtype.itemsize in (1, 4):
-            # OpenCV looks up bytes in half the time, if all 256 have an entry.
+            # OpenCV's lookup takes half the time; its table must have 256 entries.
             table = np.zeros(256, values.dtype)
             table[0], table[1 : len(values) + 1] = nothing, values
             plain = table.view({1: np.uint8, 4: np.float32}[values.dtype.itemsize])
@@ -60,27 +60,27 @@ class ObjectMap:
         return table.take(self._index)
 
     def areas_within(self, mask: np.ndarray) -> np.ndarray:
-        """Pixels of each object in a mask bool [H, W]: int64 [N]."""
+        """Count the pixels of each object in a mask bool [H, W]: int64 [N]."""
         return np.bincount(self.rows[mask], minlength=len(self.areas) + 1)[1:]
 
     @cached_property
     def touching(self) -> np.ndarray:
-        """Places int64 [E, 2] in ``ids`` of objects that have a border in common, each pair once.
+        """Rows int64 [E, 2] of objects with a common border (4-connected), each pair once.
 
-        The lower place stands first. Pixels touch their neighbours above, below and beside them.
+        The lower row comes first.
         """
-        wide = len(self.areas) + 1
-        beside = [self.rows[:, :-1], self.rows[:, 1:]], [self.rows[:-1], self.rows[1:]]
+        base = len(self.areas) + 1
+        neighbours = [self.rows[:, :-1], self.rows[:, 1:]], [self.rows[:-1], self.rows[1:]]
         borders = []
-        for first, second in beside:
-            meet = (first != second) & (first > 0) & (second > 0)
-            a, b = first[meet].astype(np.int64), second[meet].astype(np.int64)
-            borders.append(np.minimum(a, b) * wide + np.maximum(a, b))
+        for first, second in neighbours:
+            border = (first != second) & (first > 0) & (second > 0)
+            a, b = first[border].astype(np.int64), second[border].astype(np.int64)
+            borders.append(np.minimum(a, b) * base + np.maximum(a, b))
         pairs = np.unique(np.concatenate(borders))
-        return np.stack([pairs // wide, pairs % wide], 1) - 1
+        return np.stack([pairs // base, pairs % base], 1) - 1
 
     def parts(self, selected: np.ndarray) -> int:
-        """Count the groups of touching objects among the visible of ``selected`` bool [N]."""
+        """Count the connected groups of the visible objects among ``selected`` bool [N]."""
         visible = selected & (self.areas > 0)
         group = {place: place for place in np.flatnonzero(visible).tolist()}
 
@@ -94,16 +94,16 @@ class ObjectMap:
         return sum(place == under for place, under in group.items())
 
     def point(self, place: int) -> tuple[int, int]:
-        """The :func:`central_point` (x, y) of the visible object number ``place`` of ``ids``."""
+        """Return the :func:`central_point` (x, y) of the visible object in row ``place``."""
         if place not in self._points:
             self._points[place] = central_point(self.rows == place + 1)
         return self._points[place]
 
 
 def _look_up(ids_map: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Rows [H, W], 1 + the place in ``ids``; InputError for the first id that is not there.
+    """Convert ids to rows [H, W], 1 + the index in ``ids``; InputError for an id not in it.
 
-    Neighbours mostly show the same object, so an id is searched for only where it changes.
+    Only the first pixel of each run of equal ids is searched for.
     """
     flat = ids_map.ravel()
     starts = np.flatnonzero(np.concatenate([[len(flat) > 0], flat[1:] != flat[:-1]]))

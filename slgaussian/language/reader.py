@@ -33,7 +33,7 @@ NAMED = 10.0
 """Gap of an object that the user called so, and minus it that of all others: far beyond cosines, so
 that the relevancy is 1 or 0 at any temperature in use."""
 
-REMEMBERED = 4096
+CACHE_SIZE = 4096
 """Texts whose vectors a reader keeps."""
 
 
@@ -100,7 +100,7 @@ class TextReader:
 
     def __init__(self, encoder: Encoder) -> None:
         self.encoder = encoder
-        self._read = lru_cache(REMEMBERED)(self._encode)
+        self._read = lru_cache(CACHE_SIZE)(self._encode)
 
     def vectors(self, texts: Sequence[str]) -> np.ndarray:
         """Unit vectors float32 [Q, C] of texts.
