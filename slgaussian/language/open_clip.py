@@ -1,10 +1,10 @@
-"""Checkpoints of open_clip as the ``CLIPModel`` of ``transformers``: the same tensors, renamed.
+"""Conversion of open_clip checkpoints to ``CLIPModel`` of ``transformers``, by renaming tensors.
 
-Both have one architecture. open_clip keeps the three projections of an attention in one tensor and
-the two last projections transposed (names and layouts: the models' own ``state_dict``,
-https://github.com/mlfoundations/open_clip, https://github.com/huggingface/transformers). Sizes are
-those of the tensors; what tensors do not tell (activation, heads) is in ``open_clip_config.json``,
-and without it as in open_clip's models of that width.
+Both implement the same architecture. open_clip stores the three projections of an attention in one
+tensor and the two output projections transposed (names and layouts are those of the ``state_dict``
+in https://github.com/mlfoundations/open_clip and https://github.com/huggingface/transformers).
+Sizes are inferred from the tensors. Activation and number of heads are read from
+``open_clip_config.json`` or, without it, are those of open_clip's models of the same width.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
 
 HEAD_WIDTHS = {1280: 80, 1408: 88, 1664: 104, 1792: 112}
-"""Channels of a head in the image towers of open_clip's ViT-H, g, bigG and e, by their width; 64
-in all others, and in all text towers."""
+"""Head dimension in the image towers of open_clip's ViT-H, g, bigG and e, by width; 64 in all other
+image towers, and in all text towers."""
 
 UNDERSTOOD = {
     "": {"embed_dim", "vision_cfg", "text_cfg", "quick_gelu"},
@@ -38,8 +38,8 @@ UNDERSTOOD = {
     },
     "text_cfg": {"context_length", "vocab_size", "width", "heads", "layers", "mlp_ratio"},
 }  # fmt: skip
-"""Keys of a configuration that are followed, or that only training reads, by their table. Any other
-one, unless it is empty or false, stands for something that CLIPModel has not."""
+"""Supported configuration keys, by table, including those that only training uses. Any other key
+with a value that is neither empty nor false is a feature that CLIPModel lacks."""
 
 TOWERS = {"visual.transformer": "vision_model.encoder", "transformer": "text_model.encoder"}
 LAYER = {
@@ -66,36 +66,36 @@ WHOLE = {
     "logit_scale": "logit_scale",
 }
 OPENAI_SIZES = {"input_resolution", "context_length", "vocab_size"}
-"""Numbers among the tensors of OpenAI's own checkpoints, which all have QuickGELU."""
+"""Scalar tensors that only OpenAI's own checkpoints have; all of these use QuickGELU."""
 
 TRANSPOSED = ("visual.proj", "text_projection")
 
 
 def load_open_clip(files: ModelFiles) -> Any:
-    """The ``CLIPModel`` of a checkpoint, float32.
+    """Load a checkpoint as a float32 ``CLIPModel``.
 
     Parameters
     ----------
-    found : ModelFiles
-        With a checkpoint: ``.safetensors``, or a file of ``torch.save`` that holds tensors alone,
-        as they are, or as ``state_dict`` beside other things.
+    files : ModelFiles
+        Files with a checkpoint: ``.safetensors``, or a ``torch.save`` file that holds only tensors,
+        at top level or under ``state_dict``.
 
     Raises
     ------
     InputError
-        If the file cannot be read, a tensor is missing, left over or of another shape, or the
-        configuration asks for what CLIPModel has not.
+        If the file cannot be read, a tensor is missing, unexpected or has a wrong shape, or the
+        configuration has a feature that CLIPModel lacks.
     """
     config: Mapping[str, Any] = {}
     for file in files.files:
         if file.name == OPEN_CLIP_CONFIG:
             config = _read_config(file)
-    assert files.checkpoint is not None  # a folder's model is loaded as it is, not converted
+    assert files.checkpoint is not None  # models in folders need no conversion
     return convert(_read_tensors(files.checkpoint), config, str(files.checkpoint))
 
 
 def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], source: str) -> Any:
-    """The ``CLIPModel`` with the tensors of an open_clip model.
+    """Convert the tensors of an open_clip model to a ``CLIPModel``.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
     config : mapping
         ``model_cfg`` of ``open_clip_config.json``, or empty.
     source : str
-        What messages call the tensors.
+        Name of the model in messages.
 
     Raises
     ------
@@ -120,17 +120,17 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
     names = _names(layers)
     missing, extra = sorted(names.keys() - tensors.keys()), sorted(tensors.keys() - names.keys())
     if missing or extra:
-        said = [
-            f"{what}, such as {some[0]}"
-            for what, some in (
+        problems = [
+            f"{problem}, such as {tensor_names[0]}"
+            for problem, tensor_names in (
                 (f"lacks {len(missing)} of the tensors of open_clip's ViTs", missing),
                 (f"has {len(extra)} that they have not", extra),
             )
-            if some
+            if tensor_names
         ]
         raise InputError(
-            f"model {source}: {' and '.join(said)}; expected an open_clip checkpoint with a ViT "
-            "and a text transformer, such as ViT-B-16"
+            f"model {source}: {' and '.join(problems)}; expected an open_clip checkpoint with a "
+            "ViT and a text transformer, such as ViT-B-16"
         )
     network_config = CLIPConfig.from_dict(_sizes(tensors, layers, config, source))
     renamed: dict[str, torch.Tensor] = {}
@@ -153,7 +153,7 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
             )
         if report["missing_keys"]:
             raise KeyError(f"nothing for {min(report['missing_keys'])} of CLIPModel")
-    except Exception as problem:  # it raises what its layers raise, of any kind
+    except Exception as problem:  # layers raise exceptions of any type
         reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise InputError(
             f"model {source}: its tensors do not fit each other ({reason}); get it again"
@@ -168,7 +168,7 @@ def _count_layers(tensors: Mapping[str, torch.Tensor], tower: str) -> int:
 
 
 def _names(layers: Mapping[str, int]) -> dict[str, str]:
-    """transformers' name by open_clip's; one with {} stands for three, of q, k and v."""
+    """Map open_clip's names to those of transformers; {} stands for each of q, k and v."""
     names = dict(WHOLE)
     for tower, count in layers.items():
         for i in range(count):
@@ -186,7 +186,7 @@ def _sizes(
     config: Mapping[str, Any],
     source: str,
 ) -> dict[str, Any]:
-    """The configuration of CLIPModel."""
+    """Infer the configuration of CLIPModel."""
     shape = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     ranks = {"visual.conv1.weight": 4, "visual.proj": 2, "visual.positional_embedding": 2}
     ranks |= {"positional_embedding": 2, "token_embedding.weight": 2, "ln_final.weight": 1}
@@ -243,7 +243,7 @@ def _read_config(file: Path) -> Mapping[str, Any]:
 
 
 def _read_tensors(file: Path) -> dict[str, torch.Tensor]:
-    """The tensors of a checkpoint by name; nothing in the file is ever run."""
+    """Read the tensors of a checkpoint by name, without running code of the file."""
     try:
         if file.suffix == ".safetensors":
             from safetensors.torch import load_file
@@ -264,5 +264,5 @@ def _read_tensors(file: Path) -> dict[str, torch.Tensor]:
         for name, tensor in content.items()
     ):
         raise InputError(f"model {file}: holds other things than tensors by name; get it again")
-    # Training on several devices writes all names with this in front.
+    # DistributedDataParallel prefixes all names.
     return {name.removeprefix("module."): tensor for name, tensor in content.items()}

@@ -1,4 +1,4 @@
-"""Numbers that tell plain, striped, checked, dotted and grainy surfaces apart."""
+"""Texture features that distinguish plain, striped, checked, dotted and grainy surfaces."""
 
 from __future__ import annotations
 
@@ -7,36 +7,36 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-_EDGE = 2  # pixels left out along the outline, where the neighbours show
-_HOLE = 0.25  # least radius of a ring's hole, in root mean square distances from its centre
+_EDGE = 2  # pixels excluded along the outline, which mix with neighbouring regions
+_HOLE = 0.25  # smallest radius of a ring's hole, relative to the RMS distance from its centre
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Results of :func:`measure` on one surface; all scale-free but ``roughness``.
+    """Features of one surface; all except ``roughness`` are independent of scale.
 
     Attributes
     ----------
     roughness : float
         Mean CIELAB gradient, units per pixel of the crop.
     two_tone : float
-        Share of the colour variance that two clusters explain, in [0, 1].
+        Fraction of the colour variance explained by two clusters, in [0, 1].
     contrast : float
         CIELAB distance between the two clusters.
     minor : float
-        Share of the smaller cluster, in [0, 0.5].
+        Fraction of pixels in the smaller cluster, in [0, 0.5].
     along : float
         Second harmonic of the gradient directions, in [0, 1]: 1 if all edges are parallel. On a
-        ring, directions are relative to the spokes, here and in ``crossed``.
+        ring, directions of ``along`` and ``crossed`` are relative to the radius.
     crossed : float
         Fourth harmonic, in [0, 1]: 1 if all edges are parallel or at right angles.
     upright : float
-        Balance of edges, in [-1, 1]: 1 if all run up and down, -1 if all run across.
+        In [-1, 1]: 1 if all edges are vertical, -1 if all are horizontal.
     spots : float
-        Number of separate pieces of the smaller cluster.
+        Number of connected components of the smaller cluster.
     spot_fill : float
-        Area of those pieces over that of ellipses with their moments, weighted by area; near 1
-        for discs, lower for ragged and branching pieces.
+        Area of the components relative to ellipses with the same second moments, mean weighted by
+        area; near 1 for discs, lower for ragged and branching components.
     """
 
     roughness: float
@@ -64,9 +64,9 @@ def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
 
 
 def _around(mask: np.ndarray) -> np.ndarray | None:
-    """Unit complex numbers [h, w] that turn doubled directions into the frame of a pixel's spoke.
+    """Compute complex factors [h, w] that rotate doubled directions to be relative to the radius.
 
-    For rings, whose pattern runs around the hole; None if the middle is not an enclosed hole.
+    Only for rings, whose pattern follows the hole; None if the centre is not an enclosed hole.
     """
     y, x = (
         np.arange(len(count)) - (count @ np.arange(len(count))) / count.sum()
@@ -105,7 +105,10 @@ def _directions(
 
 
 def _two_tones(lab: np.ndarray, inside: np.ndarray) -> tuple[float, float, np.ndarray]:
-    """Otsu's split along the main axis of colour: variance explained, distance, smaller part."""
+    """Split colours along their main axis by Otsu's method.
+
+    Returns the explained fraction of the variance, the distance and the smaller cluster.
+    """
     colours = lab[inside].astype(np.float64)
     centred = colours - colours.mean(0)
     spread = np.einsum("nc,nd->cd", centred, centred)
@@ -146,6 +149,6 @@ def _spots(second: np.ndarray) -> tuple[float, float]:
 
 
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of vectors along the last axis, [..., 3]."""
+    """Compute dot products along the last axis, [..., 3]."""
     product: np.ndarray = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
     return product

@@ -1,6 +1,6 @@
-"""Ask an image of object ids for words: find, locate and segment.
+"""Text queries on an image of object ids: relevancy, mask, point and segmentation.
 
-Every answer is one number an object, spread over the image by id; no pixel is scored on its own.
+Objects are scored, not pixels; images are filled in by object id.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from slgaussian.language.rules import Rules, unmeasured
 from slgaussian.language.wholes import LEAST_PIXELS
 
 AS_GOOD = 0.9
-"""The largest of the objects whose gap reaches this fraction of the best gap is pointed at."""
+"""The point lies on the largest of the objects whose gap is at least this fraction of the best."""
 
 
 @dataclass(frozen=True, eq=False)
 class QueryResult:
-    """The answer to a text in one image. Pictures are drawn when they are first looked at.
+    """The answer to a text in one image. Its images are computed on first access.
 
     Attributes
     ----------
     text : str
     scores : float64 [N]
-        Relevancy of every object of the bank in [0, 1], whether the image shows it or not.
+        Relevancy of every object of the bank in [0, 1], visible or not.
     understood : Understood
-        Which words of the text count.
+        The encoder's reading of the text.
     """
 
     text: str
@@ -42,18 +42,17 @@ class QueryResult:
     _ids: np.ndarray = field(repr=False)
     _seen: ObjectMap = field(repr=False)
     _ranked: np.ndarray = field(repr=False)
-    """Places in the bank of the visible objects that some view holds, best first."""
+    """Rows in the bank of the visible objects that some view shows, best first."""
     _as_good: np.ndarray = field(repr=False)
-    """Places of those that the point may be on: about as good as the best of the answer."""
+    """Rows of the candidates for the point, see :data:`AS_GOOD`."""
     _chosen: np.ndarray = field(repr=False)
-    """bool [N]: what the rules select, visible or not."""
+    """bool [N]: objects that the rules select, visible or not."""
     confidence: Confidence | None = None
-    """How likely mask and point are right; None where that was not measured: of an encoder without
-    a calibration, or with canonical phrases of one's own. And of a name, of which nothing is to be
-    doubted."""
+    """Probabilities that mask and point are right. None without a calibration: for other encoders,
+    or the user's own canonical phrases; and for names, which are always right."""
     uncalibrated: str = ""
-    """For what that was not measured, such as ``the encoder clip``; empty where it was, or where
-    nothing is to be doubted."""
+    """Reason of a missing calibration, such as ``the encoder clip``; empty if it exists or is not
+    needed."""
 
     def __repr__(self) -> str:
         ids = short([id_ for id_, _ in self.objects])
@@ -67,17 +66,17 @@ class QueryResult:
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Words of the text that the encoder does not know and left out."""
+        """Words of the text that the encoder does not know and ignored."""
         return self.understood.unknown
 
     @property
     def score(self) -> float:
-        """Relevancy of the best visible object; 0.5 is "as good as any phrase". 0 without one."""
+        """Relevancy of the best visible object, 0.5 if as good as a generic phrase; 0 if none."""
         return float(self.scores[self._ranked[0]]) if len(self._ranked) else 0.0
 
     @cached_property
     def objects(self) -> tuple[tuple[int, float], ...]:
-        """The selected objects as (id, relevancy), best first; of equal ones the lowest id."""
+        """The selected objects as (id, relevancy), best first; ties go to the lowest id."""
         rows = self._ranked[self._chosen[self._ranked]]
         return tuple((int(self._ids[i]), float(self.scores[i])) for i in rows)
 
@@ -98,11 +97,12 @@ class QueryResult:
 
     @property
     def verdict(self) -> str:
-        """``found``, ``not sure``, ``not here`` or ``cannot tell``: all that is told goes by this.
+        """``found``, ``not sure``, ``not here`` or ``cannot tell``; every output follows this.
 
-        Nothing can be told of a noun that nobody knows (:attr:`Understood.untold`). Else by
-        :attr:`confidence`, see :class:`slgaussian.language.confidence.Confidence`; without it what
-        selects anything is found. Mask and point are given whatever it says, as best guesses.
+        It is ``cannot tell`` for an unknown noun (:attr:`Understood.untold`), and otherwise follows
+        :attr:`confidence`, see :class:`slgaussian.language.confidence.Confidence`; without a
+        confidence, ``found`` means that the mask is not empty. Mask and point are best guesses
+        whatever the verdict.
         """
         if self.understood.untold:
             return "cannot tell"
@@ -112,20 +112,20 @@ class QueryResult:
 
     @property
     def shown(self) -> bool:
-        """True if mask and point are to be shown: the verdict is ``found`` or ``not sure``."""
+        """True if mask and point should be shown: the verdict is ``found`` or ``not sure``."""
         return self.verdict in ("found", "not sure")
 
     @property
     def summary(self) -> str:
-        """The verdict and how likely it is, in one line: of terminal, JSON, picture and viewer.
+        """The verdict and its probability in one line, for terminal, JSON, picture and viewer.
 
-        A page says the same (``summary`` of ``viewer/page/words.js``).
+        ``summary`` of ``viewer/page/words.js`` must give the same text.
         """
         if self.understood.untold:
             return f"cannot tell: {self.understood.untold}"
         if not self.mask.any():
-            why = f"the best object scores {self.score:.3f}"
-            return f"not here: {why if len(self._ranked) else 'this view shows no object'}"
+            reason = f"the best object scores {self.score:.3f}"
+            return f"not here: {reason if len(self._ranked) else 'this view shows no object'}"
         if self.confidence is None:
             return f"found, uncalibrated for {self.uncalibrated}" if self.uncalibrated else "found"
         mask, point = self.confidence.mask, self.confidence.point
@@ -137,12 +137,12 @@ class QueryResult:
 
     @property
     def point(self) -> tuple[int, int] | None:
-        """Column and row (x, y) of the pixel that is the best guess of where the object is.
+        """Column and row (x, y) of the most likely pixel of the object.
 
-        Of the selected objects that fit about as well as the best of them does (:data:`AS_GOOD`),
-        the one that the image shows most of: a sliver fits by chance more easily. The middle of
-        where that one is thickest; see :func:`slgaussian.language.locate.central_point`. Given even
-        if no object was good enough to be selected; None if the image shows none at all.
+        It is the :func:`slgaussian.language.locate.central_point` of the largest of the selected
+        objects that fit about as well as the best of them (:data:`AS_GOOD`): small ones are more
+        likely to fit by chance. If no object is selected, all visible objects are considered; None
+        if the image shows no object.
         """
         if not len(self._ranked):
             return None
@@ -152,7 +152,7 @@ class QueryResult:
 def ask(
     texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Rules
 ) -> list[QueryResult]:
-    """Find the objects that each text describes, among those that an image shows.
+    """Answer each text with the objects that an image shows.
 
     Raises
     ------
@@ -172,9 +172,9 @@ def _answer(
     reader: BankReader,
     rules: Rules,
 ) -> QueryResult:
-    """Answer a text by its gaps float64 [N], -inf is what cannot be meant, and the chosen [N]."""
+    """Answer a text from its gaps float64 [N] (-inf: impossible) and the selected objects [N]."""
     calibration = reader.encoder.calibration
-    doubt = unmeasured(reader.encoder, rules)
+    uncalibrated = unmeasured(reader.encoder, rules)
     visible = np.flatnonzero(seen.areas)
     ranked = visible[np.argsort(-gaps[visible], kind="stable")]
     ranked = ranked[gaps[ranked] > -np.inf]
@@ -183,21 +183,21 @@ def _answer(
     as_good = as_good[gaps[as_good] >= min(AS_GOOD * best, best)]
     scores = sigmoid(rules.temperature * gaps)
     read, sure = reader.understood(text), None
-    why = "" if read.kind == "named" else doubt
-    if calibration is not None and not doubt and len(ranked) and read.kind != "named":
+    reason = "" if read.kind == "named" else uncalibrated
+    if calibration is not None and not uncalibrated and len(ranked) and read.kind != "named":
         parts = seen.parts(chosen & (gaps > -np.inf))
         at = signs(gaps[ranked], chosen[ranked], read.measurements, parts, read.named)
         sure = confidence(calibration, at)
-    selection = ranked, as_good, chosen, sure, why
+    selection = ranked, as_good, chosen, sure, reason
     return QueryResult(text, scores, read, reader.bank.ids, seen, *selection)
 
 
 def find(
     text: str, reader: BankReader, rules: Rules, among: np.ndarray
 ) -> tuple[tuple[int, float], ...]:
-    """The objects that a text describes, whatever the view: (id, relevancy), best first.
+    """Find the objects of a text independently of any view: (id, relevancy), best first.
 
-    ``among`` bool [N] are the objects of the bank that may be found. InputError as :func:`ask`.
+    Only the objects ``among`` bool [N] of the bank are considered. InputError as :func:`ask`.
     """
     gaps = np.where(among, reader.gaps([text], rules)[0], -np.inf)
     everywhere = np.where(among, LEAST_PIXELS, 0)
@@ -208,14 +208,13 @@ def find(
 
 
 def segment(texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Rules) -> np.ndarray:
-    """Give every object the text that describes it best; the temperature cannot change which.
+    """Assign to every object the text with the highest relevancy, whatever the temperature.
 
     Returns
     -------
     int32 [H, W]
-        k + 1 where ``texts[k]`` has the highest relevancy; ties go to the first text. 0 where there
-        is no object, or none of the texts has a relevancy above the threshold of ``rules``, 0.5 if
-        that is left out.
+        k + 1 where ``texts[k]`` has the highest relevancy; ties go to the first text. 0 without an
+        object, or if no text has a relevancy above the threshold of ``rules``, by default 0.5.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Readers of texts: what an encoder understands, and what the objects of a bank say to it."""
+"""Readers of texts: an encoder's reading of a text, and the gaps of a bank's objects to it."""
 
 from __future__ import annotations
 
@@ -19,56 +19,55 @@ from slgaussian.language.taught import TaughtWords, normal, spelled
 from slgaussian.language.wholes import Candidates, near_best
 
 CLASS_LEAD = 0.1
-"""Lead in cosine that classes give a look at most, where the text is a noun alone. Fitted, with the
-next two, on labelled photographs: of any place left out the others choose nearly the same."""
+"""Largest lead in cosine from class evidence, for a text that is a noun alone. Fitted, with the
+next two constants, on labelled photographs; leave-one-place-out fits give nearly the same."""
 
 CLASS_SCALE = 3.0
-"""Nats of evidence for classes that give three quarters of that lead."""
+"""Class evidence, in nats, that gives three quarters of the largest lead."""
 
 DESCRIBED = 0.5
-"""Each word that describes the noun counts this much of it: a described thing is less told by what
-it is called."""
+"""Weight of each word that describes the noun, relative to the noun: class evidence counts less for
+a described object."""
 
 NAMED = 10.0
-"""Gap of an object that the user called so, and minus it that of all others: far beyond cosines, so
-that the relevancy is 1 or 0 at any temperature in use."""
+"""Gap of objects with the name that is asked for; all others have its negative. It is far larger
+than cosines, so that relevancies are 1 or 0 at all usual temperatures."""
 
 CACHE_SIZE = 4096
-"""Texts whose vectors a reader keeps."""
+"""Number of texts whose vectors a reader caches."""
 
 
 @dataclass(frozen=True)
 class Understood:
-    """The words of a text as an encoder reads them.
+    """An encoder's reading of a text.
 
     Attributes
     ----------
     read_as : str
-        Those that count, in words of the encoder.
+        The words that count, in the encoder's spelling.
     unknown : tuple of str
-        Those that it does not know and leaves out.
-    unused : {word: why}
-        Others that do not count, though it may know them: "plant" of "plant pot".
+        Unknown words, which are ignored.
+    unused : {word: reason}
+        Other ignored words, such as "plant" of "plant pot".
     kind : str
-        ``known``: the encoder answers, and knows every word that counts. ``unknown``: it answers,
-        but there are words that it does not know and leaves out. ``taught``: the text is a word
-        that a user taught, and its examples answer. ``picture``: a picture or an object was asked
-        for, no text.
+        ``known``: answered by the encoder, which knows every word that counts. ``unknown``:
+        answered by the encoder without the unknown words. ``named``: answered by the objects with
+        this name. ``taught``: answered by the examples of a taught word. ``picture``: the query is
+        a picture or an object, not a text.
     examples : int
-        Of a taught word, how many examples answer.
+        Number of examples of a taught word.
     instead_of : str
-        Of a name or a taught word that the encoder knows too: what it would have read.
+        For a name or a taught word, the encoder's reading of it, if it has one.
     measurements : int
-        How many the text asks for, or as many as most do where nobody counts them.
+        Number of measurements that the text asks for, or the typical number.
     named : float
-        By how much the classifier names some object so; see
-        :class:`slgaussian.language.confidence.Signs`.
+        Evidence of the classifier; see :class:`slgaussian.language.confidence.Signs`.
     describing : int
-        How many words describe the noun.
+        Number of words that describe the noun.
     untold : str
-        Why nothing can be said of what the text asks for; empty if something can.
+        Reason why the text cannot be answered; empty if it can.
     question : str
-        Known words that may be meant by unknown ones, as the end of a sentence.
+        Suggestions for unknown words, as the end of a sentence.
     """
 
     read_as: str
@@ -85,25 +84,25 @@ class Understood:
 
     @property
     def alone(self) -> str:
-        """That unknown words are left out, as the end of a sentence; empty if none is."""
+        """Note that unknown words are ignored, as the end of a sentence; empty without any."""
         return f", for {self.read_as!r} alone{self.question}" if self.unknown else ""
 
 
 class TextReader:
-    """An encoder that remembers what it read.
+    """An encoder with a cache of texts.
 
-    Texts are encoded one by one, so that an answer does not depend on what else is asked.
+    Texts are encoded one by one, so that a vector does not depend on the other texts.
     """
 
     by_class = False
-    """Whether a classifier has seen what is asked about."""
+    """True if a classifier has classified the objects."""
 
     def __init__(self, encoder: Encoder) -> None:
         self.encoder = encoder
         self._read = lru_cache(CACHE_SIZE)(self._encode)
 
     def vectors(self, texts: Sequence[str]) -> np.ndarray:
-        """Unit vectors float32 [Q, C] of texts.
+        """Encode texts as unit vectors float32 [Q, C].
 
         Raises
         ------
@@ -116,22 +115,22 @@ class TextReader:
         return np.stack([self._read(text)[0] for text in texts])
 
     def phrases(self, rules: Rules) -> tuple[str, ...]:
-        """The canonical phrases that ``rules`` ask for."""
+        """Return the canonical phrases of ``rules`` or, by default, of the encoder."""
         return rules.phrases or tuple(self.encoder.canonical)
 
     def understood(self, text: str) -> Understood:
-        """Read ``text``: what counts and what does not; InputError if the encoder cannot use it."""
+        """Return the reading of ``text``; InputError if the encoder cannot use it."""
         return self._read(text)[1]
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """The words of ``text`` that the encoder leaves out, as it does not know them."""
+        """Return the words of ``text`` that the encoder does not know and ignores."""
         return self._read(text)[1].unknown
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         encoder = self.encoder
         untold = getattr(encoder, "untold", lambda *_: "")(text, self.by_class)
         read_as, unknown = encoder.read_as(text), encoder.unknown_words(text)
-        # Of what nothing is known, nothing is said: as much as any phrase.
+        # A text without a known word is encoded as a generic phrase.
         vector = encoder.encode_text([text if read_as or not untold else encoder.canonical[0]])[0]
         return vector, Understood(
             read_as,
@@ -146,11 +145,11 @@ class TextReader:
 
 
 class BankReader(TextReader):
-    """A memory bank and the encoder that built it: what objects have to say to texts.
+    """Scores texts against a memory bank, with the encoder that built it.
 
-    What the canonical phrases score is remembered too. A text that is one of the ``names`` {id:
-    name} means the objects called so and no others; one of the ``taught`` words is answered by
-    their examples.
+    Scores of the canonical phrases are cached. A text that equals one of the ``names`` {id: name}
+    matches exactly the objects with this name; one of the ``taught`` words is answered by its
+    examples.
     """
 
     def __init__(
@@ -171,7 +170,7 @@ class BankReader(TextReader):
         self._scorer = lru_cache(4)(self._make_scorer)
 
     def gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
-        """Relevancy gaps float64 [Q, N] of texts to the objects of the bank.
+        """Compute the relevancy gaps float64 [Q, N] of texts to the objects of the bank.
 
         Raises
         ------
@@ -180,7 +179,7 @@ class BankReader(TextReader):
         """
         scorer = self._scorer(self.phrases(rules), rules.absent)
         if isinstance(texts, str) or not len(texts):
-            self.vectors(texts)  # which says what is wrong
+            self.vectors(texts)  # raises
         gaps = np.empty((len(texts), len(self.bank)))
         rows: dict[str, list[int]] = {"named": [], "taught": [], "known": []}
         for k, text in enumerate(texts):
@@ -193,14 +192,14 @@ class BankReader(TextReader):
             leads = [self.taught.leads(texts[k], scorer.looks) for k in rows["taught"]]
             gaps[rows["taught"]] = scorer.combined(np.stack(leads))
         for k in rows["named"]:
-            mine = np.isin(self.bank.ids, self._called[spelled(texts[k])])
-            gaps[k] = np.where(mine, NAMED, -NAMED)
+            has_name = np.isin(self.bank.ids, self._called[spelled(texts[k])])
+            gaps[k] = np.where(has_name, NAMED, -NAMED)
         return gaps
 
     def class_leads(self, text: str) -> np.ndarray:
-        """Compute what the classifier adds to the leads of a text, float64 [M, V].
+        """Compute the leads of a text from class evidence, float64 [M, V].
 
-        Zero where the noun is none of its classes, or nothing was classified.
+        Zero if the noun has no classes, or nothing was classified.
         """
         strength = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
         leads: np.ndarray = strength * np.tanh(self.class_evidence(text) / CLASS_SCALE)
@@ -214,7 +213,7 @@ class BankReader(TextReader):
         )
 
     def _likeliest(self, text: str) -> float | None:
-        """Log-probability of the noun's classes in the object that has most of it."""
+        """Compute the highest log-probability of the noun's classes in any object, or None."""
         classes = getattr(self.encoder, "classes", lambda _: ())(text)
         if not classes or self.bank.class_scores is None or not self.bank.present.any():
             return None
@@ -222,10 +221,10 @@ class BankReader(TextReader):
         return float(log_probability(objects, classes).max())
 
     def class_evidence(self, text: str) -> np.ndarray:
-        """Compute how much likelier the noun's classes are there than in whole photographs, nats.
+        """Compute the evidence for the noun's classes in ``bank.nodes``, float64 [M, V], in nats.
 
-        float64 [M, V] over ``bank.nodes``, see :func:`slgaussian.language.class_evidence.evidence`;
-        zeros if there are none, or nothing was classified. InputError if the text cannot be used.
+        See :func:`slgaussian.language.class_evidence.evidence`; zeros if the noun has no classes or
+        nothing was classified. InputError if the text cannot be used.
         """
         bank = self.bank
         classes = getattr(self.encoder, "classes", lambda _: ())(text)
@@ -234,22 +233,22 @@ class BankReader(TextReader):
         return evidence(bank.class_scores, bank.photograph_scores, classes)
 
     def relevancies(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
-        """Relevancies float64 [Q, N] in [0, 1] of texts to the objects; errors as :meth:`gaps`."""
+        """Compute the relevancies float64 [Q, N] in [0, 1] of texts; errors as :meth:`gaps`."""
         relevancies: np.ndarray = sigmoid(rules.temperature * self.gaps(texts, rules))
         return relevancies
 
     def chosen(
         self, texts: Sequence[str], gaps: np.ndarray, areas: np.ndarray, rules: Rules
     ) -> np.ndarray:
-        """Choose the objects of answers, bool [Q, N].
+        """Select the objects of each answer, bool [Q, N].
 
         Parameters
         ----------
         texts : sequence of str
         gaps : float64 [Q, N]
-            Their gaps; -inf is what cannot be meant.
+            Gaps of the texts; -inf excludes an object.
         areas : int64 [N]
-            Pixels of each object in the view that is asked.
+            Pixels of each object in the queried view.
         rules : Rules
         """
         if rules.threshold is not None:
@@ -267,7 +266,7 @@ class BankReader(TextReader):
     def candidates(
         self, texts: Sequence[str], gaps: np.ndarray, areas: np.ndarray, rules: Rules
     ) -> Candidates:
-        """Describe what may be the answers to texts of known words; arguments as :meth:`chosen`."""
+        """Compute the candidate answers to texts of known words; arguments as :meth:`chosen`."""
         assert self.bank.wholes is not None
         plain = self._scorer(self.phrases(rules), rules.absent).gaps(self.vectors(texts))
         plain = np.where(gaps > -np.inf, plain, -np.inf)
@@ -275,7 +274,7 @@ class BankReader(TextReader):
         return self.bank.wholes.candidates(plain, evidence, areas, rules.share)
 
     def understood(self, text: str) -> Understood:
-        """Read ``text``: what counts and what does not; InputError if nothing can use it."""
+        """Return the reading of ``text``; InputError if neither encoder nor examples can use it."""
         who = self._who(text)
         if who == "known":
             return super().understood(text)
@@ -289,11 +288,11 @@ class BankReader(TextReader):
         return Understood(word, (), {}, who, examples, instead_of)
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """The words of ``text`` that are left out; InputError as :meth:`understood`."""
+        """Return the ignored words of ``text``; InputError as :meth:`understood`."""
         return self.understood(text).unknown
 
     def _who(self, text: str) -> str:
-        """Name what answers: a name wins over a taught word, and that over the encoder."""
+        """Return the kind of answer: names take precedence over taught words, then the encoder."""
         if spelled(text) in self._called:
             return "named"
         return "taught" if text in self.taught else "known"

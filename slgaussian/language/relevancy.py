@@ -4,19 +4,19 @@ The paper's  max_j min_i  exp(T L_j.q) / (exp(T L_j.q) + exp(T L_j.c_i))  is a s
 
     gap = max_j ( L_j.q - max_i L_j.c_i )
 
-over the views j that hold the object and the canonical phrases c_i, because the sigmoid is
-increasing. No exponential is taken of anything that can overflow, and the gap orders objects the
-same way at every temperature, even where the sigmoid has saturated. T = 1 is the formula as
-printed; T = 10, the default, is what the field's published code uses.
+over the views j that show the object and the canonical phrases c_i, because the sigmoid is
+increasing. This avoids overflow, and the gap orders objects in the same way at every temperature,
+even where the sigmoid saturates. T = 1 is the paper's formula; T = 10, the default, is that of the
+published code of LERF and LangSplat.
 
-Where it is known what objects are part of, a text may mean the whole: of a sofa, cut up into
-cushions and arms, no piece looks like one. Then j runs over the object itself and the groups that
-hold it, in every view, and the greatest lead gives way to a soft one,
+If groups of objects are known, a text may describe a group: a sofa is segmented into cushions and
+arms, none of which looks like a sofa. Then j runs over the object and the groups that contain it,
+in every view, and a soft maximum of the leads replaces the maximum,
 
-    gap = sum_j w_j lead_j / sum_j w_j,   w_j = exp(lead_j / s):
+    gap = sum_j w_j lead_j / sum_j w_j,   w_j = exp(lead_j / s),
 
-one look that fits by chance counts less than several that agree. s is 0.05, or what suits the
-cosines of an encoder (its ``soft``).
+so that one feature that fits by chance counts less than several that agree. s is 0.05, or the
+encoder's ``soft``, which depends on the spread of its cosines.
 """
 
 from __future__ import annotations
@@ -28,26 +28,25 @@ import numpy as np
 from slgaussian.errors import InputError, did_you_mean
 
 UNIT_TOLERANCE = 1e-3
-"""Largest allowed | |L| - 1 |. Rounding to half precision moves a length by at most 2^-11, half of
-that; features that were never normalised do not pass."""
+"""Largest allowed | |L| - 1 |. Rounding to half precision changes a length by at most 2^-11, half
+of that; unnormalised features are refused."""
 
 SOFT = 0.05
-"""How much greater one lead in cosine is than another if it counts e times as much, where there
-are groups, if the encoder says nothing else. From 0.02 to 0.1 the answers are about as good."""
+"""Default temperature s of the soft maximum over leads. Answers are about as good from 0.02 to
+0.1."""
 
 LOG_MOST = math.log(np.finfo(np.float64).max)
-"""Exponentials of more than this are infinite."""
+"""Largest finite argument of exp."""
 
 ABSENT = ("skip", "zero")
-"""What a view says about an object that it does not hold. ``skip``: nothing. ``zero``: what the
-paper's zero vector says, which is gap 0 and so relevancy 0.5 to every text."""
+"""Treatment of views that do not show an object. ``skip``: ignored. ``zero``: the paper's zero
+vector, which gives gap 0 and relevancy 0.5 for every text."""
 
 
 class Scorer:
-    """Scores texts against the same objects again and again.
+    """Scores texts against a fixed set of objects.
 
-    All that no text changes is worked out once: checks, lengths, and how well the best canonical
-    phrase fits.
+    Checks, normalisation and the scores of the canonical phrases are computed once.
 
     Parameters
     ----------
@@ -55,29 +54,28 @@ class Scorer:
         Unit vectors of M objects in V views; rows of absent views are ignored. With ``levels``, of
         objects and groups.
     present : bool [M, V]
-        Which views hold the object.
+        True where the view shows the object.
     canonical : float [K, C]
         Unit vectors of the phrases that every query competes with, K at least 1.
     absent : str
         One of :data:`ABSENT`.
     levels : int [L, N], optional
-        Of the first N rows, the objects, the row of the group that holds each at L levels, or its
-        own. Without, all rows are objects and there are no groups.
+        For each of the N objects, which are the first rows, the row of its group at L levels, or
+        its own row. By default all rows are objects, without groups.
     soft : float
-        How much greater one lead is than another if it counts e times as much, where there are
-        groups; positive.
+        Temperature of the soft maximum, positive; used only with groups.
 
     Attributes
     ----------
     looks : float64 [P, C]
-        The used vectors, of the present rows and views in order, with a length of exactly 1.
+        The present vectors, in order of rows and views, normalised to length 1 in float64, so that
+        features rounded to half precision give true cosines.
 
     Raises
     ------
     InputError
-        If shapes disagree, or a used vector is zero, holds NaN or is no unit vector by more than
-        :data:`UNIT_TOLERANCE`. Within it, lengths are made exactly 1 first, so that features
-        rounded to half precision give true cosines.
+        If shapes disagree, or a present vector is zero, contains NaN or has a length that differs
+        from 1 by more than :data:`UNIT_TOLERANCE`.
     """
 
     def __init__(
@@ -110,15 +108,15 @@ class Scorer:
             self._rows = np.concatenate([np.arange(levels.shape[1])[None], levels])
 
     def gaps(self, queries: np.ndarray, extra_leads: np.ndarray | float = 0.0) -> np.ndarray:
-        """The gap of the module's formula, float64 [Q, N]; -inf for an object that no view holds.
+        """Compute the gaps of the module's formula, float64 [Q, N]; -inf if no view shows it.
 
-        ``queries`` float [Q, C] are unit vectors of texts; ``more`` [Q, P] is added to the leads of
-        the looks. Errors as in the class.
+        ``queries`` float [Q, C] are unit vectors of texts; ``extra_leads`` [Q, P] are added to the
+        leads. Errors as in the class.
         """
         return self.combined(self._cosines(queries, "queries") - self._rival + extra_leads)
 
     def combined(self, leads: np.ndarray) -> np.ndarray:
-        """The gaps of :meth:`gaps` of leads float64 [Q, P], one a look and text, however made."""
+        """Combine leads float64 [Q, P], one per text and present vector, to gaps [Q, N]."""
         gaps = np.full((len(leads), *self._present.shape), self._unseen)
         gaps[:, self._present] = leads
         if self._rows is None:
@@ -132,17 +130,17 @@ class Scorer:
                 f"relevancy: {name} are {texts.shape}, expected [at least 1, {self._width}]; "
                 "texts and regions must come from the same encoder"
             )
-        # No BLAS product: its last digit depends on threads and place, and equal objects must tie.
+        # Not BLAS, whose last digit depends on threads and position: equal objects must tie.
         return np.einsum("tc,lc->tl", _unit_vectors(texts, name), self.looks)
 
 
 def _soft_greatest(leads: np.ndarray, soft: float) -> np.ndarray:
-    """The soft greatest of leads [Q, N, J], the last axis: [Q, N], -inf where all are -inf."""
+    """Compute the soft maximum of leads [Q, N, J] over the last axis; -inf if all are -inf."""
     top = leads.max(2, initial=-np.inf, keepdims=True)
     known = leads > -np.inf
     above = np.where(known, leads, 0) - np.where(known.any(2, keepdims=True), top, 0)
     weights = np.where(known, np.exp(above / soft), 0)
-    # The deviation from the greatest is averaged, so that equal leads give themselves exactly.
+    # Average the deviation from the maximum, so that the result is exact for equal leads.
     deviation = (weights * above).sum(2) / np.maximum(weights.sum(2), 1)
     return top[..., 0] + deviation
 
@@ -155,7 +153,7 @@ def relevancy(
     temperature: float = 10.0,
     absent: str = "skip",
 ) -> np.ndarray:
-    """Relevancy of every object to every query.
+    """Compute the relevancy of every object to every query.
 
     Parameters
     ----------
@@ -169,8 +167,8 @@ def relevancy(
     Returns
     -------
     float64 [Q, N]
-        In [0, 1]. 0.5 says that the text fits the object as well as the best canonical phrase does;
-        exactly 0 is an object that no view holds.
+        In [0, 1]; 0.5 if the text fits the object exactly as well as the best canonical phrase,
+        exactly 0 if no view shows the object.
 
     Raises
     ------
@@ -182,10 +180,10 @@ def relevancy(
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
-    """``1 / (1 + exp(-x))``, float64 in the shape of ``x``.
+    """Compute ``1 / (1 + exp(-x))``, float64 in the shape of ``x``.
 
-    By the C library's exponential, number by number: they are a few an object and a text. NumPy's
-    own differs in the last digit from processor to processor; SciPy's is this one.
+    Uses the exponential of the C library (as SciPy does): the last digit of NumPy's depends on the
+    CPU. The loop is short, as there are few values.
     """
     values = [1 / (1 + math.exp(-v)) if -v < LOG_MOST else 0.0 for v in np.ravel(x).tolist()]
     return np.array(values, np.float64).reshape(np.shape(x))
@@ -198,7 +196,7 @@ def check_temperature(temperature: float) -> None:
 
 
 def _unit_vectors(vectors: np.ndarray, name: str) -> np.ndarray:
-    """float64 rows of length 1 to the last digit, of rows that nearly are."""
+    """Normalise rows, whose length must be nearly 1, in float64."""
     vectors = vectors.astype(np.float64)
     lengths = np.sqrt(np.einsum("lc,lc->l", vectors, vectors))
     if not np.isfinite(lengths).all():

@@ -1,4 +1,4 @@
-"""Rules by which a text becomes an answer, and whether those were measured."""
+"""Rules that turn relevancies into answers, and whether answers by them are calibrated."""
 
 from __future__ import annotations
 
@@ -13,30 +13,29 @@ from slgaussian.language.relevancy import ABSENT, check_temperature
 from slgaussian.language.wholes import NEAR_BEST
 
 PHRASES = {"lerf": ("object", "things", "stuff", "texture")}
-"""Canonical phrases by name: LERF's, which LangSplat and the paper use too."""
+"""Named canonical phrases; LERF's are also those of LangSplat and the paper."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Rules by which a text becomes an answer.
+    """Rules that turn relevancies into answers.
 
     Attributes
     ----------
     threshold : float in [0, 1), optional
-        Absolute: select every object whose relevancy is above it, as the paper does. It means
-        something else at every temperature, unless it is 0.5, or 0, which selects all.
+        Select every object with a relevancy above it, as the paper does. Its meaning depends on the
+        temperature, except for 0.5 and for 0, which selects all objects.
     share : float in (0, 1]
-        Without a threshold, relative and the same at all temperatures: objects above 0.5 whose gap
-        to the canonical phrases is at least this share of the best object's gap fit about as well.
-        These together, one object or a whole of several are selected, whichever ranks first
-        (:mod:`slgaussian.language.wholes`); always these, and none if no object fits better
-        than "object" does, where a bank knows no wholes or that was not measured: of an encoder
-        without a ranking, with canonical phrases of one's own, by names and examples.
+        Used without a threshold, and independent of the temperature. Near-best objects are those
+        with a relevancy above 0.5 and at least this share of the best object's gap. The answer is
+        the highest-ranked of: all near-best objects, one object, or a whole of several
+        (:mod:`slgaussian.language.wholes`). Without wholes or a fitted ranking (other encoders, own
+        canonical phrases, names and examples) it is always the near-best objects, possibly none.
     temperature : float
-        Of the relevancy; changes its scale, never the order of objects.
+        Temperature of the relevancy; does not change the order of objects.
     canonical : str or sequence of str, optional
-        The phrases that a text competes with; one string is a name in :data:`PHRASES`, or phrases
-        with commas between them. Those of the encoder if left out.
+        The phrases that a text competes with: a name in :data:`PHRASES`, phrases separated by
+        commas, or a list. By default those of the encoder.
     absent : str
         ``skip`` or ``zero``, the paper's zero vector; see
         :data:`slgaussian.language.relevancy.ABSENT`.
@@ -44,7 +43,7 @@ class Rules:
     Raises
     ------
     InputError
-        If one of them is out of range.
+        If a value is out of range.
     """
 
     threshold: float | None = None
@@ -84,19 +83,19 @@ class Rules:
 
     @property
     def selection(self) -> str:
-        """Way of selecting objects: ``near-best`` or ``threshold``."""
+        """Name of the selection rule: ``near-best`` or ``threshold``."""
         return "near-best" if self.threshold is None else "threshold"
 
     @property
     def least_gap(self) -> float:
-        """Gap above which a text fits an object; 0, that of the canonical phrases, by default."""
+        """Gap that corresponds to ``threshold``; 0 (relevancy 0.5) by default."""
         if not self.threshold:
             return 0.0 if self.threshold is None else -np.inf
         return float(np.log(self.threshold) - np.log1p(-self.threshold)) / self.temperature
 
 
 def unmeasured(encoder: Encoder, rules: Rules) -> str:
-    """Name that for which it was not measured how often answers are right; empty if it was."""
+    """Name the setting without a calibration; empty if answers are calibrated."""
     if encoder.calibration is None:
         return f"the encoder {encoder.name}"
     return "" if rules.canonical is None else "canonical phrases of your own"
