@@ -1,18 +1,18 @@
-"""Hand-labelled truth: JSON files as LERF-OVS has them, or the class masks of 3D-OVS.
+"""Reading of hand-labelled ground truth: JSON files of LERF-OVS, or the class masks of 3D-OVS.
 
-One file a frame, ``<labels>/<frame>.json``, where frames of one name in several folders lie in such
-folders here too::
+There is one file per frame, ``<labels>/<frame>.json``; if frames in several folders have the same
+name, the label files are in the same folders::
 
     {"info": {"name": "frame_00041.jpg", "width": 988, "height": 731},
      "objects": [{"category": "red toaster", "segmentation": [[x, y], ...],
                   "bbox": [x0, y0, x1, y1]}, ...]}
 
 A segmentation is one polygon in pixels. Several objects may share a category; a benchmark sample
-is a (frame, category), never an instance, so their masks are united and their boxes kept side by
-side. An object may have ``"holes": [[[x, y], ...], ...]``, polygons within its own, which LERF-OVS
-does not know: programs that read only its keys see the object filled. Other keys are ignored.
+is a (frame, category), never an instance, so their masks are united and their boxes are listed. An
+object may have ``"holes": [[[x, y], ...], ...]``, polygons inside its own; this key is not part of
+LERF-OVS, whose programs see the object filled. Other keys are ignored.
 
-A folder with ``classes.txt`` holds class masks instead (:mod:`slgaussian.benchmark.class_masks`).
+A folder with ``classes.txt`` contains class masks (:mod:`slgaussian.benchmark.class_masks`).
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ class Truth:
     Attributes
     ----------
     masks : {view name: {category: bool [H, W]}}
-        A category that was asked for but has no pixel in the frame (not labelled there, or cropped
-        away) has an empty mask, so that it is reported and not lost.
+        A queried category without a pixel in the frame (not labelled there, or cropped away) has an
+        empty mask, so that it is reported.
     boxes : {view name: {category: float64 [n, 4]}}
-        x0, y0, x1, y1 in pixels, one row an object. Empty where the labels have no boxes: they
-        follow from the masks.
+        x0, y0, x1, y1 in pixels, one row per object. Empty if the labels have no boxes, which are
+        then computed from the masks.
     """
 
     masks: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
@@ -61,21 +61,21 @@ def read_labels(
     """Read the class masks of one view, bool [height, width] by category.
 
     Polygons are drawn at the labelled size as LangSplat's evaluation does (points truncated to
-    int32, then ``cv2.fillPoly``), and masks brought once to ``width`` x ``height`` by
-    :meth:`slgaussian.formats.resampling.Window.mask`: a category that is cropped away has an empty
-    one.
+    int32, then ``cv2.fillPoly``), and masks are resampled once to ``width`` x ``height`` by
+    :meth:`slgaussian.formats.resampling.Window.mask`; a category that is cropped away has an empty
+    mask.
 
     Parameters
     ----------
     window : Window, optional
-        Part of the photograph that the view shows; by default the part that is left when the
-        labelled frame is scaled to cover the view and cropped about the centre.
+        Part of the photograph that the view shows; by default the labelled frame is scaled to cover
+        the view and cropped about the centre.
 
     Raises
     ------
     InputError
-        If the labels of the view are missing, damaged, were drawn on another frame or have another
-        shape than its photograph.
+        If the labels of the view are missing, damaged, belong to another frame or have another
+        aspect ratio than its photograph.
     """
     return _read_frame(Path(folder), view_name, width, height, window)[0]
 
@@ -102,7 +102,7 @@ def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[
 
 
 def boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
-    """The annotated boxes [n, 4], or that of the mask if it has a pixel."""
+    """Return the annotated boxes [n, 4], or the bounding box of a mask that is not empty."""
     if annotated is not None:
         return annotated
     rows, columns = np.nonzero(mask.any(1))[0], np.nonzero(mask.any(0))[0]
@@ -112,10 +112,10 @@ def boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
 
 
 def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
-    """List what is labelled in a folder: the categories of each frame, in the order of the frames.
+    """List the labelled categories of each frame in a folder, in the order of the frames.
 
     Frames are named by the path of their labels below the folder, without an extension. Categories
-    of class masks are those of ``classes.txt``, whether a frame shows them or not.
+    of class masks are those of ``classes.txt``, also if a frame does not show them.
 
     Raises
     ------
@@ -133,14 +133,14 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
 
 
 def label_files(folder: str | Path, view_name: str) -> list[Path]:
-    """The files that the labels of a frame are read from; they may not be there."""
+    """Return the files from which the labels of a frame are read; they may be missing."""
     if class_masks.are_in(folder):
         return class_masks.files(folder, view_name)
     return [_label_file(Path(folder), view_name)]
 
 
 def _label_file(folder: Path, view_name: str) -> Path:
-    # Frames of one name in several folders have their labels in such folders.
+    # Frames in subfolders have their labels in subfolders of the same names.
     nested = folder / Path(view_name).with_suffix(".json")
     return nested if nested.is_file() else folder / f"{Path(view_name).stem}.json"
 
@@ -155,18 +155,18 @@ def _read_frame(
     record = _read_record(path)
     name, full_w, full_h = record.info.name, record.info.width, record.info.height
     if Path(name).stem != Path(view_name).stem:
-        # A labels folder shifted by one frame still scores, only wrongly.
+        # With labels shifted by one frame the scores would be wrong without an error.
         raise InputError(f"{path}: was drawn on {name!r}, expected labels of {view_name!r}")
     part = window or Window.covering(full_w, full_h, width, height)
     part.check_shape(path, full_w, full_h)
     masks, boxes = {}, {}
-    for category in record.categories:  # one whole frame in memory at a time
+    for category in record.categories:  # one full-size mask in memory at a time
         drawn = np.zeros((full_h, full_w), np.uint8)
         corners = []
         for labelled in record.objects:
             if labelled.category == category:
                 polygons = [labelled.segmentation, *labelled.holes]
-                # Pixels within an even number of the polygons are left as they are.
+                # Even-odd rule: pixels inside an even number of polygons are not filled.
                 cv2.fillPoly(drawn, [np.array(p, np.float64).astype(np.int32) for p in polygons], 1)
                 two = np.array(labelled.bbox, np.float64).reshape(2, 2)  # corners in any order
                 corners.append(np.concatenate([two.min(0), two.max(0)]))
@@ -182,7 +182,7 @@ def _flat(corners: Any) -> Any:
 
 
 _Coordinate = Annotated[float, Field(gt=-1e6, lt=1e6)]
-"""NaN is neither above nor below, and beyond a million pixels there is no image."""
+"""A pixel coordinate; NaN fails both comparisons."""
 
 _Polygon = Annotated[list[tuple[_Coordinate, _Coordinate]], Field(min_length=3)]
 

@@ -1,7 +1,7 @@
-"""Interface that a method has to have, to be compared: answer texts, from any camera.
+"""Interface of the methods that the benchmark compares: answer texts from any camera.
 
-A :class:`slgaussian.field.SemanticField` and its views are of these shapes as they are. Whatever
-scores a method asks no more of it than this.
+:class:`slgaussian.field.SemanticField` and its views implement these protocols. Scoring uses only
+this interface.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from slgaussian.scene import Camera
 
 @runtime_checkable
 class Reader(Protocol):
-    """Says which words of a text are understood."""
+    """Vocabulary check of a method's text encoder."""
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """The words of ``text`` that are left out; InputError if none can be used."""
+        """Return the ignored words of ``text``; InputError if all words are unknown."""
 
 
 def understands(reader: Reader, text: str) -> bool:
-    """Tell whether anything is known of a text; else an answer is right by luck alone."""
+    """Tell whether any part of a text is understood; otherwise a correct answer would be chance."""
     try:
         reader.unknown_words(text)
     except InputError:
@@ -43,15 +43,15 @@ class Result(Protocol):
     ----------
     text : str
     mask : bool [H, W]
-        What the rules select.
+        Pixels that the rules select.
     relevancy : float32 [H, W]
-        In [0, 1]; 0.5 is "as good as any phrase"; 0 where nothing is known.
+        In [0, 1]; 0.5 means as good as the canonical phrases; 0 where unknown.
     point : (int, int) or None
-        Column and row (x, y) of the best guess of where it is; None if nothing at all is known.
+        Column and row (x, y) of the predicted location; None if no pixel is known.
     score : float
-        The greatest relevancy; 0 if nothing at all is known.
+        Largest relevancy; 0 if no pixel is known.
     unknown : tuple of str
-        Words of the text that were left out.
+        Ignored words of the text.
     """
 
     @property
@@ -70,16 +70,16 @@ class Result(Protocol):
 
 @runtime_checkable
 class AnsweringView(Protocol):
-    """A scene as one camera sees it, ready to be asked.
+    """A rendered view of a scene that answers texts.
 
     Attributes
     ----------
     rgb : uint8 [H, W, 3]
-        The camera's size.
+        Rendered colours at the camera's size.
     ids : int32 [H, W]
-        Object ids, 0 where there is none: all 0 for a method that knows no objects.
+        Object ids, 0 for no object; all 0 for a method without objects.
     depth : float32 [H, W]
-        z-depth in scene units, 0 where it is not known.
+        z-depth in scene units, 0 where unknown.
     reader : Reader
     """
 
@@ -95,22 +95,22 @@ class AnsweringView(Protocol):
     def query_all(self, texts: Sequence[str], **rules: Any) -> Sequence[Result]:
         """Find each of ``texts``; ``rules`` are :class:`slgaussian.language.rules.Rules`.
 
-        InputError if there is no text, or one that cannot be used.
+        Raises InputError if there is no text, or a text that cannot be used.
         """
 
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
-        """Label pixels by the best text: int32 [H, W], 0 = nothing known, k + 1 = ``texts[k]``.
+        """Label pixels by the best text: int32 [H, W], 0 = unknown, k + 1 = ``texts[k]``.
 
-        InputError as :meth:`query_all`.
+        Raises InputError as :meth:`query_all`.
         """
 
 
 @runtime_checkable
 class Answering(Protocol):
-    """Answers texts from any camera."""
+    """A scene that answers texts from any camera."""
 
     def render(self, camera: Camera) -> AnsweringView:
-        """The scene as ``camera`` sees it.
+        """Render the view of ``camera``.
 
-        What answers need beyond that may be left until the first text is asked.
+        Other work may be deferred to the first query.
         """

@@ -1,8 +1,8 @@
-"""Attribution of misses: truth takes the place of one stage after the other, from the end.
+"""Attribution of misses: stages are replaced by ground truth one after the other, from the last.
 
-A replacement keeps all those made before it. The first one that mends the miss names the stage that
-lost it: with everything after that stage true it was still a miss, with the stage itself true it is
-none. In plain words, with its limits, it is in `docs/reference/failures.md`.
+Replacements are cumulative. The first replacement that turns the miss into a hit names the
+responsible stage: with ground truth after that stage it was still a miss, with ground truth for the
+stage it is a hit. `docs/reference/failures.md` describes the method and its limits.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ STAND_INS = {
     "language_iou": ("language", "whole things named, one for each part of the truth"),
     "masks_iou": ("masks", "the true masks of the two photographs"),
 }
-"""Columns of the spec ``attribution``: what is true from there on, in a word and in a line. The
-words after the first are those of the stages, in the order in which truth takes their place."""
+"""Columns of the spec ``attribution``: which stages are replaced by ground truth; short title and
+description. The titles after the first are the stages in the order of replacement."""
 
 STAGES = tuple(title for title, _ in STAND_INS.values())[1:]
 
 BEYOND = "nothing mends it"
-"""What lost a miss that stays one: the photographs do not show it, its depth is wrong, or the truth
-is rough."""
+"""Cause reported if no replacement fixes the miss: the photographs do not show the object, its
+depth is wrong, or the ground truth is inexact."""
 
 CRUMB = 0.05
-"""Fraction of a mask below which a connected part of it does not count."""
+"""Fraction of a mask below which a connected component is ignored."""
 
 BEHIND = 0.05
-"""Fraction of its depth by which a point must lie behind what a view shows, to be hidden there."""
+"""Relative depth difference from which on a point behind a surface is occluded."""
 
 SPECK = 7
-"""Side of the window, pixels, in which one pixel with a known place is enough to fill the gaps of
-truth that is carried back."""
+"""Side of the window, pixels, in which one pixel of known position suffices to fill holes of
+ground truth that is projected into the context views."""
 
 
 def attribute_errors(
@@ -65,16 +65,16 @@ def attribute_errors(
     truth: Truth,
     settings: EvaluationSettings | None = None,
 ) -> list[dict[str, Any]]:
-    """Ask a field what the truth knows, and name the stage that lost each miss.
+    """Query a field with the labelled texts, and name the stage responsible for each miss.
 
     Parameters
     ----------
     field : SemanticField
         A field of ``sample``.
     gaussians : Gaussians
-        Those that were predicted for it, before the field merged any.
+        Predicted Gaussians of the sample, before the field merged any.
     sample : Sample
-        True depths are used where its context views have them.
+        True depths of its context views are used where known.
     truth : Truth
         Queries with an empty mask are left out.
     settings : EvaluationSettings, optional
@@ -83,7 +83,7 @@ def attribute_errors(
     Returns
     -------
     list of dict
-        A row a frame and query, with the columns of the data spec ``attribution``.
+        A row per frame and query, with the columns of the data spec ``attribution``.
     """
     settings = settings or EvaluationSettings()
     rules = settings.rules
@@ -118,7 +118,7 @@ def attribute_errors(
 
 
 def verdict(row: Mapping[str, Any]) -> str | None:
-    """Name the stage that lost the query of a row of spec ``attribution``; None without a miss."""
+    """Return the stage responsible for the miss of a row of spec ``attribution``, None for hits."""
     if row["iou"] >= GOOD and row["hit"]:
         return None
     for stage in STAGES:
@@ -128,15 +128,16 @@ def verdict(row: Mapping[str, Any]) -> str | None:
 
 
 def _judge(mask: np.ndarray, truth: np.ndarray) -> tuple[float, bool]:
-    """Return the IoU of a mask, and whether its middle is in the truth."""
+    """Return the IoU of a mask, and whether its centre point is in the truth."""
     inside = bool(mask.any()) and metrics.point_in_mask(central_point(mask), truth)
     return metrics.iou(mask, truth), inside
 
 
 def _cut(hit: QueryResult | None, objects: ObjectMap, truth: np.ndarray) -> tuple[float, bool]:
-    """Return the IoU with the best threshold, and whether the point, or the best one's, is right.
+    """Return the IoU with the best threshold, and whether the point, or that of the best object, is
+    right.
 
-    No threshold gives another thing the best score.
+    A threshold cannot change which object has the highest score.
     """
     if hit is None or not hit.score:
         return 0.0, False
@@ -150,22 +151,22 @@ def _cut(hit: QueryResult | None, objects: ObjectMap, truth: np.ndarray) -> tupl
 def best_prefix(
     scores: np.ndarray, inside: np.ndarray, areas: np.ndarray, total: int
 ) -> np.ndarray:
-    """Choose objects, in falling order of their scores, so that their union overlaps best.
+    """Choose a prefix of the objects, sorted by falling score, whose union has the best IoU.
 
     Parameters
     ----------
     scores : float [N]
-        Equal ones are taken together.
+        Objects of equal score are chosen together.
     inside, areas : int [N]
-        Pixels of each object in the mask, and all of them. Objects do not overlap; those without a
-        pixel are never taken.
+        Pixels of each object inside the mask, and in total. Objects do not overlap; those without a
+        pixel are never chosen.
     total : int
         Pixels of the mask.
 
     Returns
     -------
     bool [N]
-        The fewest objects among equally good prefixes; none if no object touches the mask.
+        The shortest of equally good prefixes; empty if no object overlaps the mask.
     """
     chosen = np.zeros(len(scores), bool)
     visible = np.flatnonzero(areas > 0)
@@ -179,10 +180,10 @@ def best_prefix(
 
 
 def best_objects(objects: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.ndarray:
-    """Choose what perfect words would name of an image: bool [N].
+    """Choose the objects that perfect language features would select in an image: bool [N].
 
-    That is an object, or a group of the bank, as many as the truth bool [H, W] has connected parts
-    that are no crumbs of it (:data:`CRUMB`); the one that helps the IoU most goes first.
+    Objects or groups of the bank are chosen greedily by IoU, as many as the truth bool [H, W] has
+    connected components above the fraction :data:`CRUMB`.
     """
     inside, total = objects.areas_within(truth), np.count_nonzero(truth)
     members = np.eye(len(bank), dtype=bool)
@@ -202,28 +203,28 @@ def best_objects(objects: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.
 
 
 def elect(gaussians: Gaussians, labels: np.ndarray, camera: Camera) -> np.ndarray:
-    """Draw labels int32 [N] of Gaussians, 0 nothing: int32 [H, W], 0 where nothing is visible."""
+    """Render labels int32 [N] of Gaussians, 0 for none: int32 [H, W], 0 where none is visible."""
     nothing = torch.zeros((len(gaussians), 0))
     image = rasterize(gaussians, nothing, camera, labels=torch.from_numpy(labels))
     every = np.arange(1, int(labels.max(initial=0)) + 1, dtype=np.int32)
-    assert image.label is not None and image.label_weights is not None  # asked for
+    assert image.label is not None and image.label_weights is not None  # labels were requested
     return elected_ids(image.label.numpy(), image.label_weights.numpy(), every)[0]
 
 
 def context_truth(
     sample: Sample, target: View, masks: Sequence[np.ndarray], predicted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Carry masks bool [H, W] of a target, one a query, back to the context views.
+    """Project masks bool [H, W] of a target, one per query, into the context views.
 
-    Each context pixel goes to the target by its true depth, or by ``predicted`` float [V, H, W]
-    where that is not known, and takes what is labelled there, unless something hides it.
+    Each context pixel is projected into the target with its true depth, or with ``predicted`` float
+    [V, H, W] where unknown, and gets the label there, unless it is occluded.
 
     Returns
     -------
     labels : int32 [V, H, W]
-        From 1, which is nothing that was asked for; a label is one set of queries.
+        Label 1 means no query applies; each other label stands for one set of queries.
     members : bool [L + 1, Q]
-        Which queries a label belongs to.
+        Whether query q belongs to label l.
     """
     sets = np.zeros(masks[0].shape, np.int64)
     for mask in masks:
@@ -237,7 +238,7 @@ def context_truth(
     true = true_depths(sample)
     place = carried_back(sample, target, np.where(true > 0, true, predicted))
     for pixels in place:
-        # Depth that is a little off hides single pixels of a surface.
+        # A small depth error occludes single pixels of a surface.
         is_known = pixels >= 0
         if is_known.any():
             near = cv2.dilate(is_known.astype(np.uint8), np.ones((SPECK, SPECK), np.uint8)) > 0
@@ -246,19 +247,19 @@ def context_truth(
 
 
 def true_depths(sample: Sample) -> np.ndarray:
-    """Return true z-depth of the context views, float32 [V, H, W], 0 where it is not known."""
+    """Return the true z-depth of the context views, float32 [V, H, W], 0 where unknown."""
     nothing = np.zeros(sample.context[0].image.shape[:2], np.float32)
     return np.stack([nothing if v.depth is None else v.depth for v in sample.context])
 
 
 def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray:
-    """Return the pixel of the target that shows what a context pixel shows: its flat index, or -1.
+    """Return the flat index of the target pixel that shows the point of a context pixel, or -1.
 
     Parameters
     ----------
     depths : float [V, H, W]
-        z-depth of the context views, 0 unknown. What hides what at the target is told by its true
-        depth or, where that is not known, by these.
+        z-depth of the context views, 0 unknown. Occlusion in the target view is tested with its
+        true depth, or with these where it is unknown.
 
     Returns
     -------
@@ -275,8 +276,7 @@ def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray
         place = np.where(inside, row * width + column, -1)
         np.minimum.at(nearest, place[inside], z[inside])
         landed.append((place, z))
-    # Where the target is nearer a surface than the photographs, or larger than they are, its pixels
-    # have gaps between them.
+    # Forward-projected pixels leave holes if the target view is closer or has higher resolution.
     side = 1 + 2 * max(1, math.ceil(height / sample.context[0].image.shape[0]))
     front = cv2.erode(
         nearest.reshape(height, width),

@@ -1,8 +1,8 @@
 """The class masks of 3D-OVS: ``<frame>/<class>.png`` for every class of ``classes.txt``.
 
-A line of ``classes.txt`` is a class, and what is asked for it. 3D-OVS takes the number that a
-frame's folder is called by for the photograph's place in the sorted list; in the published scenes
-that is the photograph's name too, and here the name counts.
+A line of ``classes.txt`` is a class and its query text. 3D-OVS uses the folder's number as an index
+into the sorted photographs. In the published scenes it equals the photograph's name; this reader
+uses the name.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from slgaussian.formats.text import read_lines
 
 FILE = "classes.txt"
 INSIDE = 255
-"""Grey level of a pixel of the class; 3D-OVS takes every other one, blurred edges too, for none."""
+"""Grey level of the class; all other levels, blurred edges included, are background in 3D-OVS."""
 
 
 def are_in(folder: str | Path) -> bool:
-    """Tell whether a folder of labels is one of class masks."""
+    """Tell whether a folder of labels contains class masks."""
     return (Path(folder) / FILE).is_file()
 
 
 def classes(folder: str | Path) -> tuple[str, ...]:
-    """The classes, sorted; InputError if there is none, or one twice."""
+    """Read the classes, sorted; InputError if there are none, or duplicates."""
     file = Path(folder) / FILE
     try:
         lines = read_lines(file)
@@ -36,19 +36,19 @@ def classes(folder: str | Path) -> tuple[str, ...]:
     names = sorted(name for line in lines if (name := line.strip(" \t")))
     if not names or len(set(names)) < len(names):
         raise InputError(f"{file}: found {names}, expected different classes, one a line")
-    # Nothing outside the folder is a mask, and no name of more than 255 bytes a file's.
+    # Reject class names that leave the folder or are longer than a file name may be.
     if unfit := [n for n in names if "/" in n or "\0" in n or len(f"{n}.png".encode()) > 255]:
         raise InputError(f"{file}: the class {unfit[0]!r:.80} can be no file's name; rename it")
     return tuple(names)
 
 
 def frames(folder: str | Path) -> list[str]:
-    """Names of the frames that have masks, sorted."""
+    """List the frames with masks, sorted."""
     return sorted(path.name for path in Path(folder).iterdir() if path.is_dir())
 
 
 def files(folder: str | Path, view_name: str) -> list[Path]:
-    """The files that the masks of a frame are read from."""
+    """Return the files from which the masks of a frame are read."""
     frame_folder = Path(folder) / Path(view_name).stem
     return [Path(folder) / FILE, *(frame_folder / f"{name}.png" for name in classes(folder))]
 
@@ -58,15 +58,15 @@ def read(
 ) -> dict[str, np.ndarray]:
     """Read the masks of a view, bool [height, width] by class.
 
-    They are brought to its size, and to the part ``window`` of the photograph, as
-    :func:`slgaussian.benchmark.annotations.read_labels` does. A class that is cropped away, or not
-    in the frame, has an empty mask.
+    They are resampled to its size and to the part ``window`` of the photograph, see
+    :func:`slgaussian.benchmark.annotations.read_labels`. A class that is cropped away, or not in
+    the frame, has an empty mask.
 
     Raises
     ------
     InputError
-        If a file is missing or damaged, has none but other grey levels than 0 and 255, or has
-        another shape than the photograph.
+        If a file is missing or damaged, contains only grey levels other than 0 and 255, or has
+        another aspect ratio than the photograph.
     """
     names = classes(folder)
     masks = {}

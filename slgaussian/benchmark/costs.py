@@ -1,4 +1,4 @@
-"""Costs of answers, stages and runs, kept apart from the scores: no run repeats it."""
+"""Costs of answers, stages and runs, separate from the scores: not reproducible from run to run."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from slgaussian.storage.specs import load_spec
 
-if TYPE_CHECKING:  # what measures them takes long to load
+if TYPE_CHECKING:  # slow import
     from slgaussian.benchmark.hard_cases import HardCase
 
 Row = Mapping[str, Any]
@@ -17,19 +17,19 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a method on a data set; None where it was not measured.
+    """Cost of a method on a data set; None if not measured.
 
     Attributes
     ----------
     dataset, method : str
     cold_query, view_query, further_query : float or None
-        Seconds of the first answer of a scene, of one in a new view of a scene that has answered
-        before, and of one more in that view: medians over scenes, views and queries.
+        Seconds of the first query of a scene, of the first query in a further view, and of a
+        further query in that view: medians over scenes, views and queries.
     prepare, build : float or None
-        Seconds of a scene, for the method and for the field that all methods share: medians over
+        Seconds per scene for the method, and for the field that all methods share: medians over
         scenes.
     grown, peak : int or None
-        Bytes: the most that a scene added to what the process held before, and held in all.
+        Largest increase of the process's memory by a scene, and its largest memory, bytes.
     """
 
     dataset: str
@@ -44,16 +44,16 @@ class Cost:
 
     @property
     def total(self) -> float | None:
-        """Seconds from photographs to an answer in a new view."""
+        """Return the seconds from photographs to an answer in a new view."""
         if self.build is None or self.view_query is None:
             return None
         return self.build + self.view_query
 
 
 def costs_of(rows: Iterable[Row]) -> list[Cost]:
-    """Return one cost a data set and method of rows of the spec ``times``, in their order.
+    """Return one cost per data set and method from rows of the spec ``times``, in their order.
 
-    Rows may lack columns that are not known.
+    Rows may lack unknown columns.
     """
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
@@ -89,18 +89,18 @@ def _median(values: Iterable[float | None]) -> float | None:
 
 @dataclass(frozen=True)
 class StageCost:
-    """Cost of a stage, whenever its artifacts were made.
+    """Cost of a stage, measured when its artifacts were computed.
 
     Attributes
     ----------
     seconds : float
-        Of all artifacts together, without compiling kernels.
+        Total of all artifacts, without compiling kernels.
     middle : float
-        Of one: the median.
+        Median over artifacts.
     grown : int or None
-        Bytes by which memory grew, at most, beyond what was held before; None where not known.
+        Largest increase of memory, bytes; None if unknown.
     compiling : float
-        Seconds of compiling kernels, once an installation, on top.
+        Additional seconds for compiling kernels, once per installation.
     """
 
     seconds: float
@@ -110,7 +110,7 @@ class StageCost:
 
     @staticmethod
     def of(metas: Iterable[Row]) -> StageCost:
-        """Sum up the metadata of artifacts; earlier versions wrote only ``seconds``."""
+        """Summarise the metadata of artifacts; earlier versions wrote only ``seconds``."""
         artifacts = list(metas)
         seconds = [meta["seconds"] for meta in artifacts]
         grown = [meta["grown"] for meta in artifacts if meta.get("grown") is not None]
@@ -130,16 +130,15 @@ class Times:
     ----------
     stages : {stage: StageCost}
     host : {name: text}
-        Where it ran.
+        Description of the machine.
     machines : {processor: int}
-        How many of the artifacts were made on which processor; earlier runs may have made some
-        elsewhere.
+        Number of artifacts computed on each processor; cached ones may be from other machines.
     costs : sequence of Cost
-        Of each method on each data set.
+        Costs of each method on each data set.
     hard_cases : sequence of HardCase
-        Measured on this machine.
+        Measurements on this machine.
     paper : str
-        Name of the method that is set against the paper's costs; "" for none.
+        Name of the method that is compared with the paper's costs; "" for none.
     """
 
     stages: Mapping[str, StageCost]
@@ -150,7 +149,7 @@ class Times:
     paper: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain data, for a file; those of answers are in the table ``times``."""
+        """Return JSON-compatible data, without the costs of answers (table ``times``)."""
         return {
             "spec": load_spec("run_times").label,
             "seconds_by_stage": {name: cost.seconds for name, cost in self.stages.items()},
@@ -163,5 +162,5 @@ class Times:
 
     @property
     def compiling(self) -> float:
-        """Seconds of compiling kernels, once an installation, that no other number here has."""
+        """Return the seconds of compiling kernels, which no other number includes."""
         return sum(cost.compiling for cost in self.stages.values())

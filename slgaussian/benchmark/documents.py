@@ -1,4 +1,4 @@
-"""JSON documents that people write or download: read, checked, and refused in one sentence."""
+"""Reading and validation of JSON documents, with errors in one sentence."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_json(path: Path, kind: str) -> Any:
-    """Read a JSON file; InputError, which calls it a ``kind``, if it cannot be read."""
+    """Read a JSON file; InputError, which describes it as a ``kind``, if it cannot be read."""
     try:
         return strict_json.parse(path.read_bytes())
     except OSError as error:
@@ -23,10 +23,10 @@ def read_json(path: Path, kind: str) -> Any:
         raise InputError(f"{path}: the {kind} is not valid JSON ({error})") from error
 
 
-def check_document(model: type[Model], content: Any, where: str) -> Model:
-    """Return content as a model; InputError that names the first field that is wrong.
+def check_document(model: type[Model], content: Any, label: str) -> Model:
+    """Validate content with a pydantic model; InputError names the first invalid field.
 
-    ``where`` is the file, or a part of it.
+    ``label`` is the file, or a part of it, for the message.
     """
     try:
         return model.model_validate(content)
@@ -35,4 +35,4 @@ def check_document(model: type[Model], content: Any, where: str) -> Model:
         place = ".".join(map(str, first["loc"])) or "it"
         value = "missing" if first["type"] == "missing" else f"{first['input']!r:.60}"
         reason = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{where}: {place} is {value}; {reason}") from None
+        raise InputError(f"{label}: {place} is {value}; {reason}") from None

@@ -1,4 +1,4 @@
-"""One reader a format, each returning a Scene in the project's one camera convention."""
+"""Dataset readers, one per format; each returns a Scene in the project's camera convention."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from slgaussian.components.registry import resolve
 from slgaussian.errors import InputError
 
-if TYPE_CHECKING:  # the names of formats are asked for where nobody waits for OpenCV
+if TYPE_CHECKING:  # listing the formats must not wait for the import of OpenCV
     from slgaussian.datasets.training_set import TrainingSet
     from slgaussian.scene import Camera, Scene
 
@@ -34,37 +34,37 @@ FILES = {
     "re10k": "slgaussian.datasets.re10k:files",
     "photographs": "slgaussian.datasets.unposed:files",
 }
-"""Functions that list the files of a scene that takes long to read, by format."""
+"""Functions that list the files of a scene, for formats that take long to read."""
 
 SETS = {
     "lerf_ovs": "slgaussian.datasets.labelled_sets:lerf_ovs_scenes",
     "ovs3d": "slgaussian.datasets.labelled_sets:ovs3d_scenes",
     "re10k": "slgaussian.datasets.re10k:scenes",
 }
-"""Functions that list the scenes of a folder that holds several, by format."""
+"""Functions that list the scenes of a folder, for formats with several scenes per folder."""
 
 
 SOURCES = {
     "procedural": ("drawn by slgaussian.datasets.procedural", "Apache-2.0"),
     "stereo": ("Middlebury Stereo 2014, Motorcycle (Scharstein et al.), by scikit-image", ""),
 }
-"""Where the data of a format come from and their licence, where the format alone says so."""
+"""Source and licence of the data, for formats that determine them."""
 
 FROM_FILES = tuple(name for name in READERS if name not in SOURCES)
-"""The formats of data that people have; the others come with the program."""
+"""Formats that are read from files; data of the other formats come with the program."""
 
 
 def load(format: str, *args: Any, **settings: Any) -> Scene:
-    """Read a scene with the reader of that format; arguments are the reader's own.
+    """Read a scene with the reader of a format; the other arguments are passed to the reader.
 
     ``load("nerfstudio", "photos/")``, ``load("lerf_ovs", "lerf_ovs/", "figurines")``,
     ``load("re10k", "re10k/test", "5aca87f95a9412c6")``, ``load("procedural", seed=3)``; and
-    ``load("photographs", "photos/")``, which finds the cameras itself.
+    ``load("photographs", "photos/")``, which estimates the cameras.
 
     Raises
     ------
     InputError
-        If the format is unknown, it does not take these arguments or the data cannot be used.
+        If the format is unknown, its reader does not take these arguments or the data are invalid.
     """
     read = resolve("data format", READERS, format)
     _check(format, read, args, settings)
@@ -74,30 +74,29 @@ def load(format: str, *args: Any, **settings: Any) -> Scene:
 def inputs(
     format: str, path: str | Path, views: Sequence[str], **settings: Any
 ) -> tuple[list[Path], dict[str, Camera]]:
-    """Find all that views of a scene depend on; no photograph is decoded.
+    """Return the files and cameras on which views of a scene depend, without decoding photographs.
 
-    What a reader listed, looked for or measured besides shows in the cameras: LLFF's follow the
-    names of all photographs, others the size of the first one that is there.
+    The cameras reflect everything else that a reader depends on: those of LLFF depend on the names
+    of all photographs, others on the size of the first existing photograph.
 
     Parameters
     ----------
     format, path, **settings
-        As :func:`load` takes them.
+        As in :func:`load`.
     views : sequence of str
-        As :meth:`slgaussian.scene.Scene.find` knows them.
+        Names as accepted by :meth:`slgaussian.scene.Scene.find`.
 
     Returns
     -------
     files : list of Path
-        Those that the views are read from: a few too many rather than one too few. Some may be
-        missing.
+        Files from which the views are read, possibly some more. Some may be missing.
     cameras : dict str -> Camera
-        Those of the views by full name; none where they follow from the files alone.
+        Cameras of the views by full name; empty if they are determined by the files alone.
 
     Raises
     ------
     InputError
-        As :func:`load`, or if there is no such view.
+        As :func:`load`, or if a view does not exist.
     """
     if format in SOURCES:
         return [], {}
@@ -112,14 +111,14 @@ def inputs(
 
 
 def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
-    """List the scenes in a folder by name, each with the settings that its reader takes for it.
+    """List the scenes in a folder by name, each with the arguments of its reader.
 
-    A format of one scene a folder has that one, called as the folder is.
+    For formats with one scene per folder, the result is that scene, named after the folder.
 
     Raises
     ------
     InputError
-        If the format is unknown or reads no folder, or what lists its scenes cannot be read.
+        If the format is unknown or reads no folder, or the list of scenes cannot be read.
     """
     check_format(format)
     if format in SETS:
@@ -130,7 +129,7 @@ def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
 
 
 def check_format(format: str) -> None:
-    """InputError, with the formats that there are, if this is none that reads a folder."""
+    """Raise InputError, which lists the formats, unless the format reads a folder."""
     resolve("data format", READERS, format)
     if format in SOURCES:
         expected = ", ".join(FROM_FILES)

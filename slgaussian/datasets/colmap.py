@@ -1,8 +1,8 @@
-"""COLMAP reconstructions: photographs, the sparse model beside them, and its lenses undone.
+"""COLMAP reconstructions: undistorted images and the cameras of the sparse model.
 
 COLMAP's poses are world-to-camera with OpenCV axes, and its pixel centres lie at +0.5, as here
-(https://colmap.github.io/format.html). The lenses are pycolmap's own, so that every camera model is
-read that has a focal length; photographs without distortion do not need it.
+(https://colmap.github.io/format.html). pycolmap undistorts, so every camera model with a focal
+length is supported; photographs without distortion do not need pycolmap.
 """
 
 from __future__ import annotations
@@ -39,48 +39,47 @@ from slgaussian.extras import install_line
 from slgaussian.scene import Camera, Scene
 
 PLACES = ("sparse", "colmap/sparse", ".")
-"""Where in the folder of a scene its model is looked for, or models in folders called 0, 1, ..."""
+"""Folders of the model, or of models in subfolders 0, 1, ..., relative to the scene's folder."""
 
 TRACK = 3
-"""Fewest images that must show a point for its depth to count."""
+"""Smallest number of images that must show a point for its depth to be used."""
 
 POINTS = 12
-"""Fewest such points that an image's depth range is taken from."""
+"""Smallest number of such points for the depth range of an image."""
 
 ROWS = 64
-"""Rows of a lens that are computed at a time, in float64."""
+"""Rows of an undistortion map computed at a time, in float64."""
 
 
 def read(path: str | Path, images: str | None = None) -> Scene:
-    """Read a scene; photographs are opened and straightened when a view is asked for.
+    """Read a scene; photographs are opened and undistorted when a view is read.
 
-    Of several models (COLMAP writes one for each group of images that it cannot connect) the one
-    with most images is taken, with a warning that says so.
+    If there are several models (COLMAP writes one for each group of images that it cannot connect),
+    the model with most images is read, with a warning.
 
     Views are named by their path below the folder of photographs, as in the model, and sorted by
-    it, whatever their ids. Straight views keep the focal lengths and principal point of the lens,
-    so intrinsics may differ from view to view; what the lens did not see is black. Photographs that
-    were shrunk (all of one camera alike) get shrunk cameras.
+    it. Undistorted views have the focal lengths and principal point of the lens, so intrinsics may
+    differ between views; pixels outside the lens's image are black. If photographs were downscaled
+    (all of one camera equally), the cameras are scaled too.
 
-    A camera's ``near`` and ``far`` are 0.8 times the depth of the third nearest point that it sees
-    and twice the 98th percentile, if it sees enough points: those sit on texture, not on the
-    nearest or farthest surface.
+    ``near`` and ``far`` of a camera are 0.8 times the depth of its third nearest point and twice
+    the 98th percentile, if it has enough points, because points lie on texture, not on the nearest
+    or farthest surface.
 
     Parameters
     ----------
     path : path
-        Folder of the scene, with the model in ``sparse/0``, ``sparse`` or itself; or that of one
-        model in it.
+        Folder of the scene, with the model in ``sparse/0``, ``sparse`` or itself; or the folder of
+        one model.
     images : str, optional
-        Folder of the photographs in it, if not ``images``, or the largest of ``images_2`` and so
-        on.
+        Subfolder of the photographs; default ``images``, or the largest of ``images_2`` and so on.
 
     Raises
     ------
     InputError
-        If there is no model, a file of it is damaged, a camera model has no pinhole camera, or
-        pycolmap is needed and not installed. A missing or unreadable photograph is an error only of
-        its own view.
+        If there is no model, a file of it is damaged, a camera model has no focal length, or
+        pycolmap is needed and not installed. A missing or unreadable photograph is an error only
+        when its view is read.
     """
     path = Path(path)
     models = models_in(path)
@@ -125,7 +124,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
 
 
 def models_in(path: Path) -> list[Path]:
-    """List the folders of the models of a scene, by number; none if there is no model."""
+    """List the folders of the models of a scene by number; empty if there is no model."""
     for place in (path / place for place in PLACES):
         numbered = [f for f in place.glob("*") if f.name.isdecimal() and model_files(f)]
         if numbered or model_files(place):
@@ -134,14 +133,14 @@ def models_in(path: Path) -> list[Path]:
 
 
 def largest(models: Sequence[Path]) -> Path:
-    """Return the model with most images, the first of equal ones."""
+    """Return the model with most images, the first in a tie."""
     return models[0] if len(models) == 1 else max(models, key=count_images)
 
 
 def scene_folder(path: Path) -> Path:
-    """Return the folder of the scene that a model or a folder of models is in; else this folder.
+    """Return the folder of the scene that contains a model or a folder of models; else ``path``.
 
-    Of two folders that may be it, as above ``colmap/sparse``, it is the one with photographs.
+    If two folders are possible, as above ``colmap/sparse``, the one with photographs is returned.
     """
     place = Path(os.path.abspath(path))
     parts = (place.parent if place.name.isdecimal() else place).parts
@@ -155,8 +154,8 @@ def scene_folder(path: Path) -> Path:
 
 
 def _file(scene: Path, folder: Path, name: str) -> Path:
-    """Return the photograph of a name, or the place where it should be."""
-    # Some tools write shrunk photographs with another extension.
+    """Return the path of a photograph, which may be missing."""
+    # Some tools write downscaled photographs with another extension.
     for start in (folder / name, scene / name):
         alternatives = (start.with_suffix(end) for end in EXTENSIONS) if start.name else ()
         for file in (start, *alternatives):
@@ -167,7 +166,7 @@ def _file(scene: Path, folder: Path, name: str) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class _Lens:
-    """A camera of the model, its photographs stored at ``size`` (width, height)."""
+    """A camera of the model, whose photographs are stored at ``size`` (width, height)."""
 
     stored: SparseCamera
     size: tuple[int, int]
@@ -175,7 +174,7 @@ class _Lens:
     straight: bool
 
     def maps(self) -> Maps | None:
-        """Compute maps as :mod:`slgaussian.datasets.lens` has them; None for a pinhole camera."""
+        """Compute undistortion maps (:mod:`slgaussian.datasets.lens`); None for a pinhole."""
         if self.straight:
             return None
         width, height = self.size
@@ -195,7 +194,7 @@ class _Lens:
 
 
 def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path]) -> dict[int, _Lens]:
-    """Return the lens of each camera, at the size of the first of its photographs that is there."""
+    """Return the lens of each camera, at the size of its first existing photograph."""
     first: dict[int, Path | None] = {}
     for image in sorted(model.images.values(), key=lambda image: image.name):
         if first.get(image.camera) is None:
@@ -215,7 +214,7 @@ def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path]) -> dict
 
 
 def _pinhole(camera: SparseCamera, label: str) -> tuple[np.ndarray, bool]:
-    """Return intrinsics [3, 3] of the straight view, and whether the lens is that already."""
+    """Return the intrinsics [3, 3] of the undistorted view, and whether the lens is a pinhole."""
     if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
         fx, fy, cx, cy = (
             camera.params if len(camera.params) == 4 else camera.params[:1] + camera.params
@@ -224,8 +223,8 @@ def _pinhole(camera: SparseCamera, label: str) -> tuple[np.ndarray, bool]:
     lens = _pycolmap_camera(camera)
     if not len(lens.focal_length_idxs()):
         raise InputError(
-            f"{label}: its model {camera.model} has no focal length, so that no pinhole camera "
-            "sees what it saw; cut its images into pinhole ones and reconstruct again"
+            f"{label}: its model {camera.model} has no focal length, so it cannot be undistorted "
+            "to a pinhole camera; cut its images into pinhole images and reconstruct again"
         )
     K = lens.calibration_matrix()
     if not (K[0, 0] > 0 and K[1, 1] > 0 and abs(np.linalg.det(K)) > 0 and np.isfinite(K).all()):
@@ -235,7 +234,7 @@ def _pinhole(camera: SparseCamera, label: str) -> tuple[np.ndarray, bool]:
         )
     corners = np.array([(u, v, 1.0) for u in (0, camera.width) for v in (0, camera.height)])
     rays = corners @ np.linalg.inv(K).T
-    # pycolmap calls a fisheye without parameters undistorted, which it is not of a pinhole.
+    # pycolmap reports a fisheye with zero distortion as undistorted, but it is not a pinhole.
     return K, np.allclose(lens.img_from_cam(rays), corners[:, :2], rtol=0, atol=1e-6)
 
 
@@ -259,7 +258,7 @@ def _pycolmap_camera(camera: SparseCamera) -> Any:
 
 
 def _depth_ranges(model: SparseModel) -> dict[int, tuple[float, float]]:
-    """Compute near and far of the images that see enough points, by id; see :func:`read`."""
+    """Compute near and far of the images with enough points, by id; see :func:`read`."""
     observations = np.unique(model.sightings, axis=0)  # an image may show a point twice
     lengths = np.bincount(observations[:, 0], minlength=len(model.points))
     observations = observations[lengths[observations[:, 0]] >= TRACK]

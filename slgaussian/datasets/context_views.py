@@ -1,8 +1,8 @@
-"""More context views, or fewer, around those that an index names: the same for everybody.
+"""Selection of more or fewer context views than an evaluation index lists, by a fixed rule.
 
-An index names two context views and the targets. To see what more photographs do, the targets stay
-and further context views are added one by one, so that those of a smaller number are always among
-those of a larger one.
+An index lists two context views and the targets. To measure the effect of more photographs, the
+targets are fixed and context views are added one by one, so that a smaller set is always a subset
+of a larger one.
 """
 
 from __future__ import annotations
@@ -15,53 +15,52 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Scene
 
 NAME, VERSION = "further", 1
-"""Name and version of the rule, as pages have them: within a version it chooses the same."""
+"""Name and version of the rule in reports; the selection is constant within a version."""
 
 WITHIN = 0.1
-"""Between the two, a view is taken whose distance from all others that are taken is at least this
-share of the distance of the two; nearer ones see the same."""
+"""Smallest distance between a view added between the two and all selected views, as a fraction of
+the distance of the two; nearer views are redundant."""
 
 BEYOND = 0.25
-"""The same of views that are not between the two."""
+"""The same for views that are not between the two."""
 
 APART = 0.1
-"""Least distance of a further view from each target, as that share: a target is held out, and so is
-the frame of a film beside it."""
+"""Smallest distance of an added view from each target, as the same fraction: a target is held out,
+and so are its neighbours in a film."""
 
 TURNED = 45.0
-"""By how many degrees a further view may look away from both of the two: others see other things,
-or the place from elsewhere."""
+"""Largest angle, degrees, between the optical axis of an added view and the nearer of the two."""
 
 
 def context_of(
     scene: Scene, context: Sequence[str], targets: Sequence[str], count: int
 ) -> tuple[str, ...]:
-    """Choose so many context views for the targets, from those that an index names.
+    """Choose ``count`` context views for the targets, starting from those of an index.
 
-    Fewer than are named are the first, the last and some evenly between them in the list. More are
-    all that are named and further ones of the scene by the rule ``further``, version 1, whose
-    lengths are shares of the distance between the first and the last that are named:
+    Fewer than listed: the first, the last and some evenly between them in the list. More: all
+    listed views, and further views of the scene by the rule ``further``, version 1. Its distances
+    are fractions of the distance between the first and the last listed view, "the two":
 
-    1. No target and none within :data:`APART` of one, and none that looks more than :data:`TURNED`
-       degrees away from both of the two.
-    2. First of the views in the ball between the two, which has them as opposite ends: each time
-       the one that is farthest from all taken ones, while that is at least :data:`WITHIN`.
-    3. Then of the others that are at least :data:`BEYOND` from all taken ones: each time the one
-       that is nearest to the middle between the two.
-    4. Of equals the first in the scene. Photographs that cannot be read are passed over.
+    1. Excluded are targets, views within :data:`APART` of a target, and views whose optical axis
+       deviates by more than :data:`TURNED` degrees from both of the two.
+    2. First, among the views in the sphere with the two as poles: repeatedly the view farthest from
+       all selected ones, while that distance is at least :data:`WITHIN`.
+    3. Then, among views at least :data:`BEYOND` from all selected ones: repeatedly the view nearest
+       to the midpoint of the two.
+    4. Ties go to the first view in the scene. Photographs that cannot be read are skipped.
 
     Parameters
     ----------
     scene : Scene
     context, targets : sequence of str
-        Names as :meth:`slgaussian.scene.Scene.find` knows them; at least two of ``context``.
+        Names as accepted by :meth:`slgaussian.scene.Scene.find`; at least two in ``context``.
     count : int
         At least 2.
 
     Raises
     ------
     InputError
-        If a name is none of the scene's, or there are not so many views.
+        If a name does not exist in the scene, or there are not enough views.
     """
     chosen_views = [scene.find(name) for name in context]
     if count <= len(chosen_views):
@@ -72,7 +71,7 @@ def context_of(
     middle = (first.center + last.center) / 2
     sights = np.stack([first.c2w[:3, 2], last.c2w[:3, 2]])
     centers = {name: (c.center - middle) / baseline for name, c in scene.cameras.items()}
-    held_out = [centers[scene.find(name)] for name in targets]  # at no distance from themselves
+    held_out = [centers[scene.find(name)] for name in targets]  # at distance 0 from themselves
     left = [
         name
         for name, camera in scene.cameras.items()
@@ -81,7 +80,7 @@ def context_of(
         and _least_distance(centers[name], held_out) >= APART
     ]
     while len(chosen_views) < count:
-        # Rounded, so that views at equal distances are equal on every machine.
+        # Distances are rounded, so that ties are resolved equally on every machine.
         radii = {name: round(float(np.linalg.norm(centers[name])), 6) for name in left}
         chosen_centers = [centers[name] for name in chosen_views]
         gaps = {name: round(_least_distance(centers[name], chosen_centers), 6) for name in left}

@@ -1,4 +1,4 @@
-"""Lens and orientation of a photograph, by the EXIF header of its file.
+"""Lens and orientation of a photograph from the EXIF header of its file.
 
 Tags and their meaning are those of CIPA DC-008, "Exchangeable image file format for digital still
 cameras", and of ExifTool's tables (https://exiftool.org/TagNames/EXIF.html).
@@ -13,28 +13,28 @@ import numpy as np
 from PIL import ExifTags, Image
 
 FILM_DIAGONAL = 43.27
-"""Millimetres of the diagonal of 35 mm film, 36 x 24."""
+"""Diagonal of 35 mm film, 36 x 24, in millimetres."""
 
 WIDEST, LONGEST_FOCAL = 0.3, 20.0
-"""Focal lengths out of this range, in units of the longer side, are no lens but a mistake."""
+"""Range of plausible focal lengths, in units of the longer side."""
 
 SENSOR_WIDTHS = 1.0, 100.0
-"""Millimetres that a sensor may be wide; other focal plane resolutions are a mistake."""
+"""Range of plausible sensor widths, in millimetres."""
 
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-"""Millimetres in the units of a focal plane resolution."""
+"""Units of the focal-plane resolution, in millimetres."""
 
 SIDEWAYS = (5, 6, 7, 8)
-"""EXIF orientations whose upright photograph is as wide as the stored one is high."""
+"""EXIF orientations that exchange width and height."""
 
 TRANSPOSED = dict(zip(range(2, 9), map(Image.Transpose, (0, 3, 1, 5, 4, 6, 2)), strict=True))
-"""By EXIF orientation, what makes the upright photograph of the stored one."""
+"""Operation that turns a stored photograph upright, by EXIF orientation."""
 
 
 def orientation_of(image: Image.Image) -> int:
-    """Return the EXIF orientation of an opened image, 1 to 8; 1 if it says none, or nonsense.
+    """Return the EXIF orientation of an opened image, 1 to 8; 1 if it is missing or invalid.
 
-    Pillow turns TIFF itself when it loads the pixels: after that, it is 1.
+    Pillow itself rotates a TIFF when it loads the pixels; afterwards the orientation is 1.
     """
     try:
         stated = image.getexif().get(ExifTags.Base.Orientation, 1)
@@ -44,14 +44,14 @@ def orientation_of(image: Image.Image) -> int:
 
 
 def upright(image: Image.Image, orientation: int) -> Image.Image:
-    """Turn an image of an EXIF orientation; Pillow's own way chokes on other bad tags."""
+    """Turn an image upright; Pillow's ``exif_transpose`` fails on other invalid tags."""
     return image if orientation == 1 else image.transpose(TRANSPOSED[orientation])
 
 
 def read_lens(image: Image.Image) -> tuple[str, float | None]:
-    """Read lens and focal length of an opened image; nonsense counts as nothing.
+    """Read lens and focal length of an opened image; invalid values are ignored.
 
-    As :class:`slgaussian.cameras.two_view.Photograph` has them.
+    See the fields of :class:`slgaussian.cameras.two_view.Photograph`.
     """
     try:
         exif = image.getexif()
@@ -72,17 +72,17 @@ def _lens_name(base: Mapping[int, Any], exif_ifd: Mapping[int, Any]) -> str:
 
 
 def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None:
-    """Return the focal length in pixels of a photograph of that size, upright or not."""
+    """Return the focal length in pixels of a photograph of the given size, upright or not."""
     tags = ExifTags.Base
     across, down = (_number(exif_ifd.get(t)) for t in (tags.ExifImageWidth, tags.ExifImageHeight))
     captured = (across, down) if across and down else (float(width), float(height))
-    # A photograph of another shape than was taken is cropped: nobody knows where, and how shrunk.
+    # Another aspect ratio than captured means a crop, whose position and scale are unknown.
     was, is_now = max(captured) / min(captured), max(width, height) / min(width, height)
     if abs(np.log(was / is_now)) > 0.01:
         return None
     film = _number(
         exif_ifd.get(tags.FocalLengthIn35mmFilm)
-    )  # of the same angle; digital zoom is in it
+    )  # equal field of view; includes digital zoom
     by_film = film * float(np.hypot(width, height)) / FILM_DIAGONAL if film else None
     for focal in (by_film, _focal_by_sensor(exif_ifd, captured, max(width, height))):
         if focal is not None and WIDEST <= focal / max(width, height) <= LONGEST_FOCAL:
@@ -93,7 +93,8 @@ def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None
 def _focal_by_sensor(
     exif_ifd: Mapping[int, Any], captured: tuple[float, float], longest: int
 ) -> float | None:
-    """Return it by its millimetres and the pixels of the sensor in one, both ways alike."""
+    """Return the focal length in pixels from millimetres and focal-plane resolution; None if the
+    resolutions in x and y differ."""
     tags = ExifTags.Base
     focal = _number(exif_ifd.get(tags.FocalLength))
     across = _number(exif_ifd.get(tags.FocalPlaneXResolution))
@@ -108,7 +109,7 @@ def _focal_by_sensor(
 
 
 def _number(value: Any) -> float | None:
-    """Return a positive finite number, of whatever a file has under a tag; else None."""
+    """Return the value of a tag as a positive finite number; None if it is not one."""
     try:
         number = float(value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):

@@ -1,4 +1,4 @@
-"""Intrinsics that no photograph has, as of a file whose numbers are in another unit."""
+"""Plausibility check of intrinsics, which detects files with numbers in another unit."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
 NARROWEST, WIDEST = 3.0, 175.0
-"""Degrees of the field of view of a photograph."""
+"""Range of plausible fields of view, degrees."""
 
 LEAST_MILLIMETRES = 3.0
-"""Far too small focal lengths are likely in millimetres from here on, and fractions below."""
+"""Too small focal lengths are probably millimetres from this value on, and fractions below it."""
 
 
 def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
-    """Return a camera as a file has it, if a photograph can be of it; every reader calls this.
+    """Return a camera unchanged if its intrinsics are plausible; every reader calls this.
 
     The field of view across each side is at most :data:`WIDEST` degrees, and across the longer
     side, with either focal length, at least :data:`NARROWEST`. The principal point is at most a
@@ -25,12 +25,12 @@ def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
     ----------
     camera : Camera
     fractions : bool
-        Whether the file gives fractions of width and height, as RealEstate10K does, not pixels.
+        Whether the file has fractions of width and height, as in RealEstate10K, not pixels.
 
     Raises
     ------
     InputError
-        If none can; the message says the file's number and its likely unit.
+        If they are not; the message gives the number in the file and its probable unit.
     """
     width, height = camera.width, camera.height
     size = f"{width}x{height} pixels"

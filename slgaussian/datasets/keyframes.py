@@ -1,4 +1,4 @@
-"""Choose keyframes of many photographs, or of a video, that show what all of them show."""
+"""Choose keyframes that cover the content of many photographs or of a video."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
 MIDDLE = 0.5
-"""Share of a part of the way, about its middle, that its keyframe is taken from: two keyframes are
-then half a part apart at least."""
+"""Fraction of a segment, about its middle, from which the keyframe is chosen, so that two keyframes
+are at least half a segment apart."""
 
 
 def choose_keyframes(
     blurs: Sequence[float], count: int, cameras: Sequence[Camera] | None = None
 ) -> list[int]:
-    """Choose the keyframes; return their numbers, ascending.
+    """Choose the keyframes; return their indices, ascending.
 
-    The way from the first to the last is cut into ``count`` equal parts, and of the middle of each
-    the sharpest frame is taken. The way is what the camera moves and turns, each as a share of all
-    that it moves and turns: standing still adds nothing. Without cameras, frames are taken to be
-    evenly spread. A part without a frame gives none.
+    The camera path is divided into ``count`` equal segments, and the sharpest frame in the middle
+    of each is chosen. Path length is translation plus rotation, each as a fraction of its total, so
+    a camera at rest adds nothing. Without cameras, frames are assumed to be evenly spaced. A
+    segment without a frame gives no keyframe.
 
     Parameters
     ----------
     blurs : sequence of N float
-        :func:`slgaussian.datasets.sharpness.blur` of every frame, in the order taken.
+        :func:`slgaussian.datasets.sharpness.blur` of every frame, in temporal order.
     count : int
         Two or more.
     cameras : sequence of N Camera, optional
@@ -35,7 +35,7 @@ def choose_keyframes(
     Raises
     ------
     InputError
-        If there are fewer than two parts.
+        If ``count`` is below two.
     """
     if count < 2:
         raise InputError(f"keyframes: found {count}, expected two or more")
@@ -55,7 +55,7 @@ def choose_keyframes(
 
 
 def _way(frames: int, cameras: Sequence[Camera] | None) -> np.ndarray:
-    """Return how far along the way each frame is, float64 [N] from 0 to 1."""
+    """Return the position of each frame along the path, float64 [N] from 0 to 1."""
     even = np.linspace(0, 1, frames)
     if cameras is None:
         return even

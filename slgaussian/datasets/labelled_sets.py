@@ -19,7 +19,7 @@ from slgaussian.errors import InputError, did_you_mean
 from slgaussian.scene import Scene
 
 LABELS = {"lerf_ovs": "label/{scene}", "ovs3d": "{scene}/segmentations"}
-"""Folder of the labels of a scene in that of the set, by format."""
+"""Folder of a scene's labels, relative to the folder of the set, by format."""
 
 CAMERAS = {"colmap": colmap, "llff": llff}
 
@@ -48,10 +48,10 @@ def read_ovs3d(path: str | Path, scene: str, cameras: str | None = None) -> Scen
     Parameters
     ----------
     path, scene
-        As :func:`read_lerf_ovs` takes them.
+        As in :func:`read_lerf_ovs`.
     cameras : {"colmap", "llff"}, optional
-        Where its cameras are from: the model in ``sparse`` if it is there, whatever else is, as
-        that has the lens and the principal point; or ``poses_bounds.npy``, which 3D-OVS uses.
+        Source of the cameras: the model in ``sparse``, the default if it exists, because it has the
+        lens and the principal point; or ``poses_bounds.npy``, which 3D-OVS uses.
 
     Raises
     ------
@@ -70,12 +70,12 @@ def read_ovs3d(path: str | Path, scene: str, cameras: str | None = None) -> Scen
 
 
 def lerf_ovs_scenes(path: str | Path) -> dict[str, dict[str, Any]]:
-    """List the scenes of LERF-OVS by name, each with what its reader takes besides the path."""
+    """List the scenes of LERF-OVS by name, with the reader's arguments besides the path."""
     return _scenes_with(path, "sparse")
 
 
 def ovs3d_scenes(path: str | Path) -> dict[str, dict[str, Any]]:
-    """List the scenes of 3D-OVS by name, each with what its reader takes besides the path."""
+    """List the scenes of 3D-OVS by name, with the reader's arguments besides the path."""
     return _scenes_with(path, "sparse", llff.FILE)
 
 

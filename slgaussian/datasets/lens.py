@@ -1,7 +1,7 @@
-"""Photographs straightened: what a pinhole camera would have seen where a lens bent the rays.
+"""Undistortion of photographs to a pinhole camera.
 
-A lens is two maps, float32 [H, W] each: the column and the row of the stored photograph, in
-OpenCV's count from pixel centres, that each pixel of the straight one shows.
+A lens is represented by two maps, float32 [H, W]: for each pixel of the undistorted photograph, its
+column and row in the stored photograph, with pixel centres at integers as in OpenCV.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from slgaussian.formats.resampling import sample_depth
 from slgaussian.scene import View
 
 OUTSIDE = -1e4
-"""Column and row of what the lens did not see, which makes it black."""
+"""Column and row of pixels outside the lens's image, which makes them black."""
 
 Maps = tuple[np.ndarray, np.ndarray]
 
 
 def perspective_maps(K: np.ndarray, size: tuple[int, int], lens: np.ndarray) -> Maps:
-    """Compute the maps of OpenCV's lens k1, k2, p1, p2, k3 before a camera K [3, 3].
+    """Compute the maps of a lens with OpenCV's coefficients k1, k2, p1, p2, k3.
 
-    The straight photograph has the same K.
+    The undistorted photograph has the same intrinsics ``K`` [3, 3].
     """
     centred = K.copy()
     centred[:2, 2] -= 0.5  # OpenCV counts from pixel centres
@@ -31,11 +31,11 @@ def perspective_maps(K: np.ndarray, size: tuple[int, int], lens: np.ndarray) -> 
 
 
 def straightened(view: View, maps: Maps) -> View:
-    """Straighten a view as it is stored.
+    """Undistort a view.
 
-    Colours are interpolated, depths as :func:`slgaussian.formats.resampling.sample_depth` has it,
-    and a pixel is opaque where more than half of it is. What the lens did not see is black, with
-    depth 0. Object ids are left out.
+    Colours are interpolated, depths by :func:`slgaussian.formats.resampling.sample_depth`, and a
+    pixel is opaque if more than half of it is. Pixels outside the lens's image are black, with
+    depth 0. Object ids are dropped.
     """
     columns, rows = unfolded(*maps)
     depth, opaque = view.depth, view.opaque
@@ -48,14 +48,14 @@ def straightened(view: View, maps: Maps) -> View:
 
 
 def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
-    """Return the maps without what a polynomial makes up beyond the image circle.
+    """Return the maps without the invalid region where the distortion polynomial folds back.
 
-    A distortion polynomial holds where it was fitted. Farther out it may turn back and show the
-    picture a second time, mirrored; whatever lies behind such a fold, where the determinant of the
-    map's derivative is not positive, is not connected with the middle and is taken as not seen.
+    A distortion polynomial is valid where it was fitted. Farther out it may fold back and show the
+    image a second time, mirrored. At a fold the Jacobian determinant of the map is not positive;
+    pixels not connected with the centre by a positive determinant are marked as outside.
     """
     (dx_dv, dx_du), (dy_dv, dy_du) = np.gradient(columns), np.gradient(rows)
-    upright = (dx_du * dy_dv > dx_dv * dy_du).astype(np.uint8)  # NaN is not
+    upright = (dx_du * dy_dv > dx_dv * dy_du).astype(np.uint8)  # False for NaN
     if upright.all():
         return columns, rows
     parts = cv2.connectedComponents(upright, connectivity=4)[1]

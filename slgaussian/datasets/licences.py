@@ -1,18 +1,18 @@
-"""Licences of data, as files beside them state them."""
+"""Licences of data, from the licence files next to them."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 NAMES = ("LICENSE*", "LICENCE*", "COPYING*", "COPYRIGHT*")
-"""Names of files that say what may be done with data."""
+"""Name patterns of licence files."""
 
 LONGEST = 80
-"""Characters of a line that are quoted."""
+"""Largest number of characters quoted from a line."""
 
 
 def stated(path: Path) -> str:
-    """List the licence files in a folder, or beside a file, each with its first line."""
+    """List the licence files in a folder, or next to a file, each with its first line."""
     folder = path if path.is_dir() else path.parent
     statements = []
     for file in sorted({file for pattern in NAMES for file in folder.glob(pattern)}):

@@ -3,8 +3,8 @@
 A row is a 3x5 matrix by rows, then the depth range: camera-to-world axes in the columns down,
 right, backward, the camera's position, and (height, width, focal length) in pixels of the whole
 photograph (https://github.com/Fyusion/LLFF#using-your-own-poses-without-running-colmap). There are
-no names: row i belongs to the i-th photograph by name. Lenses are taken for pinholes, with the
-principal point in the middle.
+no names: row i belongs to the i-th photograph by name. Cameras are assumed to be pinholes with the
+principal point in the centre.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ROW = 17
 
 
 def read(path: str | Path, images: str | None = None) -> Scene:
-    """Read a scene; views are named by the files of their photographs, opened when asked for.
+    """Read a scene; views are named by the files of their photographs and opened when read.
 
     ``near`` and ``far`` are those of the file.
 
@@ -39,14 +39,14 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     path : path
         Folder with ``poses_bounds.npy``, or such a file.
     images : str, optional
-        Folder of the photographs in it, if not ``images``, or the largest of ``images_2`` and so
-        on. Whatever their size, the focal length follows.
+        Subfolder of the photographs; default ``images``, or the largest of ``images_2`` and so on.
+        The focal length is scaled to their size.
 
     Raises
     ------
     InputError
-        If the file is missing or damaged, a row is no camera, or there are not as many photographs
-        as rows.
+        If the file is missing or damaged, a row is not a valid camera, or the numbers of
+        photographs and rows differ.
     """
     path = Path(path)
     file = path if path.is_file() else path / FILE
@@ -86,7 +86,7 @@ def _rows(file: Path) -> np.ndarray:
 
 
 def _camera(row: np.ndarray, size: tuple[int, int] | None) -> Camera:
-    """Return the camera of a row, for a photograph stored at that width and height."""
+    """Return the camera of a row, for a photograph stored at ``size`` (width, height)."""
     if not np.isfinite(row).all():
         raise InputError("holds NaN or infinity")
     matrix, (near, far) = row[:15].reshape(3, 5), row[15:]

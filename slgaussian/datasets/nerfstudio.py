@@ -1,9 +1,9 @@
 """nerfstudio's ``transforms.json``: photographs, intrinsics, lens distortion, poses, masks, depth.
 
-The format is https://docs.nerf.studio/quickstart/data_conventions.html, with what instant-ngp adds
-(https://github.com/NVlabs/instant-ngp/blob/master/docs/nerf_dataset_tips.md). Its poses are
-camera-to-world with OpenGL axes (y up, z backward); its principal point counts from the corner of
-the image, with pixel centres at +0.5, as here.
+The format is https://docs.nerf.studio/quickstart/data_conventions.html, plus keys of instant-ngp
+(https://github.com/NVlabs/instant-ngp/blob/master/docs/nerf_dataset_tips.md). Poses are
+camera-to-world with OpenGL axes (y up, z backward); the principal point is relative to the corner
+of the image, with pixel centres at +0.5, as here.
 """
 
 from __future__ import annotations
@@ -31,23 +31,22 @@ FILE = "transforms.json"
 
 
 def read(path: str | Path) -> Scene:
-    """Read a scene; photographs are opened, and undistorted once, when a view is asked for.
+    """Read a scene; photographs are opened and undistorted when a view is read.
 
-    Views are named by their ``file_path``. Every number may stand at the top or in a frame, which
-    wins, whatever it is called there: the focal length is ``fl_x``, or by an angle
-    ``camera_angle_x`` (radians) or ``x_fov`` (degrees), and for y alike, which defaults to that of
-    x. ``cx`` and ``cy`` default to the image's middle; ``w`` and ``h`` to the size of
-    the first photograph that exists. ``is_fisheye`` is the ``camera_model`` OPENCV_FISHEYE.
-    Undistorted views keep their K, and what the lens did not see is black, with depth 0.
+    Views are named by their ``file_path``. Every number may be at the top level or in a frame,
+    which has priority, also under another key: the focal length is ``fl_x``, or given as the angle
+    ``camera_angle_x`` (radians) or ``x_fov`` (degrees); likewise for y, which defaults to x. ``cx``
+    and ``cy`` default to the image centre; ``w`` and ``h`` to the size of the first photograph that
+    exists. ``is_fisheye`` means ``camera_model`` OPENCV_FISHEYE. Undistorted views have the same K;
+    pixels outside the lens's image are black, with depth 0.
 
-    Images become RGB uint8: grey ones are repeated, 16-bit ones scaled, transparent ones laid over
-    black, and known as such in ``View.opaque``; an EXIF orientation is applied only where w and h
-    are those of the turned photograph, see :func:`slgaussian.datasets.photographs.open_photograph`.
-    ``mask_path`` is one more alpha channel, black where nothing is seen.
-    Depth (16-bit image or .npy, z-depth) is scaled by ``depth_unit_scale_factor`` and, as poses
-    were, by ``applied_scale``, resampled at the image's pixel centres, and 0 where it is not a
-    positive number. A view whose depth file is missing has no depth, as no method needs it; one
-    whose file is of a kind that is not read has none either, with a warning.
+    Images are converted to RGB uint8: grey is repeated, 16 bits are scaled, transparent pixels are
+    composited over black and marked in ``View.opaque``. An EXIF orientation is applied only if w
+    and h fit the rotated photograph (:func:`slgaussian.datasets.photographs.open_photograph`).
+    ``mask_path`` is a second alpha channel. Depth (16-bit image or .npy, z-depth) is scaled by
+    ``depth_unit_scale_factor`` and, like the poses, by ``applied_scale``, resampled at the image's
+    pixel centres, and 0 where it is not positive. A view without a depth file has no depth; a depth
+    file of an unsupported format is ignored with a warning.
 
     Parameters
     ----------
@@ -57,10 +56,9 @@ def read(path: str | Path) -> Scene:
     Raises
     ------
     InputError
-        If the file is missing or damaged, a frame of it cannot be used, or it has a key that may
-        change the picture and is not read (``CHANGES_PIXELS`` of
-        :mod:`slgaussian.datasets.nerfstudio_frame`). A missing or unreadable photograph is an error
-        only of its own view.
+        If the file is missing or damaged, a frame is invalid, or it has an unsupported key that may
+        change the image (``CHANGES_PIXELS`` of :mod:`slgaussian.datasets.nerfstudio_frame`). A
+        missing or unreadable photograph is an error only when its view is read.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
@@ -104,21 +102,21 @@ def _read_view(frames: Mapping[str, Frame], cameras: Mapping[str, Camera], name:
 
 
 def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:
-    """List the camera file, the photograph of a frame and all else that is named for it."""
+    """List the camera file and the photograph, mask and depth file of a frame."""
     frame = frames[name]
     named = [frame.place(value) for key, value in frame.values.items() if key.endswith("_path")]
     return [frame.file, *([] if frame.image_path is None else [frame.image_path]), *named]
 
 
 def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCameras) -> None:
-    """Write cameras that were found, and how, such that :func:`read` gives the same ones.
+    """Write estimated cameras and their uncertainty so that :func:`read` returns equal cameras.
 
     Parameters
     ----------
     file : path
-        What is there is replaced.
+        An existing file is replaced.
     photographs : mapping str -> path
-        Files by the names of their cameras.
+        Photographs by the names of their cameras.
     estimated : EstimatedCameras
 
     Raises
@@ -154,20 +152,20 @@ def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCamer
 
 
 def read_cameras(path: str | Path) -> dict[str, Camera]:
-    """Read the cameras of a file by name; no photograph is needed, if it says their size.
+    """Read the cameras of a file by name; photographs are needed only if it lacks their size.
 
     Parameters
     ----------
     path : path
         ``transforms.json`` or the folder that holds it; or the JSON of one frame by itself, as
         ``{"fl_x": 500, "w": 640, "h": 480, "transform_matrix": [[...], ...]}``, whose camera is
-        called by its ``file_path``, or else as the file is. Keys and axes as in :func:`read`. Or a
-        camera path, as nerfstudio's viewer exports it: its frames are ``frame 0``, ``frame 1``, ...
+        named by ``file_path``, or else by the file. Keys and axes as in :func:`read`. Or a camera
+        path exported by nerfstudio's viewer, with frames named ``frame 0``, ``frame 1``, ...
 
     Raises
     ------
     InputError
-        If the file is missing or damaged, or a camera of it cannot be used.
+        If the file is missing or damaged, or a camera of it is invalid.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
@@ -181,9 +179,9 @@ def read_cameras(path: str | Path) -> dict[str, Camera]:
 
 
 def _camera_path(file: Path, content: Mapping[str, Any]) -> dict[str, Camera]:
-    """Return the cameras of a camera path; ``fov`` is the vertical angle of view in degrees.
+    """Return the cameras of a camera path; ``fov`` is the vertical field of view in degrees.
 
-    The form is that of ``get_path_from_json`` of nerfstudio 1.1 (``cameras/camera_paths.py``).
+    The format is that of ``get_path_from_json`` in nerfstudio 1.1 (``cameras/camera_paths.py``).
     """
     if (kind := content.get("camera_type", "perspective")) != "perspective":
         raise InputError(f"{file}: has cameras of type {kind!r}; expected 'perspective'")

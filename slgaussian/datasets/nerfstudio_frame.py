@@ -36,23 +36,23 @@ from slgaussian.scene import Camera, Estimated
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 FISHEYE = "OPENCV_FISHEYE"
 OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
-"""By which the columns of a pose in OpenCV's axes become those of one in OpenGL's, and back."""
+"""Factors of the columns of a pose between OpenCV and OpenGL axes."""
 
 OWN = "slgaussian"
-"""The key of what this package adds: at the top how cameras were found, as
-:meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json` has it, and in each frame what else a
-camera is (``estimated``, ``near``, ``far``). Such frames are of upright photographs."""
+"""Key of this package's additions: at the top level the record of the estimation
+(:meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`), and in each frame the other fields
+of a camera (``estimated``, ``near``, ``far``). Such frames refer to upright photographs."""
 
 USED = frozenset(
     ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov")
     + ("camera_model", "is_fisheye", "k1", "k2", "k3", "k4", "p1", "p2", "mask_path")
     + ("depth_unit_scale_factor", "applied_scale")
 )
-"""The keys that are read of those that :data:`CHANGES_PIXELS` knows."""
+"""Supported keys among those that match :data:`CHANGES_PIXELS`."""
 
 IGNORED = ("aabb_scale", "scale", "auto_scale_poses_override", "integer_depth_scale")
-"""Keys that change neither where a point is seen nor what is: ``scale`` and ``aabb_scale`` place
-the scene in instant-ngp's cube, and ``integer_depth_scale`` is of depth that is not read."""
+"""Keys without influence on the projection and the image: ``scale`` and ``aabb_scale`` place the
+scene in instant-ngp's cube, and ``integer_depth_scale`` belongs to depth that is not read."""
 
 CHANGES_PIXELS = re.compile(
     r"lens|fish|distort|mask|rolling|readout|shutter(?!_?speed)|scale|crop|aspect|flip|skew|shear"
@@ -61,24 +61,24 @@ CHANGES_PIXELS = re.compile(
     r"|^f(l?_?[xy])?$|^c_?[xy]$|^[kpsb]_?\d+$|^xi$",
     re.IGNORECASE,
 )
-"""Parts of names of keys that say a lens, a distortion, a mask, a shutter or a scale."""
+"""Parts of key names that indicate a lens, a distortion, a mask, a shutter or a scale."""
 
 NEUTRAL = ("", "none", "pinhole", "perspective", "global")
-"""Values of such keys, besides 0, false and null, that change nothing."""
+"""Values of such keys, besides 0, false and null, without effect."""
 
 DEPTH_FILES = (".png", ".npy", ".tif", ".tiff", ".pgm", ".jpg", ".jpeg", ".webp", ".bmp")
-"""Endings of depth that is read."""
+"""Supported suffixes of depth files."""
 
 AGREEMENT = 0.01
-"""Largest difference of two focal lengths for one axis, as a fraction, that say the same."""
+"""Largest relative difference at which two focal lengths of one axis are equal."""
 
 DEPTH_UNIT = 0.001
-"""Scene units in one unit of a depth file, where ``depth_unit_scale_factor`` does not say."""
+"""Scene units in one unit of a depth file without ``depth_unit_scale_factor``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame; its own values come before the file's, and none is null."""
+    """One frame; its values have priority over those of the file, and null values are dropped."""
 
     file: Path
     name: str
@@ -86,7 +86,7 @@ class Frame:
 
     @staticmethod
     def of(file: Path, name: str, *levels: Mapping[str, Any]) -> Frame:
-        """Make a frame of its values, and those of the file where it has none."""
+        """Make a frame from its values, with those of the file as defaults."""
         stated = ({k: v for k, v in level.items() if v is not None} for level in levels)
         return Frame(file, name, ChainMap(*stated))
 
@@ -95,7 +95,7 @@ class Frame:
         return InputError(f"{self.file}: frame {self.name!r}: {problem}")
 
     def number(self, key: str, default: Any = None) -> Any:
-        """Return a finite number as float, or the default where there is none."""
+        """Return a finite number as float, or the default if the key is missing."""
         value = self.values.get(key)
         if value is None:
             return default
@@ -106,7 +106,7 @@ class Frame:
 
     @cached_property
     def image_path(self) -> Path | None:
-        """Place of the stored photograph; None if it is not there."""
+        """Path of the stored photograph; None if it is missing."""
         stem = self.file.parent / self.name
         tries = (stem, *(Path(f"{stem}{end}") for end in EXTENSIONS))
         return next((p for p in tries if is_there(p)), None)
@@ -116,9 +116,9 @@ class Frame:
         return None if self.image_path is None else stored_size(self.image_path)
 
     def camera(self, size: tuple[int, int] | None) -> Camera:
-        """Return the camera of the undistorted view; ``size`` stands in for absent w and h."""
+        """Return the camera of the undistorted view; ``size`` is used if w and h are missing."""
         self._refuse_unread()
-        self._is_fisheye()  # raises for a model that cannot be read
+        self._is_fisheye()  # raises for an unsupported model
         w, h = self.number("w"), self.number("h")
         if w is None or h is None:
             if size is None:
@@ -163,7 +163,7 @@ class Frame:
         for key, value in self.values.items():
             if key in USED or key in IGNORED or not CHANGES_PIXELS.search(key):
                 continue
-            is_colour = "mask" in key  # black is one, as any other
+            is_colour = "mask" in key  # a mask colour of 0 is a value too
             numbers = value if isinstance(value, list) and not is_colour else [value]
             changes_nothing = str(value).lower() in NEUTRAL or not any(numbers)
             if not changes_nothing and not (value == 1 and re.search("scale|aspect", key)):
@@ -174,7 +174,7 @@ class Frame:
                 )
 
     def _focal(self, axis: str, size: float) -> float | None:
-        """Return the focal length in pixels along an axis, of the first level that has one."""
+        """Return the focal length in pixels along an axis, from the first level that has one."""
         for level in self.values.maps:
             stated = {}
             alone = Frame(self.file, self.name, ChainMap(level))
@@ -201,7 +201,7 @@ class Frame:
         return None
 
     def _is_fisheye(self) -> bool:
-        """Tell whether the lens is OpenCV's fisheye, by the first level that says anything."""
+        """Tell whether the lens is OpenCV's fisheye, by the first level that has the key."""
         for level in self.values.maps:
             model, flag = level.get("camera_model"), level.get("is_fisheye")
             if flag not in (None, True, False):
@@ -222,14 +222,14 @@ class Frame:
 
     @property
     def extra(self) -> dict[str, Any] | None:
-        """Entries that :func:`slgaussian.datasets.nerfstudio.write` added; None in other files."""
+        """Return the entries of :func:`slgaussian.datasets.nerfstudio.write`, or None."""
         extra = self.values.get(OWN)
         if extra is not None and not isinstance(extra, dict):
             raise self.error(f"{OWN} is {extra!r}, expected an object")
         return extra
 
     def undistortion(self, camera: Camera) -> Maps | None:
-        """Make the maps of the lens, see :mod:`slgaussian.datasets.lens`; None for a pinhole."""
+        """Compute undistortion maps (:mod:`slgaussian.datasets.lens`); None for a pinhole."""
         k = [self.number(f"k{i}", 0.0) for i in range(1, 5)]
         p = [self.number(f"p{i}", 0.0) for i in range(1, 3)]
         fisheye = self._is_fisheye()
@@ -251,7 +251,7 @@ class Frame:
         return perspective_maps(camera.K, size, lens)
 
     def image(self, path: Path, camera: Camera) -> tuple[np.ndarray, np.ndarray | None]:
-        """Open the photograph as uint8 [H, W, 3], and what of it is opaque, bool [H, W] or None."""
+        """Open the photograph, uint8 [H, W, 3], and its opaque pixels, bool [H, W] or None."""
         size = (camera.width, camera.height)
         pixels, opaque = open_photograph(path, size, upright=self.extra is not None)
         if pixels.shape[:2] != (camera.height, camera.width):
@@ -264,11 +264,11 @@ class Frame:
         return (pixels, opaque) if mask is None else masked(pixels, opaque, self.place(mask))
 
     def place(self, name: Any) -> Path:
-        """Return the file of that name beside the camera file."""
+        """Resolve a path relative to the folder of the camera file."""
         return self.file.parent / name_in(self.file.parent, str(name))
 
     def depth(self, camera: Camera) -> np.ndarray | None:
-        """Read depth float32 [H, W] in scene units, 0 where unknown; None without a file of it."""
+        """Read depth float32 [H, W] in scene units, 0 where unknown; None without a depth file."""
         name = self.values.get("depth_file_path")
         if name is None:
             return None

@@ -1,7 +1,7 @@
-"""Compare two looks at a corpus: clips that came, changed and went, and drift of their quality.
+"""Compare two snapshots of a corpus: added, changed and removed clips, and drift of their quality.
 
-A clip is known by its key, and its content by a digest. A clip is one place: whatever is said of
-new places is said of keys that were not there before.
+A clip is identified by its key, and its content by a digest. A clip shows one place, so a new place
+is a new key.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from scipy.stats import ks_2samp
 from slgaussian.storage.specs import load_spec
 
 MEASURES = {"blur": "blur", "mean": "exposure", "clipped": "black or white"}
-"""Measures that are compared of clips, by column of spec ``clips``."""
+"""Compared measures of clips, by column of spec ``clips``."""
 
 SURE = 0.01
-"""Probability, in a world without drift, below which a difference is called one."""
+"""Significance level of the drift test."""
 
 LEAST = 6
-"""Clips on either side below which none is."""
+"""Smallest number of clips in each snapshot for the drift test."""
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,9 @@ class Changes:
     Attributes
     ----------
     arrived, changed : tuple of str
-        Those that were not there before, and those that have another content now.
+        New clips, and clips with changed content.
     withdrawn, damaged : tuple of str
-        Those that were there before and are no more: taken away, or in what cannot be read now.
+        Clips of the earlier snapshot that are missing: removed, or now unreadable.
     """
 
     arrived: tuple[str, ...]
@@ -46,19 +46,19 @@ class Changes:
 
 @dataclass(frozen=True)
 class Drift:
-    """A measure of the clips known before and of those that came.
+    """Comparison of a measure between the earlier and the new clips.
 
     Attributes
     ----------
     measure : str
         One of the values of :data:`MEASURES`.
     known : (float, float, float)
-        Lower quartile, median and upper quartile of the clips known before.
+        Lower quartile, median and upper quartile of the earlier clips.
     come : float
-        Median of those that came.
+        Median of the new clips.
     drifted : bool
-        Whether the median of those that came is outside the quartiles, and a two-sample
-        Kolmogorov-Smirnov test tells them apart at :data:`SURE` over all measures (Bonferroni).
+        Whether the median of the new clips is outside the quartiles, and a two-sample
+        Kolmogorov-Smirnov test rejects equality at level :data:`SURE` (Bonferroni-corrected).
     """
 
     measure: str
@@ -91,8 +91,8 @@ def clips_of(views: pa.Table) -> pa.Table:
 def changes(before: pa.Table, now: pa.Table, failed: Collection[str] = ()) -> Changes:
     """Compare two tables of spec ``clips``.
 
-    ``failed`` are the names of the clips and chunks that could not be read now. A clip that is
-    gone with such a chunk is damaged and not withdrawn: nobody took it away.
+    ``failed`` are the names of the clips and chunks that could not be read now. A missing clip of
+    such a chunk is damaged, not withdrawn.
     """
     was, has = contents(before), contents(now)
     chunk_of = dict(zip(before["clip"].to_pylist(), before["chunk"].to_pylist(), strict=True))
@@ -111,14 +111,14 @@ def contents(clips: pa.Table) -> dict[str, str]:
     return dict(zip(clips["clip"].to_pylist(), clips["content"].to_pylist(), strict=True))
 
 
-def drift(known: pa.Table, come: pa.Table) -> list[Drift]:
-    """Compare each measure of the clips of two tables of spec ``clips``; none if one is empty."""
+def drift(earlier: pa.Table, new: pa.Table) -> list[Drift]:
+    """Compare each measure between two tables of spec ``clips``; empty if one table is empty."""
     drifts = []
-    if not known.num_rows or not come.num_rows:
+    if not earlier.num_rows or not new.num_rows:
         return []
-    enough = min(known.num_rows, come.num_rows) >= LEAST
+    enough = min(earlier.num_rows, new.num_rows) >= LEAST
     for name, measure in MEASURES.items():
-        before, after = known[name].to_numpy(), come[name].to_numpy()
+        before, after = earlier[name].to_numpy(), new[name].to_numpy()
         low, middle, high = map(float, np.quantile(before, (0.25, 0.5, 0.75)))
         median = float(np.median(after))
         drifted = enough and not low <= median <= high

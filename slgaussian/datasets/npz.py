@@ -1,8 +1,9 @@
-"""Cameras of an NPZ of geometry, as Depth Anything 3 and users of VGGT or DUSt3R write it.
+"""Cameras from an NPZ of geometry, as written by Depth Anything 3 and users of VGGT or DUSt3R.
 
-Such a file does not say whether its poses are world-to-camera, nor of which photographs its
-intrinsics are: those that a network saw, stretched, cropped or padded, or the stored ones. The
-depth in it tells, as in :mod:`slgaussian.predict.precomputed`.
+Such a file does not state whether its poses are world-to-camera, nor whether its intrinsics belong
+to the stored photographs or to the stretched, cropped or padded input of the network. The reader
+selects the interpretation that agrees with the depth and with feature matches, as
+:mod:`slgaussian.predict.precomputed` does.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from slgaussian.predict import precomputed
 from slgaussian.scene import Camera, Scene
 
 JUDGED = 6
-"""Photographs, the first, by which cameras are read."""
+"""Number of photographs, the first, by which the interpretation is selected."""
 
 LONGEST = 640
-"""Pixels of their longer side."""
+"""Longer side of these photographs, pixels."""
 
 POSES = {
     "camera-to-world in OpenCV's axes": (False, False),
@@ -40,28 +41,27 @@ POSES = {
     "camera-to-world in OpenGL's axes": (False, True),
     "world-to-camera in OpenGL's axes": (True, True),
 }
-"""Whether poses are to be inverted, and y and z to be reversed then, by what they are."""
+"""Whether to invert the poses, and then to reverse y and z, by convention."""
 
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Scene:
-    """Read a scene of photographs whose cameras an NPZ holds.
+    """Read a scene of photographs with the cameras of an NPZ.
 
     Parameters
     ----------
     path : path
         NPZ, see :data:`slgaussian.formats.depth_maps.KEYS`.
     photographs : str or sequence of str, optional
-        Their folder, from that of the NPZ, which it is if left out; or files and folders. Where the
-        NPZ has no ``names``, its maps are those of all photographs in their order, in a folder by
-        name.
+        Their folder relative to that of the NPZ, the default; or files and folders. If the NPZ has
+        no ``names``, its maps belong to all photographs in order, in a folder sorted by name.
 
     Raises
     ------
     InputError
-        If the NPZ cannot be read or has no cameras, the photographs are not as many, or no reading
-        of its numbers fits them.
+        If the NPZ cannot be read or has no cameras, the number of photographs differs, or no
+        interpretation of its numbers fits them.
     """
     path = Path(path)
     if photographs is None or isinstance(photographs, str):
@@ -77,7 +77,7 @@ def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Sc
 def _cameras(
     path: Path, digest: str, stamped: tuple[tuple[str, Path, str], ...]
 ) -> Mapping[str, Camera]:
-    """Return the cameras of photographs by name; of the same files, read once."""
+    """Return the cameras of photographs by name; cached by file contents."""
     stored, files = read_geometry(path), {name: file for name, file, _ in stamped}
     if stored.poses is None or stored.maps[0].K is None:
         raise InputError(
@@ -97,7 +97,7 @@ def _cameras(
     for way, pose, ray in product(ways, poses, (False, True)):
         try:
             cameras = _cameras_of(stored, numbers, first, ways[way], pose)
-        except InputError:  # of intrinsics that no photograph of this size has
+        except InputError:  # implausible intrinsics for this size
             continue
         small = [
             camera.resized(*size) for camera, size in zip(cameras.values(), sizes, strict=True)
@@ -112,7 +112,7 @@ def _cameras(
     if not readings:
         _cameras_of(
             stored, numbers, first, next(iter(ways.values())), poses[0]
-        )  # which refuses them
+        )  # raises for implausible intrinsics
     ((way, pose), _, _), fitted = precomputed.choose_reading(path, readings, matches)
     if pose != poses[0] or way != next(iter(ways)):
         warnings.warn(
@@ -125,7 +125,7 @@ def _cameras(
 
 
 def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tuple[int, int]]]:
-    """Match photographs that follow one another, at a size (width, height) that is returned too."""
+    """Match successive photographs, scaled to the sizes (width, height) that are returned too."""
     scales = [LONGEST / max(photo.width, photo.height) for photo in photos]
     sizes = [(round(p.width * s), round(p.height * s)) for p, s in zip(photos, scales, strict=True)]
     greys = [
@@ -143,13 +143,13 @@ def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tu
 
 
 Way = tuple[dict[str, np.ndarray], bool]
-"""From pixels of each photograph to those of its map, and whether intrinsics are of the map."""
+"""Transform from photograph pixels to map pixels, and whether the intrinsics belong to the map."""
 
 
 def _ways(
     stored: GeometryFile, numbers: Mapping[str, int], photos: Mapping[str, Photograph]
 ) -> dict[str, Way]:
-    """List what may have been done to photographs, first what leaves their pixels square."""
+    """List the possible preprocessings of the photographs, those with square pixels first."""
     placed = {}
     for name, photo in photos.items():
         height, width = stored.maps[numbers[name]].depth.shape
@@ -179,7 +179,7 @@ def _cameras_of(
     way: Way,
     pose: str,
 ) -> dict[str, Camera]:
-    """Return the cameras of whole photographs under one reading; InputError if there are none."""
+    """Return the cameras of whole photographs under one interpretation; InputError if invalid."""
     inverted, flipped = POSES[pose]
     cameras = {}
     for name, photo in photos.items():

@@ -1,7 +1,7 @@
-"""Choose the views of samples: two context views and the targets that they are judged on.
+"""Choose the views of samples: two context views and the targets on which they are evaluated.
 
-Two context views should share enough to be matched and differ enough to show depth; neither they
-nor the targets may be blurred or badly exposed. There is no chance in it: equal scores go to the
+Two context views should overlap enough to be matched and have enough parallax for depth; neither
+they nor the targets may be blurred or badly exposed. The choice is deterministic: ties go to the
 earlier views.
 """
 
@@ -18,37 +18,37 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
 TARGETS = 3
-"""Targets of a sample."""
+"""Number of targets of a sample."""
 
 CANDIDATES = 200
-"""Most views of a clip that are considered: of each stretch of frames the sharpest."""
+"""Largest number of views of a clip that are considered: the sharpest of each range of frames."""
 
 DARK, BRIGHT = 0.08, 0.92
-"""Mean grey, as a fraction of white, outside of which a photograph is badly exposed."""
+"""Range of the mean grey, as a fraction of white, of a well exposed photograph."""
 
 NAME, VERSION = "around", 1
-"""Name and version of :class:`Rule` in index files: within a version it chooses the same."""
+"""Name and version of :class:`Rule` in index files; the choice is constant within a version."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of a pair.
+    """Bounds on pairs of context views.
 
     Attributes
     ----------
     min_overlap, max_overlap : float
-        Fraction of each context view that the other sees, the smaller of the two, if all of it lies
-        at the view's typical depth.
+        Fraction of a context view that projects into the other, the smaller of the two, assuming
+        that all of it lies at the view's typical depth.
     min_baseline, max_baseline : float
-        Distance between the two cameras as a fraction of that depth. Too far apart, and what
-        overlaps in space may be hidden, or seen from another side.
+        Distance between the two cameras over that depth. With a wide baseline, overlapping
+        surfaces may be occluded or visible from another side only.
     max_blur : float
-        By how much a view may be more blurred than the median view of its clip, on the scale of
+        Largest excess of a view's blur over the median of its clip, on the scale of
         :func:`slgaussian.datasets.sharpness.blur`.
     max_clipped : float
-        Fraction of pixels that may be black or white.
+        Largest fraction of black or white pixels.
     most : int
-        Samples of a clip at most, 0 for as many as there are.
+        Largest number of samples of a clip, 0 for no limit.
     """
 
     min_overlap: float = 0.6
@@ -62,18 +62,18 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Rule:
-    """Bounds of two context views and the target that they surround.
+    """Bounds on two context views and the target between them.
 
     Attributes
     ----------
     bounds : Bounds
-        Of the two.
+        Bounds on the two context views.
     min_cover : float
-        Least fraction of the target that at least one of the two sees, if all of it lies at the
-        target's typical depth.
+        Smallest fraction of the target that projects into at least one of the two, assuming that
+        all of it lies at the target's typical depth.
     max_aside : float
-        How far the target may be from the middle between the two, as a fraction of their distance;
-        below 0.5, so that it is between them, and nearer to none than the rest of that.
+        Largest distance of the target from the midpoint of the two, as a fraction of their
+        distance; below 0.5, so that the target is between them.
     """
 
     bounds: Bounds = field(default_factory=Bounds)
@@ -81,7 +81,7 @@ class Rule:
     max_aside: float = 0.3
 
     def described(self) -> dict[str, Any]:
-        """Return the rule and its settings, for an index file."""
+        """Return name, version and settings of the rule, for an index file."""
         bounds = {name: value for name, value in asdict(self.bounds).items() if name != "most"}
         cover = {"min_cover": self.min_cover, "max_aside": self.max_aside}
         return {"name": NAME, "version": VERSION, **bounds, **cover}
@@ -95,7 +95,7 @@ class Views:
     ----------
     cameras : sequence of N Camera
     depths : float64 [N]
-        Typical z-depth of each view, scene units; NaN where it is not known.
+        Typical z-depth of each view, scene units; NaN where unknown.
     blur, mean, clipped : float64 [N]
         See :mod:`slgaussian.datasets.sharpness`.
     """
@@ -107,7 +107,7 @@ class Views:
     clipped: np.ndarray
 
     def usable(self, bounds: Bounds) -> np.ndarray:
-        """Tell of each view whether it is sharp and well exposed, bool [N]."""
+        """Find the views that are sharp and well exposed, bool [N]."""
         sharp = self.blur <= np.median(self.blur) + bounds.max_blur
         exposed = (self.mean >= DARK) & (self.mean <= BRIGHT)
         return sharp & exposed & (self.clipped <= bounds.max_clipped)
@@ -115,20 +115,20 @@ class Views:
 
 @dataclass(frozen=True)
 class Pair:
-    """A sample: views by their place in the clip.
+    """A sample: views by their index in the clip.
 
     Attributes
     ----------
     context : (int, int)
-        In order.
+        Ascending.
     targets : tuple of int
-        In order.
+        Ascending.
     overlap, baseline : float
-        As :class:`Bounds` has them.
+        As in :class:`Bounds`.
     depth : float
         Mean of the typical depths of the context views, scene units.
     score : float
-        What pairs are compared by, from 0, poor, to 1.
+        Quality of the pair, from 0, poor, to 1.
     """
 
     context: tuple[int, int]
@@ -141,13 +141,13 @@ class Pair:
 
 @dataclass(frozen=True)
 class Surrounding:
-    """Two context views around a target, or why there are none.
+    """Two context views around a target, or the reason why there are none.
 
     Attributes
     ----------
     pair : Pair or None
     cover, aside : float
-        As :class:`Rule` has them; 0 without a pair.
+        As in :class:`Rule`; 0 without a pair.
     reason : str
         Empty with a pair.
     """
@@ -159,17 +159,18 @@ class Surrounding:
 
 
 def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
-    """Choose the samples of a film that together score most, no two of which share a frame.
+    """Choose the samples of a film with the largest total score, of which no two share a frame.
 
-    A pair scores by how far its overlap is from the bounds and how sharp it is, from 0.25 to 1, so
-    that more samples mostly beat better ones. Targets lie between the two. Every view between must
-    overlap one of the two by half of the least overlap: a camera may come back from elsewhere. The
-    targets are those nearest to equal parts of the way: three to its quarters.
+    The score of a pair, from 0.25 to 1, depends on the distance of its overlap from the bounds and
+    on its sharpness; more samples usually outweigh better ones. Targets lie between the two. Every
+    view between them must overlap one of the two by half of the smallest overlap, because the
+    camera may leave and return. Targets are nearest to equal steps along the path: three to its
+    quarters.
 
     Raises
     ------
     InputError
-        If there is none; the message says what was found, for the caller to name the clip.
+        If there is none; the message states the reason, and the caller adds the name of the clip.
     """
     usable = np.flatnonzero(clip.usable(bounds))
     count = len(clip.cameras)
@@ -180,7 +181,7 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
         )
     if np.isnan(clip.depths).any():
         raise InputError(
-            "its views show no parallax that a depth could be found from: too few matches agree "
+            "its views have no parallax to compute a depth from: too few matches agree "
             "with the poses, or the camera stood still"
         )
     stretches = np.array_split(usable, min(CANDIDATES, len(usable)))
@@ -212,11 +213,11 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
 def surround(
     clip: Views, targets: Sequence[int], barred: Collection[int], rule: Rule
 ) -> list[Surrounding]:
-    """Choose the best two context views of each target, none of them barred or a target.
+    """Choose the best two context views of each target; none may be barred or a target.
 
-    Of the pairs that fit the rule the one that scores most: its score (overlap near the middle of
-    its bounds, sharp views) times the cover, less up to a half for a target aside. The views need
-    no order.
+    The best pair within the rule maximises its score (overlap near the middle of its bounds, sharp
+    views) times the cover, reduced by up to a half for a target off the midpoint. Views may have
+    any order.
     """
     out = set(targets) | set(barred)
     usable = [int(i) for i in np.flatnonzero(clip.usable(rule.bounds)) if int(i) not in out]
@@ -267,16 +268,16 @@ def surround(
 def overlaps(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
     """Compute :func:`slgaussian.scene.shared_view` of N views in every other, float64 [N, N].
 
-    Row a, column b: the fraction of a's image that lands inside b if it all lies at ``depths[a]``.
+    Row a, column b: the fraction of image a that projects into b if all lies at ``depths[a]``.
     """
     return np.stack([s.mean(-1) for s in sightings(cameras, depths)])
 
 
 def sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield for one view after the other where in it every view looks, bool [N, 81].
+    """Yield for each view the visibility of its pixels in every view, bool [N, 81].
 
-    Row b: which pixels of a regular grid over the image land inside b if all of it lies at its
-    depth.
+    Row b: whether the pixels of a regular grid over the image project into b, assuming that all of
+    the image lies at its depth.
     """
     grid = (np.arange(9) + 0.5) / 9
     fractions = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
@@ -296,7 +297,7 @@ def sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndar
 
 
 def schedule(pairs: Sequence[Pair]) -> list[Pair]:
-    """Choose the pairs that together score most and of which no two share a frame, in order.
+    """Choose the pairs with the largest total score, of which no two share a frame, in order.
 
     Weighted interval scheduling (Kleinberg and Tardos, "Algorithm Design", section 6.1).
     """
@@ -319,9 +320,9 @@ def schedule(pairs: Sequence[Pair]) -> list[Pair]:
 def _compare(
     clip: Views, frames: np.ndarray, overlap_matrix: np.ndarray, bounds: Bounds
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return overlap, baseline and whether both are within the bounds, of all frames, [N, N].
+    """Return overlap, baseline and whether both are within the bounds for all pairs, [N, N].
 
-    Row a, column b of ``overlap_matrix``: the fraction of the one that the other sees.
+    Row a, column b of ``overlap_matrix``: the fraction of image a that projects into b.
     """
     centers = np.stack([clip.cameras[i].center for i in frames])
     depths = clip.depths[frames]
@@ -338,8 +339,8 @@ def _pair(
 ) -> Pair:
     """Return a pair without targets.
 
-    Half of its score is its overlap, most in the middle of the bounds, and half the blur of the
-    worse view.
+    Half of its score depends on the overlap, largest in the middle of the bounds, and half on the
+    blur of the worse view.
     """
     middle = (bounds.min_overlap + bounds.max_overlap) / 2
     half = max((bounds.max_overlap - bounds.min_overlap) / 2, 1e-9)
@@ -352,7 +353,7 @@ def _pair(
 
 
 def _part(frames: np.ndarray, count: int) -> tuple[int, ...]:
-    """Return frames, of two more at least in ascending order, near equal parts of the way."""
+    """Return ``count`` frames near equal steps between the first and the last of ``frames``."""
     between = frames[1:-1]
     chosen: list[int] = []
     for mark in np.linspace(frames[0], frames[-1], count + 2)[1:-1]:

@@ -1,4 +1,4 @@
-"""Files of photographs of any kind: their pixels as the RGB uint8 that views hold."""
+"""Reading of photographs of any format as RGB uint8."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from slgaussian.formats.images import mask_levels, opened, unreadable
 from slgaussian.scene import Camera, Scene, View
 
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".heic", ".HEIC")
-"""Endings of photographs, tried in this order where a name leaves its own out."""
+"""Suffixes of photographs, tried in this order if a name has none."""
 
 OPAQUE = 128
-"""Least alpha, of 255, of a pixel that shows something."""
+"""Smallest alpha, of 255, of an opaque pixel."""
 
-_ROWS = 256  # looked at a time: copies of a whole image in other forms take too much memory
+_ROWS = 256  # rows converted at a time; copies of a whole image take too much memory
 
 
 def rgb(image: Image.Image) -> np.ndarray:
     """Return the pixels of an opened image, uint8 [H, W, 3], transparent ones over black.
 
-    Grey is repeated, 16 bits are scaled. ValueError for floating-point pixels.
+    Grey is repeated, 16 bits are scaled. Raises ValueError for floating-point pixels.
     """
     if image.mode.startswith("I"):  # 16 bits of grey
         return _by_rows(np.asarray(image), lambda grey: (np.clip(grey / 257, 0, 255))[..., None])
@@ -48,7 +48,7 @@ def rgb(image: Image.Image) -> np.ndarray:
 
 
 def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Map some rows after the other, as float64, by ``colour``; round to uint8 [H, W, 3]."""
+    """Map blocks of rows, as float64, by ``colour``; round to uint8 [H, W, 3]."""
     mapped = np.empty((*pixels.shape[:2], 3), np.uint8)
     for top in range(0, len(pixels), _ROWS):
         part = pixels[top : top + _ROWS].astype(np.float64)
@@ -59,19 +59,19 @@ def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> 
 def open_photograph(
     path: Path, size: tuple[int, int] | None = None, upright: bool = False
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read the pixels of a file, as :func:`rgb` has them, and which are opaque: bool [H, W].
+    """Read the pixels of a file, see :func:`rgb`, and the opaque pixels, bool [H, W].
 
-    None if all are; a pixel counts as transparent from half on.
+    The second is None if all are opaque; half transparent pixels count as transparent.
 
-    Poses and intrinsics belong to the pixels that some tool read: the stored ones with COLMAP, the
-    upright ones with others. ``size``, width and height by the camera, tells which: an EXIF
-    orientation is applied only if the stored photograph has not that shape and the turned one has;
-    always if it is to be ``upright``.
+    Poses and intrinsics refer to the stored pixels with COLMAP, and to the upright image with other
+    tools. ``size``, the camera's width and height, determines which: an EXIF orientation is applied
+    only if the rotated photograph has this aspect and the stored one has not; with ``upright``,
+    always.
 
     Raises
     ------
     InputError
-        If the file is not there or damaged.
+        If the file is missing or damaged.
     """
     try:
         with opened(path) as image:
@@ -90,20 +90,20 @@ def open_photograph(
 def masked(
     pixels: np.ndarray, opaque: np.ndarray | None, mask: Path
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Lay pixels uint8 [H, W, 3] over black by the file of a mask, as by one more alpha channel.
+    """Composite pixels uint8 [H, W, 3] over black with a mask file as a second alpha channel.
 
-    A mask is white where something is seen; one of 0 and 1 only is scaled.
+    A mask is white where pixels are valid; a mask with values 0 and 1 only is scaled.
 
     Returns
     -------
     pixels : uint8 [H, W, 3]
     opaque : bool [H, W], or None if all are
-        Those of ``opaque`` that the mask shows too.
+        Intersection of ``opaque`` and the mask.
 
     Raises
     ------
     InputError
-        If the mask is not there, damaged, or of another size.
+        If the mask is missing, damaged, or of another size.
     """
     height, width = pixels.shape[:2]
     if not is_there(mask):
@@ -134,20 +134,20 @@ def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, i
 
 
 def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
-    """Tell whether a camera of that size saw the photograph as its EXIF orientation turns it."""
+    """Tell whether a camera of that size fits only the photograph rotated by its EXIF tag."""
     if size is None or orientation_of(image) not in SIDEWAYS:
         return False
     return not has_shape(image.size, size) and has_shape(image.size[::-1], size)
 
 
 def has_shape(stored: tuple[int, int], size: tuple[float, float]) -> bool:
-    """Tell whether one size (width, height) is the other's shape, up to whole pixels."""
+    """Tell whether two sizes (width, height) have one aspect ratio, up to whole pixels."""
     (w, h), (width, height) = stored, size
     return abs(w / width - h / height) <= 1 / width + 1 / height
 
 
 def is_there(path: Path) -> bool:
-    """Tell whether there is such a file; no name is refused, as files say what they like."""
+    """Tell whether a file exists; invalid names, which camera files may contain, give False."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -155,16 +155,15 @@ def is_there(path: Path) -> bool:
 
 
 def name_in(folder: Path, name: str) -> str:
-    """Return the name of a photograph below a folder, as a camera file gives it, with slashes.
+    """Return the name of a photograph below a folder, from a camera file, with slashes.
 
-    Backslashes, as Windows writes them, and blanks at the ends are part of it only if there is such
-    a file.
+    Backslashes of Windows and surrounding blanks are part of the name only if such a file exists.
     """
     return name if is_there(folder / name) else name.strip(" \t").replace("\\", "/")
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """List the photographs in a folder, sorted by name; none if there is no such folder."""
+    """List the photographs in a folder, sorted by name; empty if the folder is missing."""
     if not folder.is_dir():
         return []
     return sorted(path for path in folder.iterdir() if path.suffix in EXTENSIONS)
@@ -176,9 +175,9 @@ def photographs_of(scene: Path) -> list[Path]:
 
 
 def image_folder(scene: Path, name: str | None = None) -> Path:
-    """Return a scene's folder of photographs: ``images``, or of ``images_2`` ... the least shrunk.
+    """Return a scene's folder of photographs: ``images``, or the largest of ``images_2`` etc.
 
-    ``name`` says which instead. The folder may not be there, for the caller to say.
+    ``name`` overrides this. The folder may be missing; the caller reports it.
     """
     if name is not None:
         return scene / name
@@ -199,23 +198,23 @@ def scene_of(
     upright: bool = False,
     estimation: Mapping[str, Any] | None = None,
 ) -> Scene:
-    """Make a scene of stored photographs, which are opened and straightened when they are read.
+    """Make a scene of stored photographs, which are opened and undistorted when they are read.
 
     Parameters
     ----------
     name : str
     cameras, photographs : mapping
-        Cameras and photographs by view name; a photograph may not be there.
+        Cameras and photographs by view name; a photograph may be missing.
     named_by : str or path
-        What names the photographs, for messages.
+        File that lists the photographs, for messages.
     files : sequence of Path
-        Those that the cameras are from.
+        Files from which the cameras were read.
     lenses : mapping str -> callable, optional
-        Makes the maps of a view's lens, see :mod:`slgaussian.datasets.lens`; None for a pinhole.
+        Computes the undistortion maps of a view (:mod:`slgaussian.datasets.lens`), or None.
     upright : bool
-        Whether cameras are those of the upright photographs, see :func:`open_photograph`.
+        Whether the cameras refer to the upright photographs, see :func:`open_photograph`.
     estimation : mapping, optional
-        How the cameras were found.
+        Record of the estimation of the cameras.
     """
     read = partial(_read_view, cameras, photographs, named_by, lenses or {}, upright)
     sources = {view: [*files, photograph] for view, photograph in photographs.items()}
@@ -248,9 +247,9 @@ def _read_view(
 
 
 def absent(path: Path, named_by: str | Path, photographs: Mapping[str, Path]) -> InputError:
-    """Return the error about a photograph that is not there, which counts the others.
+    """Return the error for a missing photograph, which counts the other missing ones.
 
-    ``named_by`` is the file that names all ``photographs``.
+    ``named_by`` is the file that lists all ``photographs``.
     """
     gone = [name for name, file in photographs.items() if file != path and not is_there(file)]
     also = f" ({len(gone)} more of its {len(photographs)} photographs missing: "

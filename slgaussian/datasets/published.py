@@ -1,7 +1,7 @@
-"""The published scenes of LERF-OVS and 3D-OVS, known by their content and not by their folders.
+"""Recognition of the published scenes of LERF-OVS and 3D-OVS by content, not by folder names.
 
-Known by their labelled frames, the size of those photographs and the texts that are labelled there,
-as far as public sources say (``published.toml``).
+They are identified by their labelled frames, the size of those photographs and the labelled texts,
+as far as public sources list them (``published.toml``).
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ class LabelledScene:
     Attributes
     ----------
     frames : tuple of str
-        Its labelled frames, without an extension.
+        Labelled frames, without extension.
     texts : tuple of str
-        What is labelled there; empty where no public source says it.
+        Labelled texts; empty if no public source lists them.
     size : (width, height), optional
-        Pixels of its photographs, where a public source says it.
+        Size of the photographs in pixels, if a public source gives it.
     """
 
     frames: tuple[str, ...]
@@ -40,51 +40,51 @@ SETS: dict[str, dict[str, LabelledScene]] = {
         (files("slgaussian.datasets") / "published.toml").read_text("utf-8")
     ).items()
 }
-"""The published scenes by the format of their data and by name."""
+"""Published scenes by data format and name."""
 
 SHARE = 0.75
-"""Of the texts that are labelled, how many must be published ones: lists of texts were published
-apart from the labels, and a few may be missing or written differently."""
+"""Smallest fraction of published texts among the labelled ones: lists of texts were published
+separately from the labels, and a few may be missing or spelled differently."""
 
 RECOGNISED, UNVERIFIED, ANOTHER = "recognised", "unverified", "another"
 
 
 @dataclass(frozen=True)
 class LabelledFrames:
-    """A scene that was asked.
+    """Labels of an evaluated scene.
 
     Attributes
     ----------
     format, name : str
-        Of its data, and what they call it: its folder's name.
-    asked : {frame: texts}
-        The labelled frames that it was asked in, without an extension, and what is labelled there.
+        Data format, and name of the scene's folder.
+    texts : {frame: texts}
+        Labelled texts of the evaluated frames, by frame without extension.
     frames : sequence of str
-        All frames that have labels.
+        All frames with labels.
     sizes : {frame: (width, height)}
-        Pixels of the photographs of frames that were asked, of those that can be opened.
+        Size in pixels of the evaluated photographs that can be opened.
     """
 
     format: str
     name: str
-    asked: Mapping[str, Sequence[str]]
+    texts: Mapping[str, Sequence[str]]
     frames: Sequence[str] = ()
     sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Relation of a scene to the published ones.
+    """Relation of a scene to the published scenes.
 
     Attributes
     ----------
     standing : str
-        :data:`RECOGNISED`; :data:`UNVERIFIED` where all agrees that is published, but what is
-        labelled is not; or :data:`ANOTHER`: called like a published scene, and not that.
+        :data:`RECOGNISED`; :data:`UNVERIFIED` if everything published agrees, but the texts are not
+        published; or :data:`ANOTHER`: a different scene with the name of a published one.
     format, scene : str
         The published scene.
     why : str
-        Of another one: what was found, and what expected.
+        Difference found for :data:`ANOTHER`, with the expected value.
     """
 
     standing: str
@@ -94,10 +94,10 @@ class Standing:
 
 
 def standing(labelled: LabelledFrames) -> Standing | None:
-    """Return the published scene that this is, or is called like and is not; None if neither.
+    """Return the published scene with this content, or with only this name; None if neither.
 
-    Any folder may hold a published scene. Where its texts are not published, it must have the
-    scene's name and all of its labelled frames.
+    The folder of a published scene may have any name. If its texts are not published, it must have
+    the scene's name and all of its labelled frames.
     """
     for format, scenes in SETS.items():
         for name, scene in scenes.items():
@@ -111,22 +111,22 @@ def standing(labelled: LabelledFrames) -> Standing | None:
 
 
 def _differs(labelled: LabelledFrames, scene: LabelledScene) -> str:
-    """Return the first thing that differs from a published scene; empty if nothing does."""
-    strange = [frame for frame in labelled.asked if frame not in scene.frames]
-    if not labelled.asked or strange:
+    """Describe the first difference from a published scene; empty if there is none."""
+    strange = [frame for frame in labelled.texts if frame not in scene.frames]
+    if not labelled.texts or strange:
         return f"found labelled frames {_some(strange) or 'none'}, expected {_some(scene.frames)}"
     if not scene.texts and set(labelled.frames) != set(scene.frames):
         return f"found labelled frames {_some(labelled.frames)}, expected {_some(scene.frames)}"
     if scene.texts:
         texts = list(
-            dict.fromkeys(text.casefold() for texts in labelled.asked.values() for text in texts)
+            dict.fromkeys(text.casefold() for texts in labelled.texts.values() for text in texts)
         )
         published_texts = {text.casefold() for text in scene.texts}
         strange = [text for text in texts if text not in published_texts]
         if not texts or len(strange) > (1 - SHARE) * len(texts):
             return f"found labels of {_some(strange) or 'nothing'}, expected {_some(scene.texts)}"
     if scene.size is not None:
-        for frame in labelled.asked:
+        for frame in labelled.texts:
             if labelled.sizes.get(frame) != scene.size:
                 has = "x".join(map(str, labelled.sizes.get(frame, ()))) or "no size"
                 return f"found {frame} of {has} pixels, expected {'x'.join(map(str, scene.size))}"

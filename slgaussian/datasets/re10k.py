@@ -1,13 +1,13 @@
-"""RealEstate10K as it was published for pixelSplat and MVSplat: chunks, camera files and indices.
+"""RealEstate10K in the format of pixelSplat and MVSplat: chunks and an index.
 
 A chunk is a ``.torch`` file of about 100 MB: a list of clips, each a dict of ``key``, ``url``,
 ``timestamps`` int64 [N] in microseconds, ``cameras`` float32 [N, 18] and ``images``, N uint8
-tensors of encoded JPEG bytes. ``index.json`` beside the chunks of a split says which holds a key. A
-row of ``cameras`` is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV
-axes; the intrinsics are fractions of width and height. Raw camera files, with the same 18 numbers
-a frame, are read by :mod:`slgaussian.datasets.re10k_text`.
+tensors of encoded JPEG bytes. ``index.json`` of a split maps keys to chunks. A row of ``cameras``
+is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV axes; the intrinsics
+are fractions of width and height. Raw camera files, with the same 18 numbers per frame, are read by
+:mod:`slgaussian.datasets.re10k_text`.
 
-Chunks are read with PyTorch's restricted unpickler, so a chunk from anywhere cannot run code.
+Chunks are read with PyTorch's restricted unpickler, so an untrusted chunk cannot run code.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from slgaussian.io import write_atomic
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 
-if TYPE_CHECKING:  # the name of its index is asked for where nobody waits for torch
+if TYPE_CHECKING:  # reading the name of the index must not wait for the import of torch
     import torch
 
 INDEX = "index.json"
 CHUNK_BYTES = 100_000_000
-"""Chunks are begun anew when the images of one reach this, as the published ones are."""
+"""A new chunk is begun when the images of the current one reach this size, as in the original."""
 JPEG_QUALITY = 95
 ROW = 18
 WHOLE = ("torch.int64", "torch.int32")
 REAL = ("torch.float32", "torch.float64", "torch.float16")
 FRAME_TIME = 33_333
-"""Microseconds between the frames of a scene that has no timestamps."""
+"""Interval between the frames of a scene without timestamps, microseconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One clip as stored: nothing is decoded and nothing checked but types and counts.
+    """One clip as stored, without decoding; only types and counts are checked.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Clip:
     timestamps : int64 [N]
         Microseconds.
     cameras : float32 [N, 18]
-        See the module.
+        Rows as described in the module's docstring.
     images : tuple of N bytes
         Encoded JPEGs.
     """
@@ -70,12 +70,13 @@ class Clip:
     images: tuple[bytes, ...]
 
     def view(self, number: int, prefix: str = "") -> View:
-        """Decode one frame, whatever the others are; ``prefix`` begins its messages.
+        """Decode one frame, independently of the others; messages begin with ``prefix``.
 
         Raises
         ------
         InputError
-            If its image cannot be decoded or its camera is none; the message names clip and frame.
+            If its image cannot be decoded or its camera is invalid; the message names clip and
+            frame.
         """
         label = f"{prefix}clip {self.key!r}, frame {number}"
         try:
@@ -91,13 +92,13 @@ class Clip:
     def scene(self, source: str = "") -> Scene:
         """Return the clip as a scene with views "0" to "N - 1", each decoded when it is read.
 
-        ``source`` is the file that it is from, for messages.
+        ``source`` is the name of its file, for messages.
 
         Raises
         ------
         InputError
-            If it has no frame, no image can be decoded, or a camera is none. A single damaged image
-            is an error of its own view only.
+            If it has no frame, no image can be decoded, or a camera is invalid. A single damaged
+            image is an error only when its view is read.
         """
         prefix = f"{source}: " if source else ""
         label = f"{prefix}clip {self.key!r}"
@@ -134,7 +135,7 @@ def read(path: str | Path, key: str) -> Scene:
     Raises
     ------
     InputError
-        If the index or the chunk cannot be read, there is no such clip, or it cannot be used.
+        If the index or the chunk cannot be read, or the clip is missing or invalid.
     """
     chunk = _chunk_of(path, key)
     for clip in read_chunk(chunk):
@@ -144,7 +145,7 @@ def read(path: str | Path, key: str) -> Scene:
 
 
 def files(path: str | Path, key: str) -> list[Path]:
-    """Name the file that a clip is read from, its chunk; InputError if there is no such clip."""
+    """Return the file of a clip, its chunk; InputError if there is no such clip."""
     return [Path(_chunk_of(path, key))]
 
 
@@ -157,7 +158,7 @@ def _chunk_of(path: str | Path, key: str) -> str:
 
 
 def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
-    """List the clips of a split, each with what :func:`read` takes besides the path."""
+    """List the clips of a split, each with the arguments of :func:`read` besides the path."""
     return {key: {"key": key} for key in read_index(path)}
 
 
@@ -172,7 +173,7 @@ def read_index(path: str | Path) -> dict[str, str]:
 
 
 def chunk_names(path: str | Path) -> list[str]:
-    """List the names of the chunks of a split, in order, whether its index knows them or not."""
+    """List the names of all chunks of a split in order, also those missing in its index."""
     fs, folder = open_file_system(path, "chunks")
     try:
         entries = fs.ls(folder, detail=False)
@@ -190,7 +191,7 @@ def read_chunk(file: str | Path) -> list[Clip]:
     Raises
     ------
     InputError
-        If the file cannot be read, is cut short, or holds something else.
+        If the file cannot be read, is truncated, or contains something else.
     """
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
@@ -205,7 +206,7 @@ def read_chunk(file: str | Path) -> list[Clip]:
 
 
 def clips_in(data: bytes, file: str | Path) -> list[Clip]:
-    """Parse the clips in the bytes of a chunk, still encoded; InputError, which names ``file``."""
+    """Parse the clips in the bytes of a chunk, still encoded; InputError names ``file``."""
     try:
         content = tensorfile.load(data)
     except tensorfile.CodeError as code:
@@ -219,7 +220,7 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
         ) from None
     if not isinstance(content, list):
         raise InputError(f"{file}: found a {type(content).__name__}, expected a list of clips")
-    # One tensor may stand in many places, and there be copied as often.
+    # A pickle may reference one tensor many times, each of which would be copied.
     left = len(data)
     clips = []
     for number, entry in enumerate(content):
@@ -229,7 +230,7 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
 
 
 def _clip(file: str | Path, number: int, entry: Any, max_bytes: int) -> Clip:
-    """Parse the clip of an entry, whose images have ``max_bytes`` bytes at most."""
+    """Parse an entry as a clip, whose images may have ``max_bytes`` bytes in total."""
     import torch
 
     def wrong(problem: str) -> InputError:
@@ -262,7 +263,7 @@ def _clip(file: str | Path, number: int, entry: Any, max_bytes: int) -> Clip:
 
 
 def _is_plain(tensor: torch.Tensor) -> bool:
-    """Tell whether all its numbers are stored, each once."""
+    """Tell whether a tensor stores each of its elements exactly once."""
     import torch
 
     if tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
@@ -272,7 +273,7 @@ def _is_plain(tensor: torch.Tensor) -> bool:
 
 
 def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
-    """Return the camera of a row of 18 numbers; InputError if it is none."""
+    """Return the camera of a row of 18 numbers; InputError if it is invalid."""
     row = np.asarray(row, np.float64)
     if row.shape != (ROW,) or not np.isfinite(row).all():
         raise InputError(f"camera row: found {row.tolist()}, expected {ROW} finite numbers")
@@ -300,18 +301,18 @@ def row_of(camera: Camera) -> np.ndarray:
 
 
 def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = None) -> Clip:
-    """Encode all views of a scene as a clip, in their order; truths are not kept.
+    """Encode all views of a scene as a clip, in their order, without ground truth.
 
     Parameters
     ----------
     scene : Scene
     passed_over : callable, optional
-        Is told of each view that cannot be read, which is then left out.
+        Called with the error of each view that cannot be read, which is then left out.
 
     Raises
     ------
     InputError
-        If a view cannot be read, unless that is told; or none can.
+        If a view cannot be read and ``passed_over`` is None, or no view can be read.
     """
     images, rows = [], []
     for name, camera in scene.cameras.items():
@@ -337,8 +338,8 @@ def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = Non
 def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTES) -> list[str]:
     """Add clips to the folder of a split, one chunk in memory at a time.
 
-    New chunks get the next numbers; ``index.json`` is written after each of them, so that a reader
-    never sees a chunk that is not whole.
+    New chunks are numbered consecutively; ``index.json`` is written after each of them, so that a
+    reader never sees an incomplete chunk.
 
     Returns
     -------
@@ -348,7 +349,7 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
     Raises
     ------
     InputError
-        If a clip's key is there already, or the folder cannot be written.
+        If a clip's key exists already, or the folder cannot be written.
     """
     path = Path(path)
     names: list[str] = []
@@ -381,7 +382,7 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
 
 
 def encoded(clips: Sequence[Clip]) -> bytes:
-    """Return the content of a chunk file of these clips."""
+    """Return the bytes of a chunk file of clips."""
     import torch
 
     buffer = io.BytesIO()
@@ -400,7 +401,7 @@ def encoded(clips: Sequence[Clip]) -> bytes:
 
 
 def read_json(file: str | Path) -> dict[str, Any]:
-    """Read a JSON object by key from a file or fsspec URL; InputError if it is none."""
+    """Read a JSON object from a file or fsspec URL; InputError if it is not an object."""
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
             content = strict_json.parse(stream.read())
@@ -412,7 +413,7 @@ def read_json(file: str | Path) -> dict[str, Any]:
 
 
 def _size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height of an encoded image, None if not even that can be read."""
+    """Return width and height of an encoded image; None if its header cannot be read."""
     try:
         with opened(io.BytesIO(data)) as image:
             return image.size

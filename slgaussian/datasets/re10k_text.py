@@ -1,11 +1,11 @@
-"""RealEstate10K as it is published: a camera file a clip, with frames that lie at hand.
+"""RealEstate10K as published: one camera file per clip, with frames extracted by the user.
 
 The files of https://google.github.io/realestate10k/ have the address of a video in their first line
-and, a row a frame, the time and the 18 numbers of a camera (:mod:`slgaussian.datasets.re10k`).
-Frames are everybody's own to get. Here they are photographs called after their time in
-microseconds, as ``45979267.jpg``, in a folder called as the camera file is:
+and, one line per frame, the time and the 18 numbers of a camera
+(:mod:`slgaussian.datasets.re10k`). The user extracts the frames: photographs named by their time in
+microseconds, such as ``45979267.jpg``, in a folder named like the camera file:
 ``train/000c3ab189999a83.txt`` and ``train/000c3ab189999a83/``, or ``cameras/...txt`` and
-``frames/...``. Frames that are not there are left out.
+``frames/...``. Missing frames are left out.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from slgaussian.formats.text import read_lines
 from slgaussian.scene import Scene
 
 CAMERAS, FRAMES = "cameras", "frames"
-"""Folders beside each other that hold the camera files and, under the same names, the frames."""
+"""Sibling folders of the camera files and, under the same names, of the frames."""
 
 
 def read(path: str | Path) -> Scene:
-    """Read a clip as a scene called by its file; views are called by their photographs.
+    """Read a clip as a scene named by its file; views are named by their photographs.
 
     Raises
     ------
     InputError
-        If the camera file cannot be read, a camera is none, or fewer than two frames are there.
+        If the camera file cannot be read, a camera is invalid, or fewer than two frames exist.
     """
     file = Path(path)
     _, times, rows = read_cameras(file)
@@ -59,12 +59,12 @@ def read(path: str | Path) -> Scene:
 def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
     """Read a raw camera file: the clip's address, timestamps int64 [N], rows float32 [N, 18].
 
-    A file may lack the line of the address, which is empty then.
+    A file may lack the address, which is then returned as "".
 
     Raises
     ------
     InputError
-        If the file cannot be read, or a line is no camera; the message names the line.
+        If the file cannot be read, or a line is not a camera; the message names the line.
     """
     try:
         lines = read_lines(file)
@@ -95,7 +95,7 @@ def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
 
 
 def frames_of(file: Path) -> Path:
-    """Return the folder of the frames of a camera file, whether it is there or not."""
+    """Return the folder of the frames of a camera file, which may be missing."""
     beside = file.with_suffix("")
     parts = list(file.parts)
     if not beside.is_dir() and CAMERAS in parts:
@@ -105,7 +105,7 @@ def frames_of(file: Path) -> Path:
 
 
 def is_camera_file(file: Path) -> bool:
-    """Tell whether it begins with the address of a video, as these do."""
+    """Tell whether a file begins with the address of a video, as camera files do."""
     try:
         with file.open("rb") as stream:
             start = stream.read(11).removeprefix(codecs.BOM_UTF8)

@@ -1,4 +1,4 @@
-"""Cameras of any format, known by the names and the first bytes of files, and their photographs."""
+"""Recognition of the camera format of a path from file names and first bytes, and its reading."""
 
 from __future__ import annotations
 
@@ -22,18 +22,17 @@ EXPECTED = (
 
 
 def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scene, Path]:
-    """Read the scene whose cameras ``path`` holds, and the folder from which its views are named.
+    """Read the scene at ``path``; also return the folder relative to which its views are named.
 
     Parameters
     ----------
     path : path
         File or folder, see :data:`EXPECTED`.
     photographs : sequence of str
-        Those that views are wanted for, or folders of them. Of COLMAP and LLFF they may lie
-        elsewhere than in the folder ``images`` of the scene; of RealEstate10K they are named
-        ``<clip>/<frame>``.
+        Photographs, or folders, whose views are needed. For COLMAP and LLFF they may be outside the
+        scene's folder ``images``; for RealEstate10K they are named ``<clip>/<frame>``.
 
-    A folder of photographs without any such file has the cameras that are found for them.
+    For a folder of photographs without cameras, the cameras are estimated.
 
     Raises
     ------
@@ -68,14 +67,14 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
 
 
 def cameras_in(path: str | Path) -> Mapping[str, Camera]:
-    """Read the cameras that ``path`` holds, by name, as :func:`posed_scene` knows them.
+    """Read the cameras at ``path`` by name, in the formats of :func:`posed_scene`.
 
-    No photograph is needed where the format says their size and names, as all do but LLFF.
+    Photographs are not needed if the format contains their size and names, as all except LLFF do.
 
     Raises
     ------
     InputError
-        As :func:`posed_scene`; and if there are only photographs, whose world is their own.
+        As :func:`posed_scene`, and if there are only photographs.
     """
     format, place = recognise(Path(path))
     if format == "photographs":
@@ -86,12 +85,12 @@ def cameras_in(path: str | Path) -> Mapping[str, Camera]:
 
 
 def recognise(path: Path) -> tuple[str, Path]:
-    """Return the format of the cameras in a file or folder, and what its reader takes.
+    """Return the format of the cameras in a file or folder, and the path for its reader.
 
     Raises
     ------
     InputError
-        If there are none of a format that is known.
+        If there are no cameras in a known format.
     """
     if path.is_dir():
         marks = {"nerfstudio": nerfstudio.FILE, "llff": llff.FILE, "re10k": re10k.INDEX}
@@ -122,14 +121,14 @@ def recognise(path: Path) -> tuple[str, Path]:
 
 
 def _scene_of(path: Path) -> Path:
-    """Return the folder of a scene if its model in ``path`` is read there; else that path."""
+    """Return the scene's folder if its reader would use the model in ``path``; else ``path``."""
     scene = colmap.scene_folder(path)
     model, usual = (colmap.largest(colmap.models_in(place)) for place in (path, scene))
     return scene if model.resolve() == usual.resolve() else path
 
 
 def _root(scene: Path, files: Sequence[Path]) -> Path | None:
-    """Return the folder from which the first file that the model of a scene names is called so."""
+    """Return the folder below which ``files`` contain the first photograph of the scene's model."""
     for name in colmap.read(scene).cameras:
         for file in files:
             if file.as_posix().endswith(f"/{name}"):

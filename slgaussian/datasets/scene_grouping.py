@@ -1,4 +1,4 @@
-"""Group clips that show one place: training and test samples must not share any."""
+"""Group clips by place: training and test samples must not share a place."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 KINDS = ("said", "video", "clip")
-"""Kinds of names of a place, the best first."""
+"""Sources of the name of a place, in order of priority."""
 
 
 class Places:
-    """Clips joined to places, as one finds out about them.
+    """Incremental grouping of clips into places (union-find).
 
-    Clips show one place if somebody says so, if they are from one video, or if they share a
-    photograph, byte for byte. A place is called by what was said, else by its video, else by its
-    first clip in the order of names. So it keeps its name, and its side of a split that goes by the
-    name, when other clips arrive, unless these join it with another.
+    Clips show one place if the user says so, if they are from one video, or if they share a
+    photograph, byte for byte. A place is named by the user's name, else by its video, else by its
+    first clip in the order of names. So its name, and its side of a split by name, are stable when
+    clips are added, unless these join it with another place.
     """
 
     def __init__(self) -> None:
@@ -28,9 +28,9 @@ class Places:
         self._owners: list[np.ndarray] = []
 
     def add(self, clip: str, photographs: Iterable[str] = (), place: str = "") -> None:
-        """Add a clip with the SHA-256 of its photographs and, if somebody said it, its place."""
+        """Add a clip with the SHA-256 of its photographs and, if the user gave it, its place."""
         node = self._node("clip", clip)
-        # Sixteen digits of sixty-four: of ten million photographs no two are taken for one.
+        # The first 16 of 64 digits suffice: no collision is expected in ten million photographs.
         digests = np.array([int(digest[:16], 16) for digest in photographs], np.uint64)
         self._photographs.append(digests)
         self._owners.append(np.full(len(digests), node))
@@ -38,7 +38,7 @@ class Places:
             self._joined.append((node, self._node("said", place)))
 
     def seen_in(self, clip: str, url: str) -> None:
-        """Add the video that a clip is from, if there is one."""
+        """Add the video of a clip, if there is one."""
         if url:
             self._joined.append((self._node("clip", clip), self._node("video", url)))
 

@@ -1,8 +1,8 @@
-"""Samples in the shards of a training set: tar files as WebDataset reads them.
+"""Samples in the shards of a training set: tar files in the WebDataset format.
 
-The members of one sample stand beside each other and share a key: ``KEY.context_0.jpg``,
-``KEY.labels.npz`` and so on. The bytes depend on nothing but keys and contents, so a shard is its
-samples, one after the other, and :data:`END`.
+The members of one sample are adjacent and share a key: ``KEY.context_0.jpg``, ``KEY.labels.npz``
+and so on. The bytes depend only on keys and contents, so a shard is the concatenation of its
+samples and :data:`END`.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ END = bytes(2 * tarfile.BLOCKSIZE)
 """The end of a tar file."""
 
 LONGEST = 48
-"""Letters of a key that are a clip's own."""
+"""Largest number of characters of the clip's name in a key."""
 
 
 def key_of(clip: str) -> str:
-    """Return the name of a clip's members: letters, digits, ``_`` and ``-``.
+    """Return the key of a clip: letters, digits, ``_`` and ``-``.
 
-    A dot would end the key, and a slash make a folder. A name that has such letters, or is too
-    long, gets eight digits of its SHA-256, so that no two clips have one key.
+    A dot would end the key, and a slash create a folder. A name with other characters, or one that
+    is too long, is extended by eight digits of its SHA-256, so that keys are unique.
     """
     plain = re.sub(r"[^A-Za-z0-9_-]", "_", clip)[:LONGEST]
     if plain == clip:
@@ -33,18 +33,18 @@ def key_of(clip: str) -> str:
 
 
 def pack(key: str, members: Mapping[str, bytes]) -> bytes:
-    """Pack one sample as a part of a tar file; members by what their names end in."""
+    """Pack one sample as a part of a tar file; members by the suffix of their names."""
     parts = []
     for ending, data in members.items():
         info = tarfile.TarInfo(f"{key}.{ending}")
         info.size = len(data)
-        # Its time is 0 and its owner nobody, whoever writes it whenever.
+        # TarInfo defaults to time 0 and no owner, so the bytes are reproducible.
         parts += [info.tobuf(tarfile.PAX_FORMAT), data, bytes(-len(data) % tarfile.BLOCKSIZE)]
     return b"".join(parts)
 
 
 def unpack(data: bytes) -> dict[str, bytes]:
-    """Inverse of :func:`pack`; ValueError if it is no part of a tar file."""
+    """Invert :func:`pack`; ValueError if ``data`` is not a part of a tar file."""
     members = {}
     try:
         with tarfile.open(fileobj=io.BytesIO(data + END), mode="r:") as archive:

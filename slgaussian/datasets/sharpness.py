@@ -1,4 +1,4 @@
-"""Quality of a photograph: a small grey look at it, its blur and its exposure."""
+"""Quality of a photograph: blur and exposure, measured on a small grey image."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from slgaussian.errors import InputError
 from slgaussian.formats.images import opened
 
 SIDE = 180
-"""Shorter side of a small look, pixels. A JPEG of 640 x 360 is decoded at half its size for it,
-which takes a third of the time."""
+"""Shorter side of the small image, pixels. A JPEG of 640 x 360 is decoded at half its size for it,
+in a third of the time."""
 
 REBLUR = 7
-"""Pixels that a look is blurred again over, which an image that is blurred already hardly minds."""
+"""Width of the additional blur, pixels, which hardly changes an image that is already blurred."""
 
 CLIPPED = 4
 """Grey levels from black or white that count as clipped."""
@@ -27,7 +27,7 @@ def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
     Returns
     -------
     uint8 [h, w], (width, height)
-        The look and the full size of the photograph.
+        The small image, and the full size of the photograph.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
 
 
 def small(image: np.ndarray) -> np.ndarray:
-    """Make a photograph uint8 [H, W, 3] grey and as small as :func:`glance` makes it."""
+    """Convert a photograph uint8 [H, W, 3] to the grey small image of :func:`glance`."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return cv2.resize(grey, _small_size(*grey.shape[::-1]), interpolation=cv2.INTER_AREA)
 
@@ -58,13 +58,13 @@ def _small_size(width: int, height: int) -> tuple[int, int]:
 def blur(grey: np.ndarray) -> float:
     """Measure the blur of an image uint8 [h, w] from 0, sharp, to 1; without any edge 1.
 
-    The fraction of its edges that survive another blur, in the worse of the two directions (Crete
-    et al., "The blur effect", 2007). Unlike the variance of the Laplacian it hardly depends on how
-    much there is to see: a sharp photograph of a blank door counts as sharp.
+    It is the fraction of edge strength that remains after another blur, in the worse of the two
+    directions (Crete et al., "The blur effect", 2007). Unlike the variance of the Laplacian it
+    hardly depends on the content: a sharp photograph of a blank door counts as sharp.
     """
     if min(grey.shape) < REBLUR:
         return 1.0
-    from skimage.measure import blur_effect  # only where views are chosen: it takes long to import
+    from skimage.measure import blur_effect  # slow import, needed only to choose views
 
     return float(blur_effect(grey, h_size=REBLUR))
 

@@ -1,9 +1,9 @@
-"""The files of a COLMAP sparse model: cameras, posed images and points, ``.bin`` or ``.txt``.
+"""Reading of a COLMAP sparse model: cameras, posed images and points, ``.bin`` or ``.txt``.
 
-The formats are https://colmap.github.io/format.html; newer files beside them, of rigs and frames,
-repeat the poses and are not needed. pycolmap reads these files too, but of a file that is cut short
-some versions (4.2.1 is one) make numbers up, do not return or end the process. Here every count is
-checked against what is left of the file.
+The formats are https://colmap.github.io/format.html; the newer files of rigs and frames repeat the
+poses and are not needed. pycolmap reads these files too, but for a truncated file some versions
+(such as 4.2.1) return arbitrary numbers, hang or end the process. Here every count is checked
+against the remaining bytes of the file.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MODELS = {
     11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16), 12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5),
     14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2),
 }  # fmt: skip
-"""Camera models: name and number of parameters by the number that binary files have for them."""
+"""Camera models: name and number of parameters by the id in binary files."""
 
 KINDS = ("cameras", "images", "points3D")
 
@@ -40,7 +40,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class SparseCamera:
-    """The intrinsics of one camera: model name, size in pixels, the model's own parameters."""
+    """Intrinsics of one camera: model name, size in pixels, parameters of the model."""
 
     model: str
     width: int
@@ -50,7 +50,7 @@ class SparseCamera:
 
 @dataclass(frozen=True, eq=False)
 class SparseImage:
-    """One posed image: the name of its file, its camera's id, world-to-camera float64 [4, 4]."""
+    """One posed image: name of its file, id of its camera, world-to-camera float64 [4, 4]."""
 
     name: str
     camera: int
@@ -68,7 +68,7 @@ class SparseModel:
     points : float64 [P, 3]
         World points, in scene units.
     sightings : int64 [M, 2]
-        Each sighting of a point: its row in ``points``, and the id of the image.
+        Observations: row of the point in ``points``, and id of the image.
     """
 
     cameras: dict[int, SparseCamera]
@@ -78,9 +78,9 @@ class SparseModel:
 
 
 def model_files(folder: Path) -> list[Path]:
-    """List the files of the model in a folder, all of one kind; none if cameras or images lack.
+    """List the files of the model in a folder, all of one format; empty without cameras or images.
 
-    Points may be missing: a reconstruction without them still has poses.
+    Points may be missing: such a reconstruction still has poses.
     """
     for kind in (".bin", ".txt"):
         files = [folder / f"{name}{kind}" for name in KINDS]
@@ -102,12 +102,12 @@ def count_images(folder: Path) -> int:
 
 
 def read_model(folder: Path) -> SparseModel:
-    """Read the model in a folder; the binary files if it has both kinds.
+    """Read the model in a folder; the binary files if both formats exist.
 
     Raises
     ------
     InputError
-        If there is none, or a file is cut short or holds what it cannot; the message names it.
+        If there is no model, or a file is truncated or invalid; the message names the file.
     """
     files = model_files(folder)
     if not files:
@@ -137,23 +137,23 @@ def _checked(file: Path, read: Callable[[Path], T]) -> T:
 
 
 class _Wrong(Exception):
-    """Damage of a file, in words."""
+    """A file is damaged; the message describes the problem."""
 
 
 class _Bytes:
-    """A binary file that is read from its beginning, and never past its end."""
+    """Sequential reader of a binary file that never reads past its end."""
 
     def __init__(self, file: Path):
         self.data = file.read_bytes()
         self.at = 0
 
     def take(self, layout: str) -> tuple:
-        """Return the next values, as :mod:`struct` calls them."""
+        """Return the next values for a :mod:`struct` format."""
         start = self.skip(struct.calcsize(f"<{layout}"))
         return struct.unpack_from(f"<{layout}", self.data, start)
 
     def skip(self, count: int) -> int:
-        """Leave out so many bytes; returns where they began."""
+        """Skip ``count`` bytes; return the offset of the first."""
         start = self.at
         if count > len(self.data) - start:
             raise _Wrong(f"ends after {len(self.data)} bytes, in the middle of an entry")
@@ -169,7 +169,7 @@ class _Bytes:
         return self.data[start:end].decode("utf-8", "replace")
 
     def entries(self, min_bytes: int) -> Iterator[int]:
-        """Count the entries that follow by the number before them, each of ``min_bytes``."""
+        """Yield the index of each entry; a count, checked against ``min_bytes`` each, precedes."""
         (count,) = self.take("Q")
         if count * min_bytes > len(self.data) - self.at:
             raise _Wrong(f"says that it has {count} entries, but ends after {len(self.data)} bytes")
@@ -252,8 +252,8 @@ def _stored_images(file: Path) -> Iterator[tuple[int, str, int, list[float]]]:
         return
     points_may_follow = False
     for line, text in _lines(file):
-        # COLMAP writes a line of points below each image, blank where there is none. Files that
-        # were written from known poses often have no such lines.
+        # COLMAP writes a line of points after each image, blank if there are none. Files written
+        # from known poses often lack these lines.
         if not text.strip() or (points_may_follow and _are_points(text)):
             points_may_follow = False
             continue
@@ -268,7 +268,7 @@ def _stored_images(file: Path) -> Iterator[tuple[int, str, int, list[float]]]:
 
 
 def _are_points(text: str) -> bool:
-    """Tell whether a line is triples of x, y and the id of a point, -1 for none."""
+    """Tell whether a line consists of triples of x, y and point id, -1 for none."""
     numbers = text.split()
     try:
         for k in range(0, len(numbers), 3):
@@ -283,8 +283,8 @@ def _points(file: Path) -> tuple[np.ndarray, np.ndarray]:
     if file.suffix == ".txt":
         return _text_points(file)
     data = _Bytes(file)
-    # Id, position, colour, error, and how many images show it; then those. There may be millions,
-    # so that only the counts are looked at one by one.
+    # Id, position, colour, error, number of images, then these images. There may be millions of
+    # points, so only the counts are read one by one.
     starts, counts = [], []
     for _ in data.entries(51):
         starts.append(data.skip(43))
@@ -318,7 +318,7 @@ def _text_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _lines(file: Path) -> Iterator[tuple[int, str]]:
-    """Yield number and text of each line that is no comment."""
+    """Yield number and text of each line that is not a comment."""
     try:
         lines = read_lines(file)
     except UnicodeDecodeError:

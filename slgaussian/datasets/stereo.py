@@ -1,16 +1,16 @@
-"""The Middlebury 2014 "Motorcycle" pair that scikit-image carries: a real posed pair anywhere.
+"""The Middlebury 2014 "Motorcycle" pair in scikit-image: a real posed pair without a download.
 
-The calibration is the one in the docstring of ``skimage.data.stereo_motorcycle``, which is that of
+The calibration is from the docstring of ``skimage.data.stereo_motorcycle``: that of
 https://vision.middlebury.edu/stereo/data/scenes2014/ divided by four. With d the disparity (left
 column minus right column), f the focal length, b the baseline and doffs the difference between the
 principal points, right minus left, a left pixel has depth Z = b f / (d + doffs): the right camera
-sits b to the right of the left, so its column is f (X - b) / Z + cx + doffs, which is d less than
-the left's f X / Z + cx exactly when d = b f / Z - doffs.
+is b to the right of the left one, so the right column is f (X - b) / Z + cx + doffs, the left
+column f X / Z + cx, and their difference d = b f / Z - doffs.
 
-The original calibration counts from pixel centres. Its pixel i covers [i, i + 1] here, and four
-of them were averaged into one, so a column x there lies at (x + 0.5) / 4 from the left edge: the
-principal point gains an eighth of a pixel. Focal length, doffs and disparities have no origin and
-are taken as they are.
+The original calibration has pixel centres at integers. Pixel i covers [i, i + 1] here, and four
+pixels were averaged into one, so column x of the original is at (x + 0.5) / 4 from the left edge:
+the principal point increases by an eighth of a pixel. Focal length, doffs and disparities do not
+depend on the origin.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ def read() -> Scene:
     """Read the pair as views "left" and "right", 500x741 pixels, rectified and in metres.
 
     The left camera is the origin of the world. The left view has the true depth, float32, 0 where
-    the data set has none (about 7 % of the pixels); the right view has no truth of its own.
+    the data set has none (about 7 % of the pixels); the right view has no ground truth.
     """
     height, width = 500, 741
     cameras = {}

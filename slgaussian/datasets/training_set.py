@@ -1,15 +1,15 @@
-"""A training set that ``slgaussian dataset`` wrote, for ``torch.utils.data``.
+"""PyTorch dataset of a training set written by ``slgaussian dataset``.
 
-A folder, or a fsspec URL, with ``index.parquet`` (spec ``training_set``) and the shards that it
-names: tar files as WebDataset has them (:mod:`slgaussian.datasets.shards`).
+The set is a folder, or a fsspec URL, with ``index.parquet`` (spec ``training_set``) and the shards
+listed there: tar files in the WebDataset format (:mod:`slgaussian.datasets.shards`).
 
 >>> from torch.utils.data import DataLoader
 >>> from slgaussian.datasets import TrainingSet
 >>> samples = TrainingSet("set/", split="train")
 >>> loader = DataLoader(samples, batch_size=4, shuffle=True, num_workers=2)
 
-Objects, of which samples have different numbers, are filled up with zeros at their end in a batch:
-an id 0 is no object, present nowhere.
+Samples have different numbers of objects, which are padded with zeros in a batch: id 0 is no
+object, present in no view.
 """
 
 from __future__ import annotations
@@ -47,40 +47,39 @@ ANEW = "make the set anew with `slgaussian dataset`"
 
 
 class TrainingSet(Dataset[dict[str, Any]]):
-    """Samples of a training set, each read when it is asked for.
+    """Samples of a training set, each read on access.
 
-    An item is a dict. V is C context views or T targets, N the objects of the context views:
+    An item is a dict. V is the number C of context views or T of targets, N that of objects:
 
     - ``sample``, ``clip``, ``place``: text
     - ``context`` and ``target``: dicts of ``image`` uint8 [V, 3, H, W]; ``K`` float32 [V, 3, 3] in
-      pixels, ``c2w`` float32 [V, 4, 4] with OpenCV axes; ``near_far`` float32 [V, 2], 0 where it is
-      not known; ``depth`` float32 [V, H, W] along z, 0 where it is not known; ``labels`` int64
-      [V, H, W], 0 where there is no object; ``margin`` float32 [V, H, W], by how much the vote on a
-      label was won; and of the context ``confirmed`` bool [V, H, W], where another view shows the
-      same depth
+      pixels, ``c2w`` float32 [V, 4, 4] with OpenCV axes; ``near_far`` float32 [V, 2], 0 where
+      unknown; ``depth`` float32 [V, H, W] along z, 0 where unknown; ``labels`` int64 [V, H, W], 0
+      for no object; ``margin`` float32 [V, H, W], the vote margin of the label; and for the context
+      ``confirmed`` bool [V, H, W], where another view has the same depth
     - ``objects``: ``ids`` int64 [N], ``codes`` float32 [N, D], ``features`` float32 [N, C, F] and
       ``present`` bool [N, C]
-    - ``quality``: numbers by name, as in the columns of the index
+    - ``quality``: numbers by column name of the index
 
     Parameters
     ----------
     folder : path or fsspec URL
     split : {"train", "test"}, optional
-        All samples if left out.
+        Default: all samples.
     where : pyarrow.compute.Expression, optional
-        Which rows of the index to take, as ``pc.field("overlap") > 0.7``.
+        Filter on the rows of the index, such as ``pc.field("overlap") > 0.7``.
 
     Attributes
     ----------
     rows : pyarrow.Table
-        The rows of the index, in the order of the items.
+        Rows of the index, in the order of the items.
 
     Raises
     ------
     InputError
-        If there is no such split, column or folder, or no row is left.
+        If there is no such split, column or folder, or no row remains.
     SpecError
-        If the index is not what its spec says.
+        If the index violates its spec.
     """
 
     def __init__(
@@ -117,7 +116,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         return len(self._places)
 
     def __getitem__(self, index: int) -> dict[str, Any]:
-        """Read one sample; SpecError, which names the shard, if it is damaged or gone."""
+        """Read one sample; SpecError, which names the shard, if it is damaged or missing."""
         members = self.members(index)
         arrays = {name: self.arrays(index, name, members) for name in SPECS}
         info = self._about(index, members)
@@ -143,11 +142,11 @@ class TrainingSet(Dataset[dict[str, Any]]):
         return item
 
     def members(self, index: int) -> dict[str, bytes]:
-        """Read the members of a sample as they are stored, by the end of their names."""
+        """Read the stored members of a sample, by the suffix of their names."""
         shard, offset, length = self._places[index]
         file = f"{self.folder}/{shard}"
         try:
-            # Of the process that asks: some file systems cannot be shared.
+            # Open it in the calling process: some file systems cannot be shared.
             fs, path = open_file_system(self.folder, "training set")
             data = fs.cat_file(f"{path}/{shard}", start=offset, end=offset + length)
         except file_system_errors() as error:
@@ -158,12 +157,12 @@ class TrainingSet(Dataset[dict[str, Any]]):
             return unpack(data)
 
     def arrays(self, index: int, name: str, members: Mapping[str, bytes] | None = None) -> Arrays:
-        """Read the arrays of one of :data:`SPECS` of a sample, as stored and not as tensors.
+        """Read the NumPy arrays of one of :data:`SPECS` of a sample.
 
         Raises
         ------
         SpecError
-            If they are not there or damaged.
+            If they are missing or damaged.
         """
         members = self.members(index) if members is None else members
         label, data = self._member(index, members, f"{name}.npz")
@@ -190,7 +189,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         return info
 
     def _member(self, index: int, members: Mapping[str, bytes], name: str) -> tuple[str, bytes]:
-        """Return a label of a member for messages, and its bytes."""
+        """Return a member's label for messages, and its bytes."""
         sample = self.rows["sample"][index].as_py()
         label = f"{self.folder}/{self._places[index][0]}: {sample}.{name}"
         if name not in members:
@@ -219,11 +218,11 @@ def _readable(label: str) -> Iterator[None]:
 
 
 class _Ragged(dict[str, torch.Tensor]):
-    """Tensors by name, of which samples have different numbers."""
+    """Tensors by name whose first dimension differs between samples."""
 
 
 def _filled_up(values: Sequence[_Ragged], **_: Any) -> dict[str, torch.Tensor]:
-    """Stack tensors of the same name, filled up with zeros."""
+    """Stack tensors of the same name, padded with zeros."""
     return {
         name: pad_sequence([value[name] for value in values], batch_first=True)
         for name in values[0]

@@ -1,8 +1,8 @@
-"""Photographs and nothing else: a scene whose cameras are found from them.
+"""Scenes of photographs without cameras, which are estimated.
 
-Photographs are taken upright, as their EXIF orientation has them. The world is the first camera's,
-and its unit the distance of the first two cameras (:mod:`slgaussian.cameras.estimated`): in a
-folder the first are those by name.
+Photographs are turned upright by their EXIF orientation. The world is the frame of the first
+camera, and its unit the distance of the first two cameras (:mod:`slgaussian.cameras.estimated`);
+the photographs of a folder are ordered by name.
 """
 
 from __future__ import annotations
@@ -32,28 +32,29 @@ from slgaussian.scene import Camera, Sample, Scene, Size, View
 Place = str | Path
 
 SMALLEST = 32
-"""Pixels across of the smallest photograph whose camera is looked for."""
+"""Smallest side of a photograph for estimating its camera, pixels."""
 
 
 def photographs(
     *images: Any, size: Size = "auto", near: float | None = None, far: float | None = None
 ) -> Sample:
-    """Make a sample of photographs, or folders of them, whose cameras are found.
+    """Make a sample of photographs, or folders of them, and estimate their cameras.
 
     Parameters
     ----------
     *images : path, uint8 [H, W, 3] or PIL image; or one list of them
         All become context views, in this order; those of a folder by name. Images in memory are
-        called ``image_0``, ``image_1``, ....
+        named ``image_0``, ``image_1``, ....
     size : (height, width), "at most 312x432", "auto" or "original"
     near, far : float, optional
-        Depth range, as :meth:`slgaussian.scene.Scene.sample` takes it and ``size``. The unit is the
-        distance of the first two cameras.
+        Depth range; it and ``size`` are as in :meth:`slgaussian.scene.Scene.sample`. The unit is
+        the distance of the first two cameras.
 
     Raises
     ------
     InputError
-        If a file cannot be read, or cameras cannot be found; the message says why and what to do.
+        If a file cannot be read, or the cameras cannot be estimated; the message gives the reason
+        and what to do.
     """
     if len(images) == 1 and isinstance(images[0], list | tuple):
         images = tuple(images[0])
@@ -62,7 +63,7 @@ def photographs(
 
 
 def _in_memory(images: Sequence[Any]) -> Scene:
-    """Find the cameras of images in memory; PIL images may carry EXIF."""
+    """Estimate the cameras of images in memory; PIL images may have EXIF."""
     pictures = {}
     for i, image in enumerate(images):
         if isinstance(image, np.ndarray):
@@ -92,16 +93,16 @@ def _in_memory(images: Sequence[Any]) -> Scene:
 
 
 def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Scene:
-    """Read a scene of photographs by their names; the cameras of all of them are found at once.
+    """Read a scene of photographs by their names; the cameras of all are estimated together.
 
-    They are found anew only if a photograph, or the order, is another than before in the process.
+    The estimation is cached in the process by the photographs and their order.
 
     Parameters
     ----------
     path : path or sequence of path
         A folder of photographs, in itself or below ``images``; or files and folders.
     only : sequence of str, optional
-        The photographs of that folder that are taken, by their paths below it, in this order.
+        Photographs of that folder to use, by their paths below it, in this order.
 
     Raises
     ------
@@ -113,7 +114,7 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
 
 
 def files(path: Place, only: Sequence[str] | None = None) -> list[Path]:
-    """List the photographs of a scene, each of which has its say in where all cameras are."""
+    """List the photographs of a scene, all of which influence the estimated cameras."""
     return list(_photograph_files(path, only).values())
 
 
@@ -124,12 +125,12 @@ def _photograph_files(path: Place | Sequence[Place], only: Sequence[str] | None)
 
 
 def named(places: Sequence[Place]) -> dict[str, Path]:
-    """List the photographs at some places, by their path below the folder that holds all of them.
+    """List the photographs at files and folders, by their path below the common folder.
 
     Raises
     ------
     InputError
-        If a folder holds none, there are fewer than two, or one is named twice.
+        If a folder has none, there are fewer than two, or one is listed twice.
     """
     listed: list[Path] = []
     for place in map(Path, places):
@@ -161,7 +162,7 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
 
 
 def folder_of(files: Mapping[str, Path]) -> Path:
-    """Return the folder from which photographs are named, absolute."""
+    """Return the absolute path of the folder relative to which photographs are named."""
     return _common([Path(os.path.abspath(file)) for file in files.values()])
 
 
@@ -170,7 +171,7 @@ def _common(files: Sequence[Path]) -> Path:
 
 
 def find(files: Mapping[str, Path]) -> EstimatedCameras:
-    """Find the cameras of photographs by name; of the same files in the same order, found once.
+    """Estimate the cameras of photographs by name, cached by the files and their order.
 
     Raises
     ------
@@ -192,7 +193,7 @@ def _find(files: tuple[tuple[str, str, str], ...]) -> EstimatedCameras:
 
 
 def photograph(file: Path, name: str) -> Photograph:
-    """Read a photograph as cameras are found from: upright, small, and with what its file says.
+    """Read a photograph for the estimation of cameras: upright, downscaled, with its EXIF lens.
 
     Raises
     ------
@@ -202,7 +203,7 @@ def photograph(file: Path, name: str) -> Photograph:
     try:
         with opened(file) as image:
             if image.format == "TIFF":
-                image.load()  # which Pillow turns as it loads them
+                image.load()  # Pillow rotates the pixels of a TIFF while loading
             return _photograph(image, name)
     except InputError:
         raise
@@ -213,17 +214,17 @@ def photograph(file: Path, name: str) -> Photograph:
 def _photograph(image: Image.Image, name: str) -> Photograph:
     full_size, (lens, focal) = image.size, read_lens(image)
     if min(full_size) < SMALLEST:
-        found = " x ".join(map(str, full_size))
+        size = " x ".join(map(str, full_size))
         raise InputError(
-            f"{name}: is {found} pixels, expected {SMALLEST} x {SMALLEST} at least, "
-            "to find points that another photograph shows too; give the photograph at its own size"
+            f"{name}: is {size} pixels, expected {SMALLEST} x {SMALLEST} at least, to match "
+            "features; give the photograph at its original size"
         )
     orientation = orientation_of(image)
     small_size = _shrunk(*full_size)
-    # JPEG is decoded at a half, a quarter or an eighth, which saves time and memory.
+    # A JPEG is decoded at a half, a quarter or an eighth of its size, to save time and memory.
     image.draft("RGB", small_size)
     part = max(1, round(full_size[0] / image.size[0]))
-    covered = (0.0, 0.0, full_size[0] / part, full_size[1] / part)  # less than the last pixels
+    covered = (0.0, 0.0, full_size[0] / part, full_size[1] / part)  # without padded pixels
     plain = image if image.mode == "RGB" else Image.fromarray(rgb(image))
     small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
     pixels = rgb(upright(small, orientation))
@@ -232,9 +233,9 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
 
 
 def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
-    """Return the scene of photographs by name, and of the cameras that were found for them.
+    """Return the scene of photographs by name with their estimated cameras.
 
-    Views are straight where a lens distortion was found.
+    Views are undistorted if a lens distortion was estimated.
     """
 
     maps = {
@@ -248,20 +249,20 @@ def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
 def refined(
     scene: Scene, names: Sequence[str], files: Mapping[str, Path]
 ) -> tuple[Scene, EstimatedCameras]:
-    """Find cameras of some views of a scene anew, in the world of those that it has.
+    """Estimate the cameras of some views of a scene again, in the world of its cameras.
 
     Parameters
     ----------
     scene : Scene
     names : sequence of str
-        Two views or more, the first of which keeps its pose.
+        Two views or more; the pose of the first is unchanged.
     files : mapping str -> path
-        The photographs of some of them, whose EXIF is heard.
+        Files of some of the photographs, whose EXIF is used.
 
     Raises
     ------
     InputError
-        If cameras cannot be found, or those of the scene all stand at one place.
+        If cameras cannot be estimated, or those of the scene are all at one position.
     """
     inputs = [_of_view(scene.read(name), files.get(name)) for name in names]
     before = {name: scene.cameras[name] for name in names}
@@ -274,14 +275,14 @@ def refined(
 
 
 def _straight(view: View, estimated: EstimatedCameras) -> View:
-    """Return a view with the camera that was found for it, its lens distortion undone."""
+    """Return an undistorted view with its estimated camera."""
     camera, k1 = estimated.cameras[view.name], estimated.k1[view.name]
     view = replace(view, camera=camera)
     return straightened(view, _lens(camera, k1)) if k1 else view
 
 
 def _of_view(view: View, file: Path | None) -> Photograph:
-    """Return a read view as a photograph; its size and turn may be other than its file's."""
+    """Return a view as a photograph; its size and orientation may differ from its file's."""
     height, width = view.image.shape[:2]
     small = cv2.resize(view.image, _shrunk(width, height), interpolation=cv2.INTER_AREA)
     if file is None:
@@ -297,7 +298,7 @@ def _lens(camera: Camera, k1: float) -> Maps:
 
 
 def is_turned(file: Path) -> bool:
-    """Tell whether a photograph is stored otherwise than upright."""
+    """Tell whether a photograph is stored rotated or mirrored."""
     try:
         with opened(file) as image:
             return orientation_of(image) != 1

@@ -58,7 +58,8 @@ def test_drift_is_said_beyond_noise_and_not_of_a_few():
     known = clips(rng.normal(0.3, 0.02, 40))
     blur, exposure, clipped = drift(known, clips(rng.normal(0.4, 0.02, LEAST)))
     assert blur.drifted and exposure.drifted and not clipped.drifted
-    assert blur.known[0] < blur.known[1] < blur.known[2] < blur.come == pytest.approx(0.4, abs=0.02)
+    low, middle, high = blur.known
+    assert low < middle < high < blur.come == pytest.approx(0.4, abs=0.02)
     assert not any(one.drifted for one in drift(known, clips(rng.normal(0.3, 0.02, 40))))
     assert not any(one.drifted for one in drift(known, clips(np.full(LEAST - 1, 0.9))))
     assert drift(known, clips(np.empty(0))) == [] == drift(clips(np.empty(0)), known)

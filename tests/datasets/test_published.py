@@ -38,10 +38,10 @@ def test_one_frame_with_a_few_of_its_labels_is_enough():
     """A pair of views is asked in one frame, which shows some of what is labelled."""
     teatime = found_of("lerf_ovs", "teatime")
     asked = {"frame_00043": ("sheep", "Hooves", "apple", "a new text")}
-    one = replace(teatime, asked=asked)
+    one = replace(teatime, texts=asked)
     assert standing(one) == Standing(RECOGNISED, "lerf_ovs", "teatime")
     strange = {"frame_00043": ("sheep", "apple", "office chair", "monitor")}
-    known = standing(replace(teatime, asked=strange))
+    known = standing(replace(teatime, texts=strange))
     assert known is not None and known.standing == ANOTHER
     assert known.why.startswith("found labels of office chair, monitor, expected sheep, ")
 
@@ -49,9 +49,9 @@ def test_one_frame_with_a_few_of_its_labels_is_enough():
 @pytest.mark.parametrize(
     ("change", "why"),
     [
-        ({"asked": {}}, "found labelled frames none, expected frame_00002, "),
-        ({"asked": {"00015": ("sheep",)}}, "found labelled frames 00015, expected frame_00002, "),
-        ({"asked": {"frame_00002": ()}}, "found labels of nothing, expected sheep, "),
+        ({"texts": {}}, "found labelled frames none, expected frame_00002, "),
+        ({"texts": {"00015": ("sheep",)}}, "found labelled frames 00015, expected frame_00002, "),
+        ({"texts": {"frame_00002": ()}}, "found labels of nothing, expected sheep, "),
         ({"sizes": {}}, "found frame_00002 of no size pixels, expected 988x730"),
         (
             {"sizes": dict.fromkeys(SETS["lerf_ovs"]["teatime"].frames, (540, 360))},

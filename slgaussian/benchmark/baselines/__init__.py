@@ -1,8 +1,8 @@
-"""Methods that are compared in one run, behind one interface, by name.
+"""Registry of the methods that a benchmark compares.
 
-A name that ends in "like" is not the original: it keeps what the original is known for, on the same
-photographs, Gaussians and encoder as everything else here. What each is, and what it lacks, is in
-docs/reference/methods.md.
+A name that ends in "like" is not the original: it reimplements the main idea on the same
+photographs, Gaussians and encoder as the other methods. docs/reference/methods.md describes each
+method and its differences from the original.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ METHODS = {
 }
 
 GROUP = "slgaussian.methods"
-"""The group of entry points by which other packages bring methods."""
+"""Entry-point group of methods from other packages."""
 
 
 class Method(Protocol):
-    """Builds what answers texts about one scene."""
+    """A method: a callable that prepares a scene for answering texts."""
 
     def __call__(self, inputs: Inputs) -> Answering:
-        """Prepare the scene; InputError if the encoder or the proposer cannot do what it takes."""
+        """Prepare the scene; InputError if the encoder or the proposer is not suitable."""
 
 
 def load_method(name: str, **settings: Any) -> Method:
-    """Make the method called ``name``.
+    """Make the method ``name``.
 
     Raises
     ------
     InputError
-        If there is none, it has no such setting, or a setting is out of its range.
+        If the method or a setting does not exist, or a setting is out of range.
     """
     method = resolve("method", METHODS, name, GROUP)
     try:
@@ -58,10 +58,10 @@ def load_method(name: str, **settings: Any) -> Method:
 class Row:
     """A row of the table of methods: one of :data:`METHODS` with settings.
 
-    ``about`` describes it in a line, and of what is not the original says that it is not. ``rules``
-    are those of :class:`slgaussian.language.rules.Rules` that it is asked by in place of the run's.
-    A ``variant`` is the field with one part changed: no other method, though it may be better. A
-    ``slow`` one takes minutes a scene: it runs by its name and is not among all.
+    ``about`` describes it in a line, and states if it is not the original. ``rules`` override the
+    fields of the run's :class:`slgaussian.language.rules.Rules`. A ``variant`` is the field with
+    one component changed, not another method. A ``slow`` method takes minutes per scene: it runs
+    only if it is named.
     """
 
     method: str
@@ -77,7 +77,7 @@ class Row:
 
     @property
     def brought_by(self) -> str:
-        """The package that brings the method, by its content; empty for one of ours."""
+        """Return the identity of the package of an external method; empty for our methods."""
         return "" if self.method in METHODS else plugin_identity(GROUP, self.method)
 
 
@@ -129,7 +129,7 @@ ROWS = {
     ),
 }
 ROWS |= {name: Row(name, "of another package") for name in plugins(GROUP) if name not in ROWS}
-"""The table of all methods, in its order."""
+"""All methods, in the order of the table."""
 
 
 def is_swept(name: str) -> bool:
@@ -138,5 +138,5 @@ def is_swept(name: str) -> bool:
 
 
 def is_variant(name: str) -> bool:
-    """Tell whether a method is the field with a part or a setting changed: no other method."""
+    """Tell whether a method is the field with a component or a setting changed."""
     return ROWS[name].variant if name in ROWS else is_swept(name)

@@ -1,11 +1,11 @@
-"""The autoencoder of one scene, as in LangSplat: from C numbers to three and back.
+"""Per-scene autoencoder as in LangSplat: from C dimensions to three and back.
 
-Facts of the published code (evaluation of arXiv 2312.16084), written anew: linear layers
-C-256-128-64-32-3 with batch normalisation and ReLU between, codes of length 1; back by
-3-16-32-64-128-256-256-C with ReLU between, vectors of length 1; squared error plus 0.001 of
-(1 - cosine), Adam. Two things differ. Layers that would be wider than C are left out. And the
-vectors here are those of two photographs, some dozens and not hundreds of thousands: they are one
-batch, and the number of steps is fixed.
+Reimplemented from the architecture of the published code (arXiv 2312.16084): the encoder has linear
+layers C-256-128-64-32-3 with batch normalisation and ReLU, and unit-length codes; the decoder has
+3-16-32-64-128-256-256-C with ReLU, and unit-length outputs; the loss is the squared error plus
+0.001 (1 - cosine), minimised by Adam. Two differences: layers wider than C are left out, and the
+vectors, some dozens from two photographs instead of hundreds of thousands, form one batch with a
+fixed number of steps.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from slgaussian.kernels.threads import LARGE_THREADS, fixed
 DOWN, UP = (256, 128, 64, 32), (16, 32, 64, 128, 256, 256)
 
 RATE, COSINE = 2e-3, 0.001
-"""Of Adam, and the weight of (1 - cosine) beside the squared error."""
+"""Learning rate of Adam, and weight of (1 - cosine) relative to the squared error."""
 
 BLOCK = 8192
-"""Codes decoded at a time."""
+"""Number of codes decoded at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Autoencoder:
-    """A trained autoencoder; made by :func:`train_autoencoder`."""
+    """A trained autoencoder, see :func:`train_autoencoder`."""
 
     down: nn.Sequential
     up: nn.Sequential
@@ -50,10 +50,10 @@ class Autoencoder:
 
 
 def train_autoencoder(vectors: np.ndarray, seed: int, steps: int = 1000) -> Autoencoder:
-    """Fit an autoencoder to two unit vectors float32 [M, C] or more; on one thread, so repeatable.
+    """Fit an autoencoder to unit vectors float32 [M, C], M >= 2; deterministic, on one thread.
 
-    ``seed`` decides the weights at the start, and all vectors are seen in each of ``steps``.
-    InputError if there are fewer than two.
+    ``seed`` determines the initial weights; each of ``steps`` uses all vectors. Raises InputError
+    if there are fewer than two.
     """
     if len(vectors) < 2:
         raise InputError(f"autoencoder: found {len(vectors)} vectors, expected at least 2")

@@ -1,14 +1,14 @@
-"""Baselines of crops: LERF-like and 3D-OVS-like, vectors without masks.
+"""Baselines with encoded image crops and without masks: LERF-like and 3D-OVS-like.
 
-Square crops of the photographs at several scales are encoded on a grid; each Gaussian has what its
-source pixel has. No field is trained and nothing is regularised.
+Square crops of the photographs at several scales are encoded on a grid; each Gaussian gets the
+vectors of its source pixel. No field is trained and nothing is regularised.
 
-LERF (arXiv 2303.09553) trains a field of language features over position and scale against such a
-pyramid, in thousands of steps over many photographs, with DINO features beside it. 3D-OVS (arXiv
-2305.14093) learns which of three patch sizes to believe at each point, together with a field of
-segmentation features, from a closed list of classes and the boundaries of DINO features; here each
-pixel believes the size whose best class leads the next one most. The list of classes is given,
-which no other method here has: a text competes with the rest of it.
+LERF (arXiv 2303.09553) trains a field of language features over position and scale on such a
+pyramid, in thousands of steps over many photographs, with DINO features as regularisation. 3D-OVS
+(arXiv 2305.14093) learns which of three patch sizes to select at each point, together with a field
+of segmentation features, from a closed list of classes and the boundaries of DINO features; here
+each pixel selects the size with the largest margin between its best and second-best class. Unlike
+the other methods it gets the list of classes, with which a text competes.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ BATCH = 512
 
 @dataclass(frozen=True)
 class LerfLike:
-    """Vectors at several scales, of which a text chooses one for the whole image.
+    """Vectors at several scales; each text uses its best scale for the whole image.
 
     Attributes
     ----------
     scales : sequence of float
-        Sides of the crops in heights of the photograph, in (0, 1]; InputError otherwise. LERF has
-        seven, evenly from 0.05 to 0.5, with strides from a whole side at 0.05 to half of one from
-        0.15 on; strides are the same here, scales are three, for time.
+        Sides of the crops over the height of the photograph, in (0, 1]; InputError otherwise. LERF
+        has seven, evenly from 0.05 to 0.5, with strides from a full side at 0.05 to half a side
+        from 0.15 on; here strides are the same, and there are three scales to save time.
     """
 
     scales: Sequence[float] = (0.1, 0.25, 0.5)
@@ -65,7 +65,7 @@ class LerfLike:
 
 @dataclass(frozen=True)
 class Ovs3dLike:
-    """Patches at the scale that tells the given classes apart best, pixel by pixel.
+    """Patches at the scale that best separates the given classes, per pixel.
 
     Attributes
     ----------
@@ -73,8 +73,8 @@ class Ovs3dLike:
         Sides of the patches: the shorter side of the photograph over each of these, at least 1;
         InputError otherwise. Those of 3D-OVS by default.
     stride : float
-        Between patches, in sides, in (0, 1]; InputError otherwise. 3D-OVS has a quarter; three
-        quarters is a tenth of the work.
+        Distance of patches in sides, in (0, 1]; InputError otherwise. 3D-OVS uses 0.25; 0.75 takes
+        a tenth of the time.
     """
 
     parts: Sequence[int] = (5, 7, 10)
@@ -91,7 +91,7 @@ class Ovs3dLike:
             )
 
     def __call__(self, inputs: Inputs) -> LiftedVectors:
-        """Encode the patches of a scene, and choose the size that each pixel believes."""
+        """Encode the patches of a scene, and select the patch size of each pixel."""
         shorter = min(inputs.sample.context[0].image.shape[:2])
         sides = [max(shorter // part, 1) for part in self.parts]
         levels = encode_pyramid(inputs, sides, [self.stride] * len(sides))
@@ -117,11 +117,11 @@ class LiftedVectors:
     ----------
     inputs : Inputs
     scales : sequence of callable
-        As :func:`slgaussian.benchmark.baselines.drawn.draw_vectors` takes them, one a scale.
+        See :func:`slgaussian.benchmark.baselines.drawn.draw_vectors`; one per scale.
     width : int
-        Numbers of a vector.
+        Dimension of a vector.
     classes : tuple of str
-        A closed list of texts, if there is one.
+        Closed list of texts, empty without one.
     """
 
     inputs: Inputs
@@ -130,7 +130,7 @@ class LiftedVectors:
     classes: tuple[str, ...] = ()
 
     def render(self, camera: Camera) -> DenseView:
-        """Draw colours and vectors as ``camera`` sees them."""
+        """Render colours and vectors for ``camera``."""
         gaussians, reader = self.inputs.gaussians, self.inputs.reader
         picture = draw_picture(gaussians, camera)
         small = reduced(camera, self.width * len(self.scales))
@@ -140,11 +140,11 @@ class LiftedVectors:
 
 
 def choose_scales(inputs: Inputs, levels: Sequence[Level], classes: Sequence[str]) -> np.ndarray:
-    """Choose the scale that each context pixel believes, int8 [V * H * W].
+    """Select the scale of each context pixel, int8 [V * H * W].
 
-    That at which the best of the classes, or of the encoder's canonical phrases where there are
-    fewer than two, leads the next one most, by the tiles' scores between which the pixel lies; of
-    equal ones the first. With a single phrase it is the scale where that fits best.
+    It is the scale with the largest margin between best and second-best class, or canonical phrase
+    of the encoder if there are fewer than two classes, of the scores interpolated between tiles;
+    ties go to the first. With a single phrase it is the scale of its highest score.
     """
     texts = inputs.reader.vectors(classes if len(classes) > 1 else inputs.encoder.canonical)
     pixels = np.arange(inputs.label_maps.labels.size)
@@ -163,10 +163,9 @@ class Level:
     Attributes
     ----------
     values : float32 [V, rows, columns, C]
-        Of the context views, which are of one size: the tiles' unit vectors, or something made of
-        them.
+        Unit vectors of the tiles of the context views, or values computed from them.
     centres : tuple of float64 [rows], [columns]
-        Where the tiles' centres lie, in pixels.
+        Centres of the tiles, pixels.
     size : tuple of int
         (H, W) of the photographs.
     """
@@ -176,14 +175,14 @@ class Level:
     size: tuple[int, int]
 
     def at(self, pixels: np.ndarray, start: int, stop: int) -> np.ndarray:
-        """Return numbers ``start`` to ``stop`` at context pixels, float32 [n, stop - start].
+        """Return components ``start`` to ``stop`` at context pixels, float32 [n, stop - start].
 
         ``pixels`` int64 [n] are flat indices of [V, H, W]. Bilinear between centres, and constant
         beyond the outermost.
         """
         axes: list[np.ndarray] = []
         for centres, length in zip(self.centres, self.size, strict=True):
-            # Of each pixel of the axis the centre before it, and its share of the way onward.
+            # For each pixel of the axis: the tile centre before it, and the interpolation weight.
             place = np.interp(np.arange(length) + 0.5, centres, np.arange(len(centres)))
             before = np.minimum(place.astype(np.int64), max(len(centres) - 2, 0))
             axes += [before, (place - before).astype(np.float32)]
@@ -196,12 +195,12 @@ class Level:
 def encode_pyramid(inputs: Inputs, sides: Sequence[int], strides: Sequence[float]) -> list[Level]:
     """Encode square tiles of every context view at every scale.
 
-    Tiles have ``sides`` pixels, with a new one every ``strides`` sides at most.
+    Tiles have ``sides`` pixels, and their distance is at most ``strides`` sides.
 
     Raises
     ------
     InputError
-        If the encoder does not look at images.
+        If the encoder does not encode images.
     """
     size = inputs.label_maps.labels.shape[1:]
     starts = [
@@ -243,13 +242,13 @@ def encode_pyramid(inputs: Inputs, sides: Sequence[int], strides: Sequence[float
 
 
 def tile_starts(length: int, side: int, stride: int) -> np.ndarray:
-    """Return first pixels of tiles along an axis of ``length`` pixels, evenly, to both ends."""
+    """Return the first pixels of evenly spaced tiles that cover an axis of ``length`` pixels."""
     room = max(length - side, 0)
     return np.rint(np.linspace(0, room, -(-room // stride) + 1)).astype(np.int64)
 
 
 def _masks(squares: Sequence[tuple[int, int, int]], size: tuple[int, int]) -> np.ndarray:
-    """Return squares, by first row, first column and side, as masks bool [n, H, W]."""
+    """Return masks bool [n, H, W] of squares (first row, first column, side)."""
     masks = np.zeros((len(squares), *size), bool)
     for mask, (y, x, side) in zip(masks, squares, strict=True):
         mask[y : y + side, x : x + side] = True

@@ -1,19 +1,18 @@
-"""Answers of methods that have a vector a pixel and know no objects.
+"""Answers of methods with one vector per pixel and without objects.
 
-The rules are those of objects (:class:`slgaussian.language.rules.Rules`), with pixels in place of
-them. A pixel's gap is its cosine with the text less that with the best rival, as ever:
+The rules of objects (:class:`slgaussian.language.rules.Rules`) are applied to pixels. The gap of a
+pixel is its cosine with the text minus its cosine with the best rival:
 
-- ``near-best``: pixels with a gap above 0 and at least a fraction of the best gap. The best is not
-  the greatest of all, which single pixels on borders would set, but what :data:`BEST_FRACTION`
-  reach.
+- ``near-best``: pixels with a gap above 0 and at least a fraction of the best gap. The best gap is
+  a quantile (:data:`BEST_FRACTION`), because single pixels on borders determine the maximum.
 - ``threshold``: pixels whose relevancy is above it.
 
-The point is where the relevancy smoothed as LangSplat does is greatest, by a filter that covers as
-much of the picture as there: of a plateau the pixel farthest from its edge
-(:func:`slgaussian.language.locate.central_point`). Of several scales a text takes the one that
-holds its greatest gap, for the whole image, as LERF does. What an absent view says plays no part:
-here views are mixed. LangSplat's own mask and point are those of its protocol
-(:mod:`slgaussian.benchmark.protocols`), which makes them of the relevancy of any method.
+The point is the maximum of the relevancy after LangSplat's smoothing, with a filter scaled to the
+image; on a plateau the pixel farthest from its edge
+(:func:`slgaussian.language.locate.central_point`). Of several scales, a text uses the one with its
+largest gap for the whole image, as LERF does. The rule for absent views does not apply, because
+views are mixed here. LangSplat's own mask and point are computed by its protocol
+(:mod:`slgaussian.benchmark.protocols`) from the relevancy of any method.
 """
 
 from __future__ import annotations
@@ -36,14 +35,14 @@ from slgaussian.language.reader import TextReader
 from slgaussian.language.rules import Rules
 
 BEST_FRACTION = 0.01
-"""The best gap is the one that this fraction of the pixels reach. On the office set and procedural
-rooms each of the methods here finds more by it than by the greatest gap, or the gap at the point:
-LangSplat-like 0.345 IoU on office against 0.26 and 0.337, LERF-like 0.287 against 0.228, 0.25."""
+"""Fraction of the pixels that reach the best gap. On the office set and procedural rooms each
+method has a higher IoU with it than with the largest gap, or the gap at the point: LangSplat-like
+0.345 on office against 0.26 and 0.337, LERF-like 0.287 against 0.228 and 0.25."""
 
 
 @dataclass(frozen=True, eq=False)
 class DenseView:
-    """A view with vectors a pixel.
+    """A view with vectors per pixel.
 
     Attributes
     ----------
@@ -51,13 +50,13 @@ class DenseView:
     depth : float32 [H, W]
     reader : TextReader
     seen : bool [H, W]
-        Where something is known.
+        Whether the pixel is known.
     vectors : float32 [S, h, w, C]
-        At S scales; of any length, for only their directions count. At the size of the view or a
-        smaller one.
+        Vectors at S scales, of which only the directions are used; at the size of the view or
+        smaller.
     classes : tuple of str
-        A closed list: texts compete with these and not with canonical phrases, and the near-best
-        rule takes all pixels that a text wins.
+        Closed list: texts compete with these instead of canonical phrases, and the near-best rule
+        selects all pixels at which a text wins.
     """
 
     rgb: np.ndarray
@@ -69,13 +68,13 @@ class DenseView:
 
     @cached_property
     def ids(self) -> np.ndarray:
-        """int32 [H, W]: 0, there are no objects."""
+        """Return zeros, int32 [H, W]: there are no objects."""
         return np.zeros(self.seen.shape, np.int32)
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[DenseResult]:
         """See :class:`slgaussian.benchmark.answering.AnsweringView`."""
         query_rules, reader = Rules(**rules), self.reader
-        reader.vectors(texts)  # refuses before there is work
+        reader.vectors(texts)  # raises before expensive work
         return [
             DenseResult(
                 text,
@@ -100,9 +99,9 @@ class DenseView:
         return np.where(self.seen, winner, 0).astype(np.int32)
 
     def gap(self, text: str, rules: Rules) -> np.ndarray:
-        """Lead in cosine over the best rival, float64 [H, W], at the text's own scale.
+        """Compute the margin in cosine over the best rival, float64 [H, W], at the text's scale.
 
-        InputError if the encoder cannot use the text.
+        Raises InputError if the encoder cannot use the text.
         """
         size = self.vectors.shape[1:3]
         gaps = self._cosines((text,))[0] - self._rival(text, rules)
@@ -122,11 +121,11 @@ class DenseView:
 
     @cached_property
     def _cosines_of_rivals(self) -> dict[tuple[str, ...], np.ndarray]:
-        """The cosines with texts that many others are compared with, computed once."""
+        """Cache of the cosines with rival texts."""
         return {}
 
     def _cosines(self, texts: Sequence[str]) -> np.ndarray:
-        """Return the cosines with some texts, float64 [Q, S, h * w]."""
+        """Compute the cosines with texts, float64 [Q, S, h * w]."""
         scales, h, w, width = self.vectors.shape
         queries = self.reader.vectors(texts).astype(np.float64)
         queries /= np.linalg.norm(queries, axis=1, keepdims=True)
@@ -146,7 +145,7 @@ class DenseResult:
     seen : bool [H, W]
     rules : Rules
     closed : bool
-        Whether what texts compete with is a closed list.
+        Whether texts compete with a closed list.
     """
 
     text: str
@@ -158,17 +157,17 @@ class DenseResult:
 
     @cached_property
     def score(self) -> float:
-        """The greatest relevancy; 0 if nothing is known."""
+        """Return the largest relevancy; 0 if no pixel is known."""
         return float(self._filled[self.seen].max(initial=0.0))
 
     @cached_property
     def relevancy(self) -> np.ndarray:
-        """float32 [H, W] in [0, 1]; 0 where nothing is known."""
+        """Return the relevancy, float32 [H, W] in [0, 1]; 0 where unknown."""
         return np.where(self.seen, self._filled, 0).astype(np.float32)
 
     @cached_property
     def mask(self) -> np.ndarray:
-        """bool [H, W]: what the rules select."""
+        """Return the pixels that the rules select, bool [H, W]."""
         if self.rules.selection == "threshold":
             return self.seen & (self.gap > logit(self.rules.threshold) / self.rules.temperature)
         fits = self.seen & (self.gap > 0)
@@ -179,7 +178,7 @@ class DenseResult:
 
     @cached_property
     def point(self) -> tuple[int, int] | None:
-        """Column and row (x, y); see the module."""
+        """Return column and row (x, y) of the predicted location; see the module."""
         if not self.seen.any():
             return None
         side = langsplat.rescaled_filter(self.seen.shape[1])
@@ -188,8 +187,8 @@ class DenseResult:
 
     @cached_property
     def _filled(self) -> np.ndarray:
-        """Relevancy float64 [H, W], the least that is known where nothing is: a hole must not
-        stretch the range."""
+        """Return the relevancy float64 [H, W], with the minimum at unknown pixels, so that holes do
+        not stretch the range."""
         relevancy = expit(self.rules.temperature * self.gap)
         return np.where(self.seen, relevancy, relevancy[self.seen].min(initial=1.0))
 
@@ -198,9 +197,9 @@ class DenseResult:
 def cosines(
     counter: np.ndarray, vectors: np.ndarray, texts: np.ndarray, similarity: np.ndarray
 ) -> None:
-    """Write the cosines [Q, P] of vectors float32 [P, C] with unit texts float64 [Q, C].
+    """Compute the cosines [Q, P] of vectors float32 [P, C] with unit texts float64 [Q, C].
 
-    A vector a portion; 0 for a zero vector. Sums run in one order, whatever the number of threads.
+    Zero vectors give 0. The order of summation does not depend on the number of threads.
     """
     p = take(counter)
     while p < len(vectors):

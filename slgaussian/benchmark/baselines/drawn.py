@@ -1,4 +1,4 @@
-"""Drawings of Gaussians: their colours, and any vectors that their source pixels carry."""
+"""Rendering of Gaussians: their colours, and vectors of their source pixels."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 
 TOGETHER = 64
-"""Numbers a Gaussian that are drawn in one pass: 490,000 Gaussians take 125 MB of memory then."""
+"""Feature dimensions rendered in one pass: 490,000 Gaussians then take 125 MB of memory."""
 
 MOST_NUMBERS = 2**26
-"""Most numbers of a feature image, 256 MB in float32; a larger one is drawn at a half or a quarter
-... of the resolution. Vectors of 58 numbers at three scales fit at 416 x 576, of 512 at one scale a
-half."""
+"""Largest number of elements of a feature image, 256 MB in float32; a larger one is rendered at a
+half, a quarter ... of the resolution. At 416 x 576, vectors of 58 dimensions at three scales fit;
+those of 512 at one scale are rendered at half resolution."""
 
 
 class Picture(NamedTuple):
-    """A rendered photograph: rgb uint8 [H, W, 3], alpha float32 [H, W], and z-depth float32 [H, W]
-    in scene units, 0 where nothing is."""
+    """A rendered image: rgb uint8 [H, W, 3], alpha float32 [H, W], and z-depth float32 [H, W] in
+    scene units, 0 where empty."""
 
     rgb: np.ndarray
     alpha: np.ndarray
@@ -32,7 +32,7 @@ class Picture(NamedTuple):
 
 
 def draw_picture(gaussians: Gaussians, camera: Camera) -> Picture:
-    """Draw the colours of the Gaussians as ``camera`` sees them."""
+    """Render the colours of the Gaussians for ``camera``."""
     image = rasterize(gaussians, None, camera)
     alpha = image.alpha.float().numpy()
     return Picture(shown(image.values.float().numpy(), alpha), alpha, image.depth.float().numpy())
@@ -44,11 +44,11 @@ def draw_vectors(
     scales: Sequence[Callable[[np.ndarray, int, int], np.ndarray]],
     width: int,
 ) -> np.ndarray:
-    """Composite what the source pixels of the Gaussians carry, by their fractions of the light.
+    """Composite the vectors of the Gaussians' source pixels with their blending weights.
 
-    ``at(pixels, start, stop)`` of each of the ``scales`` gives these of the ``width`` numbers of
-    context pixels int64 [n], flat indices of [V, H, W], as float32 [n, stop - start]: in pieces, so
-    that not all are in memory at once. Returns float32 [S, H, W, width].
+    Each of ``scales`` is a function ``at(pixels, start, stop)`` that returns features ``start`` to
+    ``stop`` of ``width`` of the given pixels, float32 [n, stop - start], so that not all are in
+    memory at once; pixels int64 [n] are flat indices of [V, H, W]. Returns [S, H, W, width].
     """
     source = gaussians.source.numpy()
     images = np.empty((len(scales), camera.height, camera.width, width), np.float32)
@@ -61,8 +61,8 @@ def draw_vectors(
 
 
 def reduced(camera: Camera, numbers: int) -> Camera:
-    """Return the camera at the full resolution, a half, a quarter ..., the first at which
-    ``numbers`` a pixel keep within :data:`MOST_NUMBERS`."""
+    """Return the camera at full, half, a quarter ... of the resolution, the first at which
+    ``numbers`` per pixel do not exceed :data:`MOST_NUMBERS`."""
     factor = 1
     while camera.height * camera.width * numbers > MOST_NUMBERS * factor**2:
         factor *= 2

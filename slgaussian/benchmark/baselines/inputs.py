@@ -1,4 +1,4 @@
-"""Inputs of a method of one scene, and what several methods need of them."""
+"""Inputs of a method for one scene, and quantities that several methods derive from them."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from slgaussian.scene import Sample
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """A scene with the field of the default method; methods look at no target and no truth.
+    """A scene with the field of the default method; methods must not use targets or ground truth.
 
     Attributes
     ----------
     sample : Sample
     field : SemanticField
-        What :func:`slgaussian.build.build_field` made of it.
+        Result of :func:`slgaussian.build.build_field`.
     gaussians : Gaussians
-        As predicted, without features: the field may have merged some.
+        Predicted Gaussians without features, before merging.
     label_maps : LabelMaps
-        Of the context views, as they went into the field.
+        Label maps of the context views from which the field was built.
     proposer : MaskProposer
-        The one that they were made with.
+        Proposer of these label maps.
     seed : int
-        Of the field too: decides codes and the weights of networks at their start.
-    settings : {part: settings}
-        Of the parts of the field, as :func:`slgaussian.build.build_field` takes them.
+        Seed of the field, for codes and initial network weights.
+    settings : {component: settings}
+        Settings of the field's components, as in :func:`slgaussian.build.build_field`.
     classes : tuple of str
-        All that will be asked of the scene, for methods that need a closed list.
+        All texts that will be queried, for methods that need a closed list.
     """
 
     sample: Sample
@@ -58,27 +58,27 @@ class Inputs:
 
     @property
     def bank(self) -> MemoryBank:
-        """Features of each object in the context views."""
+        """Memory bank of the field: features of each object in the context views."""
         return self.field.bank
 
     @property
     def encoder(self) -> Encoder:
-        """The encoder of regions and texts."""
+        """Encoder of regions and texts."""
         return self.field.encoder
 
     @cached_property
     def reader(self) -> TextReader:
-        """Texts as vectors."""
+        """Encoder of texts."""
         return TextReader(self.encoder)
 
     @cached_property
     def geometry(self) -> SceneGeometry:
-        """The context views and their predicted depth."""
+        """Context views with their predicted depth."""
         return SceneGeometry.of(self.sample.context, self.gaussians)
 
     @cached_property
     def own_labels(self) -> LabelMaps:
-        """Label maps of each context view on its own: no id is in two views."""
+        """Label maps without association: no id occurs in two context views."""
         maps, count = [], 0
         for view in self.geometry.frames:
             ids = without_crumbs(flatten(self.proposer.propose(view)))
@@ -89,7 +89,7 @@ class Inputs:
 
     @cached_property
     def own_bank(self) -> MemoryBank:
-        """Features of :attr:`own_labels`, without codes and groups."""
+        """Memory bank of :attr:`own_labels`, without codes and groups."""
         return self.look_at(self.geometry.frames, self.own_labels, self.geometry.surroundings)
 
     def look_at(
@@ -101,8 +101,8 @@ class Inputs:
     ) -> MemoryBank:
         """Encode the objects of label maps of some views, without codes.
 
-        If ``grouped``, groups of objects too where the field has those. Without any object the bank
-        is empty.
+        With ``grouped`` also groups of objects, if the field has groups. The bank is empty without
+        objects.
         """
         ids, groups, wholes = label_maps.ids, None, None
         codes = np.zeros((len(ids), 0), np.float32)

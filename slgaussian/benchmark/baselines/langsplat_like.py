@@ -1,10 +1,10 @@
-"""LangSplat-like: an autoencoder's codes on the Gaussians, decoded and scored pixel by pixel.
+"""LangSplat-like: autoencoder codes on the Gaussians, decoded and scored per pixel.
 
-LangSplat (arXiv 2312.16084) optimises Gaussians for the scene, then a code a Gaussian, for each of
-three granularities of masks. Here there is one granularity: the masks that the other methods have
-too. ``optimised`` is the first row of the paper's ablation. Otherwise the Gaussians are the
-predicted ones, each with the code of its source pixel: the row with the feed-forward model alone,
-and with masks that agree across views the row above the last.
+LangSplat (arXiv 2312.16084) optimises Gaussians for the scene, then a code per Gaussian, for each
+of three mask granularities. Here there is one granularity: the masks of the other methods.
+``optimised`` is the first row of the paper's ablation. Otherwise the Gaussians are predicted, each
+with the code of its source pixel: the row with the feed-forward model alone and, with associated
+masks, the row above the last.
 """
 
 from __future__ import annotations
@@ -33,14 +33,13 @@ class LangSplatLike:
     Attributes
     ----------
     association : bool
-        Whether masks are those that agree across views, or each view's own. Each view keeps its own
-        vector of an object in either case.
+        Whether masks are associated across views. In both cases each view has its own vector of an
+        object.
     optimised : bool
         Whether Gaussians and codes are optimised for the scene
-        (:mod:`slgaussian.benchmark.baselines.optimised`), or taken as predicted.
+        (:mod:`slgaussian.benchmark.baselines.optimised`), or predicted.
     steps, geometry_steps : int
-        Of the training of the autoencoder, and of optimised codes; and of optimised Gaussians.
-        InputError below 1.
+        Optimisation steps of the autoencoder and of codes, and of Gaussians; InputError below 1.
     """
 
     association: bool = False
@@ -54,7 +53,7 @@ class LangSplatLike:
                 raise InputError(f"langsplat-like {name}: found {count}, expected at least 1")
 
     def __call__(self, inputs: Inputs) -> _Codes:
-        """Train the autoencoder of a scene, and give each Gaussian its code."""
+        """Train the autoencoder of a scene, and assign a code to each Gaussian."""
         labels = inputs.label_maps if self.association else inputs.own_labels
         bank = inputs.bank if self.association else inputs.own_bank
         seed = seed_for(inputs.seed, inputs.sample.content, "autoencoder")
@@ -76,7 +75,7 @@ class LangSplatLike:
 
 @dataclass(frozen=True, eq=False)
 class _Codes:
-    """``carried`` float32 [P, 4], by ``source`` of the Gaussians: a code and 1, or zeros."""
+    """Codes by ``source`` of the Gaussians; ``carried`` float32 [P, 4] is code and 1, or zeros."""
 
     inputs: Inputs
     gaussians: Gaussians
@@ -90,7 +89,7 @@ class _Codes:
         codes, weight = drawn[..., :3], drawn[..., 3:]
         codes = np.divide(codes, weight, out=np.zeros_like(codes), where=weight > 0)
         vectors = self.network.decode(codes.reshape(-1, 3)).reshape(1, *codes.shape[:2], -1)
-        # Where most is without a mask, no code says anything.
+        # If most of a pixel's weight has no mask, its code is not valid.
         full_size = camera.width, camera.height
         visible = cv2.resize(drawn[..., 3], full_size, interpolation=cv2.INTER_LINEAR) >= VISIBLE
         return DenseView(picture.rgb, picture.depth, self.inputs.reader, visible, vectors)

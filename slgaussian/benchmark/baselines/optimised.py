@@ -1,12 +1,12 @@
-"""Gaussians optimised for one scene from its photographs, and codes optimised through them.
+"""Optimisation of Gaussians for one scene from its photographs, and of codes through them.
 
-The geometry of LangSplat (arXiv 2312.16084) and of its kin: 3D Gaussian splatting (Kerbl et al.
-2023), section 5, with the rates and bounds of gsplat's ``simple_trainer`` (Apache-2.0). Gaussians
-with a large pixel gradient are cloned, or split where they are large, and faint ones are removed,
-all in the first half of the steps. What differs: the loss is L1 without SSIM, which would take half
-of the time; points are matches triangulated by the given cameras; colours do not depend on the
-view, which two views cannot tell; the optimiser starts anew after each refinement; opacities are
-not reset; there are some thousand steps and not 30,000.
+This is the geometry of LangSplat (arXiv 2312.16084) and similar methods: 3D Gaussian splatting
+(Kerbl et al. 2023), section 5, with the learning rates and thresholds of gsplat's
+``simple_trainer`` (Apache-2.0). Gaussians with a large pixel gradient are cloned, or split if they
+are large, and faint ones are removed, all in the first half of the steps. Differences: the loss is
+L1 without SSIM, which would take half of the time; initial points are matches triangulated by the
+given cameras; colours are view-independent, because two views do not determine more; the optimiser
+is reset after each refinement; opacities are not; there are about a thousand steps, not 30,000.
 """
 
 from __future__ import annotations
@@ -27,37 +27,37 @@ from slgaussian.rasterize.planned import plan
 from slgaussian.scene import View
 
 LEAST_POINTS = 1000
-"""Points at the start. Where matches give fewer, random ones are added, at a half to twice the
-median depth of the matches."""
+"""Smallest number of initial points. If there are fewer matches, random points are added at a half
+to twice the median depth of the matches."""
 
 UNKNOWN_DEPTH = 10
-"""Median depth without matches, in distances between the first and the last camera."""
+"""Assumed median depth without matches, in distances between the first and the last camera."""
 
 INLIER = 2.0
-"""Pixels from its epipolar line within which a match is a point."""
+"""Largest epipolar distance of a match that gives an initial point, pixels."""
 
 RATES = {"means": 1.6e-4, "scales": 5e-3, "quats": 1e-3, "opacities": 5e-2, "sh": 2.5e-3}
-"""Of Adam; that of the means is a fraction of the scene's extent, and falls to a hundredth."""
+"""Learning rates of Adam; that of the means is relative to the scene extent, and decays to 1 %."""
 
 CODE_RATE = 2.5e-3
-"""Of Adam, for codes."""
+"""Learning rate of Adam for codes."""
 
 REFINE_FROM, REFINE_EVERY = 100, 50
-"""First step after which Gaussians are doubled and removed, and steps from one time to the next."""
+"""First step of refinement (cloning, splitting, removal), and its interval in steps."""
 
 LEAST_GRADIENT, LARGE, FAINT = 2e-4, 0.01, 0.005
-"""Mean gradient above which a Gaussian is doubled, in an image of width 2; standard deviation, as a
-fraction of the extent, above which it is split in two; opacity below which it is removed."""
+"""Mean gradient, in an image of width 2, above which a Gaussian is cloned or split; standard
+deviation over the extent above which it is split; opacity below which it is removed."""
 
 
 def optimise_gaussians(views: Sequence[View], seed: int, steps: int) -> Gaussians:
-    """Fit Gaussians to photographs with cameras, one a step in turn, by Adam.
+    """Fit Gaussians to photographs with cameras by Adam, one photograph per step in turn.
 
     Parameters
     ----------
     views : sequence of View
     seed : int
-        Of random points, rotations and splits; the same seed leaves the same bytes.
+        Seed of random points, rotations and splits; the same seed gives the same bytes.
     steps : int
 
     Returns
@@ -92,8 +92,8 @@ def _fit(
     generator: torch.Generator,
     steps: int,
 ) -> Gaussians:
-    """Descend from ``parameters``, the arguments of :func:`_gaussians`; ``extent`` is of the scene
-    in scene units."""
+    """Optimise ``parameters``, the arguments of :func:`_gaussians`; ``extent`` of the scene is in
+    scene units."""
     optimiser = _adam(parameters, extent)
     gradients = torch.zeros(2, len(parameters["means"]))  # sums, and numbers of views
     for step in range(steps):
@@ -119,9 +119,9 @@ def _fit(
 def optimise_codes(
     gaussians: Gaussians, views: Sequence[View], codes: np.ndarray, steps: int
 ) -> np.ndarray:
-    """Fit a code a Gaussian, float32 [N, D], to maps of codes through the renderer, by L1.
+    """Fit one code per Gaussian, float32 [N, D], to rendered code maps by the L1 loss.
 
-    ``codes`` is float32 [V, H, W, D]; pixels without one are zeros and are left out.
+    ``codes`` is float32 [V, H, W, D]; pixels without a code are zero and are ignored.
     """
     plans = [plan(gaussians, view.camera) for view in views]
     targets = torch.from_numpy(codes)
@@ -141,7 +141,7 @@ def optimise_codes(
 def _starting_points(
     views: Sequence[View], generator: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points float64 [N, 3] and their colours [N, 3] in [0, 1]."""
+    """Return initial points float64 [N, 3] and their colours [N, 3] in [0, 1]."""
     graph = MatchGraph.of(views)
     points, colours, depths = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for i, j in graph.matches:
@@ -166,7 +166,7 @@ def _starting_points(
 
 
 def _points(view: View, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """Lift pixels [M, 2] to world points [M, 3] by their z-depths [M]."""
+    """Unproject pixels [M, 2] with z-depths [M] to world points [M, 3]."""
     rays = np.c_[pixels, np.ones(len(pixels))] @ np.linalg.inv(view.camera.K).T
     return view.camera.center + (rays * depth[:, None]) @ view.camera.c2w[:3, :3].T
 
@@ -179,7 +179,7 @@ def _colours(view: View, pixels: np.ndarray) -> np.ndarray:
 
 
 def _gaussians(parameters: dict[str, torch.Tensor]) -> Gaussians:
-    """Gaussians of logarithms of scales, logits of opacities, and the rest as it is."""
+    """Make Gaussians from log scales, logit opacities and the other parameters unchanged."""
     return Gaussians(
         means=parameters["means"],
         scales=parameters["scales"].exp(),
@@ -197,7 +197,7 @@ def _adam(parameters: dict[str, torch.Tensor], extent: float) -> torch.optim.Ada
 
 
 def _pixel_gradients(means: torch.Tensor, view: View) -> torch.Tensor:
-    """Return lengths [N] of the gradient by the projected centre, the image being 2 wide."""
+    """Return norms [N] of the gradient by the projected centre, in an image of width 2."""
     assert means.grad is not None
     c2w = torch.from_numpy(view.camera.c2w).float()
     across = means.grad @ c2w[:3, :2]
@@ -215,8 +215,8 @@ def _refined(
 ) -> dict[str, torch.Tensor]:
     """Return the parameters after one refinement.
 
-    Those that ``doubles`` bool [N] marks are cloned, or split if their largest standard deviation
-    is above ``large``, scene units; faint ones are removed.
+    Gaussians marked in ``doubles`` bool [N] are cloned, or split if their largest standard
+    deviation is above ``large``, scene units; faint ones are removed.
     """
     with torch.no_grad():
         splits = doubles & (parameters["scales"].max(1).values.exp() > large)

@@ -16,7 +16,7 @@ from slgaussian.semantic import load_lifting
 
 @dataclass(frozen=True)
 class Ours:
-    """The field, as it was built."""
+    """The field, unchanged."""
 
     def __call__(self, inputs: Inputs) -> SemanticField:
         """Return the field."""
@@ -25,10 +25,10 @@ class Ours:
 
 @dataclass(frozen=True)
 class NoAssociation:
-    """Ablation: the masks of each view are objects of their own, known from that view only."""
+    """Ablation: no association, so each mask of each view is a separate object."""
 
     def __call__(self, inputs: Inputs) -> SemanticField:
-        """Lift the labels that each view was given on its own, as the field was lifted."""
+        """Lift the label maps without association in the same way as the field."""
         geometry, labels = inputs.geometry, inputs.own_labels
         bank = inputs.look_at(geometry.frames, labels, geometry.surroundings, grouped=True)
         used = {"lifting": "hard", "codes": "separated"} | dict(inputs.field.settings)
@@ -43,21 +43,21 @@ class NoAssociation:
 
 @dataclass(frozen=True)
 class NoBank:
-    """Ablation: the field with the mean of what its views say about each object."""
+    """Ablation: the field with the mean feature over views of each object."""
 
     def __call__(self, inputs: Inputs) -> SemanticField:
-        """Return the field with a bank of one view."""
+        """Return the field with a memory bank of one view."""
         return inputs.field.changed(bank=pooled(inputs.bank))
 
 
 def pooled(bank: MemoryBank) -> MemoryBank:
-    """Return the bank with one view, the mean of all; groups of objects likewise."""
+    """Return the bank with one view, the mean of all, also for groups of objects."""
     features = _mean(bank.features, bank.present)
     present = np.any(bank.present, axis=1, keepdims=True)
     groups = bank.group_features
     if groups is not None:
         groups = _mean(groups, np.any(groups, axis=2))
-    # Classes are scored a view; a mean view has none.
+    # Class scores belong to a view; a mean view has none.
     return replace(
         bank,
         features=features,
@@ -72,8 +72,8 @@ def pooled(bank: MemoryBank) -> MemoryBank:
 def _mean(features: np.ndarray, present: np.ndarray) -> np.ndarray:
     """Return the mean of unit vectors [M, V, C] of the present views as float32 [M, 1, C].
 
-    It is a unit vector again, rounded to half precision as those of banks are. Where the vectors
-    cancel out it is the first of them, and zero where there is none.
+    It is normalised and rounded to half precision, as in memory banks. If the vectors cancel it is
+    the first of them, and zero if there is none.
     """
     total = features.astype(np.float64).sum(1)
     cancelled = np.linalg.norm(total, axis=1) < 1e-6

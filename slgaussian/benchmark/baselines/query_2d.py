@@ -1,4 +1,4 @@
-"""The paper's 2D query (Table 4): the novel view as a picture, cut up and encoded there."""
+"""The paper's 2D query (Table 4): the novel view is rendered, segmented and encoded as an image."""
 
 from __future__ import annotations
 
@@ -23,23 +23,22 @@ from slgaussian.semantic.decode import VISIBLE
 
 @dataclass(frozen=True)
 class Query2d:
-    """Renders colours, then works on the picture as on a photograph.
+    """Render colours, then process the image like a photograph.
 
-    Nothing is prepared: proposals and encoding belong to the first query of a view, as in the
-    paper's 18 s a query. Where the picture is empty nothing is proposed.
+    Nothing is prepared: proposals and encoding are part of the first query of a view, as in the
+    paper's 18 s per query. Empty pixels are not segmented.
 
     Attributes
     ----------
     depth : bool
-        Whether the picture is looked at as the field looks at photographs: with its depth, for
-        masks and words, and in groups of objects too. The paper's proposer and encoder see the
-        picture alone.
+        Whether proposer and encoder get the rendered depth and groups of objects, as in the field.
+        The paper's proposer and encoder get the image only.
     """
 
     depth: bool = False
 
     def __call__(self, inputs: Inputs) -> Pictures:
-        """Prepare nothing; InputError if the encoder does not look at images."""
+        """Prepare nothing; InputError if the encoder does not encode images."""
         image = inputs.sample.context[0].image
         inputs.encoder.encode_regions(image, np.zeros((0, *image.shape[:2]), bool))
         return Pictures(inputs, self.depth)
@@ -47,20 +46,20 @@ class Query2d:
 
 @dataclass(frozen=True, eq=False)
 class Pictures:
-    """A scene of which pictures are rendered, with or without their depth."""
+    """A scene that is rendered to images, with or without depth."""
 
     inputs: Inputs
     with_depth: bool
 
     def render(self, camera: Camera) -> PictureView:
-        """Render colours alone."""
+        """Render colours."""
         picture = draw_picture(self.inputs.gaussians, camera)
         return PictureView(self, camera, picture, picture.rgb, picture.depth, self.inputs.reader)
 
 
 @dataclass(frozen=True, eq=False)
 class PictureView:
-    """A picture, cut up and encoded when it is first asked."""
+    """A rendered image, segmented and encoded at the first query."""
 
     scene: Pictures
     camera: Camera
@@ -71,7 +70,7 @@ class PictureView:
 
     @property
     def ids(self) -> np.ndarray:
-        """Number of the proposal of each pixel, int32 [H, W]; 0 none."""
+        """Return the index of the proposal of each pixel, int32 [H, W]; 0 for none."""
         return self._view.ids
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:

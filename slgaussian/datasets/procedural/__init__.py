@@ -1,1 +1,1 @@
-"""Made-up rooms, ray-cast: exact depth, ids and phrases, and a reader that makes scenes of them."""
+"""Procedural rooms with exact depth, object ids and phrases, rendered by ray casting."""

@@ -1,4 +1,4 @@
-"""The words for things in a procedural room, and the materials that they stand for."""
+"""Words for the objects of a procedural room, and the materials that they denote."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ COLOURS = {
     "grey": (0.52, 0.52, 0.53),
     "beige": (0.83, 0.74, 0.58),
 }
-"""Basic colour names, each with the sRGB that is jittered for a thing of that name."""
+"""Basic colour names, each with the sRGB colour that is jittered for an object."""
 
 PATTERNS = ("striped", "checked", "dotted", "speckled")
 """Patterns in two colours, named after the main one."""
 
 MATERIALS = ("wooden", "marble", "brick", "gravel", "grass")
-"""Materials that are named instead of a colour."""
+"""Materials that replace the colour in a name."""
 
 SHAPES = {"ball": BALL, "box": BOX, "cylinder": CYLINDER, "cone": CONE, "ring": RING}
 STUFF = ("floor", "wall", "ceiling", "carpet", "table", "picture")
 
 VOCABULARY = frozenset((*COLOURS, *PATTERNS, *MATERIALS, *SHAPES, *STUFF))
-"""Every word that a phrase can hold."""
+"""Every word that a phrase can contain."""
 
-# The colour that a material shows: "brown box" must not stand beside a "wooden box".
+# Dominant colour of a material: a room must not have both a "brown box" and a "wooden box".
 _LOOKS = {"wooden": "brown", "marble": "white", "brick": "red", "gravel": "grey", "grass": "green"}
 _PAINTS = {
     "wooden": (textures.WOODEN, (0.66, 0.43, 0.24), (0.47, 0.28, 0.14), 0.0, 0.06),
     "marble": (textures.MARBLE, (0.9, 0.9, 0.89), (0.5, 0.52, 0.56), 0.35, 0.05),
     "brick": (textures.BRICK, (0.62, 0.27, 0.2), (0.72, 0.69, 0.65), 0.08, 0.0),
-}  # pattern, two sRGB colours, cell if it is always the same, gloss
+}  # pattern, two sRGB colours, constant cell size if any, gloss
 _TINTS = {"gravel": (0.56, 0.55, 0.53), "grass": (0.35, 0.52, 0.20)}
 
 
 def material(rng: np.random.Generator, words: str, cell: float) -> Material:
-    """Make the material that ``words`` name: a colour, a colour and a pattern, or a material."""
+    """Make the material of ``words``: a colour, a colour and a pattern, or a material."""
     colour, _, pattern = words.partition(" ")
     if colour in _PAINTS:
         kind, light, dark, size, gloss = _PAINTS[colour]
@@ -69,13 +69,13 @@ def material(rng: np.random.Generator, words: str, cell: float) -> Material:
 
 
 def jitter(rng: np.random.Generator, srgb: RGB) -> RGB:
-    """Return a linear colour near an sRGB one: a little lighter or darker, a little off in hue."""
+    """Return a linear colour near an sRGB colour, with random lightness and hue."""
     values = np.clip(np.array(srgb) * rng.uniform(0.94, 1.05) + rng.normal(0, 0.008, 3), 0.02, 0.97)
     r, g, b = linear(values).tolist()
     return r, g, b
 
 
 def look(words: str) -> str:
-    """Return the basic colour that ``words`` show, for telling things apart."""
+    """Return the basic colour of ``words``, to keep objects distinguishable."""
     first = words.split(" ")[0]
     return _LOOKS.get(first, first)

@@ -1,9 +1,9 @@
 """Exact intersections of rays with boxes, spheres, cylinders, cones and tori.
 
-A solid lives in its own frame, centred at the origin: a box has half extents ``size``; a sphere has
+A solid has a local frame, centred at the origin: a box has half extents ``size``; a sphere has
 radius ``size[0]``; a cylinder and a cone have radius ``size[0]`` and half height ``size[1]`` along
 local z, the cone's apex at the top; a torus lies in the local xy plane with ring radius ``size[0]``
-and tube radius ``size[1]``. Ray directions need no unit length: a hit is ``origin + t * ray`` with
+and tube radius ``size[1]``. Ray directions may have any length: a hit is ``origin + t * ray`` with
 t in units of the ray, so rays scaled to z = 1 in a camera give t = z-depth.
 """
 
@@ -36,7 +36,7 @@ class Solid:
 
     @property
     def reach(self) -> float:
-        """Radius of the smallest sphere around the centre that holds the solid."""
+        """Return the radius of the smallest sphere about the centre that contains the solid."""
         if self.kind in (BOX, CYLINDER, CONE):
             return math.hypot(*self.size)
         return float(sum(self.size))
@@ -67,22 +67,22 @@ def pack(solids: Sequence[Solid]) -> Solids:
 
 
 def cast(solids: Solids, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the first solid that each ray meets.
+    """Find the first solid that each ray hits.
 
     Parameters
     ----------
     solids : Solids
     origin : float64 [3]
-        Where all rays start, outside every solid.
+        Origin of all rays, outside every solid.
     rays : float64 [H, W, 3]
         Directions of any length.
 
     Returns
     -------
     t : float64 [H, W]
-        Distance in units of the ray; infinity where nothing is met.
+        Distance in units of the ray; infinity without a hit.
     index : int64 [H, W]
-        Row of the solid; -1 where nothing is met.
+        Row of the solid; -1 without a hit.
     """
     t = np.empty(rays.shape[:2])
     index = np.empty(rays.shape[:2], np.int64)
@@ -116,7 +116,7 @@ def turned(matrix, v):
 
 @kernel
 def nearest(solids, origin, ray, limit):
-    """Return the smallest t in (0, limit) at which a ray meets a solid, and its row, or -1."""
+    """Return the smallest t in (0, limit) at which a ray hits a solid, and its row, or -1."""
     best, which = limit, -1
     for p in range(len(solids.kind)):
         centre = solids.centre[p]
@@ -154,7 +154,7 @@ def normal_at(kind, size, point):
         if abs(z) / half >= rho / radius:
             return 0.0, 0.0, math.copysign(1.0, z)
         return x / rho, y / rho, 0.0
-    # The cone's side leans inwards by its half angle; its base faces straight down.
+    # The normal of the cone's side is tilted up by the half angle; the base faces straight down.
     side = math.hypot(2 * half, radius)
     if (z + half) * radius / side < (radius * (half - z) / (2 * half) - rho) * 2 * half / side:
         return 0.0, 0.0, -1.0
@@ -163,7 +163,7 @@ def normal_at(kind, size, point):
 
 @kernel
 def _intersect(kind, size, start, ray):
-    """Return the first t > 0 at which a local ray meets a solid; infinity if it does not."""
+    """Return the first t > 0 at which a local ray hits a solid; infinity without a hit."""
     x, y, z = start
     dx, dy, dz = ray
     lo, hi = -np.inf, np.inf
@@ -196,8 +196,8 @@ def _intersect(kind, size, start, ray):
     t0, t1 = _roots(a, b, c)
     if a > 0:
         return _entry(max(lo, t0), min(hi, t1))
-    # Steeper than the side: inside before t0 in one nappe and after t1 in the other, and the slab
-    # holds only the nappe below the apex.
+    # A ray steeper than the side is inside one nappe before t0 and inside the other after t1; the
+    # slab contains only the nappe below the apex.
     if t0 > t1:
         return _entry(lo, hi)
     return min(_entry(lo, min(hi, t0)), _entry(max(lo, t1), hi))
@@ -222,7 +222,7 @@ def _entry(lo, hi):
 
 @kernel
 def _roots(a, b, c):
-    """Return ordered roots of a t^2 + 2 b t + c, a != 0, uncancelled; inf, -inf of none."""
+    """Return ordered roots of a t^2 + 2 b t + c, a != 0, without cancellation; else inf, -inf."""
     disc = b * b - a * c
     if disc < 0:
         return np.inf, -np.inf
@@ -237,7 +237,7 @@ def _torus(ring, tube, origin, ray):
     """Find the first positive root of the torus quartic, by the roots of its derivatives."""
     length = math.sqrt(dot(ray, ray))
     d = (ray[0] / length, ray[1] / length, ray[2] / length)
-    # Measured from the point nearest the centre the quartic has no cubic term and is well scaled.
+    # With t measured from the point nearest the centre, the quartic has no cubic term.
     start = dot(origin, d)
     p = (origin[0] - start * d[0], origin[1] - start * d[1], origin[2] - start * d[2])
     m = dot(p, p)
@@ -254,7 +254,7 @@ def _torus(ring, tube, origin, ray):
     c1 = -2 * four * (p[0] * d[0] + p[1] * d[1])
     c0 = k * k - four * (p[0] * p[0] + p[1] * p[1])
 
-    # Turning points of the slope, then of the quartic: between two of them it is monotone.
+    # Find the extrema of the derivative, then of the quartic, which is monotone between them.
     bend = math.sqrt(-c2 / 6) if c2 < 0 else 0.0
     left = lo
     previous = lo

@@ -1,4 +1,4 @@
-"""Seeded indoor scenes, ray-cast here, whose depth, object ids and names are exactly known."""
+"""Seeded procedural indoor scenes with exact depth, object ids and names."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Camera, Scene, View
 
 FOCAL = 0.9
-"""Focal length as a fraction of the longer image side: a phone's main camera held level."""
+"""Focal length as a fraction of the longer image side, as of a phone's main camera."""
 
 
 def read(
@@ -29,26 +29,27 @@ def read(
     noise: float = 0.008,
     exposure: float = 0.05,
 ) -> Scene:
-    """Make a small furnished room and the cameras that look at it; views are ray-cast when read.
+    """Make a small furnished room and its cameras; views are rendered when they are read.
 
-    Views "view_00" to the last lie on an arc around the room's middle, so that the first and the
-    last make a two-view pair and those between are novel views. The room depends on ``seed``,
-    ``objects`` and ``baseline`` alone, and every view of it on these, its place and its size: the
-    same arguments give the same bytes.
+    The views lie on an arc around the room's centre: the first, "view_00", and the last form a
+    two-view pair, and those between are novel views. The room depends only on ``seed``,
+    ``objects`` and ``baseline``, and a view also on its position and size: the same arguments give
+    the same bytes.
 
     Parameters
     ----------
     seed : int
     objects : int
         Free-standing balls, boxes, cylinders, cones and rings, 1 to 16, besides the floor, walls,
-        ceiling and perhaps a carpet, a table and a picture. All are seen from both ends of the arc.
+        ceiling and perhaps a carpet, a table and a picture. All are visible from both ends of the
+        arc.
     views : int
         At least 2.
     height, width : int
         Image size in pixels, at least 16 each.
     baseline : float
-        Distance in metres between the first and the last camera, which stand some 3.3 m from the
-        room's middle; at most 2.
+        Distance in metres between the first and the last camera, which are about 3.3 m from the
+        room's centre; at most 2.
     noise : float
         Standard deviation of the sensor noise, as a fraction of full scale.
     exposure : float
@@ -57,13 +58,13 @@ def read(
     Returns
     -------
     Scene
-        World in metres with z up. Depth and instance ids belong to the ray through each pixel's
-        centre; ``phrases`` names every id, no two alike.
+        World in metres with z up. Depth and instance ids are those of the ray through the pixel
+        centre; ``phrases`` names every id uniquely.
 
     Raises
     ------
     InputError
-        If an argument is out of its range.
+        If an argument is out of range.
     """
     compiling.watch()
     limits: dict[str, tuple[float, float, float]] = {
@@ -95,7 +96,7 @@ def read(
         K = np.array([[focal, 0, w / 2], [0, focal, h / 2], [0, 0, 1.0]])
         return Camera(K, _look_at(eye, FOCUS), w, h)
 
-    # Judged on small images of one shape, so that the room is the same at any resolution.
+    # Visibility is tested on small images of one size, so the room is equal at any resolution.
     ends = [camera(fraction, 52, 72) for fraction in (-1, 1)]
     room = furnish(rng_for(seed, name, f"room {objects} {float(baseline)}"), objects, ends)
     cameras = {
@@ -107,7 +108,7 @@ def read(
 def _read(
     seed: int, room: Room, cameras: dict[str, Camera], noise: float, exposure: float, name: str
 ) -> View:
-    """Ray-cast one view."""
+    """Render one view."""
     scene = f"procedural_{seed}"
     if name not in cameras:
         raise InputError(f"scene {scene!r}: no view {name!r}; see its cameras")
@@ -137,7 +138,7 @@ def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def _encoded(light: np.ndarray) -> np.ndarray:
-    """Encode linear light as sRGB in [0, 1] (IEC 61966-2-1), the brightest parts rolled off."""
+    """Encode linear light as sRGB in [0, 1] (IEC 61966-2-1) with soft highlight clipping."""
     knee = 0.8
     over = np.maximum(light - knee, 0) / (1 - knee)
     light = np.where(light > knee, knee + (1 - knee) * over / (1 + over), light)

@@ -1,4 +1,4 @@
-"""Seeded small rooms: objects, their places, materials and phrases."""
+"""Seeded small rooms: objects with positions, materials and phrases."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ _THICK = 0.012  # of a carpet
 _SEEN = 0.0035  # smallest fraction of each end view that an object must fill
 
 FOCUS = np.array([0.0, 0.15, 0.45])
-"""The point that the cameras look at."""
+"""The point at which the cameras look."""
 
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """One object: its phrase, its material and the solids that it is made of."""
+    """One object: its phrase, its material and its solids."""
 
     phrase: str
     material: Material
@@ -50,9 +50,9 @@ class Thing:
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """The things of a room, the surfaces around it first, and its lamp. z is up, units are metres.
+    """Objects of a room, walls, floor and ceiling first, and its lamp. z is up, units are metres.
 
-    The id of a thing is its place in ``things``, from 1.
+    The id of an object is its index in ``things`` plus 1.
     """
 
     things: tuple[Thing, ...]
@@ -60,11 +60,11 @@ class Room:
 
     @property
     def phrases(self) -> dict[int, str]:
-        """Name each id."""
+        """Return the phrase of each id."""
         return {i: thing.phrase for i, thing in enumerate(self.things, 1)}
 
     def solids(self, casters: bool = False) -> raycast.Solids:
-        """Pack all solids, or without the walls, floor and ceiling (which cannot cast a shadow)."""
+        """Pack all solids; with ``casters`` without walls, floor and ceiling (no shadows)."""
         return raycast.pack([s for t in self.things for s in t.solids][6 if casters else 0 :])
 
     def materials(self, rng: np.random.Generator) -> textures.Materials:
@@ -79,7 +79,7 @@ class Room:
 
 
 def furnish(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -> Room:
-    """Furnish a room with that many free-standing objects, each seen by every one of ``cameras``.
+    """Furnish a room with ``objects`` free-standing objects, each visible in all ``cameras``.
 
     Raises
     ------
@@ -91,8 +91,8 @@ def furnish(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -
         if room is not None:
             return room
     raise InputError(
-        f"procedural scene: no room was found for {objects} objects that all cameras see; ask for "
-        "fewer, or for a smaller baseline"
+        f"procedural scene: found no arrangement of {objects} objects visible in all cameras; "
+        "set fewer objects, or a smaller baseline"
     )
 
 
@@ -132,7 +132,7 @@ def _attempt(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) 
 
 
 def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) -> bool:
-    """Tell whether objects past the first ``fixed`` things fill enough of every camera's image."""
+    """Tell whether all objects after the first ``fixed`` are large enough in every image."""
     room = Room(tuple(things), Light(np.zeros(3), 0, 0, 1, 0))
     owners, solids = room.owners(), room.solids()
     for camera in cameras:
@@ -144,7 +144,7 @@ def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) ->
 
 
 def _paler(material: Material) -> Material:
-    """Thin the paint of a material: walls are large, and strong colours there drown all else."""
+    """Desaturate a material for walls, whose large areas would otherwise dominate the image."""
     if material.pattern == textures.BRICK:
         return material
     r, g, b = (0.88 * value + 0.12 * 0.8 for value in material.first)
@@ -152,7 +152,7 @@ def _paler(material: Material) -> Material:
 
 
 def _shell(rng: np.random.Generator, used_looks: set[tuple[str, str]]) -> list[Thing]:
-    """Make floor, ceiling, back wall and, as one thing, side walls and the one behind cameras."""
+    """Make floor, ceiling, back wall and, as one object, side walls and the wall behind cameras."""
     floor = str(rng.choice(_FLOORS))
     back = str(rng.choice(_WALLS))
     side = str(rng.choice([w for w in _WALLS if look(w) != look(back) and w != "brick"]))
@@ -173,7 +173,7 @@ def _shell(rng: np.random.Generator, used_looks: set[tuple[str, str]]) -> list[T
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """A level rectangle to stand on: pose, half sides and the circles (x, y, radius) taken."""
+    """A horizontal rectangle for objects: pose, half sides and occupied circles (x, y, radius)."""
 
     centre: tuple[float, float]
     angle: float
@@ -190,7 +190,7 @@ class _Place:
 
 
 class _Ground:
-    """Places where things may stand: the floor, the carpet, the tops of a table and boxes."""
+    """Surfaces for objects: the floor, the carpet, the tops of a table and of boxes."""
 
     def __init__(self) -> None:
         x, y0, y1 = _STAGE
@@ -200,7 +200,7 @@ class _Ground:
         self.tops: list[_Place] = []
 
     def find(self, rng: np.random.Generator, radius: float) -> tuple[float, float, _Place] | None:
-        """Find a free spot for a circle, on whichever surface it falls."""
+        """Find a free position for a circle on a random surface."""
         raised = [p for p in self.tops if not p.circles and min(p.half) > radius]
         if self.table is not None and min(self.table.half) > radius:
             raised.append(self.table)
@@ -217,7 +217,7 @@ class _Ground:
                 edge = self.carpet.distance(x, y)
                 if abs(edge) < radius + 0.005:
                     return None
-                # The carpet shares the floor's circles: it only lifts what stands on it.
+                # The carpet shares the circles of the floor: it only raises objects on it.
                 place = self.carpet if edge < 0 else self.floor
         if any(math.hypot(x - a, y - b) < r + radius + _GAP for a, b, r in place.circles):
             return None
@@ -249,7 +249,7 @@ def _table(rng: np.random.Generator, ground: _Ground, used_looks: set[tuple[str,
     height, top, leg = float(rng.uniform(0.42, 0.6)), 0.025, 0.03
     side = float(rng.choice([-1, 1]))
     angle = float(rng.uniform(-0.15, 0.15))
-    # Its back is at the wall, which leaves its front edge behind any carpet.
+    # The table stands at the wall, so its front edge is behind any carpet.
     deep = half[0] * abs(math.sin(angle)) + half[1] * math.cos(angle)
     centre = (side * float(rng.uniform(0.75, 1.1)), _BACK - 0.06 - deep)
     turn = _turned(angle)
@@ -277,9 +277,9 @@ def _picture(rng: np.random.Generator) -> Thing:
 def _object(
     rng: np.random.Generator, ground: _Ground, used_looks: set[tuple[str, str]]
 ) -> tuple[Thing, tuple[str, str], _Place, tuple[float, float, float], _Place | None] | None:
-    """Make an object of a look and shape that no other has at a free spot, if there is one.
+    """Make an object of an unused combination of look and shape, at a free position if any.
 
-    Returns the object, its shape and look, the place and circle where it stands, and its top.
+    Returns the object, its shape and look, its surface and circle, and its top.
     """
     shape = str(rng.choice(list(SHAPES)))
     draw = rng.random()
@@ -325,7 +325,7 @@ def _object(
     return thing, (shape, look(words)), place, (x, y, scale), top
 
 
-_QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # tips local z over to face -y
+_QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rotates local z to -y
 
 
 def _turned(angle: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The photograph of a room: Lambert and a little gloss, one soft light, shadows, anti-aliasing."""
+"""Shading of a room: Lambertian and specular reflection, one area light, shadows, anti-aliasing."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from slgaussian.kernels.work_sharing import share, take
 from slgaussian.scene import Camera
 
 SAMPLES = 2
-"""Rays per pixel side; each of the SAMPLES**2 rays sees its own SAMPLES**2 points of the light."""
+"""Rays per pixel side; each of the SAMPLES**2 rays samples SAMPLES**2 points of the light."""
 
 _LIFT = 1e-5  # shadow rays start this far above the surface, in scene units
 
 
 class Light(NamedTuple):
-    """A square lamp facing down: ``centre`` float64 [3], half side, and strengths in linear light.
+    """A square lamp facing down: ``centre`` float64 [3], half side, and linear intensities.
 
-    ``power`` is what a surface facing the lamp receives at distance ``reach``; ``ambient`` is what
-    arrives from everywhere else, more of it from above than from below.
+    ``power`` is the irradiance of a surface facing the lamp at distance ``reach``; ``ambient`` is
+    the irradiance from all other directions, stronger from above than from below.
     """
 
     centre: np.ndarray
@@ -36,10 +36,10 @@ class Light(NamedTuple):
 def photograph(
     solids: Solids, casters: Solids, materials: Materials, light: Light, camera: Camera
 ) -> np.ndarray:
-    """Draw the linear-light image float64 [H, W, 3] (unclipped) of the solids.
+    """Render the linear-light image float64 [H, W, 3] (unclipped) of the solids.
 
-    ``casters`` are the solids that may throw shadows: walls around a lamp cannot, and leaving them
-    out saves most of the time. Where no solid is met the image is black.
+    ``casters`` are the solids that may cast shadows: walls around a lamp cannot, and leaving them
+    out saves most of the time. Pixels without a hit are black.
     """
     image = np.empty((camera.height, camera.width, 3))
     to_world = camera.c2w[:3, :3] @ np.linalg.inv(camera.K)
@@ -79,15 +79,15 @@ def _radiance(solids, casters, materials, light, eye, ray, sample):
     red, green, blue = albedo(materials, p, kind, size, local, normal)
     nx, ny, nz = turned(a.T, normal)
 
-    # Light from everywhere: more from the bright ceiling than from the floor, and a little less
-    # from one side than the other, so that faces of a box differ also in the shade.
+    # Ambient light is stronger from the ceiling than from the floor, and slightly weaker from one
+    # side, so that the faces of a box differ also in the shadow.
     diffuse = light.ambient * (0.75 + 0.25 * nz + 0.06 * nx)
     shine = 0.0
     length = math.sqrt(dot(ray, ray))
     lifted = (px + _LIFT * nx, py + _LIFT * ny, pz + _LIFT * nz)
     n = SAMPLES
     for k in range(n * n):
-        # The n^4 points of the lamp form one grid; each sub-pixel takes its own n^2 of them.
+        # The n^4 points of the lamp form one grid; each sub-pixel samples n^2 of them.
         gx = ((k % n) * n + sample % n + 0.5) / (n * n) * 2 - 1
         gy = ((k // n) * n + sample // n + 0.5) / (n * n) * 2 - 1
         vx = light.centre[0] + light.half * gx - px
@@ -99,7 +99,7 @@ def _radiance(solids, casters, materials, light, eye, ray, sample):
         facing = dot((nx, ny, nz), to_lamp) / d
         if facing <= 0 or nearest(casters, lifted, to_lamp, 1.0)[1] >= 0:
             continue
-        # A lamp in a room falls off slower than in the open, since walls send light back.
+        # The light of a lamp decreases more slowly in a room, because walls reflect it.
         strength = light.power / (n * n) * 2 / (1 + d2 / light.reach**2)
         diffuse += strength * facing
         half = (vx / d - ray[0] / length, vy / d - ray[1] / length, vz / d - ray[2] / length)

@@ -1,7 +1,7 @@
-"""Textures of surfaces: painted patterns, solid noise, and the photographs in scikit-image.
+"""Textures of surfaces: patterns, solid noise, and the photographs in scikit-image.
 
-A pattern is laid out in *cells* on the surface of a solid: a whole number of them around anything
-round, so that stripes, checks and dots close without a seam. Colours are linear light in [0, 1].
+A pattern consists of *cells* on the surface of a solid, an integer number of them around a round
+solid, so that stripes, checks and dots have no seam. Colours are linear light in [0, 1].
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from slgaussian.kernels.jit import kernel
 PLAIN, STRIPED, CHECKED, DOTTED, SPECKLED, WOODEN, MARBLE, BRICK, PHOTO, PICTURE = range(10)
 
 PHOTOS = ("gravel", "grass", "coffee", "chelsea", "astronaut", "rocket")
-"""Photographs that are inside the scikit-image wheel, as named in ``skimage.data``; the first two
-are grey close-ups of a material, tinted by the colour of whatever they cover."""
+"""Photographs in the scikit-image wheel, as named in ``skimage.data``; the first two are grey
+close-ups of a material, tinted by the colour of the object."""
 
 PHOTO_SIZE = 256
 FRAME = 0.06
@@ -36,7 +36,7 @@ RGB = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Material:
-    """A material of a thing.
+    """A material of an object.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Material:
 
 
 class Materials(NamedTuple):
-    """Materials as arrays for the compiled loops, one row a solid, and the photographs' pixels."""
+    """Materials as arrays for compiled loops, one row per solid, and pixels of the photographs."""
 
     pattern: np.ndarray  # int64 [P]
     first: np.ndarray  # float64 [P, 3]
@@ -69,12 +69,12 @@ class Materials(NamedTuple):
     cell: np.ndarray  # float64 [P]
     photo: np.ndarray  # int64 [P]
     gloss: np.ndarray  # float64 [P]
-    offset: np.ndarray  # float64 [P, 3]: where in the noise the solid was cut from
+    offset: np.ndarray  # float64 [P, 3]: offset of the solid in the noise
     photos: np.ndarray  # float64 [len(PHOTOS), PHOTO_SIZE, PHOTO_SIZE, 3], linear
 
 
 def pack(materials: Sequence[Material], rng: np.random.Generator) -> Materials:
-    """Pack one material a solid; ``rng`` cuts each from its own place in the noise."""
+    """Pack one material per solid; ``rng`` draws an offset in the noise for each."""
     return Materials(
         pattern=np.array([m.pattern for m in materials], np.int64),
         first=np.array([m.first for m in materials], np.float64),
@@ -103,7 +103,7 @@ def _photos() -> np.ndarray:
         image = image[top : top + side, left : left + side]
         small = cv2.resize(image, (PHOTO_SIZE, PHOTO_SIZE), interpolation=cv2.INTER_AREA)
         values = linear(small / 255.0)
-        if values.ndim == 2:  # a material: relative to its mean, so that a tint sets the colour
+        if values.ndim == 2:  # a material: divided by its mean, so that the tint sets the colour
             values = np.repeat((values / values.mean())[..., None], 3, axis=-1)
         out.append(values)
     return np.stack(out)
@@ -118,7 +118,7 @@ def albedo(materials, p, kind, size, point, normal):
     x, y, z = point
     ox, oy, oz = x + cut[0], y + cut[1], z + cut[2]
     u, v = _surface(kind, size, point, normal, cell, pattern == DOTTED)
-    # Nothing real is perfectly even: a faint mottle and a fine grain, both well under a pattern's.
+    # Real surfaces are uneven: add coarse and fine noise, much weaker than any pattern.
     tone = (
         1.0 + 0.10 * _clouds(ox * 7, oy * 7, oz * 7, 2) + 0.12 * _noise(ox * 70, oy * 70, oz * 70)
     )
@@ -171,10 +171,10 @@ def albedo(materials, p, kind, size, point, normal):
 
 @kernel
 def _surface(kind, size, point, normal, cell, rows):
-    """Return the place of a local surface point in the grid of pattern cells: along, up.
+    """Return the position of a local surface point in the grid of pattern cells: along, up.
 
-    With ``rows`` each row of a ball or cone gets as many cells as fit around it, so that dots stay
-    round; without, every row has the same even number, so that checks meet.
+    With ``rows`` each row of a ball or cone has as many cells as fit around it, so that dots are
+    round; without, every row has the same even number, so that checks are continuous.
     """
     x, y, z = point
     if kind == BOX:
@@ -222,7 +222,7 @@ def _ramp(x, lo, hi):
 
 @kernel
 def _sample(photo, u, v):
-    """Sample a photograph, bilinearly, whose tiles are mirrored at whole u and v; v points up."""
+    """Sample a photograph bilinearly; tiles are mirrored at integer u and v; v points up."""
     side = photo.shape[0]
     u, v = abs((u + 1) % 2 - 1), 1 - abs((v + 1) % 2 - 1)
     col = min(max(u * side - 0.5, 0.0), side - 1.001)
