@@ -27,7 +27,7 @@ def files(taught: TaughtWords, names: Mapping[int, str], removed: Set[int]) -> d
     """The files by name; none for what is not changed."""
     files = {}
     if len(taught.words):
-        files[WORDS] = taught.packed()
+        files[WORDS] = taught.to_bytes()
     if names or removed:
         ids = sorted(names)
         arrays = {

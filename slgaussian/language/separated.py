@@ -1,11 +1,11 @@
-"""Place codes so that what mixes at a border does not read as a third object.
+"""Assignment of codes such that mixtures at borders do not decode to a third object.
 
-Compositing at the border of objects a and b gives ``(1 - s) a + s b``. On its way from code a to
-code b that value is nearest to a, then to b, if and only if no other code lies within the L1 ball
-that has a and b on opposite sides: centre ``m = (a + b) / 2``, radius ``r = |a - b| / 2``. (At s
-below one half it is s |a - b| from a. A code c with |m - c| >= r is at least r - (1/2 - s) |a - b|
-= s |a - b| away. The other half is alike.) So objects that touch should have codes with room
-between them, which often means close ones, and which object gets which code is searched for.
+Compositing at the border of objects a and b gives ``(1 - s) a + s b``. This value is nearest to a,
+then to b, if and only if no other code lies within the L1 ball with a and b on opposite sides:
+centre ``m = (a + b) / 2``, radius ``r = |a - b| / 2``. (For s < 1/2 its distance from a is
+s |a - b|, and a code c with |m - c| >= r is at least r - (1/2 - s) |a - b| = s |a - b| away; the
+other half is symmetric.) Simulated annealing searches for an assignment in which few codes lie in
+the balls of neighbouring objects. Codes of neighbours are then often close to each other.
 """
 
 from __future__ import annotations
@@ -20,37 +20,35 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.nearest import nearest_code
 
 GAPS = (1, 2, 4, 8, 16)
-"""Objects that are so many pixels apart, along rows or columns, are neighbours; they count by one
-over the square. What is not in touch in any given view may be in another: a step to the side moves
-what is in front of what."""
+"""Distances in pixels, along rows or columns, at which objects count as neighbours, with weight
+1 / distance^2. Objects that are close but do not touch may touch in another view."""
 
 MARGIN = 1.2
-"""Codes are kept out of the ball between two neighbours' codes times this: other neighbours, not
-given, and noise take their part too."""
+"""Factor of the balls' radii: leaves room for noise and for neighbours that are not known."""
 
 MOVES_PER_OBJECT = 1000
 MOST_COMPARISONS = 6e7
-"""Moves tried, and the bound on moves times pairs of neighbours: half a second at most."""
+"""Number of moves, and limit of moves times pairs of neighbours: half a second at most."""
 
 HEAT = (1e-3, 1e-6)
-"""Temperature at the start and the end of the search, as a share of the crowding at the start."""
+"""Temperature at the start and the end of the annealing, relative to the initial energy."""
 
 ROUNDING = 1e-4
-"""Relative error of sums of crowding, at most: they are float32."""
+"""Largest relative error of energies, which are float32."""
 
 SHARES = 16
-"""Mixtures of two neighbours that are looked at to say how many read as a third object."""
+"""Number of mixtures per pair of neighbours in :func:`misread`."""
 
 
 class Pairs(NamedTuple):
-    """Objects that are near each other in some view.
+    """Pairs of objects that are near each other in some view.
 
     Attributes
     ----------
     rows : int64 [E, 2]
-        Places in the ascending ids, the smaller first.
+        Indices into the ascending ids, the smaller first.
     weights : float64 [E]
-        How much border they share; they sum to 1.
+        Length of the common border, normalised to sum 1.
     """
 
     rows: np.ndarray
@@ -58,15 +56,15 @@ class Pairs(NamedTuple):
 
 
 def neighbours(label_maps: LabelMaps) -> Pairs:
-    """Find the objects that come near each other, in any view; see :data:`GAPS`."""
+    """Find the pairs of objects that are near each other in any view; see :data:`GAPS`."""
     ids = label_maps.ids
     rows = np.searchsorted(ids, label_maps.labels)
     rows[label_maps.labels == 0] = -1
     keys, weights = [np.empty(0, np.int64)], [np.empty(0)]
     for gap in GAPS:
         for a, b in ((rows[..., gap:], rows[..., :-gap]), (rows[:, gap:], rows[:, :-gap])):
-            meet = (a != b) & (a >= 0) & (b >= 0)
-            a, b = a[meet], b[meet]
+            border = (a != b) & (a >= 0) & (b >= 0)
+            a, b = a[border], b[border]
             pair_keys, counts = np.unique(
                 np.minimum(a, b) * len(ids) + np.maximum(a, b), return_counts=True
             )
@@ -79,7 +77,7 @@ def neighbours(label_maps: LabelMaps) -> Pairs:
 
 
 def place(n: int, pairs: Pairs, dimension: int, rng: np.random.Generator) -> np.ndarray:
-    """Codes float32 [n, dimension] for objects with these neighbours, distinct points in [0, 1]."""
+    """Choose distinct codes in [0, 1], float32 [n, dimension], for objects with these pairs."""
     points = _points(n, dimension)
     assignment = rng.permutation(len(points))[:n]
     weight = pairs.weights
@@ -98,9 +96,9 @@ def place(n: int, pairs: Pairs, dimension: int, rng: np.random.Generator) -> np.
 
 
 def misread(codes: np.ndarray, pairs: Pairs) -> float:
-    """Share of all mixtures of two neighbours whose nearest code is a third object's.
+    """Compute the fraction of mixtures of two neighbours that decode to a third object.
 
-    Each pair counts by its weight, and each share of the one in the other alike.
+    Pairs are weighted by ``weights``; all mixing ratios count equally.
     """
     a, b = pairs.rows.T
     shares = ((np.arange(SHARES) + 0.5) / SHARES)[:, None, None]
@@ -109,12 +107,12 @@ def misread(codes: np.ndarray, pairs: Pairs) -> float:
 
 
 def _points(n: int, dimension: int) -> np.ndarray:
-    """At least ``n`` points of [0, 1]^dimension, float64, of the coarsest grid that has them."""
+    """Return at least ``n`` points of [0, 1]^dimension, float64, of the coarsest such grid."""
     side = 1
     while True:
         side += 1
         grid = np.stack([*np.indices((side,) * dimension)], -1).reshape(-1, dimension)
-        # Between no two corners of the cube is there a third, so few objects get corners.
+        # No corner of the cube lies between two others, so all corners are used.
         if dimension > 1 and side > 2:
             grid = grid[grid.sum(1) % 2 == 0]
         if len(grid) >= n:
@@ -124,10 +122,10 @@ def _points(n: int, dimension: int) -> np.ndarray:
 def _layout(
     points: np.ndarray, assignment: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The object at each point, or -1; codes [3, ...], and balls [5, ...] without centres.
+    """Lay out data for SIMD: the object at each point or -1, codes [3, ...] and balls [5, ...].
 
-    Coordinates one after the other, filled up to whole vectors with codes far from all balls and
-    balls that weigh nothing. A ball is its centre, 1 / (radius times MARGIN), and its weight.
+    Stored as one array per coordinate, padded to whole vectors with codes far from all balls and
+    balls of weight 0. A ball is its centre (not yet set), 1 / (radius * MARGIN) and its weight.
     """
     owners = np.full(len(points), -1)
     owners[assignment] = np.arange(len(assignment))
@@ -150,21 +148,22 @@ def _anneal(
     touching,
     movers,
     targets,
-    luck,
+    randoms,
     hot,
     cold,
 ):
-    """Move objects to free points, or swap two, so that balls between neighbours get emptier.
+    """Reduce the energy, the weighted depth of codes in balls, by simulated annealing.
 
-    ``assignment`` [n], the point of each object, is changed in place. The pairs of object i are
-    ``touching[starts[i] : starts[i + 1]]``.
+    A move puts an object on a free point or swaps two objects. ``assignment`` [n], the point of
+    each object, is changed in place. The pairs of object i are
+    ``touching[starts[i] : starts[i + 1]]``; ``randoms`` are uniform in [0, 1).
     """
     n, count = len(assignment), len(pairs)
     for e in range(count):
-        _blow(e, pairs, codes, balls)
+        _update_ball(e, pairs, codes, balls)
     start = np.float32(0)
     for e in range(count):
-        start += balls[4, e] * _crowd(e, codes, balls)
+        start += balls[4, e] * _ball_energy(e, codes, balls)
     depths = np.empty(n + count, np.float32)
     depths[:] = np.nan
     none = depths[:0]
@@ -174,16 +173,17 @@ def _anneal(
         if j == i:
             continue
         heat = start * hot * (cold / hot) ** (step / len(movers))
-        before = _part(i, j, pairs, starts, touching, codes, balls, depths, np.inf)
-        # What is added is never below zero, but for rounding: beyond this no luck is enough.
-        bound = before - heat * np.log(luck[step]) + ROUNDING * before
+        before = _energy_of(i, j, pairs, starts, touching, codes, balls, depths, np.inf)
+        # Terms are non-negative up to rounding: once the sum exceeds this bound, the move is
+        # rejected.
+        bound = before - heat * np.log(randoms[step]) + ROUNDING * before
         _move(i, target, points, assignment, owners, pairs, starts, touching, codes, balls)
         if j >= 0:
             _move(j, source, points, assignment, owners, pairs, starts, touching, codes, balls)
         else:
             owners[source] = -1
-        worse = _part(i, j, pairs, starts, touching, codes, balls, none, bound) - before
-        if worse > 0 and luck[step] >= np.exp(-worse / heat):
+        increase = _energy_of(i, j, pairs, starts, touching, codes, balls, none, bound) - before
+        if increase > 0 and randoms[step] >= np.exp(-increase / heat):
             _move(i, source, points, assignment, owners, pairs, starts, touching, codes, balls)
             if j >= 0:
                 _move(j, target, points, assignment, owners, pairs, starts, touching, codes, balls)
@@ -196,15 +196,15 @@ def _anneal(
 @kernel
 def _move(i, target, points, assignment, owners, pairs, starts, touching, codes, balls):
     assignment[i], owners[target] = target, i
-    for k in range(3):  # for a slice Numba would compile the words of an error
+    for k in range(3):  # not a slice, for which Numba compiles error messages
         codes[k, i] = points[target, k]
     for at in range(starts[i], starts[i + 1]):
-        _blow(touching[at], pairs, codes, balls)
+        _update_ball(touching[at], pairs, codes, balls)
 
 
 @kernel(inline="always")
-def _blow(e, pairs, codes, balls):
-    """Make the ball of pair ``e`` anew; half way through a swap it may be a point."""
+def _update_ball(e, pairs, codes, balls):
+    """Update the ball of pair ``e`` from its codes; during a swap its radius may be 0."""
     a, b = pairs[e]
     radius = np.float32(0)
     for k in range(3):
@@ -214,10 +214,10 @@ def _blow(e, pairs, codes, balls):
 
 
 @kernel(inline="always")
-def _crowd(e, codes, balls):
-    """Sum how deep all codes are in the ball of pair ``e``: 1 in the middle, 0 from the edge on.
+def _ball_energy(e, codes, balls):
+    """Sum the depth of all codes in the ball of pair ``e``: 1 at its centre, 0 from its edge on.
 
-    Those of the pair itself count too, the same wherever they are.
+    The codes of the pair itself contribute a constant.
     """
     x, y, z, inverse = balls[0, e], balls[1, e], balls[2, e], balls[3, e]
     flat, room, total = codes.ravel(), codes.shape[1], vzero()
@@ -230,29 +230,29 @@ def _crowd(e, codes, balls):
 
 
 @kernel(inline="always")
-def _deep(e, i, codes, balls):
+def _depth(e, i, codes, balls):
     far = abs(codes[0, i] - balls[0, e]) + abs(codes[1, i] - balls[1, e])
     far += abs(codes[2, i] - balls[2, e])
     return max(np.float32(0), np.float32(1) - far * balls[3, e])
 
 
 @kernel
-def _part(i, j, pairs, starts, touching, codes, balls, depths, bound):
-    """The part of the weighted crowding that depends on the codes of i and j; j may be -1.
+def _energy_of(i, j, pairs, starts, touching, codes, balls, depths, bound):
+    """Compute the part of the energy that depends on the codes of i and j; j may be -1.
 
-    It stops where the sum is above ``bound``. Nearly all moves are taken back, so that what objects
-    and pairs add is read from ``depths`` or stored there, unless it is empty; NaN is unknown.
+    Stops once the sum exceeds ``bound``. Most moves are rejected, so the contribution of each
+    object and pair is cached in ``depths`` (NaN: not cached), unless it is empty.
     """
     keep = len(depths) > 0
     total = np.float32(0)
     for k in (i, j):
         if k >= 0:
-            alone = depths[k] if keep else np.float32(np.nan)
-            if np.isnan(alone):
-                alone = _everywhere(k, codes, balls)
+            energy = depths[k] if keep else np.float32(np.nan)
+            if np.isnan(energy):
+                energy = _code_energy(k, codes, balls)
                 if keep:
-                    depths[k] = alone
-            total += alone
+                    depths[k] = energy
+            total += energy
     for which, k in enumerate((i, j)):
         if k < 0:
             continue
@@ -261,24 +261,24 @@ def _part(i, j, pairs, starts, touching, codes, balls, depths, bound):
             if which == 1 and (pairs[e, 0] == i or pairs[e, 1] == i):
                 continue
             place = len(starts) - 1 + e
-            crowd = depths[place] if keep else np.float32(np.nan)
-            if np.isnan(crowd):
-                crowd = _crowd(e, codes, balls)
+            energy = depths[place] if keep else np.float32(np.nan)
+            if np.isnan(energy):
+                energy = _ball_energy(e, codes, balls)
                 if keep:
-                    depths[place] = crowd
-            # All codes in this ball, but those that were counted above.
-            crowd -= _deep(e, i, codes, balls)
+                    depths[place] = energy
+            # Without the codes of i and j, which were counted above.
+            energy -= _depth(e, i, codes, balls)
             if j >= 0:
-                crowd -= _deep(e, j, codes, balls)
-            total += balls[4, e] * crowd
+                energy -= _depth(e, j, codes, balls)
+            total += balls[4, e] * energy
             if total > bound:
                 return total
     return total
 
 
 @kernel(inline="always")
-def _everywhere(i, codes, balls):
-    """Sum how deep the code of i is in all balls, by their weights."""
+def _code_energy(i, codes, balls):
+    """Sum the weighted depth of the code of i in all balls."""
     x, y, z = codes[0, i], codes[1, i], codes[2, i]
     flat, room, total = balls.ravel(), balls.shape[1], vzero()
     for e in range(0, room, LANES):

@@ -1,9 +1,8 @@
-"""Shape words from outlines: how well a mask matches the silhouette of an ideal solid.
+"""Shape words: IoU of a mask with silhouettes of ideal solids.
 
-The silhouettes of a box, a cylinder, a cone, a ball and a ring are drawn from a range of viewpoints
-above the horizon, in parallel projection, and each is stretched to a square. A mask is treated the
-same way and compared by intersection over union; its width-to-height ratio takes part through the
-ratios that each solid can show.
+The silhouettes of a box, a cylinder, a cone, a ball and a ring are rendered from a range of
+viewpoints above the horizon, in parallel projection, and resized to a square. Masks are resized
+likewise and compared by intersection over union with silhouettes of a similar aspect ratio.
 """
 
 from __future__ import annotations
@@ -23,20 +22,20 @@ from slgaussian.storage.local_copies import cached_arrays
 SOLIDS = ("ball", "box", "cylinder", "cone", "ring")
 
 _SIDE = 40
-_FULL = 64.0  # of coverage: products of whole steps sum exactly in float32, in any order
+_FULL = 64.0  # integer value of full coverage: sums of products are exact in float32
 _TILTS = np.radians([3, 8, 13, 18, 24, 30, 38])  # of the line of sight below the horizon
-_LEANS = np.radians([-12, -6, 0, 6, 12])  # upright things lean away from the middle of a photograph
+_LEANS = np.radians([-12, -6, 0, 6, 12])  # verticals converge away from the image centre
 _TURNS = np.radians([0, 18, 36, 54, 72])
 _HEIGHTS = np.geomspace(0.5, 3.6, 8)  # in widths
-_ASPECT_STEP = 1.25  # a mask is compared with outlines whose aspect is this close, as a ratio
+_ASPECT_STEP = 1.25  # largest ratio between the aspects of a mask and of an outline
 
 
 def match(masks: Sequence[np.ndarray]) -> np.ndarray:
     """Compute how well each mask matches each of :data:`SOLIDS`, float64 [M, 5] in [0, 1].
 
-    ``masks`` are non-empty bool arrays of any sizes. 1 is a perfect match; 0 says that no outline
-    of that solid has nearly the mask's aspect. The score is intersection over union, in the form
-    a.b / (a.a + b.b - a.b) that also holds for pixels covered in part.
+    ``masks`` are non-empty bool arrays of any sizes. 1 is a perfect match; 0 means that no outline
+    of that solid has a similar aspect ratio. The score is the soft IoU a.b / (a.a + b.b - a.b),
+    which allows partly covered pixels.
     """
     outlines, sizes, aspects, kinds = _outlines()
     boxes = [cv2.boundingRect(mask.view(np.uint8)) for mask in masks]
@@ -51,7 +50,7 @@ def match(masks: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _stretch(mask: np.ndarray) -> np.ndarray:
-    """The mask [h, w] resampled to a flat float32 square of coverages, in whole steps."""
+    """Resize the mask [h, w] to a flattened square of integer coverages, float32."""
     how = cv2.INTER_AREA if min(mask.shape) >= _SIDE else cv2.INTER_LINEAR
     cover = cv2.resize(mask.astype(np.float32), (_SIDE, _SIDE), interpolation=how)
     return np.round(cover.ravel() * _FULL)
@@ -59,18 +58,17 @@ def _stretch(mask: np.ndarray) -> np.ndarray:
 
 @cache
 def _outlines() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """All outlines: squares [T, SIDE^2], squared lengths, log aspects, indices into SOLIDS.
+    """Return all outlines: squares [T, SIDE^2], squared norms, log aspects, indices into SOLIDS.
 
-    To draw thousands takes as long as some regions in a photograph: they are kept for good, known
-    by what draws them.
+    They are cached on disk, keyed by this file, the version of OpenCV and the CPU.
     """
-    drawn_by = Path(__file__).read_bytes() + f"{cv2.__version__} {processor()}".encode()
-    kept = cached_arrays(f"outlines/{hashlib.sha256(drawn_by).hexdigest()}.npz", _drawn)
-    squares = kept["squares"].astype(np.float32)
-    return squares, (squares**2).sum(1), kept["aspects"], kept["kinds"]
+    key = Path(__file__).read_bytes() + f"{cv2.__version__} {processor()}".encode()
+    cached = cached_arrays(f"outlines/{hashlib.sha256(key).hexdigest()}.npz", _draw_outlines)
+    squares = cached["squares"].astype(np.float32)
+    return squares, (squares**2).sum(1), cached["aspects"], cached["kinds"]
 
 
-def _drawn() -> dict[str, np.ndarray]:
+def _draw_outlines() -> dict[str, np.ndarray]:
     squares, aspects, kinds = [], [], []
     for kind, points, tube in _solids():
         low, high = points.min(0) - tube, points.max(0) + tube
@@ -86,14 +84,14 @@ def _drawn() -> dict[str, np.ndarray]:
         aspects.append(np.log(w / h))
         kinds.append(SOLIDS.index(kind))
     return {
-        "squares": np.stack(squares).astype(np.uint8),  # whole steps up to _FULL
+        "squares": np.stack(squares).astype(np.uint8),  # integers up to _FULL
         "aspects": np.array(aspects),
         "kinds": np.array(kinds),
     }
 
 
 def _solids() -> Iterator[tuple[str, np.ndarray, float]]:
-    """(kind, projected points [P, 2], tube radius) of every solid and viewpoint, widths near 1."""
+    """Yield (kind, projected points [P, 2], tube radius) of every solid and view, width ~ 1."""
     angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)
     circle = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1) / 2
     base = np.array([(x, y, 0) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
@@ -105,22 +103,22 @@ def _solids() -> Iterator[tuple[str, np.ndarray, float]]:
             yield "cylinder", _project(np.concatenate([circle, circle + top]), tilt, lean), 0.0
             yield "cone", _project(np.concatenate([circle, top]), tilt, lean), 0.0
             for turn, depth in product(_TURNS, (0.6, 1.0)):
-                foot = base * (1, depth, 1) @ _turned(turn)
+                foot = base * (1, depth, 1) @ _rotation(turn)
                 yield "box", _project(np.concatenate([foot, foot + top]), tilt, lean), 0.0
     for tilt, tube in product([*_TILTS, np.radians(60)], (0.16, 0.24, 0.32)):
         lying = circle * (1 - tube)
         for lean in _LEANS:
             yield "ring", _project(lying, tilt, lean), tube / 2
         for turn in _TURNS:
-            yield "ring", _project(lying[:, [0, 2, 1]] @ _turned(turn), tilt), tube / 2
+            yield "ring", _project(lying[:, [0, 2, 1]] @ _rotation(turn), tilt), tube / 2
 
 
-def _turned(angle: float) -> np.ndarray:
+def _rotation(angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
 def _project(points: np.ndarray, tilt: float, lean: float = 0.0) -> np.ndarray:
-    """Image points (x right, y down) of points (z up) seen along +y, from ``tilt`` above."""
+    """Project points (z up) along +y, from ``tilt`` above the horizon, to x right, y down."""
     flat = np.stack([points[:, 0], -np.cos(tilt) * points[:, 2] - np.sin(tilt) * points[:, 1]], 1)
-    return flat @ _turned(lean)[:2, :2]
+    return flat @ _rotation(lean)[:2, :2]

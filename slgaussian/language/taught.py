@@ -1,19 +1,19 @@
-"""Words that a user teaches: "this is the fox".
+"""Words that a user teaches by example: "this is the fox".
 
-An encoder may not know what a user calls a thing. A taught word has examples, the features of
-objects that the user pointed at; and rivals, the other objects of the scene where it was taught. An
-object fits as well as it is like the best example.
+An encoder may not know the user's word for an object. A taught word has examples, the features of
+objects that the user pointed at, and rivals, the features of the other objects of that scene. The
+score of an object is its similarity to the most similar example.
 
-Features of regions all lie near each other, far from those of texts, so their plain cosines say
-little: two things of one photograph easily have 0.95. What all regions have in common is therefore
-taken out first: with m the mean of the word's rivals, and u(x) = (x - m) / |x - m|,
+Features of regions are close to each other, so plain cosines discriminate badly: two objects of one
+photograph easily have 0.95. Their common part is therefore subtracted: with m the mean of the
+word's rivals, and u(x) = (x - m) / |x - m|,
 
     likeness(L, e) = u(L) . u(e)
     lead(L) = SCALE ( max_e likeness(L, e) - EVEN )
 
-over the examples e. It is 0 where a thing is as like the examples as not, and takes the place of a
-text's lead over the canonical phrases in :mod:`slgaussian.language.relevancy`, so that temperature,
-threshold, views and groups mean what they mean for other words.
+over the examples e. The lead is 0 at the decision boundary. It replaces a text's lead over the
+canonical phrases in :mod:`slgaussian.language.relevancy`, so temperature, threshold, views and
+groups work as for other words.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from slgaussian.storage.specs import load_spec
 SPEC = "words"
 
 EVEN = 0.45
-"""Likeness to an example up to which a thing is taken for another one. At .6 IoU in other pairs of
-the same place falls from .46 to .40; at .3 84 % of the words find something where their thing is
-not, and at .45 49 % (``docs/measured/words.md``)."""
+"""Likeness at the decision boundary. At .6 the IoU in other image pairs of the same place falls
+from .46 to .40; at .3 84 % of the words match something where their object is absent, at .45 49 %
+(``docs/measured/words.md``)."""
 
 SCALE = 0.2
-"""How much a lead in likeness counts as a lead in cosine of a text: an example itself then has the
-relevancy 0.75 at temperature 10. From 0.1 to 0.6 the answers are about as good."""
+"""Factor from likeness to cosine: an example itself then has relevancy 0.75 at temperature 10.
+Answers are about as good from 0.1 to 0.6."""
 
 LONGEST = 80
-"""Letters of a word."""
+"""Largest number of letters of a word."""
 
 REPAIR = "teach the words again, or use another copy of the file"
 
@@ -62,25 +62,25 @@ def _vectors() -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class TaughtWords:
-    """Words by example; without any, what a new field has. Every change makes another one.
+    """Immutable set of taught words; empty by default, as in a new field.
 
     Attributes
     ----------
     encoder : str
-        Which encoder made the features, as :func:`encoder_identity` says it; empty without words.
+        :func:`encoder_identity` of the features' encoder; empty without words.
     words : str [E]
-        The word of each example, as :func:`normal` writes it.
+        Word of each example, normalised by :func:`normal`.
     features : float32 [E, C]
-        Unit vectors in the encoder's space, of half precision.
+        Unit vectors of the encoder, rounded to half precision.
     rival_words : str [R]
-        The word that each rival competes with.
+        Word of each rival.
     rivals : float32 [R, C]
-        Features of the other objects where the word was taught.
+        Features of the other objects of the scene where the word was taught.
 
     Raises
     ------
     InputError
-        If the arrays do not belong together, or a feature is no unit vector.
+        If shapes do not match, or a feature is not a unit vector.
     """
 
     encoder: str = ""
@@ -106,7 +106,7 @@ class TaughtWords:
                 raise InputError(f"taught words {name}: hold a vector that is no unit vector")
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the words in order of the alphabet."""
+        """Iterate over the words in alphabetical order."""
         return iter(self._known)
 
     def __len__(self) -> int:
@@ -118,7 +118,7 @@ class TaughtWords:
         return np.unique(self.words).tolist()
 
     def __contains__(self, text: object) -> bool:
-        """Return whether a text is a taught word, whatever its case and spaces."""
+        """Return whether a text is a taught word, ignoring case and extra spaces."""
         return isinstance(text, str) and spelled(text) in self._known
 
     def examples(self, word: str) -> int:
@@ -132,28 +132,28 @@ class TaughtWords:
         rivals: np.ndarray,
         encoder: str,
     ) -> TaughtWords:
-        """The words with one example more, of which each is there once.
+        """Return the words with one more example, without duplicates.
 
-        A thing that is an example is no rival of that word any longer.
+        A rival that equals an example of the word is removed.
 
         Parameters
         ----------
         word : str
         feature : float [C]
-            Unit vector of the thing.
+            Unit vector of the object.
         rivals : float [R, C]
-            Unit vectors of the other things there.
+            Unit vectors of the other objects of the scene.
         encoder : str
-            Of :func:`encoder_identity`.
+            From :func:`encoder_identity`.
 
         Raises
         ------
         InputError
-            If the word is empty or too long, or the other words are of another encoder.
+            If the word is empty or too long, or the existing words have another encoder.
         """
         word = normal(word)
         self.check_encoder(encoder, "the taught words")
-        vector, others = _half(feature[None]), _half(rivals)
+        vector, new_rivals = _half(feature[None]), _half(rivals)
         width = vector.shape[1]
         if len(self.words) and self.features.shape[1] != width:
             raise InputError(
@@ -164,17 +164,17 @@ class TaughtWords:
         keep = (self.words != word) | (features != vector).any(1)
         words = np.append(self.words[keep], word)
         features = np.concatenate([features[keep], vector])
-        rival_words = np.append(self.rival_words, np.full(len(others), word))
-        rivals = np.concatenate([old, others])
-        taken = {one.tobytes() for one in features[words == word]}
+        rival_words = np.append(self.rival_words, np.full(len(new_rivals), word))
+        rivals = np.concatenate([old, new_rivals])
+        present = {example.tobytes() for example in features[words == word]}
         stay = rival_words != word
         for row in np.flatnonzero(~stay):
-            stay[row] = rivals[row].tobytes() not in taken
-            taken.add(rivals[row].tobytes())
+            stay[row] = rivals[row].tobytes() not in present
+            present.add(rivals[row].tobytes())
         return TaughtWords(encoder, words, features, rival_words[stay], rivals[stay])
 
     def without(self, word: str) -> TaughtWords:
-        """The words but this one, with all its examples; InputError if it is not there."""
+        """Return the words without ``word`` and its examples; InputError if it is not taught."""
         word = normal(word)
         if not (self.words == word).any():
             taught_words = ", ".join(map(repr, self)) or "none"
@@ -191,12 +191,12 @@ class TaughtWords:
         )
 
     def merged(self, other: TaughtWords) -> TaughtWords:
-        """These words and those of ``other``; a word of both has the examples of both.
+        """Return the union with ``other``; a word of both has the examples of both.
 
         Raises
         ------
         InputError
-            If they are of different encoders.
+            If their encoders differ.
         """
         if not len(other.words):
             return self
@@ -211,9 +211,9 @@ class TaughtWords:
         return TaughtWords(self.encoder, **arrays)
 
     def leads(self, word: str, looks: np.ndarray) -> np.ndarray:
-        """The lead of the module, float64 [P], of looks float [P, C]: unit vectors of regions.
+        """Compute the module's lead, float64 [P], of regions with unit vectors ``looks`` [P, C].
 
-        InputError if the word is not taught, or the looks are of another width.
+        InputError if the word is not taught, or the vectors have another dimension.
         """
         word = normal(word)
         examples = self.words == word
@@ -231,7 +231,7 @@ class TaughtWords:
         return SCALE * (likeness.max(1) - EVEN)
 
     def check_encoder(self, encoder: str, what: str) -> None:
-        """InputError, naming ``what``, if these words are of another encoder than that one."""
+        """Raise InputError, naming ``what``, if these words have another encoder."""
         if self.encoder and encoder != self.encoder:
             raise InputError(
                 f"{what}: are of the encoder {_brief(self.encoder)}, but this field's is "
@@ -239,7 +239,7 @@ class TaughtWords:
             )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """The arrays by name, as stored: features in half precision."""
+        """Return the arrays by name, as stored: features in half precision."""
         return {
             "encoder": np.array(self.encoder),
             "words": self.words.astype(np.str_),
@@ -248,17 +248,17 @@ class TaughtWords:
             "rivals": self.rivals.astype(np.float16),
         }
 
-    def encode_artifact(self) -> bytes:
-        """The bytes of the file of these words; the same of the same."""
+    def to_bytes(self) -> bytes:
+        """Encode the words as the bytes of a file, deterministically."""
         return encode_artifact(SPEC, self.to_arrays(), "taught words")[1]
 
     def save(self, path: str | Path) -> None:
-        """Write the words to a file, ``.npz``, that other fields of the encoder can take.
+        """Write the words to a ``.npz`` file, which other fields of this encoder can load.
 
         InputError if it cannot be written.
         """
         try:
-            write_atomic(path, self.packed())
+            write_atomic(path, self.to_bytes())
         except OSError as error:
             raise InputError(f"{path}: cannot be written ({error.strerror})") from error
 
@@ -269,14 +269,14 @@ class TaughtWords:
         Parameters
         ----------
         path : path or str
-            Of :meth:`save`, such as ``words.npz`` of a field folder.
+            File of :meth:`save`, such as ``words.npz`` of a field folder.
         encoder : str, optional
-            Of :func:`encoder_identity`: which encoder they must be of.
+            Required :func:`encoder_identity`.
 
         Raises
         ------
         InputError
-            If there is no such file, or its words are of another encoder.
+            If the file does not exist, or its words have another encoder.
         SpecError
             If it is damaged.
         """
@@ -288,13 +288,13 @@ class TaughtWords:
                 f"words.npz of a field folder"
             ) from error
         arrays = decode_arrays(data, load_spec(SPEC), os.fspath(path), repair=REPAIR)
-        # Counter-examples, which files of version 1 may have, count no more.
-        yes = arrays.get("positive", np.ones(len(arrays["words"]), bool))
+        # Files of version 1 may have counter-examples, which are no longer used.
+        positive = arrays.get("positive", np.ones(len(arrays["words"]), bool))
         try:
             words = TaughtWords(
                 _without_nulls(str(arrays["encoder"])),
-                arrays["words"][yes],
-                arrays["features"][yes].astype(np.float32),
+                arrays["words"][positive],
+                arrays["features"][positive].astype(np.float32),
                 arrays["rival_words"],
                 arrays["rivals"].astype(np.float32),
             )
@@ -306,9 +306,9 @@ class TaughtWords:
 
 
 def normal(word: str) -> str:
-    """A word as it is taught and asked: lower case, single spaces.
+    """Normalise a word for teaching and queries: lower case, single spaces.
 
-    InputError if nothing is left of it, or it has more than :data:`LONGEST` letters.
+    InputError if it is empty, or has more than :data:`LONGEST` letters.
     """
     plain = spelled(word)
     if not plain or len(plain) > LONGEST:
@@ -318,15 +318,15 @@ def normal(word: str) -> str:
 
 
 def spelled(word: str) -> str:
-    """A text whatever its case and spaces: words and names that agree in this are the same."""
+    """Normalise case and spaces; words and names are compared in this form."""
     return " ".join(word.casefold().split())
 
 
 def encoder_identity(settings: Mapping[str, Any]) -> str:
-    """Return the identity of the encoder that made a field's features, as JSON.
+    """Return the identity of the encoder of a field's features, as JSON.
 
-    Files are there by content, so that words pass between machines. What is not set is left out,
-    and so is the lexicon's classifier, which changes no feature.
+    Files are identified by content, so that words can be used on other machines. Unset fields are
+    omitted, and so is the lexicon's classifier, which does not affect features.
     """
     name = settings["encoder"]
     identity = {"encoder": name, **dict(settings.get(name, {}))}
@@ -335,7 +335,7 @@ def encoder_identity(settings: Mapping[str, Any]) -> str:
 
 
 def _without_nulls(encoder: str) -> str:
-    """The identity of a file as :func:`encoder_identity` writes it today."""
+    """Convert the identity in an old file to the current form of :func:`encoder_identity`."""
     try:
         identity = json.loads(encoder)
         return encoder_identity({"encoder": identity["encoder"], identity.pop("encoder"): identity})
@@ -344,7 +344,7 @@ def _without_nulls(encoder: str) -> str:
 
 
 def _brief(encoder: str) -> str:
-    """An identity as a message says it."""
+    """Shorten an encoder identity for messages."""
     try:
         identity = strict_json.parse(encoder)
         name = identity.pop("encoder")
@@ -355,12 +355,12 @@ def _brief(encoder: str) -> str:
 
 
 def _half(vectors: np.ndarray) -> np.ndarray:
-    """Vectors rounded to half precision, as they are stored: what was saved answers the same."""
+    """Round vectors to half precision, so that saved words give the same answers."""
     return vectors.astype(np.float16).astype(np.float32)
 
 
 def _directions(vectors: np.ndarray, common: np.ndarray) -> np.ndarray:
-    """Unit vectors float64 of ``vectors`` [K, C] seen from ``common`` [C]; zero where they meet."""
+    """Compute unit vectors float64 from ``common`` [C] to ``vectors`` [K, C]; zero if equal."""
     away = vectors.astype(np.float64) - common
     lengths = np.linalg.norm(away, axis=1, keepdims=True)
     return away / np.where(lengths > 0, lengths, 1)

@@ -1,6 +1,6 @@
-"""The words that the lexicon knows, and how it reads a text.
+"""The vocabulary of the lexicon, and its parser of texts.
 
-The data are in two files: ``nouns.toml`` has the nouns, ``vocabulary.toml`` all else.
+The data are in two files: ``nouns.toml`` has the nouns, ``vocabulary.toml`` everything else.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ NOUNS = frozenset(
         "furniture", "kitchen", "food", "container", "device", "tool", "leisure", "class",
     }
 )  # fmt: skip
-"""Families whose words name an object; words of the other families describe it. Those of ``class``
-are names of classes of ImageNet, which look alone does not tell."""
+"""Families whose words name an object; words of the other families describe it. Words of ``class``
+are names of ImageNet classes, which appearance alone cannot identify."""
 
 NEAR = 0.8
-"""Share of letters in order that a misspelt word has in common with the one that is meant."""
+"""Smallest similarity (``difflib`` ratio) of a misspelt word to the intended one."""
 
 LONGEST = 40
-"""Letters of a word that may be a misspelt one."""
+"""Largest number of letters of a word for which a correction is searched."""
 
 _WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*")
 
 
 @dataclass(frozen=True)
 class Word:
-    """One word: its family and the weight of each descriptor that it asks for."""
+    """One word: its family and its weights of descriptors."""
 
     name: str
     family: str
@@ -46,21 +46,21 @@ class Word:
 
 @dataclass(frozen=True)
 class Reading:
-    """A text as understood.
+    """The parse of a text.
 
     Attributes
     ----------
     words : tuple of Word
-        Those that count, in reading order.
+        Words that count, in reading order.
     unknown : tuple of str
-        Spellings that are no word of the vocabulary.
-    unused : {spelling: why}
-        Those that do not count although they may be known.
+        Spellings that are not in the vocabulary.
+    unused : {spelling: reason}
+        Other ignored spellings.
     noun : str
-        The word among them that names the thing, as it is spelled; empty if none does, or an
-        unknown word may.
+        Spelling of the word that names the object; empty if there is none, or if it may be an
+        unknown word.
     classes : tuple of int
-        Those of ImageNet that the noun means; see :mod:`slgaussian.language.nouns`.
+        ImageNet classes of the noun; see :mod:`slgaussian.language.nouns`.
     """
 
     words: tuple[Word, ...]
@@ -78,17 +78,17 @@ class Vocabulary:
     ----------
     canonical : tuple of str
         Phrases that every query competes with.
-    colours : mapping name -> (swatches "#rrggbb", darkest share of light)
+    colours : mapping name -> (swatches "#rrggbb", smallest factor of linear RGB)
     groups : mapping name -> (colour -> weight)
-        Kinds of colour.
+        Groups of colours.
     words : mapping str -> Word
-        By every spelling, synonyms included; neutral words have no weights.
+        Words by spelling, synonyms included; neutral words have no weights.
     phrases : mapping tuple of str -> Word
-        Several spellings in a row that are one word, stop words among them.
+        Sequences of spellings that form one word; they may contain stop words.
     naming : tuple of str
-        Nouns that things are told by when nobody asks for one.
+        Nouns for naming objects without a query.
     unseen : mapping str -> str
-        Words that are understood but cannot be seen, with the reason.
+        Known words for invisible properties, with the reason.
     stop, relations, negations : frozenset of str
     """
 
@@ -105,23 +105,23 @@ class Vocabulary:
 
     @cached_property
     def _lengths(self) -> list[int]:
-        """Of how many spellings phrases are, the longest first."""
+        """Numbers of spellings of phrases, the largest first."""
         return sorted({len(phrase) for phrase in self.phrases}, reverse=True)
 
     def read(self, text: str) -> Reading:
-        """Understand a text as one noun and what describes it.
+        """Parse a text as one noun and the words that describe it.
 
-        Case, accents' encoding and plurals do not matter, stop words are dropped, a repeated word
-        counts once. Left out are unknown words; everything from the first relation word on ("on the
+        Case, Unicode normalisation and plurals do not matter; stop words and repetitions are
+        dropped. Ignored are unknown words; everything from the first relation word on ("on the
         table" describes another object, while "on the left" is a place and counts); and all nouns
         but one: the last, as a plant pot is a pot, or the last before "of", as a picture of a plant
-        is a picture. A few compounds are one word, as a trash can is a bin.
+        is a picture. A few compounds are one word, such as "trash can", a synonym of "bin".
 
         Raises
         ------
         InputError
-            If the text is empty, holds a negation, asks for two things, or has neither a word that
-        counts nor one that is unknown.
+            If the text is empty, contains a negation, asks for two objects, or has neither a word
+            that counts nor an unknown one.
         """
         spelled = spellings(text)
         if not spelled:
@@ -138,7 +138,7 @@ class Vocabulary:
         content = [s for s in spelled[:end] if s not in self.stop]
         looked_up = [(s, self._look_up(s)) for s in _join_names(content)]
         nouns = [i for i, (_, word) in enumerate(looked_up) if word and word.family in NOUNS]
-        # In "a picture of a plant" the first thing is meant, in "a plant pot" the last.
+        # The head of "a picture of a plant" is the first noun, that of "a plant pot" the last.
         head_limit = len(looked_up)
         if "of" in spelled[:end]:
             head_limit = sum(s not in self.stop for s in spelled[: spelled.index("of")])
@@ -166,7 +166,7 @@ class Vocabulary:
         unused |= dict.fromkeys(elsewhere, after)
         head_word = None if head is None else looked_up[head][1]
         classes = () if head_word is None else classes_of(sought) or classes_of(head_word.name)
-        # An unknown word after a noun is what the noun describes.
+        # An unknown word after a noun may be the head, which the noun describes.
         last = [s for s, _ in looked_up[:head_limit] if s not in unseen][-1:]
         if head is None or set(last) & set(unknown):
             sought, classes = "", ()
@@ -175,7 +175,7 @@ class Vocabulary:
         )
 
     def _check_one_thing(self, text: str, spelled: Sequence[str]) -> None:
-        """InputError if "and" joins two things."""
+        """Raise InputError if "and" joins two objects."""
         end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
         for middle in (i for i in range(end) if spelled[i] == "and"):
             sides = spelled[:middle], spelled[middle + 1 : end]
@@ -193,7 +193,7 @@ class Vocabulary:
         return spelling not in self.stop and spelling not in self.unseen
 
     def explain(self, text: str) -> tuple[bool, str]:
-        """Return whether all of ``text`` is known, and how its words are, in a line."""
+        """Return whether all words of ``text`` are known, and a line on how each is measured."""
         try:
             reading = self.read(text)
         except InputError as refusal:
@@ -212,7 +212,7 @@ class Vocabulary:
         return not reading.unknown, "; ".join(parts)
 
     def nearest(self, spelling: str) -> str | None:
-        """The known word that is spelled nearly so, None if there is none."""
+        """Return the known word with the most similar spelling, None if there is none."""
         if len(spelling) > LONGEST:
             return None
         describing = [*self.words, *self.unseen]
@@ -223,7 +223,7 @@ class Vocabulary:
         return None
 
     def _relates(self, spelled: Sequence[str], i: int) -> bool:
-        """Test whether another object is described next: after "on", or "left of" after a thing."""
+        """Test whether word ``i`` starts the description of another object: "on", or "left of"."""
         if spelled[i] in self.relations:
             return True
         word = self._look_up(spelled[i])
@@ -231,7 +231,7 @@ class Vocabulary:
         return word is not None and word.family == "place" and of_another
 
     def families(self) -> dict[str, dict[str, tuple[str, ...]]]:
-        """Every word that counts by family, with its synonyms."""
+        """Return all words with weights and their synonyms, by family."""
         families: dict[str, dict[str, tuple[str, ...]]] = {}
         for spelling, word in self.words.items():
             if word.weights:
@@ -241,11 +241,11 @@ class Vocabulary:
         return families
 
     def _take_phrases(self, spelled: list[str]) -> tuple[list[str], list[Word]]:
-        """The spellings without those of phrases, and the phrases' words.
+        """Return the spellings without those of phrases, and the phrases' words.
 
-        A phrase for a thing becomes one spelling among the others. After a relation ("on the table
-        on the left") a phrase may be said of the other object, and before "of" ("to the left of the
-        door") it is a relation itself.
+        A noun phrase becomes one spelling among the others. A phrase after a relation ("on the
+        table on the left") may describe the other object and is not taken, and before "of" ("to the
+        left of the door") it is a relation itself.
         """
         left: list[str] = []
         phrase_words: list[Word] = []
@@ -265,7 +265,7 @@ class Vocabulary:
         return left, phrase_words
 
     def phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
-        """The longest phrase that begins there, which may be a plural, and how long it is."""
+        """Find the longest phrase, singular or plural, that begins at ``start``, and its length."""
         for length in self._lengths:
             *first, last = spelled[start : start + length]
             for form in _singulars(last):
@@ -286,7 +286,7 @@ class Vocabulary:
 
 @cache
 def load_vocabulary() -> Vocabulary:
-    """Read ``vocabulary.toml`` and ``nouns.toml``, which are part of the package."""
+    """Read the package's ``vocabulary.toml`` and ``nouns.toml``."""
     data, nouns = (
         tomllib.loads(files(__package__).joinpath(name).read_text("utf-8"))
         for name in ("vocabulary.toml", "nouns.toml")
@@ -318,19 +318,19 @@ def load_vocabulary() -> Vocabulary:
 
 
 def spellings(text: str) -> list[str]:
-    """The words of a text in lower case, with the apostrophes in them."""
+    """Split a text into words in lower case; apostrophes within words are kept."""
     return _WORD.findall(unicodedata.normalize("NFKC", text).replace("’", "'").lower())
 
 
 def classes_of(noun: str) -> tuple[int, ...]:
-    """The classes of ImageNet that a noun means, which may be a plural; empty if it means none."""
+    """Return the ImageNet classes of a noun, singular or plural; empty if there are none."""
     *first, last = noun.split()
     forms = (" ".join([*first, form]) for form in _singulars(last))
     return next((noun_classes()[form] for form in forms if form in noun_classes()), ())
 
 
 def _join_names(spelled: Sequence[str]) -> list[str]:
-    """Make one of several spellings in a row that name classes together, as "space shuttle"."""
+    """Join consecutive spellings that form the name of a class, as "space shuttle"."""
     joined = list(spelled)
     for length in (3, 2):
         for start in range(len(joined) - length, -1, -1):
@@ -341,7 +341,7 @@ def _join_names(spelled: Sequence[str]) -> list[str]:
 
 
 def _singulars(word: str) -> list[str]:
-    """The word and what it may be the plural of, in the order to try them."""
+    """Return the word and its possible singulars, in the order to try them."""
     forms = [word]
     for ending, singular in (("ies", "y"), ("ves", "f"), ("ves", "fe"), ("s", ""), ("es", "")):
         if word.endswith(ending) and len(word) > len(ending) + 1:
@@ -350,7 +350,7 @@ def _singulars(word: str) -> list[str]:
 
 
 def unusable(text: str, words: Sequence[str]) -> InputError:
-    """The error of a text of which none of these words can be used."""
+    """Make the error for a text without a usable word."""
     idle = _short(", ".join(words)) or "they carry no meaning here"
     return InputError(
         f"query {_short(text)!r}: none of its words can be used ({idle}); use the lexicon's words, "

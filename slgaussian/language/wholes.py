@@ -1,11 +1,11 @@
-"""The choice of an answer: one object, a whole of several, or all that fit about as well.
+"""Ranking of candidate answers: single objects, wholes of several, or all near-best objects.
 
-A photograph is cut into more pieces than things, and no piece of a thing looks like it. So an
-answer is chosen among the nodes of trees over the objects, as SAM has parts, objects and groups,
-and the set of all objects that fit nearly as well as the best: a surface or a plural. Each is
-described by a few numbers, of how well its objects and those around it fit, what a classifier of
-photographs says, and whether it is a whole: closed by strong borders, standing long in the trees,
-shown by all views, not cut by the edge. A :class:`Ranking` weighs them.
+Photographs are over-segmented, and a part of an object often does not look like the object. The
+candidates of an answer are therefore the nodes of trees over the objects (like the parts, objects
+and groups of SAM), and the set of all objects that fit about as well as the best, for surfaces and
+plurals. The features of a candidate describe how well its objects and those around it fit, the
+evidence of an image classifier, and whether it is a whole: enclosed by strong borders, persistent
+in the trees, visible in all views, not cut off by the image edge. A :class:`Ranking` weights them.
 """
 
 from __future__ import annotations
@@ -20,53 +20,53 @@ from slgaussian.errors import InputError
 from slgaussian.io import short_repr
 
 NEAR_BEST = 0.6
-"""An object fits about as well as the best one if its gap reaches this share of the best gap."""
+"""An object is near-best if its gap is at least this fraction of the best gap."""
 
 LEAST_SHARE = 3e-4
-"""Share of the views below which a node is no candidate: a crumb fits by chance."""
+"""Smallest area of a candidate, as a fraction of the views: small nodes fit by chance."""
 
 LEAST_PIXELS = 30
-"""Pixels in the view that is asked below which a node is no candidate."""
+"""Smallest area of a candidate in the queried view, pixels."""
 
 LEAST_BEST = 0.03
-"""Gaps are taken relative to the best one, but never to less than this."""
-
+"""Lower bound of the best gap, by which gaps are divided."""
 
 EVIDENCE = (-3.0, 6.0)
 """Bounds of the evidence for an object, nats."""
 
 UNSEEN = -0.2
-"""Gap of an object that no view holds, in the mean of a whole."""
+"""Gap of an object that no view shows, in the mean of a whole."""
 
 
 class Ranking(NamedTuple):
-    """Weights of the features of a candidate: of its gaps, of class evidence, of it as a whole.
+    """Weights of the features of a candidate.
 
     Attributes
     ----------
     fit, around : float
-        Mean gap of its objects, and of those around it by the length of border, relative to the
-        best gap; at least -2.
+        Mean gap of its objects, and of the adjacent objects weighted by length of border, relative
+        to the best gap; at least -2.
     lead : float
-        Mean gap of its objects, as it is.
+        Mean gap of its objects, not relative.
     recall : float
-        Its share of all that fits: of gaps above 0, summed over pixels.
+        Its fraction of all positive gaps, summed over pixels.
     best : float
-        Whether it holds the best object.
+        1 if it contains the best object.
     near_best : float
-        Whether it is the set of all objects that fit about as well as the best.
+        1 if it is the set of all near-best objects.
     evidence, evidence_recall : float
-        As ``fit``, in nats and not relative, and ``recall`` for the evidence of a classifier.
+        Mean class evidence of its objects, in nats, and ``recall`` for class evidence.
     size : float
-        Logarithm of its share of the photographs.
+        Logarithm of its fraction of the photographs.
     outline : float
-        Mean strength of the borders around it.
+        Mean strength of its border.
     edge : float
-        Share of its outline along the edges of photographs.
+        Fraction of its outline along the image edges.
     standing : float
-        Cost, in the trees, from where it is made to where it is merged on; mean over the trees.
+        Persistence: difference of merge costs between its creation and its next merge, mean over
+        the trees.
     agreement : float
-        Its smallest over its largest area in a photograph.
+        Ratio of its smallest to its largest area over the photographs.
     """
 
     fit: float
@@ -85,7 +85,7 @@ class Ranking(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """What may be the answers to Q texts: G sets of objects each.
+    """Candidate answers to Q texts: G sets of objects each.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Candidates(NamedTuple):
         In the order of :class:`Ranking`.
     objects : bool [Q, G, N]
     possible : bool [Q, G]
-        Whether enough of the set is visible.
+        True if enough of the set is visible.
     """
 
     features: np.ndarray
@@ -101,8 +101,10 @@ class Candidates(NamedTuple):
     possible: np.ndarray
 
     def best(self, ranking: Ranking) -> np.ndarray:
-        """Return the objects of the best set of each text, bool [Q, N], however badly it fits;
-        none if nothing is visible."""
+        """Return the objects of the highest-ranked set of each text, bool [Q, N].
+
+        Empty only if no set is visible.
+        """
         scores = np.einsum("qgf,f->qg", self.features, np.array(ranking))
         scores[~self.possible] = -np.inf
         winners: np.ndarray = self.objects[np.arange(len(scores)), scores.argmax(1)]
@@ -111,20 +113,20 @@ class Candidates(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Wholes:
-    """N objects, the W wholes that they may be parts of, and how they lie beside each other.
+    """N objects, W wholes of several objects, and the borders between objects.
 
     Attributes
     ----------
     members : bool [W, N]
         Objects of each whole, at least two.
     standing : float32 [N + W]
-        Of objects and, after them, wholes; see :class:`Ranking`.
+        Persistence of objects and, after them, wholes; see :class:`Ranking`.
     shares : float32 [N, V]
-        Share that each object has of the pixels of each view.
+        Fraction of the pixels of each view that show the object.
     at_edge : float32 [N]
-        Pixels of each object along the edges of the views.
+        Number of pixels of each object along the image edges, over all views.
     borders : int32 [E, 2]
-        Objects that touch, the lower place first.
+        Rows of adjacent objects, the lower first.
     border_sums : float32 [E, 2]
         Length in pixels and summed strength of each border, over all views.
 
@@ -166,7 +168,7 @@ class Wholes:
 
     @staticmethod
     def from_arrays(arrays: dict[str, np.ndarray]) -> Wholes | None:
-        """Take the arrays of :meth:`to_arrays` out of others; None if they are not among them."""
+        """Remove the arrays of :meth:`to_arrays` from ``arrays`` and use them; None if missing."""
         if "whole_members" not in arrays:
             return None
         return Wholes(**{f.name: arrays.pop(f"whole_{f.name}") for f in fields(Wholes)})
@@ -178,17 +180,17 @@ class Wholes:
         areas: np.ndarray,
         share: float = NEAR_BEST,
     ) -> Candidates:
-        """Describe the candidates for the answers to Q texts.
+        """Compute the candidate answers to Q texts.
 
         Parameters
         ----------
         gaps : float64 [Q, N]
-            Of the objects to the texts, without class evidence; -inf for what cannot be meant.
+            Gaps of the objects, without class evidence; -inf excludes an object.
         evidence : float64 [Q, N, V]
-            For the classes of the texts, in nats; NaN where a view does not hold an object, 0 for a
-            text without classes.
+            Evidence for the classes of the texts, in nats; NaN where a view does not show an
+            object, 0 for a text without classes.
         areas : int64 [N]
-            Pixels of each object in the view that is asked.
+            Pixels of each object in the queried view.
         share : float
             See :func:`near_best`.
         """
@@ -205,7 +207,7 @@ class Wholes:
         def describe(
             sets: np.ndarray, numbers: np.ndarray, around: np.ndarray, standing: np.ndarray | float
         ) -> np.ndarray:
-            """Describe sets [1 or Q, G, N], the same or others for each text: [Q, G, 13]."""
+            """Compute the features [Q, G, 13] of sets [1 or Q, G, N]."""
 
             def recall(values: np.ndarray) -> np.ndarray:
                 fits = self._area * np.maximum(values, 0) * visible
@@ -258,7 +260,7 @@ class Wholes:
 
     @cached_property
     def _beside(self) -> tuple[np.ndarray, np.ndarray]:
-        """Length and strength of the border of each two objects, float64 [N, N] each."""
+        """Length and strength of the border of each pair of objects, float64 [N, N] each."""
         count = len(self.at_edge)
         tables = np.zeros((2, count, count))
         a, b = self.borders.T
@@ -267,15 +269,17 @@ class Wholes:
 
     @cached_property
     def _candidates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Objects and wholes that are no crumbs: sets float64 [G, N], their :meth:`_numbers` and
-        :meth:`_around`, and places."""
+        """Objects and wholes that are large enough.
+
+        As sets float64 [G, N], with their :meth:`_numbers`, :meth:`_around` and rows.
+        """
         sets = np.concatenate([np.eye(len(self.at_edge)), self.members])
         places = np.flatnonzero(sets @ self._area >= LEAST_SHARE)
         sets = sets[places]
         return sets, self._numbers(sets), self._around(sets), places
 
     def _numbers(self, sets: np.ndarray) -> np.ndarray:
-        """``size``, ``outline``, ``edge`` and ``agreement`` of sets [G, N]: float64 [G, 4]."""
+        """Compute ``size``, ``outline``, ``edge``, ``agreement`` of sets [G, N]: float64 [G, 4]."""
         length, strength = self._beside
         around, strong = (
             np.einsum("gn,gn->g", table.sum(1) - _beside(sets, table), sets)
@@ -293,13 +297,13 @@ class Wholes:
         )
 
     def _around(self, sets: np.ndarray) -> np.ndarray:
-        """Weights, summing to 1, of the objects around sets by their common border [G, N]."""
+        """Weight the objects adjacent to sets by common border, normalised to sum 1: [G, N]."""
         ring = _beside(sets, self._beside[0]) * (1 - sets)
         return ring / np.maximum(ring.sum(1, keepdims=True), 1e-9)
 
 
 def near_best(gaps: np.ndarray, best: np.ndarray | float, share: float = NEAR_BEST) -> np.ndarray:
-    """Take the objects with a gap above 0 and at least a share of the ``best``: bool [..., N]."""
+    """Select objects with a gap above 0 and at least ``share`` of the ``best``: bool [..., N]."""
     selected: np.ndarray = (gaps > 0) & (gaps >= share * best)
     return selected
 
@@ -307,7 +311,7 @@ def near_best(gaps: np.ndarray, best: np.ndarray | float, share: float = NEAR_BE
 def _times(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Sum ``values`` [Q, N] over ``sets`` [1 or Q, G, N]: [Q, G].
 
-    No BLAS product, which varies with threads.
+    Not BLAS, whose results vary with threads.
     """
     sums: np.ndarray = np.einsum("qgn,qn->qg", sets, values)
     return sums
