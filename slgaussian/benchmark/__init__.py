@@ -1,1 +1,1 @@
-"""Protocols and scores: labelled truth, metrics, evaluation of a field, pictures and the report."""
+"""Evaluation: ground truth, protocols, metrics, statistics, baselines, and the report."""

@@ -78,7 +78,7 @@ def attribute_errors(
     truth : Truth
         Queries with an empty mask are left out.
     settings : EvaluationSettings, optional
-        How rows are marked, and by which rules texts become answers.
+        Columns of the rows, and rules for answers.
 
     Returns
     -------

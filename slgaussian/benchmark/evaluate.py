@@ -1,4 +1,4 @@
-"""Score one method against the truth of a scene, and draw what the numbers mean."""
+"""Score one method against the ground truth of a scene, and render the pictures of the report."""
 
 from __future__ import annotations
 
@@ -35,44 +35,44 @@ from slgaussian.scene import Sample, View
 from slgaussian.storage.specs import load_spec
 
 ALONG_THE_WAY = {"quarter way": 0.25, "halfway": 0.5, "three-quarter way": 0.75}
-"""Viewpoints between the first two context cameras that are drawn, by frame name. Queries without
-truth are asked halfway."""
+"""Rendered viewpoints between the first two context cameras, by frame name. Queries without ground
+truth use the halfway view."""
 
 ERROR_TOP = 0.2
-"""Relative depth error that is drawn white."""
+"""Relative depth error that is shown as white."""
 
 NOT_UNDERSTOOD = "not understood"
-"""Note of a row whose query the method refuses: no known word, or one it cannot use."""
+"""Note of a row whose query the method rejects: no known word, or an unusable text."""
 
 ABSENT = "not in this frame"
-"""Note of a row whose query has no pixel of truth in the frame."""
+"""Note of a row whose query has an empty true mask in the frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneResult:
-    """Everything that is reported of one scene and one method.
+    """All results of one scene and one method.
 
     Attributes
     ----------
     scene, dataset, method : str
     rows : list of dict
-        One a (frame, query, protocol), with the columns of the data spec ``samples``. A query
-        without truth has one row, of the first protocol.
+        One per (frame, query, protocol), with the columns of the data spec ``samples``. A query
+        without ground truth has one row, of the first protocol.
     scene_metrics : {name: float}
         The scores of the first protocol (:func:`slgaussian.benchmark.scores.scene_means`), and
         ``psnr``, ``ssim`` (means over targets), ``abs_rel``, ``delta125`` (context views),
         ``bad2`` (the same, rectified pairs only), ``target_abs_rel``, ``target_delta125``
-        (rendered); those without truth are absent. ``near`` and ``far`` are the ends of the depth
-        colours.
+        (rendered); metrics without ground truth are absent. ``near`` and ``far`` are the range of
+        the depth colours.
     predictions : {(protocol, frame, query): bool [H, W]}
-        The mask of each row; the protocol as in the rows. Some protocols have none.
+        Mask of each row, with the row's protocol. Some protocols have no masks.
     pictures : {name: uint8 [H, W, 3]}
         ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds: ``input``, ``labels``, ``depth``,
         ``true_depth``, ``depth_error`` (context views), ``photo``, ``render``, ``ids`` (targets
         and viewpoints along the way), ``relevancy`` and ``mask`` (queries, by the first protocol).
     costs : list of dict
-        One a (frame, query), with the columns of the data spec ``times`` that are known of the
-        scene and method alone. Volatile.
+        One per (frame, query), with those columns of the data spec ``times`` that belong to the
+        scene and method. Not reproducible.
     """
 
     scene: str
@@ -89,26 +89,25 @@ class SceneResult:
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """Queries of a method, and the marks of its rows.
+    """Settings of the evaluation of one method.
 
     Attributes
     ----------
     method : str
-        Name of what answers, written into every row.
+        Name of the method in every row.
     dataset : str
-        What the scene belongs to: scores of different data sets are not averaged.
+        Data set of the scene; scores of different data sets are not averaged.
     place : str, optional
-        What it shows, where the data say that several scenes show one place: they are no
-        independent samples.
+        Name of the place, if several scenes show one place and are not independent samples.
     queries : sequence of str
-        Asked without truth, midway between the first two context cameras.
+        Queries without ground truth, in the view midway between the first two context cameras.
     rules : Rules
-        How texts become answers.
+        Rules for answers.
     protocols : sequence of str
-        Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`, each scored. Pictures and the
-        scene's metrics are those of the first. By default all, that of ``rules`` first.
+        Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`. Pictures and scene metrics use
+        the first. Default: all, that of ``rules`` first.
     drawn : bool
-        Whether pictures are made.
+        Whether to render pictures.
     """
 
     method: str = "slgaussian"
@@ -120,20 +119,20 @@ class EvaluationSettings:
     drawn: bool = True
 
     def load_protocols(self) -> list[ScoringProtocol]:
-        """The protocols, in their order.
+        """Return the protocols in their order.
 
         Raises
         ------
         InputError
-            If there is none of that name.
+            If a name is unknown.
         """
         return [load_protocol(name) for name in self.protocols or PROTOCOLS]
 
 
 def truth_from_instances(sample: Sample) -> Truth:
-    """Masks by target view and phrase, from the true instance ids.
+    """Return masks by target view and phrase from the true instance ids.
 
-    Instances with one phrase are united; an instance that the view does not show is left out.
+    Instances with equal phrases are united; instances without a pixel in a view are omitted.
     """
     truth: dict[str, dict[str, np.ndarray]] = {}
     for view in sample.targets:
@@ -157,38 +156,38 @@ def evaluate(
     gaussians: Gaussians | None = None,
     peak: Peak | None = None,
 ) -> SceneResult:
-    """Ask a method everything the truth knows, in every target view, and score its answers.
+    """Query a method with all labelled texts in every target view, and score its answers.
 
-    It is asked once, for all protocols.
+    Each query is answered once for all protocols.
 
     Parameters
     ----------
     field : Answering
-        A field of ``sample``, or another method's answer to it.
+        A field of ``sample``, or the scene of another method.
     sample : Sample
-        Its targets carry the photographs to compare with.
+        Its targets have the photographs for comparison.
     label_maps : LabelMaps
-        Of the context views, for the pictures.
+        Label maps of the context views, for the pictures.
     truth : Truth
-        An empty mask means that the frame has no truth for the query: asked, reported, not scored.
-        Without boxes, those are the bounding boxes of the masks.
+        An empty mask means that the frame has no ground truth for the query: it is queried and
+        reported, not scored. Missing boxes are computed from the masks.
     settings : EvaluationSettings, optional
-        What is asked beyond the truth, and how rows are marked.
+        Further queries, and columns of the rows.
     gaussians : Gaussians, optional
-        Of the context views' pixels: their depths are scored and drawn.
+        Gaussians of the context views' pixels, whose depths are scored and drawn.
     peak : Peak, optional
-        Of the memory that the method took until now, if it has prepared the scene.
+        Peak memory of the method's preparation of the scene.
 
     Returns
     -------
     SceneResult
-        A query that is not understood is a row that scores 0, never left out.
+        A query that is not understood has a row with score 0.
 
     Raises
     ------
     InputError
-        If a frame of ``truth`` is not a target, a mask does not have its size, a protocol is
-        unknown, or an answer is no relevancy: of another size, NaN, or out of [0, 1].
+        If a frame of ``truth`` is not a target, a mask has another size than its view, a protocol
+        is unknown, or a relevancy has another size, NaN, or values outside [0, 1].
     """
     _check_truth(sample, truth.masks)
     settings = settings or EvaluationSettings()
@@ -235,7 +234,7 @@ def evaluate(
 
 
 class _Recorder:
-    """Rows, pictures and costs of a scene, as they are found."""
+    """Collector of rows, pictures and costs of a scene."""
 
     def __init__(self, scene: str, settings: EvaluationSettings, peak: Peak):
         self.peak = peak
@@ -260,7 +259,7 @@ class _Recorder:
 
     @contextmanager
     def timed(self) -> Iterator[None]:
-        """Measure memory and seconds, those as ``latest``, of what the method does."""
+        """Measure memory and seconds (``latest``) of the method inside the block."""
         with self.peak.watched():
             start = compiling.clock()
             yield
@@ -277,7 +276,7 @@ class _Recorder:
                 self.measure(prefix + name, value)
 
     def look_at_depths(self, sample: Sample, gaussians: Gaussians) -> None:
-        """Score and draw the depths of the context views."""
+        """Score and draw the predicted depths of the context views."""
         depths = source_depths(gaussians, [view.camera for view in sample.context])
         views = list(zip(sample.context, depths, strict=True))
         near, far = pictures.depth_range(*(d if v.depth is None else v.depth for v, d in views))
@@ -295,9 +294,10 @@ class _Recorder:
         boxes: Mapping[str, np.ndarray],
         has_truth: bool = True,
     ) -> None:
-        """Answer, score and draw the queries of a frame, all of ``masks``.
+        """Answer, score and draw all queries of a frame, the keys of ``masks``.
 
-        An empty mask is no truth; unless ``has_truth``, there never was any.
+        An empty mask means no ground truth in this frame; without ``has_truth`` there is none at
+        all.
         """
         texts = [text for text in masks if understands(view.reader, text)]
         hits = self._query(view, frame, list(masks), texts)
@@ -326,7 +326,7 @@ class _Recorder:
     def _query(
         self, view: AnsweringView, frame: str, queries: Sequence[str], texts: Sequence[str]
     ) -> dict[str, Result]:
-        """Ask the view ``texts``, those of ``queries`` that it understands, and time it."""
+        """Query the view with ``texts``, the understood ones of ``queries``, and time it."""
         seconds: dict[str, float | None] = {
             "view_seconds": None,
             "query_seconds": None,
@@ -338,7 +338,7 @@ class _Recorder:
             with self.timed():
                 self._answers(view, texts[:1])
             seconds["view_seconds"] = rendered + self.latest
-            # Asked again with the others: answers must not depend on what is timed.
+            # Query it again with the others: answers must not depend on the timing.
             with self.timed():
                 hits = self._answers(view, texts)
             seconds["query_seconds"] = self.latest / len(texts)
@@ -348,9 +348,9 @@ class _Recorder:
         return dict(zip(texts, hits, strict=True))
 
     def time_warm(self, render: Callable[[], AnsweringView]) -> None:
-        """Time the last view's first answer again, drawn anew, if it was the first of the scene.
+        """Time the first query of the last view again in a new rendering, if it was the first.
 
-        Then what is made once a scene, or once a process, is there.
+        Then everything computed once per scene or per process is cached.
         """
         timed = [row for row in self.costs if row["view_seconds"] is not None]
         rows = [row for row in timed if row["frame"] == self.costs[-1]["frame"]]
@@ -366,18 +366,18 @@ class _Recorder:
     def _answers(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:
         hits = view.query_all(texts, **self.query_rules)
         for hit in hits:
-            hit.mask, hit.relevancy, hit.point  # noqa: B018  (drawn when first looked at)
+            hit.mask, hit.relevancy, hit.point  # noqa: B018  (computed on first access)
         return hits
 
     def _segment(
         self, view: AnsweringView, texts: Sequence[str], masks: Mapping[str, np.ndarray]
     ) -> np.ndarray:
-        """Label pixels by queries of ``masks``, int32 [H, W]; those not in ``texts`` win none."""
+        """Label pixels by queries of ``masks``, int32 [H, W]; only those in ``texts`` compete."""
         if not texts or not any(mask.any() for mask in masks.values()):
             return np.zeros(view.rgb.shape[:2], np.int32)
         competing = sorted(texts)
         with self.timed():
-            # By the protocols every pixel has a class, however little it fits.
+            # The protocols assign a class to every pixel, however low its score.
             rules = {**self.query_rules, "threshold": 0.0}
             labels = view.segment(competing, **rules)
         places = {text: k + 1 for k, text in enumerate(masks)}
@@ -439,7 +439,7 @@ def _depth_pictures(
 
 
 def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
-    """Return what protocols score of a result; of a text that is not understood, nothing."""
+    """Return the answer for the protocols; an empty one if the text is not understood."""
     if hit is None:
         nothing = np.zeros(truth.shape, np.float32)
         return Answer(nothing, nothing.astype(bool), None)
@@ -464,8 +464,8 @@ def _note(hit: Result | None, absent: bool) -> str:
 
 
 def _disparity_scale(sample: Sample) -> float | None:
-    """Focal length times baseline if the context is one rectified pair, the only kind of pair in
-    which a disparity is one number of pixels."""
+    """Return focal length times baseline if the context is one rectified pair, for which disparity
+    is defined; else None."""
     if len(sample.context) != 2:
         return None
     a, b = (view.camera for view in sample.context)

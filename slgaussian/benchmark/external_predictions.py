@@ -1,19 +1,19 @@
-"""Score masks of any program: a folder of PNG files, or a JSON file of run lengths.
+"""Score masks of other programs: a folder of PNG files, or a JSON file of run lengths.
 
-A folder is as a benchmark writes it, ``<method>/<protocol>/<scene>/<frame>/<query>.png``
-(:func:`slgaussian.benchmark.outputs.mask_place`), white where something was found. A JSON file is a
-list of masks, each of which every protocol scores::
+A folder has the layout of a benchmark's masks, ``<method>/<protocol>/<scene>/<frame>/<query>.png``
+(:func:`slgaussian.benchmark.outputs.mask_place`), white inside the mask. A JSON file is a list of
+masks, each scored by every protocol::
 
     [{"method": "mine", "scene": "desk", "frame": "0007.png", "query": "red mug",
       "size": [416, 576], "counts": "01ccQm1W6e...", "point": [130, 88.5], "score": 0.83,
       "seconds": 0.21}, ...]
 
-``size`` is height and width, and ``counts`` are run lengths as COCO writes them, as text or as a
-list (:mod:`slgaussian.formats.rle`). The others need not be there: ``method`` is the name of the
-file then, ``point`` the pixel (x, y) where it is, ``score`` how sure the method is of it, 0 to 1,
-and ``seconds`` what the answer took. Other keys are ignored.
+``size`` is height and width, and ``counts`` are COCO run lengths as a string or a list
+(:mod:`slgaussian.formats.rle`). The other keys are optional: ``method`` defaults to the name of the
+file, ``point`` is the predicted pixel (x, y), ``score`` the confidence, 0 to 1, and ``seconds`` the
+time of the answer. Unknown keys are ignored.
 
-Whatever follows from relevancies has no score, and what follows from the point only if it is given.
+Metrics of relevancies are not computed, and metrics of the point only if it is given.
 """
 
 from __future__ import annotations
@@ -41,27 +41,27 @@ from slgaussian.io import short_repr
 from slgaussian.storage.specs import load_spec
 
 NOT_GIVEN = "no mask was given"
-"""Note of a row that is scored as an empty mask, because there is none."""
+"""Note of a row without a mask, which is scored as an empty mask."""
 
 SCORABLE = tuple(name for name, protocol in PROTOCOLS.items() if protocol.scores_masks)
-"""The protocols by which masks can be scored."""
+"""Protocols that can score masks."""
 
 Key = tuple[str, str, str, str, str]
-"""Method, protocol (empty where a mask is for any), scene, frame and query."""
+"""Method, protocol (empty if a mask is for all), scene, frame and query."""
 
 _Name = Annotated[str, Field(min_length=1)]
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """A mask that another program made.
+    """A mask of another program.
 
     Attributes
     ----------
     where : str
-        What it is called in messages.
+        Name in messages.
     read : function (height, width) -> bool [height, width]
-        Raises InputError if it cannot be read, or has another size.
+        Raises InputError if the mask cannot be read, or has another size.
     point : (x, y) or None
     score, seconds : float or None
     """
@@ -75,14 +75,14 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Predictions:
-    """All masks of a folder or file.
+    """Masks of a folder or file.
 
     Attributes
     ----------
     place : Path
-        Where they are.
+        The folder or file.
     masks : {key: Prediction}
-        Scene, frame and query as they stand in the file or in the folders' names.
+        Scene, frame and query as written in the file or in the folder names.
     """
 
     place: Path
@@ -90,7 +90,7 @@ class Predictions:
 
     @property
     def methods(self) -> dict[str, tuple[str, ...]]:
-        """The protocols whose masks each method has; none where its masks are for any."""
+        """Return the protocols of each method's masks; empty if its masks are for all."""
         by_method: dict[str, dict[str, None]] = {}
         for method, protocol, *_ in self.masks:
             by_method.setdefault(method, {})[protocol] = None
@@ -99,14 +99,14 @@ class Predictions:
 
     @property
     def protocols(self) -> tuple[str, ...]:
-        """The protocols of the masks, in the order of all; the first where masks are for any."""
+        """Return the protocols of the masks in order; the first one if masks are for all."""
         present = {protocol for _, protocol, *_ in self.masks}
         return tuple(name for name in SCORABLE if name in present) or SCORABLE[:1]
 
     def key(self, row: Mapping[str, Any]) -> Key | None:
-        """Return the key of the mask of a row of the spec ``samples``; None if there is none.
+        """Return the key of the mask for a row of the spec ``samples``; None if there is none.
 
-        A frame may go without its folder and its ending, and names may be those of files.
+        A frame may lack its folder and suffix, and names may be file names.
         """
         frame = Path(row["frame"])
         names = [
@@ -124,15 +124,15 @@ class Predictions:
 
 @dataclass(frozen=True, eq=False)
 class JudgedScene:
-    """A scene and its truth.
+    """A scene and its ground truth.
 
     Attributes
     ----------
     scene, dataset : str
     place : str or None
-        As :class:`slgaussian.benchmark.evaluate.EvaluationSettings` has it.
+        See :class:`slgaussian.benchmark.evaluate.EvaluationSettings`.
     truth : Truth
-        Its frames and queries are those that are asked.
+        Its frames and queries are evaluated.
     """
 
     scene: str
@@ -145,11 +145,11 @@ class JudgedScene:
 
 @dataclass
 class Tally:
-    """Counts of the masks of some predictions.
+    """Counts of used and missing masks.
 
-    ``asked`` samples have a truth, of which those named in ``missing`` have no mask. ``used`` are
-    the keys of masks that were asked for, and ``seconds`` by scene, frame, query and method, where
-    they were given.
+    ``asked`` is the number of samples with ground truth, of which those in ``missing`` have no
+    mask. ``used`` are the keys of evaluated masks, and ``seconds`` are given times by scene, frame,
+    query and method.
     """
 
     asked: int = 0
@@ -158,20 +158,20 @@ class Tally:
     seconds: dict[tuple[str, str, str, str], float] = field(default_factory=dict)
 
     def unused(self, predictions: Predictions) -> list[str]:
-        """Name the masks that nothing asked for."""
+        """List the masks that belong to no sample."""
         keys = (key for key in predictions.masks if key not in self.used)
         return list(dict.fromkeys(_called(*key[2:]) for key in keys))
 
 
 def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predictions:
-    """Read the masks in a folder, or in a JSON file. Those of a folder are not opened yet.
+    """Read the masks of a folder, whose files are opened later, or of a JSON file.
 
-    Of a folder those of ``protocols`` alone, if any is named.
+    From a folder, only those of ``protocols`` are read, if given.
 
     Raises
     ------
     InputError
-        If there is none, or a JSON file is damaged or not as this module describes it.
+        If there are no masks, or a JSON file is damaged or has another structure.
     """
     place = Path(place)
     if place.is_dir():
@@ -189,15 +189,15 @@ def score_predictions(
     protocols: Sequence[ScoringProtocol],
     tally: Tally,
 ) -> Iterator[SceneResult]:
-    """Score the masks of each method in each scene, a scene at a time.
+    """Score the masks of each method, scene by scene.
 
-    A sample without a mask is scored as an empty one. Results have no pictures and no times.
+    A sample without a mask is scored as an empty mask. Results have no pictures and no times.
 
     Raises
     ------
     InputError
-        If a mask is damaged or of another size than the truth, the texts of a frame compete by a
-        protocol and their masks overlap, or masks say nothing by a protocol.
+        If a mask is damaged or of another size than the truth, masks overlap in a protocol in which
+        the texts of a frame compete, or a protocol cannot score masks.
     """
     for judged in scenes:
         for method, present in predictions.methods.items():
@@ -227,7 +227,7 @@ def _score_scene(
             )
             for protocol in protocols
         }
-        # By both protocols the same texts compete, and theirs are the masks that say which wins.
+        # The same texts compete in both protocols, and their masks determine which text wins.
         labels = _winners(looked_up["3d-ovs"], list(truths)) if "3d-ovs" in looked_up else None
         for protocol in protocols:
             answers = [
@@ -279,7 +279,7 @@ def _look_up(
     truths: Mapping[str, np.ndarray],
     tally: Tally,
 ) -> list[tuple[Prediction | None, np.ndarray]]:
-    """Return the prediction for each text of a frame, and its mask, empty where there is none."""
+    """Return the prediction for each text of a frame, and its mask, which is empty without one."""
     looked_up: list[tuple[Prediction | None, np.ndarray]] = []
     scene, frame = row["scene"], row["frame"]
     for text, truth in truths.items():
@@ -301,7 +301,7 @@ def _look_up(
 def _winners(
     predictions: Sequence[tuple[Prediction | None, np.ndarray]], texts: Sequence[str]
 ) -> np.ndarray:
-    """Return which of the texts wins, int32 [H, W], k + 1; InputError if two do."""
+    """Return the winning text k of each pixel as k + 1, int32 [H, W]; InputError for overlaps."""
     labels = np.zeros(predictions[0][1].shape, np.int32)
     for k, (prediction, mask) in enumerate(predictions):
         if prediction is not None and (rivals := labels[mask]).any():
@@ -368,7 +368,7 @@ class _Entry(BaseModel):
     seconds: Annotated[float, Field(ge=0)] | None = None
 
     def read(self, where: str, height: int, width: int) -> np.ndarray:
-        _check_size(where, self.size, height, width)  # before anything of that size is made
+        _check_size(where, self.size, height, width)  # before allocating an array of that size
         try:
             return rle.decode(self.counts, height, width)
         except ValueError as bad:

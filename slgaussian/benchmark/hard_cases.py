@@ -1,8 +1,8 @@
-"""Hard cases of the machine at hand: what float32 and its kernels make of them, in seconds.
+"""Numerically hard cases, measured on the current machine in a few seconds.
 
-What is computed fast is compared with plain float64, or longer numbers, on named inputs that are
-known to break such code. Compilers, processors and libraries decide the last digits, so that this
-is worth doing where results are made. The tests do it on more cases.
+Float32 kernels are compared with plain float64, or higher precision, on inputs that are known to
+break such code. Compilers, processors and libraries determine the last digits, so the comparison is
+done on the machine that computes the results. The tests have more cases.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from slgaussian.rasterize import PRESETS, rasterize
 from slgaussian.scene import Camera
 
 PIXELS = 1e-4
-"""How far off a pixel may come back. Measured 1.4e-6, where float32 places are near."""
+"""Largest allowed reprojection error in pixels; measured 1.4e-6 near the origin."""
 
 EXACT = {"long list": 2e-5}
-"""Bounds of what is drawn with nothing cut, where float32 sums are longer than in most cases."""
+"""Larger bounds of exact rendering for cases with long float32 sums."""
 
 FAR = np.array([1e6, -1e6, 1e6])
-"""A place where float32 coordinates are .06 units apart."""
+"""A position at which adjacent float32 coordinates are .06 units apart."""
 
 EPS = float(np.finfo(np.float32).eps)
 
@@ -41,13 +41,13 @@ class HardCase:
     Attributes
     ----------
     part : str
-        What computes it.
+        Computed component.
     case, about : str
-        The name of the input, and in a line what is hard.
+        Name of the input, and its difficulty in a line.
     measure : str
-        What ``error`` is.
+        Meaning of ``error``.
     error, bound : float
-        A case is good if the error is below the bound; NaN is below nothing.
+        A case is good if the error is below the bound; NaN always counts as a failure.
     """
 
     part: str
@@ -59,21 +59,20 @@ class HardCase:
 
     @property
     def good(self) -> bool:
-        """True if the error is below its bound."""
+        """Tell whether the error is below its bound."""
         return self.error < self.bound
 
 
 def measure_hard_cases() -> list[HardCase]:
-    """Measure all cases, in a few seconds where kernels are compiled."""
+    """Measure all cases; takes a few seconds with compiled kernels."""
     return [*_drawings(), *_places(), *_relevancies(), *_codes()]
 
 
 def _drawings() -> Iterator[HardCase]:
-    """Draw clouds on which rasterisers break, and compare with the float64 reference.
+    """Render difficult clouds of Gaussians and compare with the float64 reference.
 
-    The error is the greatest of any value, of alpha, and of the depth relative to itself where
-    alpha is above one half: with little light, the mean depth is decided by whatever a cut-off
-    drops.
+    The error is the maximum over values, alpha, and relative depth where alpha is above one half:
+    with low alpha, the mean depth depends on the Gaussians that a cut-off drops.
     """
     rng = np.random.default_rng(0)
     n, f, width, height = 80, 30.0, 32, 24
@@ -125,14 +124,14 @@ def _drawings() -> Iterator[HardCase]:
                 "of alpha": drawn.alpha - true.alpha,
                 "of depth, relative": depth,
             }
-            # NaN stays NaN, so that it passes no bound.
+            # NaN is propagated, so it counts as a failure.
             errors = {of: float(d.abs().max()) for of, d in differences.items() if d.numel()}
             worst = max(errors, key=lambda of: math.inf if math.isnan(errors[of]) else errors[of])
             yield HardCase(f"rasteriser, {name}", case, text, worst, errors[worst], bound)
 
 
 def _places() -> Iterator[HardCase]:
-    """Depths become Gaussians, and these are seen again at their pixels."""
+    """Convert depths to Gaussians, and measure their reprojection error."""
     for case, text, depths, centre in (
         ("near and far", "depths from .02 to 100,000 side by side", (0.02, 1e5), 0.0),
         ("a million units away", "where float32 places are .06 units apart", (20.0, 2000.0), 1e6),
@@ -148,13 +147,13 @@ def _places() -> Iterator[HardCase]:
         pixels, _ = camera.project(gaussians.means.double().numpy())
         u, v = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
         off = np.abs(pixels - np.stack([u, v], -1).reshape(-1, 2)).max()
-        # Half a float32 step of each world coordinate, seen from the least depth.
+        # Reprojection error of half a float32 ulp per coordinate at the smallest depth.
         step = float(np.sqrt(3) * EPS / 2 * centre * camera.K[0, 0] / depths[0])
         yield HardCase("depth to Gaussians", case, text, "pixels", float(off), PIXELS + step)
 
 
 def _relevancies() -> Iterator[HardCase]:
-    """Against the formula as it is printed, in the longest numbers there are."""
+    """Compare relevancies with the formula in extended precision."""
     rng = np.random.default_rng(0)
     base = rng.normal(size=16)
     for case, text, distance, temperature in (
@@ -175,7 +174,7 @@ def _relevancies() -> Iterator[HardCase]:
 
 
 def _codes() -> Iterator[HardCase]:
-    """Rendered codes, against every code compared in float64; ties go to the first."""
+    """Compare the nearest-code search with brute force in float64; ties go to the first code."""
     rng = np.random.default_rng(1)
     grid = np.stack(np.meshgrid(*[np.linspace(0, 1, 6)] * 3, indexing="ij"), -1).reshape(-1, 3)
     halfway = (grid[rng.integers(len(grid), size=4000)] + grid[rng.integers(216, size=4000)]) / 2

@@ -1,6 +1,6 @@
-"""The index of scenes: which views each field is built from, and which it is asked in.
+"""Evaluation index: context views and target views of each scene.
 
-A small JSON file, so that two people run the same pairs::
+It is a small JSON file, so that others can evaluate the same pairs::
 
     {"version": 2,
      "format": "lerf_ovs",
@@ -13,13 +13,13 @@ A small JSON file, so that two people run the same pairs::
          "measured": {"overlap": 0.81, ...}}, ...},
      "left_out": {"ramen-frame_00006": "why"}}
 
-``format`` and ``options`` are what :func:`slgaussian.datasets.load` takes; ``labels`` is a folder
-below that of the labels, or of the data where no other is given. There may be more than two context
-views. Without ``categories`` all that is labelled is asked, or, without labels, only the pictures
-are compared. Older files are only the object of scenes, with context, target and categories. The
-evaluation index published with pixelSplat and MVSplat is read too: RealEstate10K clips by key, with
-frame numbers and without categories. In 575 of its 6,474 clips a target is a context frame as well;
-such targets are left out.
+``format`` and ``options`` are arguments of :func:`slgaussian.datasets.load`; ``labels`` is a folder
+relative to the folder of labels, by default that of the data. There may be more than two context
+views. Without ``categories`` all labelled categories are queried; without labels only the images
+are compared. Older files contain only the object of scenes, with context, target and categories.
+The evaluation index published with pixelSplat and MVSplat is read too: RealEstate10K clips by key,
+with frame numbers and without categories. In 575 of its 6,474 clips a target is also a context
+frame; such targets are left out.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ VERSION = 2
 
 @dataclass(frozen=True)
 class ScenePair:
-    """Two context views or more, the held-out views between them, and what is asked there.
+    """Two or more context views, the held-out target views, and the queries there.
 
     Attributes
     ----------
     scene : str
         Name of the pair in tables and folders.
     context, targets : tuple of str
-        View names; none is both.
+        View names, without overlap.
     categories : tuple of str
-        None where the index does not say: whatever is labelled in the targets.
+        None if not in the index: all labelled categories of the targets.
     labels : str
-        Folder of the labels, below that of all labels.
+        Folder of the labels, relative to the folder of all labels.
     options : mapping
-        What the reader of the format takes besides the path.
+        Arguments of the reader besides the path.
     measured : {name: float}
-        What the pair was chosen by.
+        Measures by which the pair was chosen.
     """
 
     scene: str
@@ -77,11 +77,11 @@ class Index:
     pairs : tuple of ScenePair
         In the order of the file.
     format : str or None
-        Of the data; None where the file does not say.
+        Data format; None if not in the file.
     rule : mapping
-        By which the pairs were chosen, with its settings; empty where the file does not say.
+        Rule by which the pairs were chosen, with its settings; empty if not in the file.
     left_out : {name: str}
-        Labelled frames that have no pair, and why.
+        Reasons by labelled frame without a pair.
     """
 
     pairs: tuple[ScenePair, ...]
@@ -91,13 +91,13 @@ class Index:
 
 
 def read_index(path: str | Path) -> Index:
-    """Read an index of any of the three kinds.
+    """Read an index in any of the three formats.
 
     Raises
     ------
     InputError
-        If the file is missing or malformed, of a newer version, a target is also a context view,
-        or a list is too short or repeats an entry.
+        If the file is missing, invalid or of a newer version, a target is also a context view, or a
+        list is too short or has duplicates.
     """
     path = Path(path)
     content = read_json(path, "pair index")
@@ -150,7 +150,7 @@ def write_index(path: str | Path, index: Index) -> None:
 
 
 def _published(path: Path, content: Mapping[str, Any]) -> Index:
-    """Read a published index; its targets that are context frames of the same clip are left out."""
+    """Read a published index; targets that are context frames of the same clip are left out."""
     pairs, left_out = [], {}
     for key, entry in content.items():
         if entry is None:
@@ -205,14 +205,14 @@ class _Scene(BaseModel):
 
 
 class _Clip(BaseModel):
-    """A clip of a published index file, by numbers of frames."""
+    """A clip of a published index file, with frame numbers."""
 
     context: Annotated[list[NonNegativeInt], Field(min_length=1)]
     target: Annotated[list[NonNegativeInt], Field(min_length=1)]
 
 
 class _Document(BaseModel):
-    """An index file of this version; its scenes are checked one by one."""
+    """An index file of this version; its scenes are validated one by one."""
 
     format: str
     rule: dict[str, Any]

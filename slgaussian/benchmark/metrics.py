@@ -17,22 +17,22 @@ def iou(predicted: np.ndarray, truth: np.ndarray) -> float:
 
 
 DILATION = 0.02
-"""The distance, of :func:`boundary_iou`, as a fraction of the image's diagonal."""
+"""Distance of :func:`boundary_iou` as a fraction of the image diagonal."""
 
 
 def boundary_iou(predicted: np.ndarray, truth: np.ndarray) -> float:
     """Boundary IoU of two bool masks [H, W]; 1.0 if both are empty.
 
-    The IoU of the pixels of each that lie within a distance of its own outline: how well that is
-    found, whatever the area (Cheng et al., CVPR 2021, arXiv:2103.16562).
+    It is the IoU of the pixels of each mask within a distance of its outline, which measures the
+    outline independently of the area (Cheng et al., CVPR 2021, arXiv:2103.16562).
     """
     return iou(rim(predicted), rim(truth))
 
 
 def rim(mask: np.ndarray) -> np.ndarray:
-    """Return the pixels of bool [H, W] with one outside it within :func:`reach` pixels.
+    """Return the pixels of a mask bool [H, W] within :func:`reach` pixels of its outside.
 
-    What lies beyond the image is outside.
+    Positions beyond the image are outside.
     """
     side = 2 * reach(*mask.shape) + 1
     core = cv2.erode(
@@ -50,10 +50,11 @@ def reach(height: int, width: int) -> int:
 
 
 def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float | None]:
-    """IoU of every class of a closed-set segmentation (the 3D-OVS protocol, arXiv:2305.14093).
+    """Compute the IoU of each class of a closed-set segmentation (3D-OVS, arXiv:2305.14093).
 
-    Each class region of the arg-max map is compared with the class mask over the *whole* image,
-    so a pixel that no class labels still counts against the class that claims it.
+    Each class region of the arg-max map is compared with the class mask over the *whole* image, so
+    a pixel without a label counts against the class predicted there. The mean over classes, frames
+    and scenes is mIoU (:mod:`slgaussian.benchmark.scores`).
 
     Parameters
     ----------
@@ -65,17 +66,17 @@ def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float |
     Returns
     -------
     list of float or None
-        In [0, 1]; None for a class without a pixel in its truth, which is no sample.
+        In [0, 1]; None for a class with an empty true mask, which is not a sample.
     """
     return [iou(labels == k + 1, truth) if truth.any() else None for k, truth in enumerate(truths)]
 
 
 def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
-    """Fraction of the image's pixels at which every class is told right (3D-OVS, arXiv:2305.14093).
+    """Compute the fraction of pixels with all classes correct (3D-OVS, arXiv:2305.14093).
 
-    scikit-learn's accuracy of one bit a class: the pixel's truth has to be one class alone, and
-    that one has to win. So a pixel without a label, or with two, is always wrong; and so is one
-    where nothing wins, which 3D-OVS gives to some class.
+    This is scikit-learn's multilabel accuracy: the pixel must belong to exactly one true class, and
+    that class must win. A pixel without a label, or with two, is always wrong; so is a pixel
+    without a winning class, to which 3D-OVS assigns some class.
 
     Parameters are those of :func:`class_ious`.
     """
@@ -88,7 +89,7 @@ def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
 
 
 def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:
-    """Tell whether the pixel that holds ``point`` (x, y) is set; False for no point."""
+    """Tell whether the pixel that contains ``point`` (x, y) is set; False for no point."""
     if point is None:
         return False
     x, y = int(np.floor(point[0])), int(np.floor(point[1]))
@@ -96,7 +97,7 @@ def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:
 
 
 def point_in_boxes(point: tuple[float, float] | None, boxes: np.ndarray) -> bool:
-    """Tell whether ``point`` lies in any box [n, 4] (x0, y0, x1, y1), bounds included, as LERF.
+    """Tell whether ``point`` lies in any box [n, 4] (x0, y0, x1, y1), bounds included (LERF).
 
     False for no point.
     """
@@ -108,10 +109,10 @@ def point_in_boxes(point: tuple[float, float] | None, boxes: np.ndarray) -> bool
 
 
 def any_in_boxes(mask: np.ndarray, boxes: np.ndarray) -> bool:
-    """Tell whether any set pixel of a bool mask [H, W] lies in any box [n, 4], as LangSplat counts.
+    """Tell whether any set pixel of a bool mask [H, W] lies in any box [n, 4] (LangSplat).
 
-    Of all pixels where relevancy is greatest one is enough, which is lenient: a whole wall may be.
-    Bounds are included.
+    One pixel of maximal relevancy suffices, which is lenient: they may cover a whole wall. Bounds
+    are included.
     """
     rows, columns = np.nonzero(mask)
     return any(
@@ -123,10 +124,10 @@ def any_in_boxes(mask: np.ndarray, boxes: np.ndarray) -> bool:
 def depth_errors(
     predicted: np.ndarray, truth: np.ndarray, disparity_scale: float | None = None
 ) -> dict[str, float]:
-    """Depth errors over every pixel whose true depth is known (above 0).
+    """Compute depth errors over all pixels with known true depth (above 0).
 
-    A pixel without a prediction (0) counts as wrong by its whole depth, so a method gains nothing
-    by keeping silent.
+    A pixel without a prediction (0) has an error of its full depth, so that a method does not gain
+    by leaving pixels empty.
 
     Parameters
     ----------
@@ -139,8 +140,8 @@ def depth_errors(
     -------
     dict
         ``abs_rel`` mean of ``|d - t| / t``; ``delta125`` fraction with ``max(d/t, t/d) < 1.25``;
-        with a disparity scale, ``bad2`` fraction whose disparity is more than 2 px off, the measure
-        of the Middlebury stereo benchmark. Empty if no true depth is known.
+        with a disparity scale, ``bad2`` fraction with a disparity error above 2 px, as in the
+        Middlebury stereo benchmark. Empty if no true depth is known.
     """
     is_known = truth > 0
     if not is_known.any():
@@ -161,13 +162,13 @@ def depth_errors(
 
 
 def psnr(image: np.ndarray, reference: np.ndarray) -> float:
-    """Peak signal-to-noise ratio in dB of two uint8 images; infinite if they are equal."""
+    """Compute the peak signal-to-noise ratio in dB of two uint8 images; infinite if equal."""
     error = np.mean((image.astype(np.float64) - reference.astype(np.float64)) ** 2)
     return float(10 * np.log10(255.0**2 / error)) if error else float("inf")
 
 
 def ssim(image: np.ndarray, reference: np.ndarray) -> float:
-    """Structural similarity of two uint8 RGB images, as Wang et al. 2004 define it.
+    """Compute the structural similarity of two uint8 RGB images (Wang et al. 2004).
 
     Gaussian window of sigma 1.5 and 11 pixels, mean over pixels and channels.
     """

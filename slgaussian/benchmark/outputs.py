@@ -1,7 +1,7 @@
-"""The tables and masks that a benchmark leaves, for anyone to score again.
+"""Output files of a benchmark: tables and masks, which can be scored again.
 
-Everything written here depends on its arguments alone: same results, same bytes. What answers cost,
-which no run repeats, is in a table of its own.
+All files depend only on the arguments: same results, same bytes. Costs of answers, which are not
+reproducible, are in a separate table.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from slgaussian.storage.tables import read_table
 Row = Mapping[str, Any]
 
 _DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{d}{n}" for d in ("COM", "LPT") for n in range(10))}
-"""What no file may be called on Windows, whatever its ending."""
+"""Reserved file names on Windows, with any suffix."""
 
 
 def write_samples(rows: Sequence[Row], out: str | Path) -> None:
-    """Write ``samples.parquet`` into folder ``out``: a row a sample, of the data spec ``samples``.
+    """Write ``samples.parquet`` into folder ``out``: one row per sample, of the spec ``samples``.
 
-    Beside it ``scores.parquet``, what the samples amount to, of the spec ``scores``.
+    Also write ``scores.parquet``, the scores of the samples, of the spec ``scores``.
     """
     samples = pa.Table.from_pylist(list(rows), schema=load_spec("samples").schema)
     write_table("samples", samples, out)
@@ -39,9 +39,9 @@ def write_samples(rows: Sequence[Row], out: str | Path) -> None:
 
 
 def write_costs(rows: Sequence[Row], out: str | Path) -> None:
-    """Write ``times.parquet`` into folder ``out``: what each answer cost.
+    """Write ``times.parquet`` into folder ``out``: the cost of each answer.
 
-    Columns are those of the data spec ``times``; what a row does not have is empty.
+    Columns are those of the data spec ``times``; missing values are null.
     """
     schema = load_spec("times").schema
     complete = [{name: row.get(name) for name in schema.names} for row in rows]
@@ -51,7 +51,7 @@ def write_costs(rows: Sequence[Row], out: str | Path) -> None:
 def write_table(name: str, table: pa.Table, out: str | Path) -> None:
     """Write a table of spec ``name`` as ``<name>.parquet`` into folder ``out``.
 
-    SpecError if the table is not what its spec says.
+    Raises SpecError if the table violates its spec.
     """
     file, spec = Path(out) / f"{name}.parquet", load_spec(name)
     spec.check_table(table, str(file))
@@ -61,10 +61,10 @@ def write_table(name: str, table: pa.Table, out: str | Path) -> None:
 def write_predictions(
     rows: Sequence[Row], predictions: Mapping[tuple[str, str, str], bytes], out: str | Path
 ) -> None:
-    """Write every mask into folder ``out``, at the place of its row (:func:`mask_place`).
+    """Write every mask into folder ``out``, at the path of its row (:func:`mask_place`).
 
-    ``predictions`` are PNG files by protocol, frame and query, as ``rows`` have them, white where
-    something was found. A protocol without masks has no folder.
+    ``predictions`` are PNG files by the protocol, frame and query of ``rows``, white inside the
+    mask. A protocol without masks has no folder.
     """
     for row in rows:
         png = predictions.get((row["protocol"], row["frame"], row["query"]))
@@ -73,10 +73,10 @@ def write_predictions(
 
 
 def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
-    """Take away the masks of an earlier run in folder ``out`` that this one, ``rows``, has not.
+    """Delete the masks of an earlier run in folder ``out`` that ``rows`` of this run do not have.
 
-    Which they are, the samples say that it left beside them: no other file is touched. Call this
-    before :func:`write_samples`; a table that is not of samples says nothing, and nothing goes.
+    They are listed in the earlier ``samples.parquet``; no other file is deleted. Call this before
+    :func:`write_samples`. Without a valid table of samples nothing is deleted.
     """
     out = Path(out)
     columns = "method", "protocol", "scene", "frame", "query"
@@ -90,15 +90,15 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
         (out / "predictions" / place).unlink(missing_ok=True)
         folders.update(list(place.parents)[:-1])
     for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
-        with suppress(OSError):  # not empty, or gone
+        with suppress(OSError):  # not empty, or missing
             (out / "predictions" / folder).rmdir()
 
 
 def mask_place(row: Row) -> Path:
-    """``<method>/<protocol>/<scene>/<frame>/<query>.png``.
+    """Return the path ``<method>/<protocol>/<scene>/<frame>/<query>.png`` of a row's mask.
 
-    The protocol goes without its version, and the frame is named as its label file is, without
-    folder and ending; all names are made safe for any file system by :func:`file_name`.
+    The protocol has no version, and the frame is named like its label file, without folder and
+    suffix; all names are made safe for any file system by :func:`file_name`.
     """
     protocol, frame = row["protocol"].partition("@")[0], Path(row["frame"]).stem
     folder = map(file_name, (row["method"], protocol, row["scene"], frame))
@@ -106,10 +106,10 @@ def mask_place(row: Row) -> Path:
 
 
 def file_name(text: str) -> str:
-    """A file name for any text: ASCII letters, digits, space, ``.``, ``-`` and ``_``.
+    """Return a file name for any text: ASCII letters, digits, space, ``.``, ``-`` and ``_``.
 
-    A text that has nothing else keeps its looks, as the class masks of 3D-OVS do; any other gets a
-    hash of itself at the end, so that different texts keep different names.
+    A text of these characters is unchanged, like the class masks of 3D-OVS; any other gets a hash
+    as suffix, so that different texts have different names.
     """
     safe = re.sub(r"[^A-Za-z0-9._ -]+", "_", text).strip(" .")[:80]
     if safe.partition(".")[0].upper() in _DEVICES:
@@ -120,7 +120,7 @@ def file_name(text: str) -> str:
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write a file whole, and the folders above it; InputError if it cannot be written."""
+    """Write a file, and create its folders; InputError if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(path, data)

@@ -1,4 +1,4 @@
-"""Pictures people can read at once: labels, depth, relevancy, masks, and how they are encoded.
+"""Visualisation of labels, depth, relevancy and masks, and encoding of the images.
 
 Every function takes and returns uint8 RGB [H, W, 3] and is deterministic.
 """
@@ -19,17 +19,17 @@ PREDICTED = (64, 224, 255)
 TRUE = (255, 214, 10)
 """Outline of a true mask."""
 POINT = (255, 45, 85)
-"""Where a query points."""
+"""Colour of the predicted point of a query."""
 
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 def label_colors(ids: np.ndarray) -> np.ndarray:
-    """Colour of each object id, uint8 [..., 3]: fixed by the id alone; 0 is nearly black.
+    """Return the colour of each object id, uint8 [..., 3], determined by the id; 0 is nearly black.
 
     Successive ids are a golden angle apart in CIELAB hue and alternate in lightness and chroma, so
-    that neighbours in the numbering, which tend to be neighbours in the image, differ most. The
-    levels keep the first 24 ids 15 CIELAB units apart; 2.3 is a just noticeable difference.
+    that successive ids, which are often neighbours in the image, differ most. The first 24 ids are
+    at least 15 CIELAB units apart; 2.3 is a just noticeable difference.
     """
     ids = np.asarray(ids)
     hue = ids * _GOLDEN_ANGLE
@@ -41,7 +41,7 @@ def label_colors(ids: np.ndarray) -> np.ndarray:
 
 
 def paint_labels(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Object ids int [H, W] as colours over the grey photograph, with thin dark borders."""
+    """Paint object ids int [H, W] over the grey photograph, with thin dark borders."""
     ids, index = np.unique(labels, return_inverse=True)
     flat = label_colors(ids)[index.reshape(labels.shape)].astype(np.float64)
     shade = 0.55 + 0.55 * _grey(image) / 255
@@ -51,7 +51,7 @@ def paint_labels(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def depth_range(*depths: np.ndarray) -> tuple[float, float]:
-    """Nearest and farthest depth worth a colour (1st and 99th percentile); (1, 1) if none known."""
+    """Return the range of depth colours (1st and 99th percentile); (1, 1) if no depth is known."""
     positive = np.concatenate([depth[depth > 0].ravel() for depth in depths])
     if not positive.size:
         return 1.0, 1.0
@@ -60,7 +60,7 @@ def depth_range(*depths: np.ndarray) -> tuple[float, float]:
 
 
 def paint_depth(depth: np.ndarray, near: float, far: float) -> np.ndarray:
-    """z-depth [H, W] in turbo colours, even in inverse depth: red near, blue far, dark unknown."""
+    """Paint z-depth [H, W] in turbo colours of inverse depth: red near, blue far, dark unknown."""
     is_known = depth > 0
     inverse = 1 / np.where(is_known, depth, far).astype(np.float64)
     span = max(1 / near - 1 / far, 1e-12)
@@ -70,14 +70,14 @@ def paint_depth(depth: np.ndarray, near: float, far: float) -> np.ndarray:
 
 
 def paint_error(error: np.ndarray, is_known: np.ndarray, top: float) -> np.ndarray:
-    """Errors [H, W] from 0 (black) to ``top`` and above (white); slate where nothing is known."""
+    """Paint errors [H, W] from 0 (black) to ``top`` and above (white); slate where unknown."""
     painted = _colormap(error / top, cv2.COLORMAP_INFERNO)
     painted[~is_known] = (54, 62, 74)
     return painted
 
 
 def paint_relevancy(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Relevancy [H, W] over the grey photograph: 0 black, 0.5 (as good as "object") red, 1 gold.
+    """Paint relevancy [H, W] over the grey photograph: 0 black, 0.5 (like "object") red, 1 gold.
 
     The scale is fixed: a colour means the same in every picture.
     """
@@ -87,10 +87,10 @@ def paint_relevancy(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """Relevancy [H, W] stretched to what occurs in it, over the grey photograph, with its scale.
+    """Paint relevancy [H, W], stretched to its range, over the grey photograph, with a scale.
 
-    The lower half of what occurs stays grey: colours are where a text fits better than elsewhere.
-    Where it fits alike everywhere, all is grey. Pixels of 0, where nothing is drawn, do not count.
+    The lower half of the range is grey: colours mark where a text fits better than elsewhere.
+    Constant relevancy is grey. Pixels of 0, where nothing is rendered, are ignored.
     """
     grey = np.repeat(0.8 * _grey(image)[..., None], 3, -1)
     positive = relevancy[relevancy > 0].astype(np.float64)
@@ -108,23 +108,23 @@ def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
 
 
 def _heat_weight(share: np.ndarray) -> np.ndarray:
-    """Return how much of the colour is seen, of the photograph the rest."""
+    """Return the opacity of the colour over the photograph."""
     return np.clip((share - 0.5) / 0.15, 0, 0.82)
 
 
 def _heat(share: np.ndarray) -> np.ndarray:
-    """The colours of the upper half, from purple to yellow, float64 [H, W, 3]."""
+    """Return the colours of the upper half, from purple to yellow, float64 [H, W, 3]."""
     return _colormap(1.5 * share - 0.5, cv2.COLORMAP_INFERNO).astype(np.float64)
 
 
 def with_depth_scale(image: np.ndarray, near: float, far: float) -> np.ndarray:
-    """A copy of what :func:`paint_depth` made, with a bar of its colours from near to far."""
+    """Return a copy of an image of :func:`paint_depth` with a colour bar from near to far."""
     bar = _colormap(np.linspace(1, 0, 256)[None], cv2.COLORMAP_TURBO)
     return _with_scale(image, near, far, bar)
 
 
 def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) -> np.ndarray:
-    """A copy with a bar of colours uint8 [1, 256, 3] and both its ends, below to the left."""
+    """Return a copy with a labelled colour bar uint8 [1, 256, 3] at the bottom left."""
     height, width = image.shape[:2]
     size = max(9, round(width / 24))
     font = ImageFont.load_default(size=size)
@@ -148,7 +148,7 @@ def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) 
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """Pixels of a picture, bool [H, W], and what is written on them; ``id`` decides the colour."""
+    """A region of an image, bool [H, W], and its caption; ``id`` determines the colour."""
 
     text: str
     mask: np.ndarray
@@ -156,9 +156,9 @@ class Named:
 
 
 def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarray:
-    """A copy with each text written where its pixels are widest, beside what is written already.
+    """Return a copy with each caption at the widest part of its region, without overlap.
 
-    ``size`` is that of the letters, in pixels. What has no pixel has no name.
+    ``size`` is the font size in pixels. Empty regions have no caption.
     """
     sheet = Image.fromarray(image)
     draw = ImageDraw.Draw(sheet)
@@ -179,7 +179,7 @@ def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarr
         color = tuple(int(level) for level in label_colors(np.array(item.id)))
         draw.rounded_rectangle(box, tall / 4, fill=(20, 22, 28), outline=color, width=2)
         draw.text((x, y), item.text, fill=(255, 255, 255), font=font, anchor="mm")
-        # Names of other things keep their distance: their middles would be in this box.
+        # Captions of other regions must not overlap: block the centres of such boxes.
         grown = box[0] - wide / 2, box[1] - 1.2 * tall, box[2] + wide / 2, box[3] + 1.2 * tall
         left, top, right, bottom = (max(0, round(end)) for end in grown)
         free[top:bottom, left:right] = False
@@ -187,7 +187,7 @@ def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarr
 
 
 def show_named(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarray:
-    """Draw what has a name in its colours, outlined and named; everything else grey and dim."""
+    """Draw named regions in colour, with outline and caption; the rest grey and dim."""
     union = np.zeros(image.shape[:2], bool)
     for item in named:
         union |= item.mask
@@ -200,20 +200,20 @@ def show_named(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarr
 
 
 def name_objects(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """:func:`paint_labels` with the id of each object written on it."""
+    """Return :func:`paint_labels` with the id of each object as caption."""
     ids = [int(number) for number in np.unique(labels) if number]
     named = [Named(str(number), labels == number, number) for number in ids]
     return draw_names(paint_labels(labels, image), named, max(8, round(image.shape[1] / 48)))
 
 
 def spotlight(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """The photograph with everything outside ``mask`` grey and dim."""
+    """Return the photograph with everything outside ``mask`` grey and dim."""
     dim = np.repeat((0.38 * _grey(image))[..., None], 3, -1)
     return np.where(mask[..., None], image, dim).astype(np.uint8)
 
 
 def draw_outline(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
-    """A copy with the outline of ``mask`` drawn over a darker rim, readable on any ground."""
+    """Return a copy with the outline of ``mask`` and a dark rim, visible on any background."""
     out = image.copy()
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     width = max(2, round(image.shape[1] / 290))
@@ -223,7 +223,7 @@ def draw_outline(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int
 
 
 def draw_dashed(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
-    """Draw the outline of an unsure ``mask``: thin dashes, of ``color`` and black, on a copy."""
+    """Return a copy with a dashed outline of an uncertain ``mask`` in ``color`` and black."""
     out = image.copy()
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     dash = max(4, round(image.shape[1] / 80))
@@ -236,7 +236,7 @@ def draw_dashed(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]
 
 
 def draw_point(image: np.ndarray, point: tuple[float, float] | None) -> np.ndarray:
-    """A copy with a ringed dot at ``point`` (x, y), or the image unchanged for no point."""
+    """Return a copy with a ringed dot at ``point`` (x, y); the image itself for no point."""
     if point is None:
         return image
     out = image.copy()
@@ -254,10 +254,10 @@ def cut_out(
     ids: np.ndarray,
     boxes: np.ndarray,
 ) -> list[np.ndarray]:
-    """Cut each of N objects out, of the one of V images where its box is largest.
+    """Crop each of N objects from the one of V images in which its box is largest.
 
-    ``labels`` are the object ids of the images' pixels; what is not the object is pale. ``boxes``
-    [N, V, 4] are the first column and row and those after the last, as a memory bank keeps them.
+    ``labels`` are the object ids of the images' pixels; other pixels are pale. ``boxes`` [N, V, 4]
+    are the first column and row and those after the last, as in a memory bank.
     """
     views = (boxes[..., 2:] - boxes[..., :2]).prod(-1).argmax(1)
     cuts = []
@@ -269,9 +269,9 @@ def cut_out(
 
 
 def contact_sheet(tiles: Sequence[tuple[str, np.ndarray]], side: int, columns: int) -> np.ndarray:
-    """Pictures of any size in rows, each fitted into a square, with its caption below if it fits.
+    """Arrange images of any size in rows of squares, each with its caption below if it fits.
 
-    An empty picture leaves its square empty.
+    The square of an empty image is empty.
     """
     gap, band = 8, 18
     rows = -(-len(tiles) // columns)
@@ -293,9 +293,9 @@ def contact_sheet(tiles: Sequence[tuple[str, np.ndarray]], side: int, columns: i
 
 
 def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
-    """Pictures in a row, scaled to the height of the first, each with its caption below.
+    """Arrange images in a row, scaled to the height of the first, each with its caption below.
 
-    A caption that is too long is cut.
+    A caption that is too long is truncated.
     """
     height, gap, band = panels[0][1].shape[0], 12, 34
     images = [
@@ -321,7 +321,7 @@ def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
 
 
 def with_legend(image: np.ndarray, entries: Sequence[tuple[np.ndarray, str]]) -> np.ndarray:
-    """A copy with a legend below: for each colour uint8 [3] a swatch and what it stands for."""
+    """Return a copy with a legend below: a swatch of each colour uint8 [3] and its meaning."""
     gap, side, line = 12, 16, 26
     font = ImageFont.load_default(size=17)
     wide = max(font.getlength(text) for _, text in entries) + side + 3 * gap
@@ -339,7 +339,7 @@ def with_legend(image: np.ndarray, entries: Sequence[tuple[np.ndarray, str]]) ->
 
 
 def encode_jpeg(image: np.ndarray, width: int) -> bytes:
-    """JPEG bytes of a picture at most ``width`` pixels wide, colour at full resolution."""
+    """Encode an image as JPEG, at most ``width`` pixels wide, without chroma subsampling."""
     if image.shape[1] > width:
         height = round(image.shape[0] * width / image.shape[1])
         image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
@@ -349,7 +349,7 @@ def encode_jpeg(image: np.ndarray, width: int) -> bytes:
 
 
 def encode_png(image: np.ndarray) -> bytes:
-    """PNG bytes of a uint8 RGB picture or of a bool mask (as one bit a pixel)."""
+    """Encode a uint8 RGB image or a bool mask (one bit per pixel) as PNG."""
     out = io.BytesIO()
     Image.fromarray(image).save(out, "PNG", compress_level=6)
     return out.getvalue()

@@ -1,13 +1,13 @@
-"""The protocols by which answers are scored: what a number means, by name and version.
+"""Scoring protocols, identified by name and version.
 
-Numbers of different protocols do not compare, even where they share a name: LangSplat scores 51.4
-mIoU by its own and 9.7 by that of OpenGaussian. So a protocol has a version, which is raised when
-anything that it computes changes, and every row of scores says ``name@version``. In plain words
-they are in `docs/reference/protocols.md`.
+Numbers of different protocols are not comparable, even for metrics of the same name: LangSplat has
+51.4 mIoU by its own protocol and 9.7 by that of OpenGaussian. So a protocol has a version, which is
+raised when any of its results changes, and every row of scores contains ``name@version``.
+`docs/reference/protocols.md` describes them.
 
-A method answers a frame once, and each protocol scores these answers: what a protocol needs beyond
-the relevancy image it makes from that image alone, the same for all methods. Where there are masks
-and no relevancy, as those that somebody made elsewhere, it scores what it can of them.
+A method answers a frame once, and each protocol scores these answers: it derives everything else
+from the relevancy image, in the same way for all methods. For external masks without relevancy it
+computes the metrics that masks allow.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class Answer:
     Attributes
     ----------
     relevancy : float [H, W]
-        In [0, 1]; 0 where nothing is known. Empty where a mask was made elsewhere.
+        In [0, 1]; 0 where unknown. Empty for an external mask.
     mask : bool [H, W]
-        What the method selects by the rules it is asked with.
+        Pixels that the method selects by its rules.
     point : (x, y) or None
-        Where it points.
+        Predicted location.
     """
 
     relevancy: np.ndarray
@@ -46,17 +46,17 @@ class Answer:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """The answers of a method in one view, and the truth.
+    """The answers of a method in one view, and the ground truth.
 
     Attributes
     ----------
     answers, masks, boxes : sequences
-        Of each query: an :class:`Answer`, the true mask bool [H, W], and the true boxes
-        float [n, 4] (x0, y0, x1, y1).
+        For each query: an :class:`Answer`, the true mask bool [H, W], and the true boxes float
+        [n, 4] (x0, y0, x1, y1).
     labels : int32 [H, W] or None
-        ``k + 1`` where query ``k`` wins over all others, 0 where none does; None if not known.
+        ``k + 1`` where query ``k`` wins over all others, 0 where none does; None if unknown.
     external : bool
-        Whether masks were made elsewhere: then there are no relevancies, and points only of some.
+        Whether masks are external: then there are no relevancies, and only some points.
     """
 
     answers: Sequence[Answer]
@@ -67,7 +67,7 @@ class Frame:
 
     @cached_property
     def class_ious(self) -> Sequence[float | None]:
-        """See :func:`slgaussian.benchmark.metrics.class_ious`; None where labels are not known."""
+        """See :func:`slgaussian.benchmark.metrics.class_ious`; None without labels."""
         if self.labels is None:
             return [None] * len(self.masks)
         return metrics.class_ious(self.labels, self.masks)
@@ -80,9 +80,9 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """The scores of one query of a frame, by the columns of the data spec ``samples``.
+    """Scores of one query of a frame, by the columns of the data spec ``samples``.
 
-    ``point`` (x, y) and ``mask`` bool [H, W] are what was scored, None where a protocol has none.
+    ``point`` (x, y) and ``mask`` bool [H, W] are the scored ones, None if a protocol has none.
     """
 
     scores: Mapping[str, Any]
@@ -92,16 +92,16 @@ class Scored:
 
 @dataclass(frozen=True)
 class MaskSettings:
-    """Settings that make a mask of relevancy, by the columns of the data spec ``samples``.
+    """Settings of the mask selection, by the columns of the data spec ``samples``.
 
     Attributes
     ----------
     selection : str
         ``near-best`` and ``threshold`` are those of :class:`slgaussian.language.rules.Rules`;
         ``stretched`` is LangSplat's, ``arg-max`` the best of several texts, ``none`` no mask;
-        ``given`` masks were made elsewhere.
+        ``given`` masks are external.
     threshold, share : float or None
-        What the selection goes by.
+        Parameters of the selection.
     filter : int or None
         Side of the mean filter, pixels.
     """
@@ -114,19 +114,19 @@ class MaskSettings:
 
 @dataclass(frozen=True)
 class ScoringProtocol:
-    """A way to score.
+    """A scoring protocol.
 
     Attributes
     ----------
     name : str
     version : int
-        Raised whenever another number could come out.
+        Raised whenever a result may change.
     mask_settings : function (Rules, int) -> MaskSettings
-        In images of that many pixels' width, if methods are asked with those rules.
+        Settings for the rules of the query and the image width in pixels.
     score_query : function (Frame, int, MaskSettings) -> Scored
-        Query number k of a frame.
+        Scores of query k of a frame.
     scores_masks : bool
-        Whether masks without relevancies can be scored.
+        Whether it can score masks without relevancies.
     """
 
     name: str
@@ -137,13 +137,13 @@ class ScoringProtocol:
 
     @property
     def label(self) -> str:
-        """Name in rows and tables: ``name@version``."""
+        """Return the name in rows and tables: ``name@version``."""
         return f"{self.name}@{self.version}"
 
     def score(self, frame: Frame, settings: MaskSettings) -> list[Scored]:
-        """Score each query, in their order; without a pixel of truth it has no scores.
+        """Score each query in order; a query with an empty true mask has no scores.
 
-        InputError if masks were made elsewhere and say nothing by this protocol.
+        Raises InputError if masks are external and the protocol cannot score masks.
         """
         if frame.external and not self.scores_masks:
             able = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scores_masks)
@@ -183,7 +183,7 @@ def _langsplat(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
     is_known = relevancy > 0
     if is_known.any():
-        # A hole must not stretch the range that the threshold is a fraction of.
+        # Holes must not change the range to which the threshold is relative.
         image = np.where(is_known, relevancy, relevancy.min(where=is_known, initial=np.inf))
         mask = langsplat.find_mask(image, side)
         point, peak = langsplat.find_point(image, side)
@@ -195,9 +195,9 @@ def _langsplat(frame: Frame, k: int, settings: MaskSettings) -> Scored:
 
 
 def _highest_pixel(frame: Frame, k: int, settings: MaskSettings) -> Scored:
-    """Localise as the paper prints it; all pixels of an object have one relevancy, so ties count.
+    """Localise by the highest pixel, as in the paper; pixels of an object are tied.
 
-    The point is the first of them in reading order.
+    The point is the first of the tied pixels in reading order.
     """
     relevancy = frame.answers[k].relevancy
     peak = (relevancy == relevancy.max()) & (relevancy > 0)
@@ -212,7 +212,7 @@ def _highest_pixel(frame: Frame, k: int, settings: MaskSettings) -> Scored:
 
 
 def _three_d_ovs(frame: Frame, k: int, settings: MaskSettings) -> Scored:
-    assert frame.labels is not None  # by this protocol texts always compete
+    assert frame.labels is not None  # texts always compete in this protocol
     region = frame.labels == k + 1
     scores = {
         "boundary_iou": metrics.boundary_iou(region, frame.masks[k]),
@@ -247,11 +247,11 @@ PROTOCOLS: Mapping[str, ScoringProtocol] = {
         ),
     )
 }
-"""All protocols by name."""
+"""Protocols by name."""
 
 
 def load_protocol(name: str) -> ScoringProtocol:
-    """The protocol of that name; InputError, with the names there are, if it is not one."""
+    """Return the protocol of a name; InputError, which lists the names, if unknown."""
     if name not in PROTOCOLS:
         raise InputError(
             f"protocol: found {name!r}, expected one of {', '.join(PROTOCOLS)}"

@@ -1,4 +1,4 @@
-"""Memory that this process holds, from the kernel's own counts, which Linux has."""
+"""Resident memory of this process, from the counters of the Linux kernel."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from slgaussian.system import memory_status, reset_peak_memory, trim_memory
 
 
 def give_back() -> None:
-    """Let go of what is not used any more, so that it counts for nobody."""
+    """Free unused memory, so that it is not attributed to the next measurement."""
     gc.collect()
     trim_memory()
 
 
 _watching: list[Peak] = []
-"""Those whose blocks are open: another block within would have the system forget their peak."""
+"""Peaks with open blocks, which are updated before a nested block resets the system's counter."""
 
 
 class Peak:
-    """The most that this process holds within some blocks, and what it held before.
+    """Peak memory of this process within blocks, and its memory before.
 
-    Blocks may be nested, and each knows its own most.
+    Blocks may be nested; each has its own peak.
 
     Attributes
     ----------
     before, most : int or None
-        Bytes; None where the system does not say, and of ``most`` as long as no block ended.
+        Bytes; None if the system has no counter, and for ``most`` before the end of a block.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Peak:
 
     @contextmanager
     def watched(self) -> Iterator[None]:
-        """A block of which the most counts."""
+        """Measure the peak within the block."""
         for peak in tuple(_watching):
             peak._note()
         with suppress(OSError):
@@ -52,7 +52,7 @@ class Peak:
 
     @property
     def grown(self) -> int | None:
-        """Bytes of the most beyond what was held before; None where one is not known."""
+        """Return the increase from ``before`` to the peak in bytes; None if unknown."""
         if self.before is None or self.most is None:
             return None
         return max(0, self.most - self.before)

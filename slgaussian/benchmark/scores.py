@@ -1,11 +1,10 @@
-"""From samples to scores: means over scenes, how far they can be trusted, and differences.
+"""Aggregation of samples to scores: means over scenes, confidence intervals and differences.
 
-A sample is a row of the spec ``samples``. As LangSplat averages: the mean of the samples of a
-scene, then the unweighted mean over scenes. mIoU and accuracy are those of frames, as 3D-OVS
-averages: the mean over the classes of a frame, over the frames of a scene, over scenes. Scenes are
-the independent samples, so the bootstrap draws scenes; with one scene there is no interval. Where
-the data say that several scenes, pairs of views, are of one place, places are drawn, and then
-scenes within them.
+A sample is a row of the spec ``samples``. Scores are averaged as in LangSplat: over the samples of
+a scene, then unweighted over scenes. mIoU and accuracy are averaged as in 3D-OVS: over the classes
+of a frame, over the frames of a scene, over scenes. Scenes are the independent samples, so the
+bootstrap resamples scenes; with one scene there is no interval. If several scenes (pairs of views)
+show one place according to the data, places are resampled, and then scenes within them.
 """
 
 from __future__ import annotations
@@ -31,13 +30,13 @@ from slgaussian.storage.specs import load_spec
 Row = Mapping[str, Any]
 
 SETTINGS = ("selection", "temperature", "threshold", "share", "canonical", "absent")
-"""Columns of the samples that must be one in all that a score is made of."""
+"""Columns of the samples that must be equal in all samples of a score."""
 
 GROUPS = ("dataset", "method", "protocol")
-"""Columns of the samples that every score is of one value of."""
+"""Columns of the samples by which scores are grouped."""
 
 GOOD = 0.5
-"""Least IoU of an answer that is not a miss."""
+"""Smallest IoU of an answer that is not a miss."""
 
 ONE_SCENE = "one scene: no interval"
 ONE_PLACE = "scenes of one place: no interval"
@@ -46,29 +45,29 @@ FEW_PLACES = f"scenes of fewer than {LEAST} places: a rough interval"
 
 
 def key_of(row: Row) -> tuple[str, str, str]:
-    """Return the question of a sample: scene, frame and query."""
+    """Return the identity of a query: scene, frame and query."""
     return row["scene"], row["frame"], row["query"]
 
 
 def sample_key(row: Row) -> tuple[Any, ...]:
-    """Return what two samples have in common whose scores compare: question, protocol and size."""
+    """Return the key that comparable samples share: scene, frame, query, protocol and size."""
     return row["dataset"], row["protocol"], row["height"], row["width"], *key_of(row)
 
 
 def of_first_protocol(rows: Sequence[Row]) -> list[Row]:
-    """Return the samples of the protocol of the first one."""
+    """Return the samples with the protocol of the first sample."""
     return [row for row in rows if row["protocol"] == rows[0]["protocol"]]
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A score and where its samples are.
+    """A metric and the column of its samples.
 
     Attributes
     ----------
     name : str
     column : str
-        Of the data spec ``samples``.
+        Column of the data spec ``samples``.
     by_frame : bool
         Whether the samples of a frame are averaged first.
     """
@@ -78,7 +77,7 @@ class Metric:
     by_frame: bool = False
 
     def of(self, row: Row) -> float | None:
-        """The sample of a row, None if it has none."""
+        """Return the value of a row; None if it has none."""
         value = row[self.column]
         return None if value is None else float(value)
 
@@ -92,13 +91,13 @@ METRICS = (
     Metric("hit_box", "hit_box"),
     Metric("hit_peak", "hit_peak"),
 )
-"""Every score that is a mean; which of them there are, the protocol of a row decides."""
+"""Metrics that are means; the protocol of a row determines which of them exist."""
 
 
 def scene_means(rows: Iterable[Row]) -> dict[str, float]:
-    """The scores of one scene, method and protocol by name.
+    """Return the scores of one scene, method and protocol by name.
 
-    Those without a sample are left out.
+    Scores without a sample are omitted.
     """
     rows = list(rows)
     means = {metric.name: _scene_mean(rows, metric) for metric in METRICS}
@@ -106,12 +105,12 @@ def scene_means(rows: Iterable[Row]) -> dict[str, float]:
 
 
 def score_table(rows: Iterable[Row]) -> pa.Table:
-    """All scores of samples as a table of the spec ``scores``: by data set, method and protocol.
+    """Compute the table of spec ``scores`` from samples, by data set, method and protocol.
 
     Raises
     ------
     InputError
-        If samples of one method and protocol were made with different settings.
+        If samples of one method and protocol have different settings.
     """
     table: list[dict[str, Any]] = []
     for names, group in grouped(rows, *GROUPS).items():
@@ -133,15 +132,15 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
 
 @dataclass(frozen=True)
 class Difference:
-    """By how much one method is better than another, by one protocol and metric.
+    """Difference of two methods in one protocol and metric.
 
     Attributes
     ----------
     dataset, protocol, metric : str
     gain : Comparison
-        Of their scenes; ``gain.low`` and ``gain.high`` say nothing if they are of one place.
+        Comparison over scenes; its interval is meaningless if all scenes show one place.
     samples : int
-        Those that both have.
+        Number of samples that both have.
     """
 
     dataset: str
@@ -152,16 +151,16 @@ class Difference:
 
 
 def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference]:
-    """Paired differences of two methods, or of one in two runs: ``rows`` minus ``baseline``.
+    """Compute paired differences of two methods or two runs: ``rows`` minus ``baseline``.
 
-    Only what both were asked counts, the same query of the same frame by the same version of a
-    protocol, judged at one size; settings may differ, as one may be what is compared. Scenes are
-    drawn in pairs.
+    Only common samples are used: the same query of the same frame by the same version of a
+    protocol, evaluated at one size; settings may differ, because they may be compared. Scenes are
+    resampled in pairs.
 
     Raises
     ------
     InputError
-        If one of them holds a sample twice, such as samples of two methods.
+        If one of them has a sample twice, for example samples of two methods.
     """
     mine, theirs = (_by_sample(each) for each in (rows, baseline))
     pairs = [(mine[key], theirs[key]) for key in mine if key in theirs]
@@ -192,12 +191,12 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
 
 
 def place_of(row: Row) -> str:
-    """Return the place that the data of a sample name, or its scene."""
+    """Return the place of a sample, or its scene if the data name no place."""
     return row.get("place") or row["scene"]
 
 
 def _trust(ends: tuple[float, float] | None, places: Sequence[str], samples: int) -> dict[str, Any]:
-    """Return what says how far a score can be trusted; ``places`` are those of its scenes."""
+    """Return the columns of interval and note of a score; ``places`` are those of its scenes."""
     low, high = ends or (None, None)
     scenes, distinct = len(places), len(set(places))
     single, rough = (ONE_SCENE, FEW_SCENES) if distinct == scenes else (ONE_PLACE, FEW_PLACES)
@@ -207,7 +206,7 @@ def _trust(ends: tuple[float, float] | None, places: Sequence[str], samples: int
 
 
 def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:
-    """The mean of a metric over one scene; None without a sample."""
+    """Compute the mean of a metric over one scene; None without a sample."""
     if not metric.by_frame:
         values = [value for row in rows if (value := metric.of(row)) is not None]
     else:
@@ -218,7 +217,7 @@ def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:
 
 
 def _settings(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the settings that all samples of a method and protocol were made with."""
+    """Return the settings of all samples of a method and protocol, which must be equal."""
     for name in SETTINGS:
         values = {row[name] for row in rows}
         if len(values) > 1:

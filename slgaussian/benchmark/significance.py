@@ -1,4 +1,4 @@
-"""Verdicts on liftings by judgements of single lessons: never beyond what an interval bears out."""
+"""Significance tests on the evaluations of liftings, including the gate for retrained weights."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from slgaussian.errors import InputError
 
 @dataclass(frozen=True)
 class Verdict:
-    """Judgement whether a gain is beyond noise, and a sentence that says so with its numbers."""
+    """Decision whether a gain is significant, and a sentence with the numbers."""
 
     better: bool
     why: str
 
 
 def clip_scores(judgements: pa.Table, labels: str | None = None) -> dict[str, list[float]]:
-    """Return the mean IoU of every lifting on every clip, the clips in one order.
+    """Return the mean IoU of every lifting on every clip, with the clips in one order.
 
-    Lessons of one clip show one scene and are no independent samples, so a clip counts once.
+    Lessons of one clip show one scene and are not independent, so a clip is one sample.
 
     Parameters
     ----------
     judgements : table of spec ``judgements``
     labels : str, optional
-        Those of its kinds of labels that count, by default all alike.
+        Kind of labels to use; default all, with equal weight.
 
     Returns
     -------
@@ -56,18 +56,18 @@ def gain(
 
 
 def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
-    """Judge whether ``branch`` is better than the best of several liftings, beyond noise.
+    """Decide whether ``branch`` is significantly better than each of several liftings.
 
-    The whole interval of the paired bootstrap against each of them must be above 0, of
-    :data:`LEAST` clips or more; labels as found and corrupted ones count alike. To claim that of
-    all at some level, each is asked at that same level (an intersection-union test, Berger 1982).
-    The sentence is about the one that it comes nearest to losing against.
+    This decides whether retrained weights may be promoted. The interval of the paired bootstrap
+    against each of them must be above 0, with :data:`LEAST` clips or more; uncorrupted and
+    corrupted labels have equal weight. Each test is at the full level (an intersection-union test,
+    Berger 1982). The sentence is about the rival with the smallest lower bound.
 
     Parameters
     ----------
     judgements : table of spec ``judgements``
     rivals : {lifting: its name in the sentence}
-        Those that were not judged are passed over; InputError if none was.
+        Rivals that were not evaluated are skipped; InputError if none was.
     """
     gains = _gains(judgements, rivals, "branch")
     if not gains:
@@ -89,10 +89,10 @@ def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
 
 
 def regression(judgements: pa.Table, rivals: Mapping[str, str], name: str) -> str:
-    """Return a sentence if what is in use is worse than any of ``rivals`` beyond noise, else "".
+    """Return a sentence if the weights in use are significantly worse than a rival, else "".
 
-    That is, the lifting ``before``, called ``name``: clips that arrived since may show what those
-    it was put to use by did not.
+    The weights in use are the lifting ``before``, named ``name`` in the sentence: clips added since
+    their promotion may reveal a regression.
     """
     if "before" not in judgements["lifting"].to_pylist():
         return ""
@@ -105,7 +105,7 @@ def regression(judgements: pa.Table, rivals: Mapping[str, str], name: str) -> st
 
 
 def _gains(judgements: pa.Table, rivals: Mapping[str, str], lifting: str) -> dict[str, Comparison]:
-    """Compare a lifting with each of the rivals that were judged, by their names."""
+    """Compare a lifting with each evaluated rival, by their names."""
     judged = set(judgements["lifting"].to_pylist())
     return {
         name: gain(judgements, rival, of=lifting)

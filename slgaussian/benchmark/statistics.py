@@ -1,8 +1,8 @@
 """Confidence intervals of means: the bootstrap (Efron 1979) over independent samples.
 
-Percentile intervals, of resamplings that are the same for the same number of samples.
-Where samples come in groups, such as pairs of views of one place, groups are drawn, and then
-samples within each: both are a choice of what was measured.
+Intervals are percentiles; the resamplings are the same for the same number of samples.
+If samples form groups, such as pairs of views of one place, groups are resampled, and then samples
+within each group.
 """
 
 from __future__ import annotations
@@ -17,37 +17,36 @@ from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import rng_for
 
 DRAWS = 10_000
-"""Resamplings of the bootstrap; of 10,000 the interval's ends have about two sure digits."""
+"""Number of resamplings; with 10,000 the interval's ends have about two reliable digits."""
 
 LEVEL = 0.95
 """Fraction of the resamplings inside the interval."""
 
 LEAST = 6
-"""Samples below which no gain is beyond noise: of five, all gain by chance one time in 32, and the
-level of the interval allows one in 40."""
+"""Smallest number of samples for a significant gain: with five samples all differences are positive
+by chance with probability 1/32, more than the 1/40 per tail that a 95 % interval allows."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """By how much one thing is better than another on the same samples.
+    """Mean difference of two methods on the same samples, with its interval.
 
     Attributes
     ----------
     difference : float
-        Mean over the samples of the score of the one minus that of the other.
+        Mean over the samples of the score minus the baseline.
     low, high : float
-        Where the mean lies for :data:`LEVEL` of the resamplings: a gain is beyond noise if
-        ``low`` is above 0.
+        Interval of the mean at level :data:`LEVEL`: a gain is significant if ``low`` is above 0.
     samples : int
-    drawn : int
-        Independent ones, that the resamplings draw first: those of one group count once.
+    independent_samples : int
+        Number of independent groups (or samples), which are resampled first.
     """
 
     difference: float
     low: float
     high: float
     samples: int
-    drawn: int
+    independent_samples: int
 
 
 def compare(
@@ -55,16 +54,16 @@ def compare(
     baseline: Sequence[float],
     groups: Sequence[Hashable] | None = None,
 ) -> Comparison:
-    """Paired bootstrap over samples: they are drawn with replacement, in pairs.
+    """Compare two methods by the paired bootstrap over samples.
 
     Parameters
     ----------
     scores, baseline : sequence of float
-        Of the two on the same samples, in one order. Samples without a score (NaN) are left out.
-        Samples of one scene are no independent ones: without ``groups`` the interval is then too
-        narrow.
+        Scores on the same samples, in one order. Samples without a score (NaN) are left out. For
+        samples that are not independent, such as those of one scene, the interval is too narrow
+        without ``groups``.
     groups : sequence, optional
-        What each sample is of, see :func:`drawn`.
+        Group of each sample, see :func:`resample_counts`.
 
     Raises
     ------
@@ -87,31 +86,32 @@ def compare(
 def interval_of_mean(
     values: np.ndarray, groups: Sequence[Hashable] | None = None
 ) -> tuple[float, float]:
-    """Return where the mean of float [n], n > 0, lies for :data:`LEVEL` of the resamplings.
+    """Return the bootstrap interval of the mean of float [n], n > 0, at level :data:`LEVEL`.
 
-    With ``groups``, one a value, groups are drawn and then values within them, as :func:`drawn`
-    says, and the mean is that of all values drawn, each of one weight. Of one value or group the
-    interval says nothing of others: leave it out where it is printed.
+    With ``groups``, one per value, groups are resampled and then values within them (see
+    :func:`resample_counts`); the mean is over all drawn values with equal weight. With a single
+    value or group the interval is meaningless; do not print it.
     """
     if groups is None:
         return interval(values[resamplings(len(values))].mean(1))
-    times = drawn(tuple(groups))
+    times = resample_counts(tuple(groups))
     return interval(np.einsum("dn,n->d", times, values) / times.sum(1))
 
 
 def interval(statistics: np.ndarray) -> tuple[float, float]:
-    """The middle :data:`LEVEL` of a statistic float [D] that was worked out on each resampling."""
+    """Return the central :data:`LEVEL` interval of a statistic float [D] over the resamplings."""
     low, high = np.quantile(statistics, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return float(low), float(high)
 
 
 @lru_cache(4)
-def drawn(groups: tuple[Hashable, ...]) -> np.ndarray:
-    """Count how often each resampling holds each sample: int32 [DRAWS, n], not to be changed.
+def resample_counts(groups: tuple[Hashable, ...]) -> np.ndarray:
+    """Count how often each resampling contains each sample: int32 [DRAWS, n], read-only.
 
-    The hierarchical bootstrap (Davison and Hinkley 1997, section 3.8, with replacement twice): as
-    many groups as there are, then of each, every time that it was drawn, as many of its samples as
-    it has. ``groups`` are one a sample; with a group of its own for each it is the plain one.
+    This is the hierarchical bootstrap (Davison and Hinkley 1997, section 3.8, with replacement at
+    both levels): draw as many groups as there are, then for each draw of a group as many of its
+    samples as it has. ``groups`` has one entry per sample; with distinct groups it is the ordinary
+    bootstrap.
     """
     members: dict[Hashable, list[int]] = {}
     for sample, group in enumerate(groups):
@@ -132,7 +132,7 @@ def drawn(groups: tuple[Hashable, ...]) -> np.ndarray:
 
 @lru_cache(4)
 def resamplings(count: int) -> np.ndarray:
-    """Draw the samples of each resampling: int32 [DRAWS, count] below ``count``, read-only."""
+    """Draw the sample indices of each resampling: int32 [DRAWS, count], read-only."""
     drawn = rng_for(0, "", "bootstrap").integers(count, size=(DRAWS, count)).astype(np.int32)
     drawn.flags.writeable = False
     return drawn

@@ -12,7 +12,7 @@ from slgaussian.benchmark.scores import (
     scene_means,
     score_table,
 )
-from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, drawn
+from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, resample_counts
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 
@@ -78,7 +78,7 @@ def test_every_scene_of_a_drawn_place_counts_alike():
             iou = rng.random() / 4 + (scenes > 2)  # the place of many scenes is the best by far
             rows.append(sample(f"s{place}{scene}", "q", place=f"place {place}", iou=iou))
     means = []
-    for often in drawn(tuple(row["place"] for row in rows)).tolist():
+    for often in resample_counts(tuple(row["place"] for row in rows)).tolist():
         taken = [row["iou"] for row, times in zip(rows, often, strict=True) for _ in range(times)]
         means.append(np.mean(taken))
     row = score(score_table(rows), "iou")

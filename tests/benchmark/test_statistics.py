@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from slgaussian.benchmark.statistics import (
     DRAWS,
     compare,
-    drawn,
     interval_of_mean,
+    resample_counts,
     resamplings,
 )
 from slgaussian.errors import InputError
@@ -68,7 +68,7 @@ def test_groups_are_drawn_and_then_values_within_them():
     values = np.random.default_rng(2).random(len(groups))
     values[-6:] = (1, 1, 1, 1, 1, 12)
     means = plainly(groups, values, 6000)
-    times = drawn(tuple(groups))
+    times = resample_counts(tuple(groups))
     own = times @ values / times.sum(1)
     assert interval_of_mean(values, groups=groups) == pytest.approx(
         tuple(np.quantile(own, [0.025, 0.975]))
@@ -90,7 +90,7 @@ def test_groups_are_drawn_and_then_values_within_them():
 
 @given(st.lists(st.sampled_from("abcde"), min_size=1, max_size=12))
 def test_a_resampling_holds_as_many_groups_as_there_are_and_of_each_what_it_has(groups):
-    times = drawn(tuple(groups))
+    times = resample_counts(tuple(groups))
     names = list(dict.fromkeys(groups))
     chosen = resamplings(len(names))
     for number, name in enumerate(names):
@@ -105,4 +105,4 @@ def test_samples_that_are_there_several_times_make_nothing_surer(values, copies)
     groups = [k for k in range(len(values)) for _ in range(copies)]
     again = compare([v for v in values for _ in range(copies)], [0.0] * len(groups), groups)
     assert (again.low, again.high) == pytest.approx((once.low, once.high), abs=1e-12)
-    assert (again.samples, again.drawn) == (copies * len(values), len(values))
+    assert (again.samples, again.independent_samples) == (copies * len(values), len(values))

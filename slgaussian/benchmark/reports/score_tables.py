@@ -210,7 +210,7 @@ def difference_tables(
             for name, by_metric in by_name.items()
         ]
         gains = [d.gain for by_metric in by_name.values() for d in by_metric.values()]
-        scenes, places = max(g.samples for g in gains), max(g.drawn for g in gains)
+        scenes, places = max(g.samples for g in gains), max(g.independent_samples for g in gains)
         unit = "places that they show" if places < scenes else "scenes"
         note = (
             f"On the queries that both were asked, in {scenes} scene{'s' if scenes > 1 else ''}; "
@@ -275,7 +275,7 @@ def gain_cell(difference: Difference | None, score: Score, is_worded: bool = Fal
     gain = difference.gain
     cell = comparison_cell(gain, score.digits, score.sign)
     note = f"{difference.samples} samples of {gain.samples} scene{'s' if gain.samples > 1 else ''}"
-    below = [cell.below] * (gain.drawn > 1) + [VERDICTS[cell.mark]] * is_worded
+    below = [cell.below] * (gain.independent_samples > 1) + [VERDICTS[cell.mark]] * is_worded
     return replace(cell, below=", ".join(below), note=note)
 
 
@@ -291,7 +291,7 @@ def comparison_cell(gain: Comparison, digits: int, sign: int = 1) -> Cell:
     )
     low, high = sorted((sign * start, sign * end))
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
-    if gain.drawn < 2 or (gain.drawn < LEAST and mark != "noise"):
+    if gain.independent_samples < 2 or (gain.independent_samples < LEAST and mark != "noise"):
         mark = "few"
     return Cell(f"{value:+.{digits}f}", f"{start:+.{digits}f} to {end:+.{digits}f}", mark)
 
