@@ -1,7 +1,7 @@
-"""Runs compared: how they were made, their methods, by how much scores differ, and costs.
+"""Comparison of runs: settings, methods, differences of scores, and costs.
 
-Only what was asked the same counts: the same query of the same frame, by the same version of a
-protocol, judged at the same size.
+Only common samples are compared: the same query of the same frame, by the same version of a
+protocol, evaluated at the same size.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ Row = Mapping[str, Any]
 EXPECTED = "expected a folder that benchmark, run or demo wrote"
 
 CHANGED = 8
-"""Queries that are shown, those whose IoU changed most."""
+"""Number of listed queries, those with the largest change of IoU."""
 
 COSTS = {
     "prepare": ("to prepare a scene, s", 1.0, 4),
     "view_query": ("a query in a new view, s", 1.0, 4),
     "grown": ("memory, MB", 1e6, 0),
 }
-"""Of each :class:`Cost` what is compared: in words, its unit, and digits."""
+"""Compared fields of :class:`Cost`: description, unit and digits."""
 
 SCENES = 3
-"""Scenes whose data differ that are named one by one, at most."""
+"""Largest number of scenes with differing data that are listed separately."""
 
 INTRODUCTION = (
     "Only what was asked the same is compared. Intervals hold 95% of the means if scenes are drawn "
@@ -61,7 +61,7 @@ INTRODUCTION = (
 
 @dataclass(frozen=True)
 class Run:
-    """Files that a run left: samples, manifest, times and costs, empty if there are none."""
+    """Files of a run: samples, manifest, times and costs; empty if missing."""
 
     folder: Path
     rows: list[Row]
@@ -71,17 +71,17 @@ class Run:
 
     @property
     def by_method(self) -> dict[str, list[Row]]:
-        """The samples of each method, ours first."""
+        """Return the samples of each method, ours first."""
         return {method: rows for (method,), rows in grouped(self.rows, "method").items()}
 
 
 def read_run(folder: str | Path) -> Run:
-    """Read what a run left.
+    """Read the output folder of a run.
 
     Raises
     ------
     InputError
-        If there is no ``samples.parquet``, or it or the manifest is not what a run leaves.
+        If ``samples.parquet`` is missing, or it or the manifest is invalid.
     """
     folder = Path(folder)
     if not (folder / "samples.parquet").is_file():
@@ -112,12 +112,12 @@ def _read_rows(spec: str, file: Path) -> list[Row]:
 
 
 def compare_runs(runs: Sequence[Run]) -> Report:
-    """Compare runs, each with the first, and rank their methods.
+    """Compare each run with the first, and rank their methods.
 
     Raises
     ------
     InputError
-        If there are fewer than two, more than the alphabet has letters, or one is given twice.
+        If there are fewer than 2 or more than 26 runs, or one is given twice.
     """
     if not 2 <= len(runs) <= len(ascii_uppercase):
         raise InputError(
@@ -153,7 +153,7 @@ def compare_runs(runs: Sequence[Run]) -> Report:
 
 
 def _fold_protocols(tables: Sequence[Table]) -> list[Block]:
-    """Return the tables by the first protocol, and those by others folded up."""
+    """Return the tables of the first protocol, and those of others folded."""
     protocol = tables[0].title.rpartition(" by ")[2]
     first = [table for table in tables if table.title.endswith(f" by {protocol}")]
     rest = [table for table in tables if table not in first]
@@ -161,7 +161,7 @@ def _fold_protocols(tables: Sequence[Table]) -> list[Block]:
 
 
 def _runs_table(named: Mapping[str, Run]) -> Table:
-    """List the runs, and how much of what each was asked the first was asked too."""
+    """List the runs, and the number of samples that each shares with the first."""
     first = next(iter(named.values()))
     rows = []
     for letter, run in named.items():
@@ -177,7 +177,7 @@ def _runs_table(named: Mapping[str, Run]) -> Table:
 
 
 def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], list[Row]]]:
-    """Pair the samples of each method that both have; if none, those of their own methods."""
+    """Pair the samples of each common method; without one, those of their first methods."""
     earlier, later = first.by_method, second.by_method
     shared = [name for name in earlier if name in later]
     for name in shared:
@@ -188,15 +188,15 @@ def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], lis
 
 
 def _align(rows: Sequence[Row], baseline: Sequence[Row]) -> list[tuple[Row, Row]]:
-    """Return the pairs of samples that both have."""
+    """Return the pairs of common samples."""
     theirs = {sample_key(row): row for row in baseline}
     return [(row, theirs[sample_key(row)]) for row in rows if sample_key(row) in theirs]
 
 
 def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """List the leaves of manifests that differ: the name, and the value in each.
+    """List the differing leaves of manifests: the name, and the value in each.
 
-    Of the data of more than :data:`SCENES` scenes that differ alike the first ones are listed.
+    If the data of more than :data:`SCENES` scenes differ equally, the first ones are listed.
     """
     flat = [dict(flatten({k: v for k, v in m.items() if k != "data"})) for m in manifests]
     lines = _differing(flat)
@@ -223,10 +223,10 @@ def _differing(leaves: Sequence[Mapping[str, str]]) -> list[list[str]]:
 
 
 def rank_methods(named: Mapping[str, Run]) -> list[Table]:
-    """Rank the methods of all runs, by their scores on what all runs were asked.
+    """Rank the methods of all runs by their scores on the common samples.
 
-    Of a data set those runs count that have it. A scene counts if its truth is the same, where the
-    manifests know it.
+    For each data set, only runs that contain it are used. A scene is used if its ground truth is
+    equal, as far as the manifests record it.
     """
     by_dataset: dict[str, dict[str, list[Row]]] = {}
     for letter, run in named.items():
@@ -251,7 +251,7 @@ def rank_methods(named: Mapping[str, Run]) -> list[Table]:
 
 
 def _costs_table(runs: Sequence[Run]) -> Table:
-    """Set seconds, memory and machines side by side."""
+    """Return a table of seconds, memory and machines of the runs."""
     costs = [{(cost.dataset, cost.method): cost for cost in run.costs} for run in runs]
     rows: list[list[str | None]] = []
     for key in costs[0]:
@@ -274,7 +274,7 @@ def _costs_table(runs: Sequence[Run]) -> Table:
 
 
 def _changes_table(first: Run, second: Run) -> Table | None:
-    """List the most changed queries of the first method of both, what became worse first."""
+    """List the most changed queries of the first common method, decreases first."""
     name, earlier, later = next(_pair_methods(first, second), ("", [], []))
     changes = [
         (after["iou"] - row["iou"], row, after["iou"])

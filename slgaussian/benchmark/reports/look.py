@@ -1,4 +1,4 @@
-"""Sections of pictures: a scene to look at, answers, and every scene."""
+"""Sections with images: example scenes, answers, and every scene."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ Images = Mapping[str, np.ndarray]
 Key = tuple[str, str, str]
 
 LOOKS = 3
-"""Data sets of which a scene is shown at the top."""
+"""Number of data sets with an example scene at the top."""
 
 NAMED_OBJECTS = 10
-"""Names that are written onto one picture, at most."""
+"""Largest number of captions in one image."""
 
 LARGE, LETTERS = 960, 24
-"""Width of a picture with names, and the size of their letters, pixels."""
+"""Width of an image with captions, and their font size, pixels."""
 
 WALK, ANSWER, SMALL = 800, 480, 360
-"""Widths of pictures of the slider, of answers, and in the section of a scene, pixels."""
+"""Widths of images of the slider, of answers, and in the section of a scene, pixels."""
 
 WORST, OF_A_SCENE = 8, 2
-"""Answers of a run that are shown, those that scored least, and of one scene at most."""
+"""Number of answers with the lowest scores shown for a run, and their maximum per scene."""
 
 ANSWERS = 4
-"""Answers of a scene that are shown."""
+"""Number of answers shown for a scene."""
 
 FAIR = 0.25
-"""Least IoU of an answer that is not poor."""
+"""Smallest IoU of an answer that is not poor."""
 
 ANSWER_TERMS = Terms(
     {
@@ -74,17 +74,17 @@ ANSWER_TERMS = Terms(
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One scene of a report. Images are read when they are wanted, a scene at a time.
+    """One scene of a report; images are read on demand, one scene at a time.
 
     Attributes
     ----------
     name, dataset : str
     rows : sequence
-        Of the spec ``samples``: of our method, then of each of the others.
+        Rows of the spec ``samples``: our method first, then the others.
     metrics : {name: float}
-        The ``scene_metrics`` of our result.
+        ``scene_metrics`` of our result.
     pictures : function giving {name: uint8 [H, W, 3]}
-        The pictures of our result.
+        Pictures of our result.
     truth : function giving {frame: {query: bool [H, W]}}
     masks : function giving {(protocol, frame, query): bool [H, W]}
         Our masks.
@@ -100,10 +100,10 @@ class Scene:
 
 
 def choose_scenes(scenes: Iterable[tuple[str, str, Mapping[str, float]]]) -> dict[str, str]:
-    """Choose a scene to show of each of the first data sets; return the reason by name.
+    """Choose an example scene of each of the first data sets; return the reasons by name.
 
-    ``scenes`` are name, data set and metrics. Of those with an IoU it is the middle one, so that
-    what is shown is typical; without, the first.
+    ``scenes`` are name, data set and metrics. It is the scene of median IoU, which is typical; the
+    first scene if there is no IoU.
     """
     by_set: dict[str, list[tuple[str, float | None]]] = {}
     for name, dataset, metrics in scenes:
@@ -118,15 +118,15 @@ def choose_scenes(scenes: Iterable[tuple[str, str, Mapping[str, float]]]) -> dic
 
 
 def sort_worst_first(rows: Iterable[Row]) -> list[Row]:
-    """Sort the scored rows by IoU, and of equal ones those first that point elsewhere."""
+    """Sort the scored rows by IoU; among equal ones, rows with a wrong point come first."""
     scored = [row for row in rows if row["iou"] is not None]
     return sorted(scored, key=lambda row: (row["iou"], bool(row["hit_mask"]), bool(row["hit_box"])))
 
 
 def limit_per_scene(rows: Sequence[Row], count: int) -> list[Row]:
-    """Return the first ``count`` rows, :data:`OF_A_SCENE` of a scene, or more of few scenes.
+    """Return the first ``count`` rows, at most :data:`OF_A_SCENE` per scene if there are enough.
 
-    A query is there once a scene, whatever the number of frames that it is asked in.
+    A query occurs once per scene, independent of its number of frames.
     """
     limit = max(OF_A_SCENE, -(-count // (len({row["scene"] for row in rows}) or 1)))
     by_query: dict[tuple[str, str], Row] = {}
@@ -144,7 +144,7 @@ def limit_per_scene(rows: Sequence[Row], count: int) -> list[Row]:
 def answer_card(
     row: Row, images: Images, width: int, lost_by: str = "", is_placed: bool = True
 ) -> Card:
-    """Return an answer as a card; if ``is_placed``, its note has the scene and the frame."""
+    """Return an answer as a card; with ``is_placed`` its note contains scene and frame."""
     query = row["query"]
     chips = []
     if row["iou"] is not None:
@@ -167,9 +167,9 @@ def answer_card(
 def look_section(
     scene: Scene, reason: str, rows: Sequence[Row], images: Images, lost_by: Mapping[Key, str]
 ) -> Section:
-    """Return a scene to look at: everything found in one view, a walk, and some answers.
+    """Return the section of an example scene: all answers in one view, a slider, and some answers.
 
-    ``rows`` are ours by the first protocol.
+    ``rows`` are those of our method in the first protocol.
     """
     inputs = {name: images[f"input/{name}"] for name in _frames(images, "input")}
     answers = _of_busiest_frame(rows, images)
@@ -225,9 +225,9 @@ def look_section(
 
 
 def scene_section(scene: Scene, id: str, rows: Sequence[Row], images: Images) -> Section:
-    """Return all of a scene: photographs, objects, depth, new views and every query.
+    """Return the section of a scene: photographs, objects, depth, new views and every query.
 
-    Without ``images`` there is only the table.
+    Without ``images`` it contains only the table.
     """
     blocks: list[Block] = []
     if images:
@@ -242,7 +242,7 @@ def scene_section(scene: Scene, id: str, rows: Sequence[Row], images: Images) ->
 
 
 def _view_blocks(images: Images, metrics: Mapping[str, float]) -> list[Block]:
-    """Return a row of pictures for each photograph, for each target, and for the views between."""
+    """Return a row of images for each photograph, for each target, and for the views between."""
     terms = {
         "objects": "one colour and number an object, the same in all photographs, as "
         "`slgaussian objects` has them"
@@ -278,7 +278,7 @@ def _view_blocks(images: Images, metrics: Mapping[str, float]) -> list[Block]:
 
 
 def _along_the_way(images: Images) -> dict[str, np.ndarray]:
-    """Return the views that were rendered between the first two cameras."""
+    """Return the views rendered between the first two cameras."""
     return {way: images[f"render/{way}"] for way in ALONG_THE_WAY if f"render/{way}" in images}
 
 
@@ -306,7 +306,7 @@ def _frames(images: Images, kind: str) -> list[str]:
 
 
 def _of_busiest_frame(rows: Sequence[Row], images: Images) -> list[Row]:
-    """Return the drawn answers in the frame with most scored ones, or most at all."""
+    """Return the drawn answers of the frame with most scored answers, else most answers."""
     drawn = [row for row in rows if f"mask/{row['frame']}/{row['query']}" in images]
     scored = [row for row in drawn if row["iou"] is not None]
     return max(grouped(scored or drawn, "frame").values(), key=len, default=[])
@@ -315,7 +315,7 @@ def _of_busiest_frame(rows: Sequence[Row], images: Images) -> list[Row]:
 def _draw_named(
     ground: np.ndarray, texts: Mapping[str, str], masks: Mapping[str, np.ndarray | None]
 ) -> np.ndarray:
-    """Return the view, enlarged, with the mask of each query in its colour, under its text."""
+    """Return the enlarged view with the coloured and captioned mask of each query."""
     size = LARGE, round(ground.shape[0] * LARGE / ground.shape[1])
     large = cv2.resize(ground, size, interpolation=cv2.INTER_CUBIC)
     named = [

@@ -1,7 +1,7 @@
-"""The model of a report: sections of blocks, rendered to HTML, Markdown and text for a terminal.
+"""Data model of a report: sections of blocks, rendered to HTML, Markdown and terminal text.
 
-Prose is one line of Markdown, in which names have passed :func:`escape`; what stands in cells,
-captions and titles is plain text. Pictures and plots are in the HTML alone.
+Prose is one line of Markdown, in which names are escaped by :func:`escape`; cells, captions and
+titles are plain text. Pictures and plots occur only in the HTML.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from rich.text import Text as RichText
 NO_VALUE = "–"
 
 WIDE = 100
-"""Characters of a line that fit a terminal."""
+"""Width of a terminal line in characters."""
 
 QUALITY = 75
-"""Of WebP: a third of the bytes of a JPEG in which thin outlines are as clear."""
+"""Quality of WebP: a third of the size of a JPEG with equally clear thin outlines."""
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ class Column:
     ----------
     title : str
     help : str
-        What stands in it, in a line.
+        Description in a line.
     group : str
-        A heading that neighbouring columns share.
+        Heading that neighbouring columns share.
     note : str
         Printed below the title.
     is_text : bool
-        Whether it is set to the left; numbers are set to the right.
+        Whether it is aligned left; numbers are aligned right.
     """
 
     title: str
@@ -66,14 +66,14 @@ class Cell:
     ----------
     value : str
     below : str
-        Printed small: an interval, or a second number.
+        Small print: an interval, or a second number.
     mark : str
         ``best`` (bold); ``better``, ``worse``, ``noise`` or ``few`` of a difference; ``yes`` or
         ``no``.
     note : str
-        What a pointer over it shows.
+        Tooltip.
     link : str
-        Id of the part of the page to which it leads.
+        Id of the linked part of the page.
     """
 
     value: str
@@ -84,7 +84,7 @@ class Cell:
 
     @property
     def text(self) -> str:
-        """Value and what is printed below it, in one line."""
+        """Return the value and the small print in one line."""
         return f"{self.value} ({self.below})" if self.below else self.value
 
 
@@ -116,8 +116,8 @@ class Table:
     ) -> Table:
         """Return a table of plain values; the first column is text.
 
-        ``columns`` are texts or :class:`Column`; rows are :class:`Line` or sequences of texts,
-        :class:`Cell`, or None where there is none.
+        ``columns`` are strings or :class:`Column`; rows are :class:`Line` or sequences of strings,
+        :class:`Cell`, or None for an empty cell.
         """
         heads = [
             column if isinstance(column, Column) else Column(column, is_text=k == 0)
@@ -128,7 +128,7 @@ class Table:
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """The headings above the columns with their widths; empty where no column has one."""
+        """Return the headings above the columns with their widths; empty if no column has one."""
         spans = [
             (name, len(list(columns))) for name, columns in groupby(c.group for c in self.columns)
         ]
@@ -137,7 +137,7 @@ class Table:
     def as_text(self) -> str:
         """Return the table as text for a terminal, cells two spaces apart.
 
-        A table that is too wide and of few lines is transposed.
+        A table that is too wide and has few lines is transposed.
         """
         titles = [column.title for column in self.columns]
         rows = [titles, *([cell.text for cell in line.cells] for line in self.lines)]
@@ -150,7 +150,7 @@ class Table:
 
 
 def _draw(rows: Sequence[Sequence[str]], sides: Sequence[Any]) -> str:
-    """Draw rows of cells, the first of which is the header, in aligned columns."""
+    """Format rows of cells, the first of which is the header, in aligned columns."""
     table = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
     for title, side in zip(rows[0], sides, strict=True):
         table.add_column(RichText(title), justify=side, no_wrap=True)
@@ -162,13 +162,13 @@ def _draw(rows: Sequence[Sequence[str]], sides: Sequence[Any]) -> str:
 
 
 def line_of(cells: Sequence[Cell | str | None], style: str = "") -> Line:
-    """Return a line of plain values, None where there is none."""
+    """Return a line of plain values; None gives an empty cell."""
     values = (NO_VALUE if cell is None else cell for cell in cells)
     return Line(tuple(v if isinstance(v, Cell) else Cell(v) for v in values), style=style)
 
 
 def number(value: float | None, digits: int, unit: float = 1) -> str | None:
-    """Return a number in some unit as text; None of None."""
+    """Format a number divided by ``unit``; None for None."""
     return None if value is None else f"{value / unit:,.{digits}f}"
 
 
@@ -183,7 +183,7 @@ class Prose:
 
 @dataclass(frozen=True)
 class Terms:
-    """Meanings of names; beside some stands a ``swatch``, a class of the style sheet."""
+    """Definitions of terms; some have a ``swatch``, a class of the style sheet."""
 
     terms: Mapping[str, str]
     swatches: Mapping[str, str] = field(default_factory=dict)
@@ -192,7 +192,7 @@ class Terms:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: its address, which is itself, its caption, and words in place of it."""
+    """A picture: its data URI, caption and alternative text."""
 
     source: str
     caption: str
@@ -210,7 +210,7 @@ class Picture:
 
 
 def data_uri(data: bytes, kind: str) -> str:
-    """Return the address that holds the bytes of a file of ``image/<kind>``."""
+    """Return the data URI of the bytes of a file of type ``image/<kind>``."""
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
@@ -225,7 +225,7 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Card:
-    """An answer: its text, what is said of it in chips (text, class), its pictures, and a note."""
+    """An answer: its text, chips (text, class), pictures, and a note."""
 
     title: str
     chips: Sequence[tuple[str, str]]
@@ -252,7 +252,7 @@ class Columns:
 
 @dataclass(frozen=True)
 class Fold:
-    """Blocks that are folded up below a line of text."""
+    """Blocks folded below a line of text."""
 
     summary: str
     blocks: Sequence[Block]
@@ -262,9 +262,9 @@ class Fold:
 
 @dataclass(frozen=True)
 class Numbers:
-    """Key numbers by title: lines of data set, value, interval and number of another method.
+    """Key numbers by title: lines of data set, value, interval and value of another method.
 
-    ``slot`` is a place for more of them, see :class:`Slot`.
+    ``slot`` is a placeholder for more of them, see :class:`Slot`.
     """
 
     numbers: Mapping[str, Sequence[tuple[str, str, str, str]]]
@@ -274,7 +274,7 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Slot:
-    """A comment in place of what is filled in after rendering."""
+    """A placeholder comment that is replaced after rendering."""
 
     text: str
     kind: ClassVar[str] = "slot"
@@ -292,16 +292,16 @@ class Section:
     title : str
     blocks : sequence of Block
     id : str
-        By which links find it.
+        Anchor for links.
     note : str
         Printed beside the title.
     link : str
-        What the list of links at the top calls it; it is not there if this is empty.
+        Text in the list of links at the top; empty for no link.
     style : str
         A class of the style sheet: ``failed`` or ``look``.
     is_folded : bool
     only_html : bool
-        Whether it is of pictures, and not in the Markdown.
+        Whether it contains only pictures and is left out of the Markdown.
     """
 
     title: str
@@ -323,7 +323,7 @@ class Report:
     sections: Sequence[Section]
 
     def as_html(self) -> str:
-        """Return a page that needs no network."""
+        """Return a self-contained HTML page."""
         return _template("page.html.j2").render(report=self)
 
     def as_markdown(self) -> str:
@@ -331,7 +331,7 @@ class Report:
         return _compact(_template("page.md.j2").render(report=self))
 
     def as_text(self) -> str:
-        """Return sentences and tables of the report as text for a terminal."""
+        """Return paragraphs and tables of the report as text for a terminal."""
         parts = [plain(block.text) for block in self.summary if isinstance(block, Prose)]
         for section in self.sections:
             tables = [block for block in section.blocks if isinstance(block, Table)]
@@ -342,7 +342,7 @@ class Report:
 
 
 def blocks_as(form: str, blocks: Sequence[Block]) -> str:
-    """Return blocks of a section alone, as ``html`` or ``md``."""
+    """Render blocks of a section, as ``html`` or ``md``."""
     template: Any = _template(f"page.{form}.j2").make_module({"report": None})
     if form == "html":
         return str(template.show(blocks))
@@ -350,12 +350,12 @@ def blocks_as(form: str, blocks: Sequence[Block]) -> str:
 
 
 def _compact(markdown: str) -> str:
-    """Leave one empty line where a template left several."""
+    """Reduce several empty lines of a template to one."""
     return re.sub(r"\n{3,}", "\n\n", markdown).rstrip() + "\n"
 
 
 def escape(text: Any) -> str:
-    """Return a text of one line as Markdown that shows it, without markup."""
+    """Escape a text as one line of Markdown without markup."""
     flat = " ".join(str(text).split())
     for mark in "\\`*_<>|[]&":
         flat = flat.replace(mark, f"\\{mark}")
@@ -363,7 +363,7 @@ def escape(text: Any) -> str:
 
 
 def plain(text: str) -> str:
-    """Return prose without the marks that :func:`escape` put into names."""
+    """Undo :func:`escape` in prose."""
     return re.sub(r"\\(.)", r"\1", text)
 
 
@@ -380,7 +380,7 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
 
 @cache
 def _template(name: str) -> jinja2.Template:
-    """Load a template; in one for HTML names are text and never markup."""
+    """Load a template; templates for HTML escape all values."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("slgaussian.benchmark.reports", "."),
         autoescape=lambda file: file is not None and file.endswith(".html.j2"),

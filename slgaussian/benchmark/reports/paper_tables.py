@@ -1,10 +1,10 @@
-"""The paper's tables (arXiv 2412.08331), its printed numbers beside those of a run.
+"""The paper's tables (arXiv 2412.08331) with its printed numbers and those of a run.
 
-A number of this run stands only where the paper's own scene was run: a scene of LERF-OVS or 3D-OVS,
-known by its content (:mod:`slgaussian.datasets.published`), not by a folder's name. What is called
-like one and is not, is said below the table. An overall stands only where all scenes of the table
-are there. The paper's numbers are of its networks and its own pairs of views, which were
-never published: another pair of the same scene is another question.
+A number of the run is given only if the paper's scene was run: a scene of LERF-OVS or 3D-OVS,
+identified by its content (:mod:`slgaussian.datasets.published`), not by its folder name. Other
+scenes of these names are listed below the table. An overall mean is given only if all scenes of the
+table were run. The paper's numbers were measured with its networks and with unpublished pairs of
+views, so numbers for other pairs of the same scene are not directly comparable.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Row = Mapping[str, Any]
 
 ABSENT = "data not present"
 PROTOCOLS = ("slgaussian", "langsplat")
-"""By which a run is printed beside the paper, which names none."""
+"""Protocols for the run's numbers; the paper does not name its protocol."""
 
 ABOUT = (
     "Of each cell the paper's number (arXiv 2412.08331) is first, as it is printed there, under "
@@ -34,7 +34,7 @@ ABOUT = (
 
 
 def _read_tables() -> list[dict[str, Any]]:
-    """Read the tables; a line of a table of scenes is of its scene, or of all if it is the last."""
+    """Read the tables; in a table of scenes, each line is a scene, and the last is all scenes."""
     tables = tomllib.loads((files(__package__) / "paper_tables.toml").read_text("utf-8"))["table"]
     for table in tables:
         if table["best_of"] == "line":
@@ -45,23 +45,23 @@ def _read_tables() -> list[dict[str, Any]]:
 
 
 TABLES = _read_tables()
-"""Tables 1 to 4, as `paper_tables.toml` has them."""
+"""Tables 1 to 4 from `paper_tables.toml`."""
 
 
 def paper_section(
     rows: Sequence[Row], places: Mapping[str, Standing], ours: str = "slgaussian"
 ) -> Section | None:
-    """Return Tables 1 to 4 for each of :data:`PROTOCOLS` that has a number of this run.
+    """Return Tables 1 to 4 for each of :data:`PROTOCOLS` with a number of this run.
 
-    None if there is neither a number nor a scene that is called like one of the tables.
+    Return None if there is neither a number nor a scene with the name of one in the tables.
 
     Parameters
     ----------
     rows : sequence
-        Of the spec ``samples``, of all methods.
+        Rows of the spec ``samples``, of all methods.
     places : {scene: Standing}
-        Of the scenes of the rows that are published ones, or called like one: a pair of views of a
-        scene of LERF-OVS is a sample of that scene.
+        Relation of the rows' scenes to published scenes of the same content or name: a pair of
+        views of a LERF-OVS scene is a sample of that scene.
     ours : str
         Name of our method in the rows.
     """
@@ -121,7 +121,7 @@ def _table(table: Mapping[str, Any], run: _Run, protocol: str, notes: Sequence[s
 
 
 class _Run:
-    """The scores of a run on the paper's data; ``rows``, ``places`` and ``ours`` as above."""
+    """Scores of a run on the paper's data; arguments as in :func:`paper_section`."""
 
     def __init__(self, rows: Sequence[Row], places: Mapping[str, Standing], ours: str) -> None:
         self.ours = ours
@@ -148,9 +148,9 @@ class _Run:
         return any(name == protocol for _, _, name, _ in self.scores)
 
     def number(self, cell: Mapping[str, Any]) -> str:
-        """Return the score of a cell as it is printed, %, with its samples, or why there is none.
+        """Format the score of a cell, %, with its samples, or the reason why there is none.
 
-        ``cell`` has the format of its data, scenes, method, protocol and metric.
+        ``cell`` contains data format, scenes, method, protocol and metric.
         """
         if cell["metric"] == "seconds":
             return "under the times"
@@ -176,7 +176,7 @@ class _Run:
         return self.ours if method == "slgaussian" else method
 
     def notes(self, protocols: set[str]) -> list[str]:
-        """Describe what the numbers by some protocols go by."""
+        """Describe the conditions of the numbers of the given protocols."""
         by = {
             f"{score['protocol']} ({conditions(score)})"
             for (_, _, name, _), score in self.scores.items()

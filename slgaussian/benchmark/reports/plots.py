@@ -1,4 +1,4 @@
-"""Plots as SVG pictures: same numbers, same bytes."""
+"""Plots as reproducible SVG pictures: same numbers, same bytes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from slgaussian.benchmark.reports.model import Picture, data_uri
 
 METADATA = ("Date", "Creator", "Format", "Type")
-"""What Matplotlib would write about itself into a picture."""
+"""Metadata keys of Matplotlib that are removed from a picture."""
 
 INK, SOFT, LINE, ACCENT = "#1d2330", "#667085", "#d5dae2", "#0072B2"
 
@@ -33,7 +33,7 @@ STYLE = {
 }
 
 MARKERS = "sD^v<>pPXhd8"
-"""Shapes of the methods' points, in their order."""
+"""Marker shapes of the methods, in their order."""
 
 
 def plot(draw: Callable[[], Figure], caption: str) -> Picture:
@@ -48,7 +48,7 @@ def plot(draw: Callable[[], Figure], caption: str) -> Picture:
 def plot_pareto(
     points: Sequence[tuple[str, float, float]], ours: str, label: str, score: str = "IoU"
 ) -> Picture:
-    """Draw a score over its cost; a line joins the Pareto front, the best score at each cost.
+    """Plot a score over its cost; a line connects the Pareto front.
 
     ``points`` are (method, score, cost), named by a legend.
     """

@@ -1,7 +1,7 @@
-"""The report of a benchmark: a sentence, a few numbers, a scene to look at, then all the rest.
+"""Report of a benchmark: a sentence, key numbers, example scenes, then all details.
 
-It depends on its arguments alone, same results, same bytes. What a run costs is put in afterwards
-by :func:`with_times`: a section, and the seconds beside the first numbers.
+It depends only on its arguments: same results, same bytes. :func:`with_times` adds the costs of a
+run afterwards: a section, and the seconds among the key numbers.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ from slgaussian.datasets.published import Standing
 Row = Mapping[str, Any]
 
 PICTURED = 24
-"""Scenes that get pictures: of more, those answered worst. All are in the tables."""
+"""Largest number of scenes with pictures, those with the worst answers; all are in the tables."""
 
 LEFT_OUT = 3
-"""Scenes left out for one reason that are named."""
+"""Largest number of scenes listed by name for one reason of being left out."""
 
 TIMES = "<!-- times -->"
-"""Where :func:`with_times` puts its section."""
+"""Placeholder of the section of :func:`with_times`."""
 
 
 def run_report(
@@ -78,13 +78,13 @@ def run_report(
     ----------
     scenes : sequence of slgaussian.benchmark.reports.look.Scene
     manifest : mapping
-        Versions, settings and data, nested mappings allowed. Of ``data``, by scene, ``published``
-        says which published scene it is (the fields of
-        :class:`slgaussian.datasets.published.Standing`), and ``cameras`` whether they were given.
+        Versions, settings and data, nested mappings allowed. Entries of ``data``, by scene, have
+        ``published``, the fields of :class:`slgaussian.datasets.published.Standing`, and
+        ``cameras``, the source of the cameras.
     failures : sequence of mapping
         Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
     attribution : sequence of mapping
-        Rows of the spec ``attribution``: what lost each miss of our method.
+        Rows of the spec ``attribution``: cause of each miss of our method.
     """
     rows = [row for scene in scenes for row in scene.rows]
     methods = list(dict.fromkeys(row["method"] for row in rows))
@@ -121,14 +121,14 @@ def with_times(
     rows: Sequence[Row] = (),
     novel: Sequence[tuple[str, str, float]] = (),
 ) -> dict[str, str]:
-    """Complete a report of :func:`run_report` with what is true of one run on one machine only.
+    """Complete a report of :func:`run_report` with the costs of one run on one machine.
 
     Parameters
     ----------
     pages : {form: text}
         The forms ``html`` and ``markdown`` of the report.
     times, rows, novel
-        As :func:`slgaussian.benchmark.reports.speed.speed_blocks` takes them.
+        See :func:`slgaussian.benchmark.reports.speed.speed_blocks`.
     """
     blocks = speed_blocks(times, rows, novel)
     costs = COSTS + blocks_as("html", [cost_numbers(times.costs)]) + COSTS
@@ -141,7 +141,7 @@ def with_times(
 def _draw(
     scenes: Sequence[look.Scene], answers: Sequence[Row], lost_by: Mapping[look.Key, str]
 ) -> tuple[list[Section], list[tuple[Row, Card]], list[Section]]:
-    """Draw the scenes at the top, the worst answers, and all scenes.
+    """Make the sections of example scenes, the worst answers, and the sections of all scenes.
 
     The pictures of one scene are in memory at a time.
     """
@@ -174,7 +174,7 @@ def _score_sections(
     scores: Sequence[Row],
     methods: Sequence[str],
 ) -> Iterator[Section]:
-    """Return a table a data set by the first protocol, and by all others folded up below."""
+    """Yield a table per data set for the first protocol, and the others folded below."""
     ours, *rivals = methods
     columns = scores_of(leading[0]["protocol"])
     by_method = {method: rows for (method,), rows in grouped(leading, "method").items()}
@@ -203,7 +203,7 @@ def _score_sections(
 
 
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
-    """List scenes that were left out, those of one reason in one line."""
+    """List the scenes that were left out, one line per reason."""
     scenes: dict[tuple[str, str], list[str]] = {}
     for failure in failures:
         scenes.setdefault((failure["stage"], failure["reason"]), []).append(failure["scene"])
@@ -219,7 +219,7 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
 def _worst_section(
     answers: Sequence[Row], worst: Sequence[tuple[Row, Card]], attribution: Sequence[Row]
 ) -> Section:
-    """Show the answers that scored least, and what lost them."""
+    """Show the answers with the lowest scores, and the causes of misses."""
     blocks: list[Block] = []
     scored = [row for row in answers if row["iou"] is not None]
     for (dataset,), rows in grouped(scored, "dataset").items():
@@ -248,7 +248,7 @@ def _worst_section(
 
 
 def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
-    """Say what lost the queries of each data set, and of all of them in the last line."""
+    """List the causes of misses of each data set, and of all in the last line."""
     blocks: list[Block] = [
         Prose(
             "Mean IoU as it is, and with the truth in the place of one stage after another, from "
@@ -273,7 +273,7 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
 
 
 def _next_section(scene: look.Scene) -> Section:
-    """Name the commands that look at a scene and make one of the reader's photographs."""
+    """List the commands that view a scene and build one from the reader's photographs."""
     field = shlex.quote(f"fields/{file_name(scene.name)}")
     text = (
         f"Walk through a scene and ask it words, in the folder of this report: `slgaussian view "
@@ -286,7 +286,7 @@ def _next_section(scene: look.Scene) -> Section:
 def _scenes_section(
     scenes: Sequence[look.Scene], scores: Sequence[Row], data: Mapping[str, Any]
 ) -> Section:
-    """List the metrics of every scene; ``scores`` are ours by the first protocol."""
+    """List the metrics of every scene; ``scores`` are those of our method, first protocol."""
     blocks: list[Block] = [
         Prose(
             "Each scene's field is a folder below `fields/`, as `fields.parquet` names it; "

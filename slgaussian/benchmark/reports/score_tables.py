@@ -1,4 +1,4 @@
-"""Tables of scores with their intervals, and the conditions that each number goes by."""
+"""Tables of scores with their intervals and conditions."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Score:
-    """A score: its protocol without the version, its name there, and how it is printed.
+    """A score: its protocol without version, its name there, and its format.
 
-    ``sign`` is -1 where less is better.
+    ``sign`` is -1 if lower is better.
     """
 
     protocol: str
@@ -42,7 +42,7 @@ class Score:
 
     @property
     def column(self) -> Column:
-        """The column of the score in a table."""
+        """Return the column of the score in a table."""
         return Column(self.title + (" ↓" if self.sign < 0 else ""), self.help)
 
 
@@ -63,7 +63,7 @@ SCORES = (
     Score("3d-ovs", "miou", "mIoU", 3, "all texts compete for each pixel"),
     Score("3d-ovs", "accuracy", "Accuracy", 3, "pixels with the right class and no other"),
 )
-"""The scores in the order of tables and columns; of each protocol the first one leads."""
+"""Scores in the order of tables and columns; the first score of a protocol ranks the methods."""
 
 SELECTIONS = {"none": "no mask", "given": "masks as given"}
 """Descriptions of some selections in place of their names."""
@@ -101,16 +101,16 @@ def scores_of(protocol: str) -> list[Score]:
 def method_tables(
     scores: Sequence[Row], gains: Mapping[tuple[str, str], Difference] | None = None, ours: str = ""
 ) -> list[Table]:
-    """Return a table for each data set and protocol: a line a method, best first.
+    """Return a table for each data set and protocol: a line per method, best first.
 
-    Scores that no method has are left out. Where a method goes by other conditions than most, or
-    has other samples, its line and cells say so. Of one method alone nothing is best.
+    Scores that no method has are left out. A method with other conditions or another number of
+    samples than most is marked. With a single method nothing is marked as best.
 
     Parameters
     ----------
     scores : rows of the spec ``scores``
     gains : {(data set, method): Difference}, optional
-        By how much ``ours`` leads in the first score: the last column.
+        Difference of ``ours`` to the method in the first score, for the last column.
     ours : str
         The method whose line is highlighted.
     """
@@ -173,7 +173,7 @@ def method_tables(
 
 
 def _describe_means(scenes: int, places: int) -> str:
-    """Describe what a mean is over, and what its interval is."""
+    """Describe the samples of a mean and its interval."""
     text = f"Mean over {scenes} scene{'s' if scenes > 1 else ''} of each scene's mean"
     if scenes == 1:
         text += "; one scene has no interval"
@@ -191,7 +191,7 @@ def _describe_means(scenes: int, places: int) -> str:
 def difference_tables(
     pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]], head: str = "Minus"
 ) -> list[Table]:
-    """Return a table for each data set and protocol: a line a pair of samples, first minus second.
+    """Return a table for each data set and protocol: a line per pair, first minus second.
 
     ``pairs`` are rows of the spec ``samples`` by the name of the line.
     """
@@ -233,18 +233,18 @@ def metrics_table(
     title: str = "",
     links: Mapping[str, str] | None = None,
 ) -> Table:
-    """Return a line a scene and one of means, below which are the intervals of ``scores``.
+    """Return a table with a line per scene and a line of means with intervals from ``scores``.
 
-    The mean is over the scenes that have the number, each counting once.
+    The mean is unweighted over the scenes that have the metric.
 
     Parameters
     ----------
     metrics : {scene: {metric: float}}
     scores : rows of the spec ``scores``
-        Of the scenes by the protocol of the metrics; other numbers have no interval.
+        Scores in the protocol of the metrics; other numbers have no interval.
     title : str
     links : {scene: str}, optional
-        Ids of the parts of the page that show them.
+        Ids of the scenes' sections of the page.
     """
     columns = [m for m in METRICS if any(m.metric in values for values in metrics.values())]
     lines = [
@@ -269,7 +269,7 @@ def metrics_table(
 
 
 def gain_cell(difference: Difference | None, score: Score, is_worded: bool = False) -> Cell:
-    """Return a difference as it is printed, with its verdict in words if ``is_worded``."""
+    """Format a difference, with its verdict in words if ``is_worded``."""
     if difference is None:
         return Cell(NO_VALUE)
     gain = difference.gain
@@ -280,10 +280,10 @@ def gain_cell(difference: Difference | None, score: Score, is_worded: bool = Fal
 
 
 def comparison_cell(gain: Comparison, digits: int, sign: int = 1) -> Cell:
-    """Return a gain with its interval and mark; ``sign`` is -1 where less is better.
+    """Format a gain with its interval and mark; ``sign`` is -1 if lower is better.
 
-    A gain is beyond noise if its interval is, as it is printed: one that ends at 0.000 is not. Of
-    fewer than :data:`LEAST` places none is, whatever its interval.
+    A gain is significant if its printed interval excludes 0, so not if it ends at 0.000. With fewer
+    than :data:`LEAST` places no gain is significant.
     """
     value, start, end = (
         round(end, digits) + 0.0  # and not -0.000
@@ -297,12 +297,12 @@ def comparison_cell(gain: Comparison, digits: int, sign: int = 1) -> Cell:
 
 
 def describe(method: str) -> str:
-    """Describe a method, and of what is not the original that it is not; empty if not known."""
+    """Describe a method, and state if it is not the original; empty if unknown."""
     return ROWS[method].about if method in ROWS else ""
 
 
 def conditions(score: Row) -> str:
-    """Describe what a score goes by: of a row of the spec ``scores``, or of ``samples``."""
+    """Describe the settings of a score, a row of the spec ``scores`` or ``samples``."""
     selection: str = score["selection"]
     parts = [SELECTIONS.get(selection, selection)]
     for name in ("threshold", "share", "filter", "temperature"):
@@ -315,7 +315,7 @@ def conditions(score: Row) -> str:
 
 
 def score_cell(row: Row | None, digits: int) -> Cell:
-    """Return a score with its interval as it is printed."""
+    """Format a score with its interval."""
     if row is None:
         return Cell(NO_VALUE)
     ends = row["low"], row["high"]
@@ -324,5 +324,5 @@ def score_cell(row: Row | None, digits: int) -> Cell:
 
 
 def _commonest(values: Iterable[Any]) -> Any:
-    """Return the commonest value, the first of several."""
+    """Return the most common value, the first in a tie."""
     return Counter(values).most_common(1)[0][0]

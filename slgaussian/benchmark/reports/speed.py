@@ -1,4 +1,4 @@
-"""The section of a report that no run repeats: speed against error, hard cases, the machine."""
+"""Section of a report that is not reproducible from run to run: costs, hard cases, machine."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ HARD_CASES = (
 def speed_blocks(
     times: Times, rows: Sequence[Row], novel: Sequence[tuple[str, str, float]]
 ) -> list[Block]:
-    """Describe what a run cost.
+    """Return the blocks on the costs of a run.
 
     Parameters
     ----------
     times : Times
     rows : rows of the spec ``samples``
-        Set against the times; those of the first protocol count.
+        Scores to compare with the times; only the first protocol is used.
     novel : sequence of (data set, method, float)
-        PSNR of new views, dB, a scene at a time.
+        PSNR of new views, dB, one per scene.
     """
     leading = of_first_protocol(rows)
     ious = {
@@ -97,7 +97,7 @@ def _tradeoff(
     ious: Mapping[tuple[str, str], Row],
     novel: Sequence[tuple[str, str, float]],
 ) -> list[Block]:
-    """Set the scores of the methods of a data set against their costs, best first."""
+    """Compare the scores of the methods of a data set with their costs, best first."""
     psnr = {
         cost.method: fmean(values)
         for cost in costs
@@ -146,7 +146,7 @@ def _tradeoff(
 
 
 def _paper_costs(times: Times) -> list[Block]:
-    """Set what the paper prints (section 4.1, Table 4) beside a run, with what each measures."""
+    """Compare the costs in the paper (section 4.1, Table 4) with a run, with definitions."""
     tables: list[Block] = []
     infer = [times.stages[name].middle for name in ("geometry", "field") if name in times.stages]
     for cost in times.costs:
@@ -174,9 +174,10 @@ def _paper_costs(times: Times) -> list[Block]:
 
 
 def pareto_front(costs: Sequence[float | None], values: Sequence[float]) -> list[bool]:
-    """Tell which points no other beats: none costs no more, is worth no less, and differs.
+    """Find the Pareto front: no other point costs at most as much and scores at least as well,
+    unless equal.
 
-    A cost of None is on no front.
+    A point without a cost is not on the front.
     """
     points = list(zip(costs, values, strict=True))
     return [

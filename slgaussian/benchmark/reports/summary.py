@@ -1,4 +1,4 @@
-"""Summary at the top of a report: a sentence and a few numbers."""
+"""Summary at the top of a report: a sentence and key numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slgaussian.benchmark.reports.model import Block, Fold, Numbers, Prose, Term
 Row = Mapping[str, Any]
 
 COSTS = "<!-- costs -->"
-"""Where the seconds are filled in, see :func:`cost_numbers`."""
+"""Placeholder of the seconds, see :func:`cost_numbers`."""
 
 VIEW, QUERY = "a new view against a photograph, PSNR", "a query in a new view"
 BUILD, RANGE = "to build the scene", "small numbers"
@@ -47,7 +47,7 @@ def summarize(
     manifest: Mapping[str, Any],
     left_out: int,
 ) -> list[Block]:
-    """Summarise a run in a sentence and a few numbers.
+    """Summarise a run in a sentence and key numbers.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def summarize(
     methods : sequence of str
         Ours first.
     answers : rows of the spec ``samples``
-        Those of our method by the first protocol.
+        Rows of our method in the first protocol.
     scores : rows of the spec ``scores``
-        Of all methods by the first protocol.
+        Scores of all methods in the first protocol.
     manifest : mapping
     left_out : int
-        Scenes that are not in the report.
+        Number of scenes that are not in the report.
     """
     if not scenes:
         return [Prose("No scene went through.", "lead"), Prose(f"{left_out} left out.")]
@@ -110,10 +110,10 @@ def _count(count: int, unit: str) -> str:
 def key_numbers(
     scenes: Sequence[Scene], scores: Sequence[Row], ours: str
 ) -> dict[str, list[tuple[str, str, str, str]]]:
-    """Return how good answers and new views are in each of the first data sets.
+    """Return the scores of answers and new views in each of the first data sets.
 
-    ``scores`` are those by the first protocol. Beside ours stands the best other method that is no
-    variant of ours.
+    ``scores`` are those of the first protocol. Our method is listed with the best other method that
+    is not a variant of it.
     """
     numbers: dict[str, list[tuple[str, str, str, str]]] = {}
     sets = list(dict.fromkeys(scene.dataset for scene in scenes))
@@ -145,9 +145,9 @@ def key_numbers(
 
 
 def cost_numbers(costs: Sequence[Cost]) -> Numbers:
-    """Return how fast our method is on each of the first data sets.
+    """Return the speed of our method on each of the first data sets.
 
-    Of each data set ours is the first method of ``costs``.
+    The first method of ``costs`` for each data set is ours.
     """
     ours = {cost.dataset: cost for cost in reversed(costs)}
     names = list(dict.fromkeys(cost.dataset for cost in costs))

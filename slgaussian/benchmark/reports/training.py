@@ -1,4 +1,4 @@
-"""The report of a training: scores and gains, the course of the loss, and pictures of labels."""
+"""Report of a training: scores and gains, loss curve, and pictures of labels."""
 
 from __future__ import annotations
 
@@ -39,15 +39,15 @@ ABOUT = {
 """Descriptions of the liftings."""
 
 SMOOTH = 0.02
-"""Fraction of the steps over which the curve of the loss is averaged."""
+"""Fraction of the steps over which the loss curve is averaged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Example:
     """One target view of a held-out lesson, all pictures int32 [H, W] object ids.
 
-    ``context`` is the first context view as the liftings saw it, ``truth`` the target labels, and
-    ``predicted`` the answers by lifting, with the IoU of the lesson under ``ious``.
+    ``context`` is the first context view as input of the liftings, ``truth`` the target labels, and
+    ``predicted`` the result of each lifting, with the IoU of the lesson in ``ious``.
     """
 
     sample: str
@@ -71,7 +71,7 @@ def training_report(
     metrics, judgements : tables of these specs
     examples : sequence of Example
     manifest : mapping
-        Numbers of lessons and settings, nested mappings allowed.
+        Number of lessons and settings, nested mappings allowed.
     """
     course = "Loss of every step and its running mean; grey: learning rate"
     sections = [
@@ -94,7 +94,7 @@ def training_report(
 
 
 def scores_table(judgements: pa.Table) -> Table:
-    """Return the mean IoU of each lifting by kind of labels, and what the branch gains over it."""
+    """Return the mean IoU of each lifting by kind of labels, and the branch's gain over it."""
     kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
     scores = {kind: clip_scores(judgements, kind) for kind in kinds}
     rows = []
