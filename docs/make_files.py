@@ -20,7 +20,7 @@ them.
 weights by their content), the specs of the inputs, and the versions of software; no time and no
 place. A file names its spec as `slgaussian/labels@1`. The version is raised when older files no
 longer fit the spec. A file of a later version, or one that does not fit its spec, is refused. How
-to read a file without this program: [storage](../guides/storage.md#a-file-by-itself)."""
+to read a file without this program: [storage](../guides/storage.md#self-describing-files)."""
 
 KINDS = {
     "Tables": lambda spec: spec.columns,
