@@ -9,11 +9,11 @@
 from importlib import import_module
 from typing import Any
 
-import slgaussian.kernels.threads  # noqa: F401  (sizes pools and places kernels, before they begin)
+import slgaussian.kernels.threads  # noqa: F401  (configures thread pools before they start)
 
 __version__ = "0.1.0"
 
-# Loaded on first use, so that `slgaussian --help` does not wait for torch.
+# Imported on first use, so that `slgaussian --help` does not import torch.
 _PUBLIC = {
     "Camera": "slgaussian.scene",
     "View": "slgaussian.scene",

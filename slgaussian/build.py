@@ -1,4 +1,4 @@
-"""The whole method, from two photographs to a field, as a few steps that can run on their own."""
+"""The whole method, from context views to a field, as separate steps."""
 
 import time
 import warnings
@@ -37,11 +37,11 @@ class Predicted(NamedTuple):
     Attributes
     ----------
     gaussians : Gaussians
-        Each says whether it is ``guessed``.
+        With the array ``guessed``.
     quality : Quality
-        How good the views were.
+        Quality of the views.
     depths : Depths or None
-        How many depths were compared; None if the predictor does not count them.
+        Numbers of depth candidates; None if the predictor does not count them.
     """
 
     gaussians: Gaussians
@@ -55,37 +55,36 @@ def build_field(
     trust_cameras: bool = False,
     took: Callable[[str, float], None] = lambda step, seconds: None,
 ) -> SemanticField:
-    """From the context views of a sample to a field that answers words (paper, figure 2).
+    """Build a queryable semantic field from the context views of a sample (paper, figure 2).
 
-    Views that show another place, or repeat one, are left out with a warning
+    Views that show another place, or repeat another view, are excluded with a warning
     (:func:`slgaussian.predict.view_graph.select_usable`).
 
     Parameters
     ----------
     sample : Sample
-        Its targets are not looked at, nor its truths.
+        Its targets and ground truth are not used.
     method : Method, optional
-        Its parts and their settings; ``Method()`` if left out, which needs no weights.
+        Components and their settings; the default, ``Method()``, needs no weights.
     trust_cameras : bool
-        Do not refuse cameras that the matches between the photographs contradict.
+        If true, accept cameras that the matches between the photographs contradict.
     took : callable
-        Is told each step, as it ends, and its seconds. They are no part of the field.
+        Called with the name and seconds of each finished step.
 
     Returns
     -------
     SemanticField
-        Its own ``settings`` say all this, see
-        :meth:`slgaussian.components.method.Method.identity`, and under ``quality`` how good the
-        views were, see :class:`slgaussian.cameras.quality.Quality`, under ``verdict`` what the
-        scene is worth; under ``account`` its
-        :class:`slgaussian.storage.statistics.FieldStatistics`; and where nobody gave cameras, under
-        ``cameras`` how they were found.
+        Its ``settings`` are :meth:`slgaussian.components.method.Method.identity` and: ``quality``,
+        the :class:`slgaussian.cameras.quality.Quality` of the views; ``verdict``, the expected
+        quality of the scene; ``account``, its
+        :class:`slgaussian.storage.statistics.FieldStatistics`; ``cameras``, if they were estimated,
+        the way in which they were.
 
     Raises
     ------
     InputError
-        If a setting is out of bounds, a checkpoint does not fit, the views cannot be used, or
-        their cameras are not theirs; the message says which and why.
+        If a setting is out of range, a checkpoint does not fit, the views cannot be used, or the
+        cameras contradict the photographs.
     """
     check_type(sample, Sample, "build_field: expected a Sample, as slg.photographs returns it")
     method = method or Method()
@@ -93,8 +92,8 @@ def build_field(
     method.check()
     compiling.watch()
     sample, graph, left_out = select_usable(sample)
-    for name, why in left_out.items():
-        warnings.warn(f"{name} is left out: {why}", stacklevel=2)
+    for name, reason in left_out.items():
+        warnings.warn(f"{name} is left out: {reason}", stacklevel=2)
     with _timed("geometry", took):
         predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras)
         gaussians, quality, depths = predicted
@@ -104,7 +103,7 @@ def build_field(
         label_maps = label_views(geometry, *masking)
     with _timed("supervision", took):
         components = method.encoder, method.codes, method.seed, method.bank
-        bank = remember(sample, geometry, label_maps, *components)
+        bank = build_memory_bank(sample, geometry, label_maps, *components)
     with _timed("field", took):
         return lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
 
@@ -116,13 +115,12 @@ def predict(
     seed: int,
     trust_cameras: bool = False,
 ) -> Predicted:
-    """Predict Gaussians from context views and their matches (paper, section 3.1), with quality.
+    """Predict Gaussians from context views and their matches (paper, section 3.1).
 
     Raises
     ------
     InputError
-        As :func:`slgaussian.cameras.check.refuse`, unless cameras are trusted, and as the
-        predictor.
+        As :func:`slgaussian.cameras.check.refuse`, unless ``trust_cameras``, and as the predictor.
     """
     checks = check_pairs(sample.context, graph)
     if not trust_cameras:
@@ -148,28 +146,28 @@ def label_views(
     replicas: int,
     votes: str = VOTES[0],
 ) -> LabelMaps:
-    """Object ids that agree across the context views (paper, section 3.2, Mask Association)."""
+    """Compute consistent object ids of the context views (paper, section 3.2, Mask Association)."""
     maps = associate(geometry.frames, proposer.load(), tracker.load(), replicas, votes)
     opaque = _opaque(geometry.views)
     return maps if opaque is None else replace(maps, labels=np.where(opaque, maps.labels, 0))
 
 
-def remember(
+def build_memory_bank(
     sample: Sample,
     geometry: SceneGeometry,
     label_maps: LabelMaps,
     encoder: Component,
     codes: Component,
     seed: int,
-    held: str = BANK[0],
+    entries: str = BANK[0],
 ) -> MemoryBank:
-    """Draw an ID code for every object and encode what each view shows of it (section 3.2).
+    """Draw an ID code for every object and encode the object in each view (section 3.2).
 
-    Groups of objects are encoded too, as :func:`slgaussian.masks.levels.group_objects` finds them,
-    unless ``held`` is ``objects`` (:data:`slgaussian.components.method.BANK`).
+    Groups of objects (:func:`slgaussian.masks.levels.group_objects`) are encoded too, unless
+    ``entries`` is ``objects`` (:data:`slgaussian.components.method.BANK`).
     """
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
-    grouped = held == "groups" and len(label_maps.ids) > 0
+    grouped = entries == "groups" and len(label_maps.ids) > 0
     groups = group_objects(geometry.frames, label_maps) if grouped else (None, None)
     around = geometry.surroundings
     return build_bank(sample.context, label_maps, encoder.load(), drawn, around, *groups)
@@ -184,10 +182,10 @@ def lift_field(
     quality: Quality,
     depths: Depths | None = None,
 ) -> SemanticField:
-    """Join base Gaussians, labels and bank into a field (section 3.1, Semantic Parameters).
+    """Combine base Gaussians, labels and bank to a field (section 3.1, Semantic Parameters).
 
-    It says of itself which method made it, how good the views were, and what it is made of. Its
-    Gaussians are those that ``method.keep`` says: what needs one a pixel reads those that went in.
+    Its settings record method, quality of the views and statistics. With ``method.keep`` "needed"
+    its Gaussians are merged: code that needs one Gaussian per pixel must use the unmerged input.
     """
     cameras = {view.name: view.camera for view in sample.context}
     lifted = method.lifting.load()(gaussians, label_maps, bank)
@@ -229,7 +227,7 @@ def _size(arrays: Mapping[str, np.ndarray]) -> int:
 
 
 def _opaque(views: Sequence[View]) -> np.ndarray | None:
-    """Find the pixels of the views that show something, bool [V, H, W]; None if all do."""
+    """Return the opaque pixels of the views, bool [V, H, W]; None if all are."""
     masks = [view.opaque for view in views]
     if all(mask is None for mask in masks):
         return None

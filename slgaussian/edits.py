@@ -1,8 +1,8 @@
-"""Changes of a user to a field, beside it in its folder: taught words, names, removed objects.
+"""A user's edits of a field, stored in its folder: taught words, names, removed objects.
 
-Two files that a field may have or not, and that no other file knows of: ``words.npz``, which fields
-of other scenes can take too (:mod:`slgaussian.language.taught`), and ``edits.npz``. The Gaussians
-stay as they were built, so that every change can be taken back.
+They are two optional files: ``words.npz``, which fields of other scenes can load too
+(:mod:`slgaussian.language.taught`), and ``edits.npz``. The Gaussians are not modified, so every
+edit can be undone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REPAIR = f"remove {EDITS} to have the field as it was built"
 
 
 def files(taught: TaughtWords, names: Mapping[int, str], removed: Set[int]) -> dict[str, bytes]:
-    """The files by name; none for what is not changed."""
+    """Encode the files by name; without edits there are none."""
     files = {}
     if len(taught.words):
         files[WORDS] = taught.to_bytes()
@@ -40,7 +40,7 @@ def files(taught: TaughtWords, names: Mapping[int, str], removed: Set[int]) -> d
 
 
 def write(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Put :func:`files` into the folder of a field, and take away those that are not among them.
+    """Write :func:`files` to the folder of a field, and delete edits that are not among them.
 
     InputError if the folder cannot be written.
     """
@@ -60,20 +60,20 @@ def write(folder: Path, files: Mapping[str, bytes]) -> None:
 def read(
     folder: Path, encoder: str, ids: np.ndarray
 ) -> tuple[TaughtWords, dict[int, str], frozenset[int]]:
-    """Read what was changed in the field of a folder; nothing if there are no such files.
+    """Read the taught words, names and removed objects of a field's folder, or empty ones.
 
     Parameters
     ----------
     folder : path
     encoder : str
-        Of :func:`slgaussian.language.taught.encoder_identity`.
+        From :func:`slgaussian.language.taught.encoder_identity`.
     ids : int32 [N]
-        Of the field's objects.
+        Ids of the field's objects.
 
     Raises
     ------
     SpecError
-        If a file is damaged, its words are of another encoder, or it speaks of other objects.
+        If a file is damaged, its words have another encoder, or an object is not in the field.
     """
     taught, names, removed = TaughtWords(), {}, frozenset[int]()
     if (folder / WORDS).is_file():

@@ -1,4 +1,4 @@
-"""Gaussians: one structure of arrays, the geometry and colour of a scene.
+"""Gaussians: geometry and colour of a scene, as a structure of arrays.
 
 Spherical harmonics follow the standard 3D Gaussian splatting convention (Kerbl et al. 2023):
 ``rgb = 0.5 + sum_k Y_k(d) sh_k``, so a degree-0 coefficient is ``(rgb - 0.5) / SH_C0``.
@@ -16,7 +16,7 @@ from slgaussian.errors import InputError
 from slgaussian.io import short_repr
 from slgaussian.scene import Camera
 
-if TYPE_CHECKING:  # a field is asked and drawn without torch, which takes a second to import
+if TYPE_CHECKING:  # queries and rendering on the CPU must not import torch, which takes a second
     import torch
 
 Held = TypeVar("Held")
@@ -27,7 +27,7 @@ SH_C0 = 0.28209479177387814
 
 
 class _Tensor(Generic[Held]):
-    """A tensor among the fields of :class:`Gaussians`, made of its array when first asked for."""
+    """A tensor field of :class:`Gaussians`, converted from its array on first access."""
 
     def __init__(self, optional: bool = False) -> None:
         self.optional = optional
@@ -40,7 +40,7 @@ class _Tensor(Generic[Held]):
     @overload
     def __get__(self, of: object, owner: type) -> Held: ...
     def __get__(self, of: object | None, owner: type) -> Any:
-        if of is None:  # dataclasses ask for the default
+        if of is None:  # dataclass reads the default
             if self.optional:
                 return None
             raise AttributeError(self.name)
@@ -66,24 +66,24 @@ class Gaussians:
     scales : float32 [N, 3]
         Standard deviations along the local axes, scene units, positive.
     quats : float32 [N, 4]
-        Rotations local-to-world, wxyz; of unit length, though any but zero is taken.
+        Rotations local-to-world, wxyz; any length but zero is accepted.
     opacities : float32 [N]
         In [0, 1].
     sh : float32 [N, K, 3]
         Spherical-harmonic colour, K = (degree + 1)^2.
     source : int32 [N]
-        Flat index ``(view * H + row) * W + column`` of the context pixel each Gaussian came from.
+        Flat index ``(view * H + row) * W + column`` of the context pixel of each Gaussian.
     features : float32 [N, D] or None
-        Semantic features. In a field: the ID code (3 numbers in the paper) times its weight, and
-        the weight; see :class:`slgaussian.semantic.Lifting`.
+        Semantic features. In a field: the ID code (3-dimensional in the paper) times its weight,
+        and the weight; see :class:`slgaussian.semantic.Lifting`.
     guessed : bool [N] or None
-        Whose depth no second view confirms, as :func:`slgaussian.build.predict` tells; of a
-        predictor those behind and beyond what the views show. None where it is not known.
+        True if no second view confirms the depth (:func:`slgaussian.build.predict`). Predictors
+        set it for occluded Gaussians and those outside the views. None if unknown.
 
     Raises
     ------
     InputError
-        If shapes disagree; :meth:`check` looks at the numbers.
+        If shapes disagree; :meth:`check` checks the values.
     """
 
     means: _Tensor[torch.Tensor] = _Tensor()
@@ -118,7 +118,7 @@ class Gaussians:
         return int(self.__dict__["means"].shape[0])
 
     def __getitem__(self, keep: torch.Tensor | np.ndarray) -> Gaussians:
-        """The Gaussians chosen by a boolean mask [N], or indices: an array or a tensor."""
+        """Select Gaussians by a boolean mask [N] or indices, as array or tensor."""
         if isinstance(keep, np.ndarray):
             if all(isinstance(value, np.ndarray) for _, value in self._present()):
                 return Gaussians.from_arrays({name: value[keep] for name, value in self._present()})
@@ -128,30 +128,30 @@ class Gaussians:
         return replace(self, **{name: value[keep] for name, value in self.items()})
 
     def _present(self) -> list[tuple[str, Any]]:
-        """The (name, tensor or array) pairs that are held, as they are."""
+        """Return the (name, tensor or array) pairs that are not None, without conversion."""
         stored = self.__dict__
         return [(f.name, stored[f.name]) for f in fields(self) if stored.get(f.name) is not None]
 
     @property
     def is_cuda(self) -> bool:
-        """True if they lie on a GPU; False of arrays."""
+        """True if the tensors are on a GPU; False for arrays."""
         return bool(getattr(self.__dict__["means"], "is_cuda", False))
 
     def items(self) -> list[tuple[str, torch.Tensor]]:
-        """The (name, tensor) pairs that are present."""
+        """Return the (name, tensor) pairs that are not None."""
         return [(name, getattr(self, name)) for name, _ in self._present()]
 
     def require_features(self) -> torch.Tensor:
-        """The features, float32 [N, D]; InputError if there are none."""
+        """Return the features, float32 [N, D]; InputError if there are none."""
         if self.features is None:
             raise InputError("gaussians features: found none, expected some in a semantic field")
         return self.features
 
     def check(self) -> None:
-        """Raise :class:`InputError` naming the first field and index whose numbers make no sense.
+        """Raise :class:`InputError` with the field and index of the first invalid value.
 
-        That is NaN or infinity anywhere, a negative scale, an opacity outside [0, 1] or a
-        quaternion of length zero.
+        Invalid are NaN, infinity, negative scales, opacities outside [0, 1] and quaternions of
+        length zero.
         """
         for name, value in self._present():
             if (index := first_not_finite(value)) is not None:
@@ -170,11 +170,11 @@ class Gaussians:
                 raise InputError(f"gaussians {name}[{index}]: found {entry}, {expected}")
 
     def colors(self) -> torch.Tensor:
-        """View-independent RGB, float [N, 3]: the degree-0 part of ``sh``."""
+        """Compute view-independent RGB, float [N, 3], from the degree-0 part of ``sh``."""
         return self.sh[:, 0] * SH_C0 + 0.5
 
     def to_arrays(self) -> dict[str, np.ndarray]:
-        """NumPy arrays by field name, as stored in ``gaussians.npz``."""
+        """Return NumPy arrays by field name, as stored in ``gaussians.npz``."""
         return {
             name: value if isinstance(value, np.ndarray) else value.detach().cpu().numpy()
             for name, value in self._present()
@@ -182,21 +182,21 @@ class Gaussians:
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> Gaussians:
-        """Inverse of :meth:`to_arrays`. Tensors are made of the arrays when they are asked for.
+        """Inverse of :meth:`to_arrays`. Tensors are created from the arrays on first access.
 
-        Both share memory with them, if they may be written to.
+        They share memory with writable arrays; read-only arrays are copied.
         """
         stored: Any = {n: a if a.flags.writeable else a.copy() for n, a in arrays.items()}
         return Gaussians(**stored)
 
     def with_arrays(self, **arrays: np.ndarray) -> Gaussians:
-        """These with other fields; the others are shared, whatever they are."""
+        """Return a copy with some fields replaced; the other fields are shared."""
         stored: Any = {**dict(self._present()), **arrays}
         return Gaussians(**stored)
 
     @staticmethod
     def concatenated(parts: Sequence[Gaussians]) -> Gaussians:
-        """One structure of the Gaussians of all parts, in order; they have the same fields."""
+        """Concatenate Gaussians, which must have the same fields."""
         names = [name for name, _ in parts[0]._present()]
         if all(isinstance(value, np.ndarray) for part in parts for _, value in part._present()):
             several = [part.to_arrays() for part in parts]
@@ -209,8 +209,8 @@ class Gaussians:
 
 
 def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:
-    """Index of the first row that holds NaN or infinity, or None."""
-    # In NumPy: a check is a fraction of a millisecond, less than torch needs to wake its threads.
+    """Return the index of the first row with NaN or infinity, or None."""
+    # In NumPy: the check takes less time than torch needs to wake its threads.
     finite = np.isfinite(
         values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
     )
@@ -220,12 +220,12 @@ def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:
 
 
 def rgb_to_sh(rgb: Numbers) -> Numbers:
-    """Degree-0 coefficients [N, 1, 3] of view-independent colours [N, 3] in [0, 1]."""
+    """Convert view-independent colours [N, 3] in [0, 1] to degree-0 coefficients [N, 1, 3]."""
     return ((rgb - 0.5) / SH_C0)[:, None]
 
 
 def rotation_matrices(quats: torch.Tensor) -> torch.Tensor:
-    """Rotation matrices [N, 3, 3] of quaternions wxyz [N, 4], normalised here."""
+    """Convert quaternions wxyz [N, 4] of any length to rotation matrices [N, 3, 3]."""
     w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -238,16 +238,16 @@ def rotation_matrices(quats: torch.Tensor) -> torch.Tensor:
 
 
 def covariances(gaussians: Gaussians) -> torch.Tensor:
-    """World-space covariance R S S^T R^T of each Gaussian, [N, 3, 3]."""
+    """Compute the world-space covariance R S S^T R^T of each Gaussian, [N, 3, 3]."""
     factor = rotation_matrices(gaussians.quats) * gaussians.scales[:, None, :]
     return factor @ factor.mT
 
 
 def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray:
-    """Depth maps of the context views, from the Gaussian that each pixel gave birth to.
+    """Compute depth maps of the context views from the Gaussians of their pixels.
 
-    A pixel without one, because other views draw its surface already, has the depth of the nearest
-    of their Gaussians that lands on it or beside it.
+    A pixel without a Gaussian, because those of other views cover its surface, has the depth of the
+    nearest Gaussian of another view that projects to it or to one of its 8 neighbours.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
     Returns
     -------
     float32 [V, H, W]
-        z-depth in scene units; 0 where nothing is drawn, and in views that draw nothing (left).
+        z-depth in scene units; 0 without Gaussians, and in views none of whose pixels has one.
     """
     from scipy.ndimage import minimum_filter
 
@@ -267,17 +267,17 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
     arrays = gaussians.to_arrays()
     source, means = arrays["source"], arrays["means"].astype(np.float64)
     for index, (camera, depth) in enumerate(zip(cameras, depths, strict=True)):
-        mine = source // (H * W) == index
+        in_view = source // (H * W) == index
         pixels, z = camera.project(means)
-        depth[source[mine] % (H * W)] = z[mine]
-        if not mine.any() or (depth > 0).all():
+        depth[source[in_view] % (H * W)] = z[in_view]
+        if not in_view.any() or (depth > 0).all():
             continue
-        landed = np.full((H, W), np.inf, np.float32)
-        inside = ~mine & (z > 0) & (pixels >= 0).all(1) & (pixels < (W, H)).all(1)
+        nearest = np.full((H, W), np.inf, np.float32)
+        inside = ~in_view & (z > 0) & (pixels >= 0).all(1) & (pixels < (W, H)).all(1)
         column, row = pixels[inside].astype(np.int64).T
-        np.minimum.at(landed, (row, column), z[inside].astype(np.float32))
-        # Points do not land on every pixel.
-        beside = minimum_filter(landed, 3)
-        lent = np.where(np.isfinite(landed), landed, beside).ravel()
-        depth[:] = np.where((depth == 0) & np.isfinite(lent), lent, depth)
+        np.minimum.at(nearest, (row, column), z[inside].astype(np.float32))
+        # Points do not project to every pixel.
+        around = minimum_filter(nearest, 3)
+        filled = np.where(np.isfinite(nearest), nearest, around).ravel()
+        depth[:] = np.where((depth == 0) & np.isfinite(filled), filled, depth)
     return depths.reshape(len(cameras), H, W)

@@ -1,4 +1,4 @@
-"""Label maps: which object every pixel of every view belongs to."""
+"""Label maps: the object id of every pixel of every view."""
 
 from __future__ import annotations
 
@@ -10,22 +10,21 @@ from slgaussian.errors import InputError
 from slgaussian.io import short_repr
 
 VISIBLE = 0.5
-"""A pixel has an object when at least this fraction of its light comes from labelled Gaussians."""
+"""A pixel has an object if labelled Gaussians have at least this sum of blending weights."""
 
 
 @dataclass(frozen=True, eq=False)
 class LabelMaps:
-    """Object ids that agree across views (the S_i of the paper, section 3.2).
+    """Object ids that are consistent across views (the S_i of the paper, section 3.2).
 
     Attributes
     ----------
     labels : int32 [V, H, W]
         Object ids above 0; 0 is unassigned. An id means the same object in every view.
     margin : float32 [V, H, W]
-        By how much the vote was won: (votes for the winner - votes for the runner-up) / replicas,
-        in [0, 1].
+        Margin of the vote: (votes for the winner - votes for the runner-up) / replicas, in [0, 1].
     computed : int, optional
-        Copies of one view, at most, that were segmented for the vote; None if that was not told.
+        Largest number of copies of a view that were segmented for the vote; None if unknown.
     """
 
     labels: np.ndarray
@@ -58,9 +57,9 @@ class LabelMaps:
         return self.ids[(self.areas() > 0).sum(1) == 1]
 
     def areas(self) -> np.ndarray:
-        """Pixels of each object in each view, int64 [N, V], rows in the order of :attr:`ids`."""
+        """Count the pixels of each object in each view, int64 [N, V], rows as in :attr:`ids`."""
         ids = self.ids
-        # Ids made elsewhere may be in the millions, too many for a table of all below the largest.
+        # By row, not by id: ids of other programs may be in the millions.
         counts = [
             np.bincount(np.searchsorted(ids, view[view > 0]), minlength=len(ids))
             for view in self.labels

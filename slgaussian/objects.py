@@ -1,4 +1,4 @@
-"""Describe the objects of a field: best words, size, place and confidence of each."""
+"""Inventory of a field's objects: best words, size, position and confidence of each."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 COMMON_OBJECTS = (
     "floor", "wall", "table", "chair", "sofa", "door", "window", "plant", "box", "book",
 )  # fmt: skip
-"""What is looked for where an encoder has no list of words of its own."""
+"""Texts for encoders without a vocabulary of their own."""
 
 BEST = 3
-"""Words that an object is described by."""
+"""Number of words that describe an object."""
 
 LOOK = 320
-"""Longest side, in pixels, of the pictures in which confidence and the room are looked at."""
+"""Longest side, in pixels, of the views that are rendered for confidence and the room."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,22 +39,22 @@ class SceneObject:
     ----------
     id : int
     name : str or None
-        What the user calls it.
+        Name given by the user.
     words : tuple of (str, float)
-        The texts that fit it best, with their relevancies, best first; up to 0.5 a text fits no
-        better than the canonical phrases do.
+        The texts that fit it best, with relevancies, best first; up to 0.5 a text fits no better
+        than the canonical phrases.
     confidence : float
-        How clearly its pixels in the context views are its own, the mean of
-        :attr:`slgaussian.field.FieldView.confidence`; 0 where none shows it.
+        Mean of :attr:`slgaussian.field.FieldView.confidence` over its pixels in the context views;
+        0 if it is not visible.
     gaussians : int
-        How many carry it most of all.
+        Number of Gaussians whose main object it is.
     box : Box or None
-        Where it is and how large, in scene units; upright as the room is. None without Gaussians.
+        Upright bounding box in scene units, aligned to the room; None without Gaussians.
     metres : bool or None
-        Whether scene units are metres. False where cameras were found from photographs, which know
-        no scale. None where cameras were given: the unit is theirs, and no file says it.
+        True if scene units are metres. False for cameras estimated from photographs, which have no
+        scale. None for given cameras, whose unit is unknown.
     views : tuple of str
-        The context views that hold it.
+        The context views that show it.
     """
 
     id: int
@@ -72,7 +72,7 @@ class SceneObject:
 def list_objects(
     field: SemanticField, words: Sequence[tuple[tuple[str, float], ...]]
 ) -> list[SceneObject]:
-    """Describe every object of a field that is not removed, by id.
+    """Describe every object of a field that is not removed, in order of ids.
 
     ``words`` are the best texts of each object of the bank.
     """
@@ -81,10 +81,10 @@ def list_objects(
     looks = [field.render(camera) for camera in cameras]
     sums, areas = np.zeros(len(bank)), np.zeros(len(bank))
     for look in looks:
-        there = look.ids > 0
-        rows = np.searchsorted(bank.ids, look.ids[there])
+        labelled = look.ids > 0
+        rows = np.searchsorted(bank.ids, look.ids[labelled])
         areas += np.bincount(rows, minlength=len(bank))
-        sums += np.bincount(rows, look.confidence[there], minlength=len(bank))
+        sums += np.bincount(rows, look.confidence[labelled], minlength=len(bank))
     up = find_room(cameras, [look.depth for look in looks]).up
     means, labels = field.gaussians.to_arrays()["means"], field.labels()
     order = np.argsort(labels, kind="stable")
@@ -110,9 +110,9 @@ def list_objects(
 
 
 def words_for(encoder: Encoder) -> tuple[str, ...]:
-    """Return the words that objects are described by: colours, and the lexicon's nouns for naming.
+    """Return the texts that describe objects: the lexicon's colours and its nouns for naming.
 
-    For another encoder, which knows any word, some common objects.
+    For other encoders they are the names of some common objects.
     """
     if not isinstance(encoder, Lexicon):
         return COMMON_OBJECTS
@@ -121,6 +121,6 @@ def words_for(encoder: Encoder) -> tuple[str, ...]:
 
 
 def _small(camera: Camera) -> Camera:
-    """The camera with an image of :data:`LOOK` pixels at most."""
+    """Shrink the image of a camera to a longest side of at most :data:`LOOK`."""
     shrink = min(1.0, LOOK / max(camera.width, camera.height))
     return camera.resized(round(camera.width * shrink), round(camera.height * shrink))

@@ -1,6 +1,6 @@
-"""Cameras, views, scenes and samples: what every reader produces and everything else consumes.
+"""Cameras, views, scenes and samples, which readers produce and all other modules consume.
 
-Convention, fixed here for the whole project: OpenCV axes (x right, y down, z forward),
+Convention of the whole project: OpenCV axes (x right, y down, z forward),
 camera-to-world poses, intrinsics in pixels, and pixel centres at +0.5, so that the top-left pixel
 covers [0, 1] x [0, 1] and its centre is (0.5, 0.5).
 """
@@ -24,10 +24,10 @@ from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
 
 ROTATION_TOLERANCE = 1e-3
-"""Largest allowed entry of ``R.T @ R - I``: poses printed with four digits pass, scalings not."""
+"""Largest allowed entry of ``R.T @ R - I``: accepts poses printed with four digits, not scaling."""
 
 PAPER_PIXELS = 416 * 576
-"""Pixels of the images that the paper runs on."""
+"""Number of pixels of the paper's images."""
 
 Size = tuple[int, int] | str
 """Height and width, ``"auto"``, ``"original"`` or ``"at most 312x432"``; see :meth:`Scene.sample`.
@@ -36,16 +36,16 @@ Size = tuple[int, int] | str
 
 @dataclass(frozen=True)
 class Estimated:
-    """Estimate of a camera that was not given.
+    """Uncertainty of an estimated camera.
 
     Attributes
     ----------
     focal : (float, float)
-        Ends of the interval that holds the focal length nine times in ten, as fractions of it.
+        90 % confidence interval of the focal length, relative to the estimate.
     source : str
-        Where the focal length comes from: "EXIF", "matches", "guess" or "given".
+        Source of the focal length: "EXIF", "matches", "guess" or "given".
     confidence : float
-        0 to 1: that the poses of the scene are right to some degrees.
+        Probability, 0 to 1, that the poses of the scene are correct to a few degrees.
     """
 
     focal: tuple[float, float]
@@ -54,12 +54,12 @@ class Estimated:
 
     @staticmethod
     def of(content: Any) -> Estimated:
-        """Inverse of :func:`dataclasses.asdict`, with a way through JSON between.
+        """Inverse of :func:`dataclasses.asdict`, also after a round trip through JSON.
 
         Raises
         ------
         ValueError
-            If it is anything else.
+            If the content is invalid.
         """
         try:
             low, high = map(float, content["focal"])
@@ -84,9 +84,9 @@ class Camera:
     width, height : int
         Image size in pixels.
     near, far : float or None
-        Depth range along z in scene units, where the user knows it.
+        Depth range along z in scene units, if known.
     estimated : Estimated or None
-        How it was found from photographs alone; None if it was given.
+        Uncertainty, if the camera was estimated from photographs; None if it was given.
 
     Raises
     ------
@@ -148,7 +148,7 @@ class Camera:
         object.__setattr__(self, "height", int(self.height))
 
     def ranged(self, near: float | None, far: float | None) -> Camera:
-        """The camera with another depth range along z, scene units; None keeps its own end."""
+        """Return the camera with another depth range along z, scene units; None keeps a bound."""
         near, far = self.near if near is None else near, self.far if far is None else far
         return replace(self, near=near, far=far)
 
@@ -178,22 +178,22 @@ class Camera:
         return pixels[..., :2] / safe[..., None], z
 
     def rays(self) -> np.ndarray:
-        """World-space ray through every pixel centre, scaled to z = 1: float64 [H, W, 3]."""
+        """Compute the world-space ray through every pixel centre, z = 1: float64 [H, W, 3]."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         local = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(self.K).T
         return local @ self.c2w[:3, :3].T
 
     def unproject(self, depth: np.ndarray) -> np.ndarray:
-        """World points float64 [H, W, 3] of a z-depth map [H, W] in scene units."""
+        """Unproject a z-depth map [H, W] in scene units to world points float64 [H, W, 3]."""
         return self.center + self.rays() * np.asarray(depth, np.float64)[..., None]
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera with its image stretched to ``width`` x ``height``."""
+        """Return the camera with its image stretched to ``width`` x ``height``."""
         K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
         return replace(self, K=K, width=width, height=height)
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
-        """The same camera seen through a window of its image."""
+        """Return the camera with its image cropped to a window."""
         K = self.K.copy()
         K[0, 2] -= left
         K[1, 2] -= top
@@ -245,12 +245,12 @@ class View:
 
     @property
     def shown(self) -> Window:
-        """Part of the photograph that is shown."""
+        """Window of the photograph that the view shows."""
         return self.window or Window.whole(self.camera.width, self.camera.height)
 
     @cached_property
     def grey(self) -> np.ndarray:
-        """The photograph without colour, uint8 [H, W]."""
+        """The photograph in greyscale, uint8 [H, W]."""
         return cv2.cvtColor(self.image, cv2.COLOR_RGB2GRAY)
 
     @cached_property
@@ -259,7 +259,7 @@ class View:
         return cv2.cvtColor(self.image.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
 
     def resized(self, height: int, width: int) -> View:
-        """Scale to cover ``height`` x ``width``, then crop the centre; camera and truths follow.
+        """Scale to cover ``height`` x ``width``, then crop the centre, ground truth included.
 
         See :mod:`slgaussian.formats.resampling`.
         """
@@ -282,28 +282,27 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """Context views, which a predictor sees, and target views, which it is judged on.
+    """Context views, the input of a predictor, and target views for evaluation.
 
     Attributes
     ----------
     scene : str
-        Scene id, as tables and messages say it. No result depends on it.
+        Scene id for tables and messages; it does not affect results.
     context : tuple of View
         Two or more photographs of the same size.
     targets : tuple of View
         Held-out views, possibly none.
     phrases : mapping int -> str
-        What each true instance id is called, where the truth is known.
+        Name of each ground-truth instance id, if known.
     found : mapping
-        How the cameras were found, as
-        :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json` says it; empty if they were
-        given.
+        Estimation of the cameras, from
+        :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`; empty if they were given.
 
     Raises
     ------
     InputError
-        If context views have different sizes, are one picture from two places, share one position
-        (no baseline), or fall into pieces that cannot see a common point.
+        If context views differ in size, are one picture with two poses, share one position (no
+        baseline), or form groups that cannot see a common point.
     """
 
     scene: str
@@ -334,16 +333,15 @@ class Sample:
 
     @cached_property
     def content(self) -> str:
-        """Content of the context views, in their order, whatever their names.
+        """SHA-256, hexadecimal, of the images of the context views in order, without names.
 
-        SHA-256, hexadecimal. Randomness is seeded by it (:mod:`slgaussian.kernels.seeding`).
-        Cameras are no part of it: the last digits of those that are found depend on the processor,
-        and must not change what is drawn.
+        It seeds random draws (:mod:`slgaussian.kernels.seeding`). Cameras are excluded, because the
+        last digits of estimated ones depend on the CPU.
         """
         return content_of(*(view.image for view in self.context))
 
     def resized(self, height: int, width: int) -> Sample:
-        """All views scaled and centre-cropped to one size."""
+        """Scale and centre-crop all views to one size."""
         return replace(
             self,
             context=tuple(view.resized(height, width) for view in self.context),
@@ -357,21 +355,21 @@ def _no_sources(name: str) -> Sequence[Path]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A set of posed photographs, read one by one when asked for.
+    """A set of posed photographs, which are read on demand.
 
     Attributes
     ----------
     name : str
     cameras : mapping str -> Camera
-        Every view's camera by view name, in the data set's own order.
+        Camera of every view by view name, in the order of the data set.
     read : callable str -> View
         Reads and undistorts one view.
     phrases : mapping int -> str
-        What each true instance id is called, where known.
+        Name of each ground-truth instance id, if known.
     found : mapping
-        As :class:`Sample` has it.
+        See :class:`Sample`.
     sources : callable str -> sequence of Path
-        Names the files that a view and its camera are read from, by view name. One may be missing.
+        Returns the files of a view and its camera, by view name; some may not exist.
     """
 
     name: str
@@ -385,12 +383,12 @@ class Scene:
 
     @property
     def left_out(self) -> Mapping[str, str]:
-        """Photographs that were left out when cameras were found, and why."""
-        said = self.found.get("left_out")
-        return said if isinstance(said, dict) else {}
+        """Photographs without an estimated camera, with the reason."""
+        reasons = self.found.get("left_out")
+        return reasons if isinstance(reasons, dict) else {}
 
     def placed(self, names: Sequence[str]) -> list[str]:
-        """The names, as :meth:`find` knows them, without those of :attr:`left_out`."""
+        """Return the names (as for :meth:`find`) without those of :attr:`left_out`."""
         return [
             name
             for name in names
@@ -398,12 +396,12 @@ class Scene:
         ]
 
     def find(self, name: str) -> str:
-        """The full view name for ``name``, which may leave out folders and the extension.
+        """Return the full view name for ``name``, which may omit folders and the extension.
 
         Raises
         ------
         InputError
-            If no view, or more than one, answers to it.
+            If no view, or more than one, matches.
         """
         if name in self.cameras:
             return name
@@ -415,11 +413,11 @@ class Scene:
                 f"scene {self.name!r}: view {name!r} is ambiguous: it may be "
                 f"{', '.join(hits[:4])}; say more of its path"
             )
-        for full, why in self.left_out.items():
+        for full, reason in self.left_out.items():
             if _answers_to(full, name):
                 raise InputError(
-                    f"scene {self.name!r}: {name!r} was left out when cameras were found ({why}); "
-                    "choose another view, or add photographs between it and the others"
+                    f"scene {self.name!r}: {name!r} was left out when cameras were found "
+                    f"({reason}); choose another view, or add photographs between it and the others"
                 )
         few = ", ".join(list(self.cameras)[:4])
         raise InputError(
@@ -436,29 +434,29 @@ class Scene:
         far: float | None = None,
         judged: Size | None = None,
     ) -> Sample:
-        """Read the named views, the context first, and bring them to a size.
+        """Read the named views, the context first, and resize them.
 
         Parameters
         ----------
         context, targets : sequence of str
-            View names, as :meth:`find` knows them.
+            View names, as for :meth:`find`.
         size : (height, width), "at most 312x432", "auto" or "original"
-            A pair scales and centre-crops. "at most" shrinks views of more pixels than that to as
-            many; "auto" is at most :data:`PAPER_PIXELS`: a Gaussian a pixel of a camera's full
-            resolution would be millions. Both keep the views' shape; of views of several sizes, all
-            are cropped about the middle to the least height by the least width among them.
+            A pair scales and centre-crops. "at most" shrinks larger views to that number of pixels;
+            "auto" is at most :data:`PAPER_PIXELS`, since one Gaussian per pixel at full resolution
+            would be millions. Both keep the aspect ratio; if views differ in size, all are
+            centre-cropped to the smallest height and the smallest width.
         near, far : float, optional
-            Depth range along z in scene units, for all views; without it each keeps what its
-            camera says, mostly nothing, and a predictor finds its own.
+            Depth range along z in scene units, for all views. By default that of each camera; if it
+            has none, the predictor estimates it.
         judged : as ``size``, optional
-            Size of the targets, so that what is built of small photographs can be judged at the
-            size at which others are; by default ``size``.
+            Size of the targets, by default ``size``: fields of small photographs can be evaluated
+            at the resolution of other methods.
 
         Raises
         ------
         InputError
-            If a view cannot be found or read, is named twice in the context, or the views do not
-            make a sample.
+            If a view cannot be found or read, occurs twice in the context, or the views are not a
+            valid sample.
         """
         names = [self.find(name) for name in (*context, *targets)]
         for i, name in enumerate(names[: len(context)]):
@@ -469,15 +467,15 @@ class Scene:
                 )
         least, n = self._least(names), len(context)
         views = []
-        for k, name in enumerate(names):  # and not all at once: photographs are large
+        for k, name in enumerate(names):  # one at a time: photographs are large
             view = self._fitted(name, size if k < n or judged is None else judged, least)
             views.append(replace(view, camera=view.camera.ranged(near, far)))
         return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.found)
 
     def views(self, names: Sequence[str], size: Size = "auto") -> list[View]:
-        """Read the named views and bring them to a size, as :meth:`sample` does.
+        """Read the named views and resize them, as :meth:`sample` does.
 
-        InputError if one cannot be found or read.
+        InputError if a view cannot be found or read.
         """
         names = [self.find(name) for name in names]
         least = self._least(names)
@@ -493,7 +491,7 @@ class Scene:
 
 
 def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:
-    """Fraction of ``a``'s image, 0 to 1, that lands inside ``b`` if all of it lies at ``depth``.
+    """Compute the fraction of ``a``'s image, 0 to 1, that projects into ``b`` from ``depth``.
 
     ``depth`` is a scalar or a [9, 9] map of z-depths on a regular grid over ``a``'s image.
     """
@@ -507,8 +505,10 @@ def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:
 
 
 def _check_views(scene: str, views: Sequence[View]) -> None:
-    """Raise InputError if two views are one picture from two places, or if no pairs that may see a
-    common point from two places join all views."""
+    """Raise InputError if two views are one picture with two poses, or views are not connected.
+
+    Views are connected by pairs with a baseline that may see a common point.
+    """
     joined = np.eye(len(views))
     together = ""
     for i, a in enumerate(views):
@@ -554,7 +554,7 @@ def _may_overlap(a: Camera, b: Camera, baseline: float) -> bool:
 
 
 def _fit(height: int, width: int, size: Size) -> tuple[int, int]:
-    """Height and width that views are brought to by a size other than "original"."""
+    """Compute the height and width of resized views, for a size other than "original"."""
     if not isinstance(size, str):
         return size
     scale = min(1.0, (_most_pixels(size) / (height * width)) ** 0.5)
@@ -564,13 +564,13 @@ def _fit(height: int, width: int, size: Size) -> tuple[int, int]:
 def _most_pixels(size: str) -> int:
     if size == "auto":
         return PAPER_PIXELS
-    found = re.fullmatch(r"at most ([1-9]\d*)x([1-9]\d*)", size)
-    if found is None:
+    match = re.fullmatch(r"at most ([1-9]\d*)x([1-9]\d*)", size)
+    if match is None:
         raise InputError(
             f"size: found {size!r}, expected (height, width), 'at most 312x432', 'auto' or "
             "'original'"
         )
-    return int(found[1]) * int(found[2])
+    return int(match[1]) * int(match[2])
 
 
 def _answers_to(full: str, name: str) -> bool:

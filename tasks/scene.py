@@ -18,7 +18,7 @@ import numpy as np
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, label_files, read_truth
 from slgaussian.benchmark.evaluate import truth_from_instances
-from slgaussian.build import label_views, lift_field, predict, remember
+from slgaussian.build import build_memory_bank, label_views, lift_field, predict
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality
 from slgaussian.components.component import Component
@@ -340,7 +340,7 @@ def supervision(
 
     The paper's code images are ``bank.codes`` indexed by the label maps, so they are not stored.
     """
-    bank = remember(
+    bank = build_memory_bank(
         run.read(sample, sample_from_arrays),
         read_geometry(run, sample, gaussians),
         run.read(labels, labels_from_arrays),

@@ -1,6 +1,6 @@
 """Fields of known Gaussians and label maps, for tests of what comes after those."""
 
-from slgaussian.build import lift_field, remember
+from slgaussian.build import build_memory_bank, lift_field
 from slgaussian.cameras.quality import Quality
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
@@ -18,7 +18,7 @@ def known_bank(
 ) -> MemoryBank:
     """What a method remembers of the objects of these label maps."""
     geometry = SceneGeometry.of(sample.context, gaussians)
-    return remember(sample, geometry, labels, method.encoder, method.codes, method.seed)
+    return build_memory_bank(sample, geometry, labels, method.encoder, method.codes, method.seed)
 
 
 def known_field(

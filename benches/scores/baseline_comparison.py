@@ -22,7 +22,7 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.index import read_index
 from slgaussian.benchmark.resident_memory import give_back
-from slgaussian.build import label_views, lift_field, predict, remember
+from slgaussian.build import build_memory_bank, label_views, lift_field, predict
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
@@ -79,7 +79,9 @@ def run_alone(name: str, data: Path) -> None:
     gaussians, quality, depths = predict(sample, graph, method.predictor, method.seed)
     geometry = SceneGeometry.of(sample.context, gaussians)
     label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
-    bank = remember(sample, geometry, label_maps, method.encoder, method.codes, method.seed)
+    bank = build_memory_bank(
+        sample, geometry, label_maps, method.encoder, method.codes, method.seed
+    )
     field = lift_field(sample, gaussians, label_maps, bank, method, quality, depths)
     field.encoder  # noqa: B018  (loaded once, for all)
     classes = tuple(sorted({text for masks in truth.values() for text in masks}))

@@ -20,7 +20,7 @@ from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, read_truth
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import truth_from_instances
-from slgaussian.build import label_views, lift_field, predict, remember
+from slgaussian.build import build_memory_bank, label_views, lift_field, predict
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels.seeding import rng_for
@@ -134,7 +134,7 @@ def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     gaussians, quality, depths = predicted
     geometry = SceneGeometry.of(sample.context, gaussians)
     labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
-    bank = remember(sample, geometry, labels, method.encoder, method.codes, method.seed)
+    bank = build_memory_bank(sample, geometry, labels, method.encoder, method.codes, method.seed)
     draw, proposer = method.codes.load(), method.proposer.load()
     field = lift_field(sample, gaussians, labels, bank, method, quality, depths)
     carried = field.labels()
