@@ -10,10 +10,9 @@ from slgaussian import precompile
 from slgaussian.kernels import threads
 
 AFTERWARDS = """
-from slgaussian.build import build_field
-from slgaussian.kernels import threads
 from numba.core import event
-from tests.flows.command import room_sample
+from slgaussian import datasets
+from slgaussian.build import build_field
 
 class Listener(event.Listener):
     def on_start(self, event):
@@ -21,7 +20,7 @@ class Listener(event.Listener):
     def on_end(self, event):
         pass
 
-sample = room_sample()
+sample = datasets.load("stereo").sample(["left", "right"], size=(120, 168))
 event.register("numba:compile", Listener())
 build_field(sample)
 """

@@ -1,8 +1,6 @@
-"""One answer, said alike: sentence, JSON, exit status, picture, page and the line after `field`."""
+"""One answer, said alike: sentence, JSON, exit status, picture; ``test_page.py`` has the page."""
 
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -10,8 +8,6 @@ from command import run
 from PIL import Image
 
 from slgaussian.benchmark import pictures
-from slgaussian.viewer.page.scene_page import scene_page
-from tests.browser import Browser, Tab
 from tests.viewer import test_page
 
 CASES = [
@@ -100,24 +96,3 @@ def test_a_view_and_the_command_segment_alike(field, folder, tmp_path, ask):
         fits = best.max(0) > rules.get("threshold", 0.5)
         np.testing.assert_array_equal(labels, np.where(fits, best.argmax(0) + 1, 0))
         assert 0.02 < (labels == 0).mean() < 0.98
-
-
-@contextmanager
-def opened(browser: Browser, file) -> Iterator[Tab]:
-    with browser.open(file.as_uri(), 700, 440) as tab:
-        tab.wait("globalThis.slgaussian !== undefined", 120)
-        yield tab
-
-
-def test_a_page_says_what_a_query_says(browser, field, tmp_path):
-    view = field.render(next(iter(field.cameras.values())))
-    (tmp_path / "a.html").write_text(scene_page(field), "utf-8")
-    with opened(browser, tmp_path / "a.html") as tab:
-        for text, verdict, _ in CASES[:3]:
-            tab.evaluate(f"slgaussian.ask({json.dumps(text)})")
-            tab.wait("!slgaussian.busy")
-            sentence = tab.evaluate("document.getElementById('answer').textContent")
-            assert view.query(text).summary in sentence
-            assert tab.evaluate("slgaussian.asked[0].verdict") == verdict
-            look = tab.evaluate("slgaussian.look()")
-            assert look["dashes"] == (verdict == "not sure")

@@ -157,6 +157,10 @@ def test_the_page_is_as_sure_as_a_query(page, field):
         assert (answer["verdict"], answer["summary"]) == (hit.verdict, hit.summary)
         verdicts.add(hit.summary.split(":")[0])
     assert verdicts == {"found", "not sure", "probably not here"}
+    for text, verdict in (("floor", "found"), ("cabinet", "not sure"), ("turquoise", "not here")):
+        assert seen.query(text).summary in ask(page, text)
+        assert page.evaluate("slgaussian.asked[0].verdict") == verdict
+        assert page.evaluate("slgaussian.look().dashes") == (verdict == "not sure")
 
 
 @pytest.mark.parametrize(
