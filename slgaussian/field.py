@@ -1,4 +1,4 @@
-"""The semantic field: the thing a user holds. Render it, ask it, save it, load it."""
+"""The semantic field: rendering, queries, edits, saving and loading."""
 
 from __future__ import annotations
 
@@ -42,33 +42,33 @@ if TYPE_CHECKING:
     from slgaussian.semantic.decode import Decoder, NearestCode
 
 HATCH = 5
-"""Pixels across a stripe of the pattern that stands for what is not known."""
+"""Width in pixels of a stripe of the pattern for unknown pixels."""
 
 HATCHING = np.array([96, 160], np.uint8)
-"""Its two greys."""
+"""The two greys of the pattern."""
 
 
 @dataclass(frozen=True, eq=False)
 class FieldView:
-    """A semantic field as one camera sees it.
+    """A semantic field rendered for one camera.
 
     Attributes
     ----------
     rgb : uint8 [H, W, 3]
-        Mean colour of what is there; it fades to black where ``alpha`` is below :data:`VISIBLE`.
+        Mean colour of the Gaussians; fades to black where ``alpha`` is below :data:`VISIBLE`.
     ids : int32 [H, W]
-        Object ids, 0 where there is none.
+        Object ids, 0 for none.
     confidence : float32 [H, W]
-        In [0, 1], about the fraction of the pixel's light by which its object leads the next one; 0
-        where there is none. See :class:`slgaussian.semantic.decode.Decoder`.
+        In [0, 1], about the blending weight of the object minus that of the next one; 0 without an
+        object. See :class:`slgaussian.semantic.decode.Decoder`.
     alpha : float32 [H, W]
         Accumulated opacity in [0, 1].
     depth : float32 [H, W]
-        z-depth in scene units, 0 where nothing is.
+        z-depth in scene units, 0 where empty.
     field : SemanticField
-        What is seen.
+        The rendered field.
     camera : Camera or None
-        What sees it. Without it nothing is answered about where things are to one another.
+        The camera.
     """
 
     rgb: np.ndarray
@@ -83,15 +83,15 @@ class FieldView:
 
     @property
     def reader(self) -> BankReader:
-        """Reader that turns texts into scores; the encoder is loaded when it is first asked."""
+        """Reader that scores texts; the encoder is loaded on first use."""
         return self.field.reader
 
     @property
     def unknown(self) -> np.ndarray:
-        """bool [H, W]: where no context view showed anything that is still there.
+        """bool [H, W]: pixels without Gaussians.
 
-        Behind a thing that was removed, and beyond the edges of the photographs. Nothing is painted
-        in; ``rgb`` has the pattern of :func:`hatched` there once something was removed.
+        They are behind removed objects and outside the photographs. They are not inpainted; after
+        a removal ``rgb`` has the pattern of :func:`hatched` there.
         """
         return self.alpha < VISIBLE
 
@@ -108,13 +108,13 @@ class FieldView:
         return self.query_all([text], **rules)[0]
 
     def query_all(self, texts: Sequence[str], **rules: Any) -> list[QueryResult]:
-        """Find each of ``texts`` in this view, all asked at once; as :meth:`query`."""
+        """Find each of ``texts`` in this view; as :meth:`query`."""
         return ask(texts, self._objects, self.reader, Rules(**rules))
 
     def like(self, image: np.ndarray, mask: np.ndarray | None = None, **rules: Any) -> QueryResult:
-        """Find what in this view is like a picture uint8 [H, W, 3] of a thing; as :meth:`query`.
+        """Find objects that are similar to a picture uint8 [H, W, 3]; as :meth:`query`.
 
-        ``mask``, bool [H, W], says where the thing is in the picture: everywhere if left out.
+        ``mask``, bool [H, W], selects the object in the picture; by default it is the whole one.
         """
         check_type(image, np.ndarray, "like: expected a picture, uint8 [H, W, 3]")
         words = self.field.picture_words(image, mask)
@@ -126,15 +126,15 @@ class FieldView:
     def segment(self, texts: Sequence[str], **rules: Any) -> np.ndarray:
         """Label each pixel with the text that fits it best: int32 [H, W], k + 1 = ``texts[k]``.
 
-        0 = no object, or one that no text fits better than canonical phrases do. The threshold
-        among ``rules`` moves that bound from 0.5; the command ``segment`` answers with this.
+        0 means no object, or no text with a relevancy above the ``threshold`` of the rules, by
+        default 0.5. The command ``segment`` uses this method.
         """
         return segment(texts, self._objects, self.reader, Rules(**rules))
 
 
 @dataclass(frozen=True, eq=False)
 class SemanticField:
-    """Gaussians that carry ID codes, and the memory bank that says what the codes mean.
+    """Gaussians with ID codes, and the memory bank with the features of each code's object.
 
     Attributes
     ----------
@@ -144,17 +144,18 @@ class SemanticField:
     cameras : mapping str -> Camera
         The context cameras by view name.
     settings : mapping
-        Names and settings of every part that made the field, written into each artifact. Files are
-        known by content there.
+        Names and settings of all components that built the field, written into each artifact. Files
+        are identified by their content.
     places : {setting: path or name on the hub}
-        Where the files of the encoder are, such as its ``model``. They are not part of the field.
+        Location of the encoder's files, such as its ``model``, which are not part of the field.
     taught : TaughtWords
-        Words by example; asked, they win over what the encoder knows.
+        Words taught by example; in queries they take precedence over the encoder.
     names : {id: str}
-        What the user calls objects. Asked, a name means these objects alone, and wins over taught
-        words and what the encoder knows.
+        Names of objects given by the user. In a query a name matches exactly these objects, and
+        takes precedence over taught words and the encoder.
     removed : frozenset of int
-        Objects that are not drawn and not found. Their Gaussians stay, so that they can come back.
+        Ids of objects that are neither rendered nor found. Their Gaussians remain, so that they can
+        be restored.
     """
 
     gaussians: Gaussians
@@ -174,14 +175,14 @@ class SemanticField:
 
     @cached_property
     def encoder(self) -> Encoder:
-        """The text encoder that belongs to the bank, loaded when it is first asked for.
+        """The text encoder of the bank, loaded on first access.
 
         Raises
         ------
         InputError
-            If a file that it needs is not where ``places`` says, or is another one.
+            If one of its files is missing from ``places`` or has another content.
         SpecError
-            If its vectors have another width than those of the bank.
+            If its vectors have another dimension than those of the bank.
         """
         part = Component.stored("encoder", self.settings, self.places)
         _check_places(part)
@@ -197,35 +198,35 @@ class SemanticField:
 
     @cached_property
     def reader(self) -> BankReader:
-        """Bank and encoder together: what turns texts into scores of objects."""
+        """Reader that scores texts against the objects of the bank."""
         return BankReader(self.bank, self.encoder, self.taught, self.names)
 
     def query(self, text: str, camera: Camera | None = None, **rules: Any) -> QueryResult:
-        """Find ``text`` in the view of a camera, of the first context view if left out.
+        """Find ``text`` in the view of a camera, by default that of the first context view.
 
-        ``rules`` as in :meth:`FieldView.query`. To ask several texts, render once and use
+        ``rules`` as in :meth:`FieldView.query`. For several texts, render once and use
         :meth:`FieldView.query_all`.
         """
         return self.render(camera or next(iter(self.cameras.values()))).query(text, **rules)
 
     def find(self, text: str, **rules: Any) -> tuple[tuple[int, float], ...]:
-        """The objects that ``text`` describes, whatever the view: (id, relevancy), best first.
+        """Find the objects of ``text`` independently of a view: (id, relevancy), best first.
 
         ``rules`` as in :meth:`FieldView.query`.
         """
-        there = ~np.isin(self.bank.ids, list(self.removed))
-        return find(text, self.reader, Rules(**rules), there)
+        remaining = ~np.isin(self.bank.ids, list(self.removed))
+        return find(text, self.reader, Rules(**rules), remaining)
 
     def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[SceneObject]:
-        """List every object with its best words, place and size, by id.
+        """List every object with its best words, position and size, by id.
 
         Parameters
         ----------
         texts : sequence of str, optional
-            What to tell objects by, and the words that were taught. Without, the colours and nouns
-            of the encoder ``lexicon``; some common things for others.
+            Texts that describe objects, in addition to taught words. By default colours and nouns
+            of the encoder ``lexicon``, or common objects for other encoders.
         rules
-            As in :meth:`FieldView.query`; only the relevancies depend on them.
+            As in :meth:`FieldView.query`; they affect only the relevancies.
 
         Raises
         ------
@@ -239,22 +240,22 @@ class SemanticField:
     def best_words(
         self, texts: Sequence[str] | None = None, **rules: Any
     ) -> list[tuple[tuple[str, float], ...]]:
-        """The texts that fit each object of the bank best, with relevancies, best first.
+        """Return the best texts of each object of the bank, with relevancies, best first.
 
-        Arguments as of :meth:`inventory`.
+        Arguments as for :meth:`inventory`.
         """
         from slgaussian.objects import BEST, words_for
 
-        asked = list(dict.fromkeys([*self.taught, *(texts or words_for(self.encoder))]))
-        relevancies = self.reader.relevancies(asked, Rules(**rules)).T
+        words = list(dict.fromkeys([*self.taught, *(texts or words_for(self.encoder))]))
+        relevancies = self.reader.relevancies(words, Rules(**rules)).T
         best = np.argsort(-relevancies, axis=1, kind="stable")[:, :BEST]
         return [
-            tuple((asked[k], float(own[k])) for k in places)
-            for own, places in zip(relevancies, best, strict=True)
+            tuple((words[k], float(of_object[k])) for k in rows)
+            for of_object, rows in zip(relevancies, best, strict=True)
         ]
 
     def render(self, camera: Camera, backend: str = "auto") -> FieldView:
-        """See the field through ``camera``: colour, ids and depth in one pass.
+        """Render colour, object ids and depth for ``camera`` in one pass.
 
         ``backend`` as in :func:`slgaussian.rasterize.rasterize`.
         """
@@ -275,8 +276,8 @@ class SemanticField:
     def render_codes(self, camera: Camera, backend: str = "auto") -> np.ndarray:
         """Render the semantic feature map F (paper, equation 3), float32 [H, W, D], D at most 3.
 
-        Codes are times the light of their objects, so 0 where nothing is. InputError of a field
-        without codes, as ``codes=exact`` builds it.
+        Codes are multiplied by blending weights, so they are 0 where the view is empty. InputError
+        for a field without codes, as built with ``codes=exact``.
         """
         if not self.bank.dimension:
             raise InputError(
@@ -286,7 +287,7 @@ class SemanticField:
         return self._picture(camera, backend).values[..., 3:-1]
 
     def _picture(self, camera: Camera, backend: str) -> Picture:
-        """Colours and codes, or colours and the rows of objects, as arrays on the CPU."""
+        """Render colours and codes, or colours and rows of objects, as arrays on the CPU."""
         from slgaussian.rasterize.picture import Picture, picture, seen_colors
 
         gaussians = self.drawn
@@ -299,15 +300,15 @@ class SemanticField:
 
         from slgaussian.rasterize import harmonics, rasterize
 
-        colours, carried = harmonics.colors(gaussians, camera), gaussians.require_features()
-        rows = None if self.bank.dimension else carried[:, 0].int()
+        colours, features = harmonics.colors(gaussians, camera), gaussians.require_features()
+        rows = None if self.bank.dimension else features[:, 0].int()
         if self.bank.dimension:
-            colours = torch.cat([colours, carried], 1)
+            colours = torch.cat([colours, features], 1)
         image = rasterize(gaussians, colours, camera, backend=backend, labels=rows)
         return Picture.of(image)
 
     def changed(self, **parts: Any) -> SemanticField:
-        """The same field with other ``parts``; what is known of both is not worked out again."""
+        """Return the field with ``parts`` replaced; cached results that stay valid are shared."""
         other = replace(self, **parts)
         kept = {"encoder"}
         if other.gaussians is self.gaussians and other.bank is self.bank:
@@ -320,7 +321,7 @@ class SemanticField:
         return other
 
     def teach(self, word: str, object_id: int) -> SemanticField:
-        """The field with an object as an example of ``word``.
+        """Return the field with an object as an example of ``word``.
 
         The other objects of the field become its rivals. See :mod:`slgaussian.language.taught`.
 
@@ -329,96 +330,96 @@ class SemanticField:
         InputError
             If there is no such object, or the word is empty or too long.
         """
-        feature, others = self._features(object_id)
+        feature, rivals = self._features(object_id)
         identity = encoder_identity(self.settings)
-        return self.changed(taught=self.taught.with_example(word, feature, others, identity))
+        return self.changed(taught=self.taught.with_example(word, feature, rivals, identity))
 
     def forget(self, word: str) -> SemanticField:
-        """The field without a taught word; InputError if it is none."""
+        """Return the field without a taught word; InputError if it is not taught."""
         return self.changed(taught=self.taught.without(word))
 
     def taking(self, words: TaughtWords) -> SemanticField:
-        """The field with words that were taught elsewhere too.
+        """Return the field with additional words from another field.
 
-        InputError if they are of another encoder.
+        InputError if they have another encoder.
         """
         words.check_encoder(encoder_identity(self.settings), "these taught words")
         return self.changed(taught=self.taught.merged(words))
 
     def named(self, object_id: int, name: str) -> SemanticField:
-        """The field with a name of the user's for an object; an empty one takes it away.
+        """Return the field with a name for an object; an empty name deletes it.
 
-        InputError if there is no such object, or the name is longer than a word may be.
+        InputError if there is no such object, or the name is too long.
         """
         self._row(object_id)
-        others = {id_: own for id_, own in self.names.items() if id_ != object_id}
+        names = {id_: name_ for id_, name_ in self.names.items() if id_ != object_id}
         plain = " ".join(name.split())
         if plain:
             normal(plain)
-            others[int(object_id)] = plain
-        return self.changed(names=others)
+            names[int(object_id)] = plain
+        return self.changed(names=names)
 
     def without(self, ids: Iterable[int]) -> SemanticField:
-        """The field with these objects no longer drawn and found; InputError if one is none."""
-        return self.changed(removed=self.removed | self._known(ids))
+        """Return the field with these objects removed; InputError if one does not exist."""
+        return self.changed(removed=self.removed | self._check_ids(ids))
 
     def dropped(self) -> SemanticField:
-        """The field without the Gaussians of what is removed, which cannot come back any more."""
+        """Return the field without the Gaussians of removed objects, which is not reversible."""
         return self.changed(gaussians=self.drawn)
 
     def restored(self, ids: Iterable[int]) -> SemanticField:
-        """The field with these objects back.
+        """Return the field with these objects restored.
 
-        InputError if one is none, or its Gaussians are no longer in the field.
+        InputError if one does not exist, or its Gaussians are no longer in the field.
         """
-        back = self._known(ids)
-        gone = back - set(self.labels().tolist())
-        if gone:
+        restored = self._check_ids(ids)
+        missing = restored - set(self.labels().tolist())
+        if missing:
             raise InputError(
-                f"object {min(gone)}: its Gaussians are not in this field; open the one that it "
+                f"object {min(missing)}: its Gaussians are not in this field; open the one that it "
                 "was removed from"
             )
-        return self.changed(removed=self.removed - back)
+        return self.changed(removed=self.removed - restored)
 
     def only(self, ids: Iterable[int]) -> SemanticField:
-        """The field with the Gaussians of these objects alone; InputError if one is none."""
-        chosen = np.isin(self.labels(), list(self._known(ids)))
+        """Return the field with only the Gaussians of these objects; InputError if one is none."""
+        chosen = np.isin(self.labels(), list(self._check_ids(ids)))
         return self.changed(gaussians=self.gaussians[chosen])
 
     def picture_words(self, image: np.ndarray, mask: np.ndarray | None = None) -> TaughtWords:
-        """One word whose one example is a picture uint8 [H, W, 3] of a thing.
+        """Make one word with a picture uint8 [H, W, 3] of an object as its only example.
 
-        ``mask``, bool [H, W], is as :meth:`FieldView.like` takes it.
+        ``mask``, bool [H, W], as in :meth:`FieldView.like`.
         """
-        where = np.ones(image.shape[:2], bool) if mask is None else mask
-        if not where.any():
+        region = np.ones(image.shape[:2], bool) if mask is None else mask
+        if not region.any():
             raise InputError("picture: its mask is empty; give one that shows a thing")
-        rows, columns = (np.flatnonzero(where.any(axis)) for axis in (1, 0))
+        rows, columns = (np.flatnonzero(region.any(axis)) for axis in (1, 0))
         frame = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        image, where = np.ascontiguousarray(image[frame]), where[frame]
-        feature = self.encoder.encode_regions(image, where[None])[0]
-        rivals = np.stack([self._feature(row) for row in self._held])
+        image, region = np.ascontiguousarray(image[frame]), region[frame]
+        feature = self.encoder.encode_regions(image, region[None])[0]
+        rivals = np.stack([self._feature(row) for row in self._present_rows])
         identity = encoder_identity(self.settings)
         return TaughtWords().with_example("the picture", feature, rivals, identity)
 
     def _features(self, object_id: int) -> tuple[np.ndarray, np.ndarray]:
-        """Unit features of an object [C], and of all others that some view holds [R, C]."""
+        """Return the mean unit features of an object [C], and of all other visible ones [R, C]."""
         row = self._row(object_id)
-        if row not in self._held:
+        if row not in self._present_rows:
             raise InputError(f"object {object_id}: no view holds it, so it is like nothing")
-        others = [self._feature(other) for other in self._held if other != row]
-        wide = (0, self.bank.features.shape[2])
-        return self._feature(row), np.stack(others) if others else np.zeros(wide, np.float32)
+        rivals = [self._feature(rival) for rival in self._present_rows if rival != row]
+        empty = np.zeros((0, self.bank.features.shape[2]), np.float32)
+        return self._feature(row), np.stack(rivals) if rivals else empty
 
     def _feature(self, row: int) -> np.ndarray:
-        """Mean unit feature of an object of the bank over the views that hold it: float32 [C]."""
+        """Compute the mean unit feature of an object over the views that show it: float32 [C]."""
         mean = self.bank.features[row, self.bank.present[row]].mean(0, dtype=np.float64)
         unit: np.ndarray = (mean / np.linalg.norm(mean)).astype(np.float32)
         return unit
 
     @cached_property
-    def _held(self) -> list[int]:
-        """Rows of the bank that some view holds."""
+    def _present_rows(self) -> list[int]:
+        """Rows of the bank that some view shows."""
         return [int(row) for row in np.flatnonzero(self.bank.present.any(1))]
 
     def _row(self, object_id: int) -> int:
@@ -430,12 +431,12 @@ class SemanticField:
             )
         return row
 
-    def _known(self, ids: Iterable[int]) -> frozenset[int]:
+    def _check_ids(self, ids: Iterable[int]) -> frozenset[int]:
         return frozenset(int(self.bank.ids[self._row(id_)]) for id_ in ids)
 
     @cached_property
     def drawn(self) -> Gaussians:
-        """The Gaussians but those that are :attr:`gone`."""
+        """The Gaussians without those that are :attr:`gone`."""
         if not self.gone.any():
             return self.gaussians
         return self.gaussians[~self.gone]
@@ -448,24 +449,24 @@ class SemanticField:
         if not gone.any():
             return gone
         cameras = list(self.cameras.values())
-        held = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
-        views = [view for view in np.flatnonzero(held).tolist() if view < len(cameras)]
-        seen = [self._seen_whole(view) for view in views]
+        present = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
+        views = [view for view in np.flatnonzero(present).tolist() if view < len(cameras)]
+        renders = [self._render_whole(view) for view in views]
         edge = boundary_gaussians(
             self.gaussians.to_arrays()["means"],
             gone,
             [cameras[view] for view in views],
-            [depth for _, depth in seen],
-            [np.isin(drawn, ids) for drawn, _ in seen],
+            [depth for _, depth in renders],
+            [np.isin(rendered_ids, ids) for rendered_ids, _ in renders],
         )
         return gone | edge
 
-    def _seen_whole(self, view: int) -> tuple[np.ndarray, np.ndarray]:
-        """Ids and depth of a context view of the field with nothing removed; kept."""
+    def _render_whole(self, view: int) -> tuple[np.ndarray, np.ndarray]:
+        """Render ids and depth of a context view with all objects; cached."""
         if view not in self._whole:
             camera = list(self.cameras.values())[view]
-            seen = replace(self, removed=frozenset()).render(camera)
-            self._whole[view] = seen.ids, seen.depth
+            rendered = replace(self, removed=frozenset()).render(camera)
+            self._whole[view] = rendered.ids, rendered.depth
         return self._whole[view]
 
     @cached_property
@@ -479,7 +480,7 @@ class SemanticField:
         return decoder_of(self.bank, self.settings)
 
     def labels(self) -> np.ndarray:
-        """The object that each Gaussian carries most of all: int32 [N], 0 where it carries none."""
+        """Return the main object of each Gaussian: int32 [N], 0 for none."""
         return self._labels
 
     @cached_property
@@ -497,7 +498,7 @@ class SemanticField:
         return ids
 
     def objects(self) -> pa.Table:
-        """One row an object: its id, its code and how many Gaussians carry it most of all."""
+        """Return a table of the objects: id, code and number of Gaussians with this main object."""
         import pyarrow as pa
 
         labels = self.labels()
@@ -512,7 +513,7 @@ class SemanticField:
         return pa.table(columns, schema=load_spec("objects").schema)
 
     def contents(self) -> dict[str, Arrays | pa.Table]:
-        """Contents of the files of a field, by the data spec of each."""
+        """Return the contents of the files of a field, by data spec."""
         return {
             "gaussians": self.gaussians.to_arrays(),
             "bank": self.bank.to_arrays(),
@@ -520,21 +521,20 @@ class SemanticField:
         }
 
     def made(self) -> Provenance:
-        """Statement of what made the field, for its files where no stage of a run makes one."""
+        """Return the provenance for files of fields that no stage of a run has built."""
         results = ("account", "quality", "verdict")
-        said = {name: own for name, own in self.settings.items() if name not in results}
-        return Provenance("build_field", settings=json.loads(json.dumps(said, sort_keys=True)))
+        settings = {name: value for name, value in self.settings.items() if name not in results}
+        return Provenance("build_field", settings=json.loads(json.dumps(settings, sort_keys=True)))
 
     def about(self, digests: Mapping[str, str]) -> About:
-        """Statement of the field about itself, given the digests of its contents by spec."""
+        """Return the metadata of the field, with the digests of its contents by spec."""
         return About(self.settings, self.cameras, digests)
 
     def save(self, path: str | Path, beside: Mapping[str, bytes] | None = None) -> None:
-        """Write the field to folder ``path``: complete, or not at all.
+        """Write the field atomically to the folder ``path``, replacing a field that is there.
 
-        A field that is there already is replaced. See :mod:`slgaussian.storage.field_folder`;
-        ``beside`` are further files of the folder by name, which no question needs. Of a field that
-        was only taught, named or removed in, :meth:`save_edits` writes what is new.
+        See :mod:`slgaussian.storage.field_folder`; ``beside`` are additional files by name. After
+        edits alone (taught words, names, removals) :meth:`save_edits` is enough.
 
         Raises
         ------
@@ -557,14 +557,12 @@ class SemanticField:
         )
 
     def save_edits(self, path: str | Path) -> None:
-        """Write taught words, names and removed objects into the folder of this field.
-
-        All else in the folder stays.
+        """Write only taught words, names and removed objects to the folder of this field.
 
         Raises
         ------
         InputError
-            If the folder is none of this field, or cannot be written.
+            If the folder holds another field, or cannot be written.
         SpecError
             If it is damaged.
         """
@@ -584,24 +582,24 @@ class SemanticField:
         ----------
         path : path or str
         encoder : {setting: path or name on the hub}, optional
-            Where the files of its encoder are now, if not where they were when it was built, as in
-            ``{"model": "models/clip"}``. They are looked at when the field is first asked.
+            Current location of its encoder's files, if it has changed since the field was built,
+            as in ``{"model": "models/clip"}``. They are read by the first query.
 
         Raises
         ------
         SpecError
-            If a file of it is missing or damaged, or the encoder is no longer that of the bank;
-            the message names the file.
+            If a file is missing or damaged, or the encoder does not match the bank; the message
+            names the file.
         """
         path = Path(path)
-        about, where = field_folder.read_about(path)
-        where |= {key: str(place) for key, place in (encoder or {}).items()}
+        about, places = field_folder.read_about(path)
+        places |= {key: str(place) for key, place in (encoder or {}).items()}
         arrays = {
             spec: field_folder.read_arrays(path, spec, about.digests[spec])
             for spec in ("bank", "gaussians")
         }
         try:
-            loaded = SemanticField.of(about, arrays, where)
+            loaded = SemanticField.of(about, arrays, places)
         except InputError as error:
             raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
         identity = encoder_identity(about.settings)
@@ -609,7 +607,7 @@ class SemanticField:
         loaded = replace(loaded, taught=taught, names=names, removed=removed)
         try:
             if not Component.stored("encoder", about.settings).files:
-                loaded.encoder  # noqa: B018  (what needs no files is checked at once)
+                loaded.encoder  # noqa: B018  (checked at once if it needs no files)
         except (InputError, SpecError) as error:
             raise SpecError(f"{path}: {error}") from error
         return loaded
@@ -618,12 +616,12 @@ class SemanticField:
     def of(
         about: About, arrays: Mapping[str, Arrays], places: Mapping[str, str] | None = None
     ) -> SemanticField:
-        """The field that ``about`` describes, of the arrays of ``gaussians`` and ``bank``.
+        """Make a field from its metadata and the arrays of ``gaussians`` and ``bank``.
 
         Raises
         ------
         InputError
-            If the arrays hold none, or do not belong together; the message begins with the file.
+            If the arrays are invalid or do not match; the message begins with the file.
         """
         with _naming_file("bank"):
             bank = MemoryBank.from_arrays(arrays["bank"])
@@ -633,7 +631,7 @@ class SemanticField:
 
 @contextmanager
 def _naming_file(spec: str) -> Iterator[None]:
-    """Begin the message of an InputError with the file of a field that holds ``spec``."""
+    """Prefix the message of an InputError with the field's file of ``spec``."""
     try:
         yield
     except InputError as error:
@@ -641,19 +639,19 @@ def _naming_file(spec: str) -> Iterator[None]:
 
 
 def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """The picture uint8 [H, W, 3] of composited colours float [H, W, 3] and ``alpha`` [H, W].
+    """Convert composited colours float [H, W, 3] and ``alpha`` [H, W] to uint8 [H, W, 3].
 
-    Mean colour of what is there; it fades to black where ``alpha`` is below :data:`VISIBLE`.
+    Computes the mean colour, faded to black where ``alpha`` is below :data:`VISIBLE`.
     """
     colour = drawn / np.maximum(alpha, VISIBLE)[..., None]
     return np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
 
 
 def hatched(rgb: np.ndarray, where: np.ndarray) -> np.ndarray:
-    """A picture uint8 [H, W, 3] with grey diagonal stripes ``where`` bool [H, W] it is not known.
+    """Fill the pixels ``where`` bool [H, W] of a picture uint8 [H, W, 3] with diagonal stripes.
 
-    No photograph has such a surface by chance: the stripes are as wide everywhere, and keep their
-    place in the picture when the camera moves.
+    The stripes cannot be mistaken for a surface: they have one width, and do not move with the
+    camera.
     """
     height, width = where.shape
     stripe = (np.add.outer(np.arange(height), np.arange(width)) // HATCH) % 2
@@ -661,20 +659,20 @@ def hatched(rgb: np.ndarray, where: np.ndarray) -> np.ndarray:
 
 
 def _check_places(encoder: Component) -> None:
-    """InputError if a file of the encoder has no place, or is no longer there."""
-    for key, known in encoder.files.items():
-        place = known.place
+    """Raise InputError if a file of the encoder has no known location, or no longer exists."""
+    for key, file in encoder.files.items():
+        place = file.place
         if not place or (os.path.isabs(place) and not os.path.exists(place)):
-            gone = f" and is no longer at {place}" if place else ""
+            moved = f" and is no longer at {place}" if place else ""
             raise InputError(
                 f"the field's encoder {encoder.name!r} needs its {key}, which is not stored with a "
-                f"field{gone}; say where it is, as in --set {encoder.name}.{key}=PLACE or "
+                f"field{moved}; say where it is, as in --set {encoder.name}.{key}=PLACE or "
                 f"SemanticField.load(..., encoder={{'{key}': PLACE}})"
             )
 
 
 def _checked(arrays: Arrays, bank: MemoryBank) -> Gaussians:
-    """The Gaussians of arrays; InputError, which names the file, if they are none of this bank."""
+    """Make the Gaussians from arrays; InputError with the file if they do not match the bank."""
     with _naming_file("gaussians"):
         gaussians = Gaussians.from_arrays(arrays)
     file, wide = field_folder.FILES["gaussians"], bank.dimension + 1
