@@ -32,7 +32,7 @@ NAMES = {
     [
         ({"mvsplat": {}}, "found some of 'mvsplat', expected none but .* 'planesweep'"),
         ({"planesweep": {"nearest": 1.0}}, "unknown key 'planesweep.nearest'"),
-        ({"planesweep": {"near": -1.0}}, "planesweep near: found -1.0"),
+        ({"planesweep": {"depth_candidates": 4}}, "planesweep depth_candidates: found 4"),
         ({"separated": {"dimension": 4}}, "separated dimension: found 4"),
     ],
 )
@@ -55,8 +55,8 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
     room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=96)
     sample = room.sample(["view_00", "view_02"])
     depths = {}
-    for far in (10.0, 20.0):
-        given = {"planesweep": {"near": 0.9, "far": far}}
+    for most in (33, 144):
+        given = {"planesweep": {"depth_candidates": most}}
         field = build_field(sample, Method(replicas=1, settings=given))
         field.save(tmp_path / "field")
         settings = dict(SemanticField.load(tmp_path / "field").settings)
@@ -66,7 +66,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         assert 0 < account.change_mean < account.change_rms < 1 < account.change_greatest
         held = sum(array.nbytes for array in field.gaussians.to_arrays().values())
         assert (account.bytes_gaussians, account.code_dimensions) == (held, 3)
-        assert 2 * 32 <= account.depths_tried <= account.depths_possible == 2 * 144
+        assert 2 * 32 <= account.depths_tried <= account.depths_possible == 2 * most
         assert (account.replicas_computed, account.replicas_asked) == (1, 1)
         assert settings.pop("verdict") == Quality(**quality).verdict()._asdict()
         assert quality["judged"] is False and 0.5 < quality["overlap"] < 1
@@ -78,13 +78,12 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
             "seed": 0,
             "keep": "needed",
             "bank": "groups",
-            "planesweep": {"depth_candidates": 144, **given["planesweep"]},
+            **given,
             "separated": {"dimension": 3, "error": 0.01},
         }
         cameras = [view.camera for view in sample.context]
-        depths[far] = source_depths(field.gaussians, cameras).max()
-    assert 0.9 < depths[10.0] < 10.001
-    assert depths[10.0] != depths[20.0]
+        depths[most] = source_depths(field.gaussians, cameras)
+    assert (depths[33] != depths[144]).any()
 
 
 @pytest.fixture(scope="module")
@@ -160,4 +159,4 @@ def test_one_number_says_what_a_second_view_confirms():
 
 def test_what_cannot_be_written_down_is_refused():
     with pytest.raises(InputError, match="float32 is not JSON serializable; give plain numbers"):
-        Method(settings={"planesweep": {"near": np.float32(1.5)}})
+        Method(settings={"separated": {"error": np.float32(0.5)}})

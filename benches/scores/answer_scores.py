@@ -79,7 +79,7 @@ def kind_of(text: str, mask: np.ndarray) -> str:
         return "small"
     if text.split()[-1] in SURFACES:
         return "surface"
-    return "described noun" if LEXICON.describing(text) else "noun"
+    return "described noun" if LEXICON.understand(text).describing else "noun"
 
 
 def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dict[str, Any]]:

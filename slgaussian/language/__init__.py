@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slgaussian.components.registry import load_component
@@ -13,6 +13,7 @@ if TYPE_CHECKING:  # listing the components must not import torch
     from slgaussian.geometry.room import Surroundings
     from slgaussian.labels import LabelMaps
     from slgaussian.language.confidence import Calibration
+    from slgaussian.language.understood import Understood
 
 ENCODERS = {
     "lexicon": "slgaussian.language.configs:LexiconConfig",
@@ -32,12 +33,9 @@ class Encoder(Protocol):
     that a query competes with (the paper's "object", "things", "stuff", "texture").
     ``calibration`` gives the probability that an answer is right; None if it was not measured.
 
-    Optional members, see :class:`slgaussian.language.lexicon.Lexicon`: with a calibration,
-    ``measurements(text)``, the number of measurements that the text's evidence sums; with a
-    classifier, ``class_scores(image, masks)``, ``classes(text)`` and ``describing(text)``; to
-    refuse texts, ``untold(text, by_class)`` and ``question(text)``; and ``soft``, the softmax
-    temperature of :class:`slgaussian.language.relevancy.Scorer`, if its cosines spread less than
-    the lexicon's.
+    Optional members, see :class:`slgaussian.language.lexicon.Lexicon`: with a classifier,
+    ``class_scores(image, masks)``; and ``soft``, the softmax temperature of
+    :class:`slgaussian.language.relevancy.Scorer`, if its cosines spread less than the lexicon's.
     """
 
     name: str
@@ -55,14 +53,11 @@ class Encoder(Protocol):
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Encode texts as unit vectors float32 [Q, C]; InputError if one has no known word."""
 
-    def unknown_words(self, text: str) -> tuple[str, ...]:
-        """Return the words of ``text`` that the encoder does not know and ignores."""
+    def understand(self, text: str, by_class: bool = False) -> Understood:
+        """Return which words of ``text`` count, and what is known of it; errors as in encode_text.
 
-    def unused_words(self, text: str) -> Mapping[str, str]:
-        """Return other ignored words of ``text``, with the reason."""
-
-    def read_as(self, text: str) -> str:
-        """Return the part of ``text`` that is answered, in words of the encoder."""
+        ``by_class`` is true if a classifier has classified the regions.
+        """
 
 
 def load_encoder(name: str = "lexicon", **settings: Any) -> Encoder:

@@ -33,6 +33,7 @@ from slgaussian.components.pretrained import (
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.language.configs import CLIP, ClipConfig
+from slgaussian.language.understood import Understood
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
@@ -142,17 +143,9 @@ class Clip(ClipConfig):
         vectors = [self._text(text) for text in texts]
         return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
 
-    def unknown_words(self, text: str) -> tuple[str, ...]:
-        """Return no word: CLIP encodes any text."""
-        return ()
-
-    def unused_words(self, text: str) -> Mapping[str, str]:
-        """Return no word: CLIP uses the whole text."""
-        return {}
-
-    def read_as(self, text: str) -> str:
-        """Return the text unchanged."""
-        return text
+    def understand(self, text: str, by_class: bool = False) -> Understood:
+        """Return a reading in which every word counts: CLIP encodes any text."""
+        return Understood(text, (), {})
 
     @property
     def _width(self) -> int:

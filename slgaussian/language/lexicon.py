@@ -20,7 +20,7 @@ their measurements. Nouns that appearance cannot describe are left to an ImageNe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
@@ -30,7 +30,8 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.language.class_evidence import quantised
 from slgaussian.language.confidence import Calibration, Curve
-from slgaussian.language.vocabulary import NOUNS, load_vocabulary, unusable
+from slgaussian.language.understood import Understood
+from slgaussian.language.vocabulary import NOUNS, Reading, load_vocabulary, unusable
 from slgaussian.language.weights import INSTALL
 from slgaussian.language.wholes import Ranking
 
@@ -170,14 +171,6 @@ class Lexicon:
         pooled = classifier.pool(scores, masks)
         return quantised(pooled), quantised(scores.mean((0, 1)))
 
-    def classes(self, text: str) -> tuple[int, ...]:
-        """Return the ImageNet classes of the noun; InputError as in :meth:`encode_text`."""
-        return self._read(text).classes
-
-    def describing(self, text: str) -> int:
-        """Count the words that describe the noun of ``text``; InputError as :meth:`encode_text`."""
-        return sum(word.family not in NOUNS for word in self._read(text).words)
-
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Encode texts as unit vectors float32 [Q, C].
 
@@ -200,42 +193,41 @@ class Lexicon:
             vector[-1] = np.sqrt(max(0.0, float(1.0 - vector @ vector)))
         return vectors.astype(np.float32)
 
-    def untold(self, text: str, by_class: bool) -> str:
-        """Return the reason why ``text`` cannot be answered; empty if it can.
+    def understand(self, text: str, by_class: bool = False) -> Understood:
+        """Return which words of ``text`` count, and what is known of it.
 
         ``by_class`` is true if a classifier has classified the regions. InputError as in
         :meth:`encode_text`.
         """
         reading = self._read(text)
-        if reading.unknown and not reading.noun:
-            unknown = ", ".join(map(repr, reading.unknown[:MAX_LISTED]))[:100]
-            return f"no word {unknown} is known here{self.question(text)}; {OTHERS}"
-        if reading.classes and not by_class and not any(w.weights for w in reading.words):
-            return (
-                f"{reading.noun!r} is told by the classifier alone, which this field was built "
-                f"without; {INSTALL}, and build it again"
-            )
-        return ""
+        question = self._question(reading.unknown)
+        return Understood(
+            read_as=" ".join(word.name for word in reading.words),
+            unknown=reading.unknown,
+            unused=reading.unused,
+            kind="unknown" if reading.unknown else "known",
+            measurements=len({name for word in reading.words for name in word.weights}),
+            describing=sum(word.family not in NOUNS for word in reading.words),
+            classes=reading.classes,
+            untold=_untold(reading, question, by_class),
+            question=question,
+        )
 
-    def question(self, text: str) -> str:
-        """Suggest known words with a spelling similar to the unknown ones of ``text``."""
-        near = map(self._vocabulary.nearest, self._read(text).unknown[:MAX_LISTED])
+    def _question(self, unknown: Sequence[str]) -> str:
+        """Suggest known words with a spelling similar to the unknown ones."""
+        near = map(self._vocabulary.nearest, unknown[:MAX_LISTED])
         words = " and ".join(repr(word) for word in near if word is not None)
         return f"; did you mean {words}?" if words else ""
 
-    def unknown_words(self, text: str) -> tuple[str, ...]:
-        """Return the unknown words of ``text``; InputError as in :meth:`encode_text`."""
-        return self._read(text).unknown
 
-    def unused_words(self, text: str) -> Mapping[str, str]:
-        """Return other ignored words of ``text``, with the reason."""
-        return self._read(text).unused
-
-    def read_as(self, text: str) -> str:
-        """Return the words of ``text`` that count, in the vocabulary's spelling."""
-        return " ".join(word.name for word in self._read(text).words)
-
-    def measurements(self, text: str) -> int:
-        """Count the descriptors that the words of ``text`` ask for."""
-        words = self._read(text).words
-        return len({name for word in words for name in word.weights})
+def _untold(reading: Reading, question: str, by_class: bool) -> str:
+    """Return the reason why a text cannot be answered; empty if it can."""
+    if reading.unknown and not reading.noun:
+        unknown = ", ".join(map(repr, reading.unknown[:MAX_LISTED]))[:100]
+        return f"no word {unknown} is known here{question}; {OTHERS}"
+    if reading.classes and not by_class and not any(w.weights for w in reading.words):
+        return (
+            f"{reading.noun!r} is told by the classifier alone, which this field was built "
+            f"without; {INSTALL}, and build it again"
+        )
+    return ""

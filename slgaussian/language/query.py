@@ -14,9 +14,10 @@ import numpy as np
 from slgaussian.io import short
 from slgaussian.language.confidence import Confidence, confidence, signs
 from slgaussian.language.objectmap import ObjectMap
-from slgaussian.language.reader import BankReader, Understood
+from slgaussian.language.reader import BankReader
 from slgaussian.language.relevancy import sigmoid
 from slgaussian.language.rules import Rules, unmeasured
+from slgaussian.language.understood import Understood
 from slgaussian.language.wholes import LEAST_PIXELS
 
 AS_GOOD = 0.9

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,10 +12,11 @@ from slgaussian.errors import InputError
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.class_evidence import evidence, log_probability
-from slgaussian.language.confidence import NEUTRAL_LOG_PROBABILITY, TYPICAL_MEASUREMENTS
+from slgaussian.language.confidence import NEUTRAL_LOG_PROBABILITY
 from slgaussian.language.relevancy import SOFT, Scorer, sigmoid
 from slgaussian.language.rules import Rules, unmeasured
 from slgaussian.language.taught import TaughtWords, normal, spelled
+from slgaussian.language.understood import Understood
 from slgaussian.language.wholes import Candidates, near_best
 
 CLASS_LEAD = 0.1
@@ -35,57 +36,6 @@ than cosines, so that relevancies are 1 or 0 at all usual temperatures."""
 
 CACHE_SIZE = 4096
 """Number of texts whose vectors a reader caches."""
-
-
-@dataclass(frozen=True)
-class Understood:
-    """An encoder's reading of a text.
-
-    Attributes
-    ----------
-    read_as : str
-        The words that count, in the encoder's spelling.
-    unknown : tuple of str
-        Unknown words, which are ignored.
-    unused : {word: reason}
-        Other ignored words, such as "plant" of "plant pot".
-    kind : str
-        ``known``: answered by the encoder, which knows every word that counts. ``unknown``:
-        answered by the encoder without the unknown words. ``named``: answered by the objects with
-        this name. ``taught``: answered by the examples of a taught word. ``picture``: the query is
-        a picture or an object, not a text.
-    examples : int
-        Number of examples of a taught word.
-    instead_of : str
-        For a name or a taught word, the encoder's reading of it, if it has one.
-    measurements : int
-        Number of measurements that the text asks for, or the typical number.
-    named : float
-        Evidence of the classifier; see :class:`slgaussian.language.confidence.Signs`.
-    describing : int
-        Number of words that describe the noun.
-    untold : str
-        Reason why the text cannot be answered; empty if it can.
-    question : str
-        Suggestions for unknown words, as the end of a sentence.
-    """
-
-    read_as: str
-    unknown: tuple[str, ...]
-    unused: Mapping[str, str]
-    kind: str = "known"
-    examples: int = 0
-    instead_of: str = ""
-    measurements: int = TYPICAL_MEASUREMENTS
-    named: float = 0.0
-    describing: int = 0
-    untold: str = ""
-    question: str = ""
-
-    @property
-    def alone(self) -> str:
-        """Note that unknown words are ignored, as the end of a sentence; empty without any."""
-        return f", for {self.read_as!r} alone{self.question}" if self.unknown else ""
 
 
 class TextReader:
@@ -127,21 +77,10 @@ class TextReader:
         return self._read(text)[1].unknown
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
-        encoder = self.encoder
-        untold = getattr(encoder, "untold", lambda *_: "")(text, self.by_class)
-        read_as, unknown = encoder.read_as(text), encoder.unknown_words(text)
+        read = self.encoder.understand(text, self.by_class)
         # A text without a known word is encoded as a generic phrase.
-        vector = encoder.encode_text([text if read_as or not untold else encoder.canonical[0]])[0]
-        return vector, Understood(
-            read_as,
-            unknown,
-            encoder.unused_words(text),
-            "unknown" if unknown else "known",
-            measurements=getattr(encoder, "measurements", lambda _: TYPICAL_MEASUREMENTS)(text),
-            describing=getattr(encoder, "describing", lambda _: 0)(text),
-            untold=untold,
-            question=getattr(encoder, "question", lambda _: "")(text) if unknown else "",
-        )
+        asked = text if read.read_as or not read.untold else self.encoder.canonical[0]
+        return self.encoder.encode_text([asked])[0], read
 
 
 class BankReader(TextReader):
@@ -207,14 +146,13 @@ class BankReader(TextReader):
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         vector, read = super()._encode(text)
-        likeliest = self._likeliest(text)
+        likeliest = self._likeliest(read.classes)
         return vector, read if likeliest is None else replace(
             read, named=likeliest - NEUTRAL_LOG_PROBABILITY
         )
 
-    def _likeliest(self, text: str) -> float | None:
+    def _likeliest(self, classes: tuple[int, ...]) -> float | None:
         """Compute the highest log-probability of the noun's classes in any object, or None."""
-        classes = getattr(self.encoder, "classes", lambda _: ())(text)
         if not classes or self.bank.class_scores is None or not self.bank.present.any():
             return None
         objects = self.bank.class_scores[: len(self.bank)][self.bank.present]
@@ -227,7 +165,7 @@ class BankReader(TextReader):
         nothing was classified. InputError if the text cannot be used.
         """
         bank = self.bank
-        classes = getattr(self.encoder, "classes", lambda _: ())(text)
+        classes = super().understood(text).classes
         if not classes or bank.class_scores is None or bank.photograph_scores is None:
             return np.zeros(self._present.shape)
         return evidence(bank.class_scores, bank.photograph_scores, classes)

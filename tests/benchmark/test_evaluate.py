@@ -268,7 +268,7 @@ class WatchedView:
 
 
 def _parts(hit, relevancy):
-    names = ("text", "mask", "point", "peak", "score", "objects", "unknown")
+    names = ("text", "mask", "point", "score", "objects", "unknown")
     return {name: getattr(hit, name) for name in names} | {"relevancy": relevancy}
 
 

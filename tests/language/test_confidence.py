@@ -60,11 +60,11 @@ def test_curves_rise_with_the_gap_fall_with_the_parts_and_are_probabilities(
 
 def test_the_lexicon_counts_what_a_text_asks_for():
     lexicon = Lexicon()
-    alone = lexicon.measurements("chair")
+    alone = lexicon.understand("chair").measurements
     asked = np.count_nonzero(lexicon.encode_text(["chair"])[0][:-1])
     assert alone == asked > 1
-    assert lexicon.measurements("red chair") == alone + 1
-    assert lexicon.measurements("the red chairs") == alone + 1
+    assert lexicon.understand("red chair").measurements == alone + 1
+    assert lexicon.understand("the red chairs").measurements == alone + 1
 
 
 @pytest.mark.parametrize(

@@ -208,7 +208,7 @@ def test_the_lexicon_reads_or_refuses_every_text(lexicon):
         np.testing.assert_array_equal(*vectors, err_msg=name)
     for text, unknown in (("red zyzzyva", ("zyzzyva",)), ("red 🏀", ())):
         assert np.linalg.norm(lexicon.encode_text([text])[0]) == pytest.approx(1, abs=1e-6)
-        assert lexicon.unknown_words(text) == unknown
+        assert lexicon.understand(text).unknown == unknown
     for name, text in REFUSED.items():
         with pytest.raises(InputError) as error:
             lexicon.encode_text([text])

@@ -93,7 +93,7 @@ def test_no_spelling_has_two_roles():
 
 def test_every_word_of_the_procedural_scenes_is_known(lexicon):
     for word in PROCEDURAL_WORDS:
-        assert lexicon.unknown_words(word) == ()
+        assert lexicon.understand(word).unknown == ()
 
 
 @pytest.mark.parametrize(
@@ -126,7 +126,7 @@ def test_texts_that_mean_the_same_encode_the_same(lexicon, one, other):
     ],
 )
 def test_words_that_are_not_known_are_named(lexicon, text, unknown):
-    assert lexicon.unknown_words(text) == unknown
+    assert lexicon.understand(text).unknown == unknown
 
 
 @pytest.mark.parametrize(
@@ -150,14 +150,14 @@ def test_words_that_are_not_known_are_named(lexicon, text, unknown):
     ],
 )
 def test_of_several_things_one_is_looked_for(lexicon, text, read_as, unused):
-    assert lexicon.read_as(text) == read_as
-    assert tuple(lexicon.unused_words(text)) == unused
+    assert lexicon.understand(text).read_as == read_as
+    assert tuple(lexicon.understand(text).unused) == unused
     np.testing.assert_allclose(*lexicon.encode_text([text, read_as]), atol=1e-7)
 
 
 def test_words_that_cannot_be_seen_are_set_aside_with_the_reason(lexicon):
-    assert "is not measured" in lexicon.unused_words("old red ball")["old"]
-    assert lexicon.unknown_words("old red ball") == ()
+    assert "is not measured" in lexicon.understand("old red ball").unused["old"]
+    assert lexicon.understand("old red ball").unknown == ()
     np.testing.assert_array_equal(*lexicon.encode_text(["old red ball", "red ball"]))
     with pytest.raises(InputError, match=r"none of its words can be used \(old\)"):
         lexicon.encode_text(["old"])
@@ -463,7 +463,7 @@ def test_bad_regions_are_refused(lexicon):
 def test_the_noun_of_a_text_has_its_classes(lexicon, text, noun, classes):
     reading = load_vocabulary().read(text)
     assert (reading.noun, set(reading.classes)) == (noun, classes)
-    assert lexicon.classes(text) == reading.classes
+    assert lexicon.understand(text).classes == reading.classes
 
 
 @pytest.mark.parametrize(
@@ -475,7 +475,10 @@ def test_two_things_are_asked_for_one_at_a_time(lexicon, text):
 
 
 def test_and_may_join_what_describes_one_thing(lexicon):
-    assert lexicon.read_as("black and white cup on the chair and table") == "black white cup"
+    assert (
+        lexicon.understand("black and white cup on the chair and table").read_as
+        == "black white cup"
+    )
 
 
 @pytest.mark.parametrize(
@@ -489,7 +492,7 @@ def test_and_may_join_what_describes_one_thing(lexicon):
     ],
 )
 def test_of_what_nothing_is_known_nothing_is_told(lexicon, text, by_class, sentence):
-    told = lexicon.untold(text, by_class)
+    told = lexicon.understand(text, by_class).untold
     assert told.startswith(sentence) and bool(told) == bool(sentence)
 
 
