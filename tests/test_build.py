@@ -53,7 +53,7 @@ def test_files_are_written_down_by_content(tmp_path):
 
 def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
     room = datasets.load("procedural", seed=1, objects=4, views=3, height=64, width=96)
-    sample = room.sample(["view_00", "view_02"])
+    sample = room.sample(["view_00", "view_02"], near=0.9, far=20.0)
     depths = {}
     for most in (33, 144):
         given = {"planesweep": {"depth_candidates": most}}
@@ -159,4 +159,4 @@ def test_one_number_says_what_a_second_view_confirms():
 
 def test_what_cannot_be_written_down_is_refused():
     with pytest.raises(InputError, match="float32 is not JSON serializable; give plain numbers"):
-        Method(settings={"separated": {"error": np.float32(0.5)}})
+        Method(predictor="mvsplat", settings={"mvsplat": {"device": np.float32(1)}})
