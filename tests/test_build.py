@@ -30,7 +30,7 @@ NAMES = {
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        ({"mvsplat": {}}, "found some of 'mvsplat', expected none but .* 'planesweep'"),
+        ({"mvsplat": {}}, "found some of 'mvsplat', expected only those .* 'planesweep'"),
         ({"planesweep": {"nearest": 1.0}}, "unknown key 'planesweep.nearest'"),
         ({"planesweep": {"depth_candidates": 4}}, "planesweep depth_candidates: found 4"),
         ({"separated": {"dimension": 4}}, "separated dimension: found 4"),
