@@ -300,10 +300,10 @@ class SemanticField:
 
         from slgaussian.rasterize import harmonics, rasterize
 
-        colours, features = harmonics.colors(gaussians, camera), gaussians.require_features()
-        rows = None if self.bank.dimension else features[:, 0].int()
+        colours, tensor = harmonics.colors(gaussians, camera), gaussians.require_features()
+        rows = None if self.bank.dimension else tensor[:, 0].int()
         if self.bank.dimension:
-            colours = torch.cat([colours, features], 1)
+            colours = torch.cat([colours, tensor], 1)
         image = rasterize(gaussians, colours, camera, backend=backend, labels=rows)
         return Picture.of(image)
 
