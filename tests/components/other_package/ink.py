@@ -1,4 +1,4 @@
-"""A proposer in one file: what is drawn in one of the colours that a file lists."""
+"""A proposer in one file: regions in the colours that a file lists."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +13,7 @@ from slgaussian.masks import Proposals
 
 
 class Ink(ComponentConfig):
-    """A mask for each colour of a list, where the image comes near it."""
+    """Propose a mask for each colour of a list, where the image is close to it."""
 
     colours: Annotated[Path | None, File(file_digest)] = Field(
         None, description="Colours, a line each: red green blue."
