@@ -40,7 +40,7 @@ from slgaussian.scene import View
 UNTOLD = (float("nan"), float("nan"))
 
 Answer = Mapping[int, tuple[np.ndarray, np.ndarray, float, tuple[float, float]]]
-"""World to camera, R [3, 3] and t [3], of the views placed; focal length in pixels, and the ends of
+"""World to camera, R [3, 3] and t [3], of the placed views; focal length in pixels, and the ends of
 the interval that is said to hold it nine times in ten, or :data:`UNTOLD`."""
 
 
@@ -49,16 +49,16 @@ def ours(views: Sequence[View]) -> Answer:
         Photograph(v.name, v.image, v.camera.width, v.camera.height, lens="one") for v in views
     ]
     try:
-        found = find_cameras(photographs)
+        estimate = find_cameras(photographs)
     except InputError as refusal:
         print(f"    {refusal}")
         return {}
-    for name, why in found.left_out.items():
+    for name, why in estimate.left_out.items():
         print(f"    {name}: {why}")
     out = {}
     for i, view in enumerate(views):
-        if view.name in found.cameras:
-            w2c, focal = found.cameras[view.name].w2c, found.focals[view.name]
+        if view.name in estimate.cameras:
+            w2c, focal = estimate.cameras[view.name].w2c, estimate.focals[view.name]
             out[i] = w2c[:3, :3], w2c[:3, 3], focal.pixels, (focal.low, focal.high)
     return out
 
@@ -87,10 +87,10 @@ def colmap(views: Sequence[View]) -> Answer:
         options.triangulation.ignore_two_view_tracks = False
         options.mapper.init_min_tri_angle = 4.0
         options.mapper.init_min_num_inliers = 30
-        found = pycolmap.incremental_mapping(database, images, Path(folder), options)
-        if not found:
+        models = pycolmap.incremental_mapping(database, images, Path(folder), options)
+        if not models:
             return {}
-        model = max(found.values(), key=lambda one: one.num_reg_images())
+        model = max(models.values(), key=lambda candidate: candidate.num_reg_images())
         out = {}
         for image in model.images.values():
             if image.has_pose:
@@ -101,7 +101,7 @@ def colmap(views: Sequence[View]) -> Answer:
 
 
 def judged(chain: PosedChain, answer: Answer) -> dict[str, Any]:
-    """Errors of all pairs, degrees, and of the focal length, in parts."""
+    """Compute the errors of all pairs, degrees, and the relative error of the focal length."""
     errors = []
     for i, j in itertools.combinations(range(len(chain.views)), 2):
         if i not in answer or j not in answer:
@@ -110,18 +110,18 @@ def judged(chain: PosedChain, answer: Answer) -> dict[str, Any]:
         (R_a, t_a, *_), (R_b, t_b, *_) = answer[i], answer[j]
         R = R_b @ R_a.T
         true = chain.views[j].camera.w2c @ chain.views[i].camera.c2w
-        found = rotation_error(R, true[:3, :3]), direction_error(t_b - R @ t_a, true[:3, 3])
-        errors.append(max(found))
+        pose_errors = rotation_error(R, true[:3, :3]), direction_error(t_b - R @ t_a, true[:3, 3])
+        errors.append(max(pose_errors))
     # All views of a chain share one focal length.
     true = chain.views[0].camera.K[0, 0]
     *_, focal, (low, high) = next(iter(answer.values()), (np.nan, UNTOLD))
-    told = chain.focal_known and np.isfinite(focal)
+    has_focal = chain.focal_known and np.isfinite(focal)
     return {
         "placed": len(answer),
         "views": len(chain.views),
         "errors": errors,
-        "focal": float(abs(focal / true - 1)) if told else None,
-        "inside": bool(low < true < high) if told and np.isfinite(low) else None,
+        "focal": float(abs(focal / true - 1)) if has_focal else None,
+        "inside": bool(low < true < high) if has_focal and np.isfinite(low) else None,
     }
 
 
@@ -148,12 +148,12 @@ def main() -> None:
     arguments = parser(__doc__, "poses.md")
     arguments.add_argument("data", type=data_folder("office_walk"), metavar="DATA")
     arguments.add_argument("--rows", type=Path)
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     methods: dict[str, Callable[[Sequence[View]], Answer]] = {"ours": ours}
     if importlib.util.find_spec("pycolmap"):
         methods["pycolmap"] = colmap
     rows: list[dict[str, Any]] = []
-    for chain in posed_chains(asked.data):
+    for chain in posed_chains(args.data):
         for method, call in methods.items():
             start = time.process_time()
             answer = call(chain.views)
@@ -161,15 +161,15 @@ def main() -> None:
             row = {"group": chain.group, "name": chain.name, "method": method}
             rows.append(row | judged(chain, answer) | {"seconds": seconds})
             print(f"  {chain.name} {method}: {rows[-1]['placed']}/{rows[-1]['views']}", flush=True)
-    if asked.rows:
-        asked.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    if args.rows:
+        args.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
     lines = []
     for group in ["all", *dict.fromkeys(row["group"] for row in rows)]:
         for method in methods:
             mine = [r for r in rows if r["method"] == method and group in ("all", r["group"])]
             lines.append(summary(group, method, mine))
     command = "python -m benches.cameras.chains DATA"
-    publish(asked.out, "poses.md", command, table(lines, {key: (key, str) for key in lines[0]}))
+    publish(args.out, "poses.md", command, table(lines, {key: (key, str) for key in lines[0]}))
 
 
 if __name__ == "__main__":

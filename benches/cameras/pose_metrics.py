@@ -1,4 +1,4 @@
-"""How far found relative poses are from true ones."""
+"""Errors of estimated relative poses."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 
 THRESHOLDS = (5.0, 10.0, 20.0)
 WRONG = 20.0
-"""Degrees above which an answer is of no use."""
+"""Error above which a pose is useless, degrees."""
 
 
-def rotation_error(found: np.ndarray, true: np.ndarray) -> float:
-    """Degrees between two rotations [3, 3]."""
-    # By way of the nearest rotation: poses in files are rounded, and a cosine does not forgive it.
-    turn, _ = cv2.Rodrigues(found @ true.T)
+def rotation_error(estimated: np.ndarray, true: np.ndarray) -> float:
+    """Compute the angle between two rotations [3, 3], degrees."""
+    # Poses in files are rounded, so project to the nearest rotation before taking the arc cosine.
+    turn, _ = cv2.Rodrigues(estimated @ true.T)
     return float(np.degrees(np.linalg.norm(turn)))
 
 
-def direction_error(found: np.ndarray, true: np.ndarray) -> float:
-    """Degrees between two translations [3] of any lengths."""
-    cosine = found @ true / (np.linalg.norm(found) * np.linalg.norm(true) + 1e-12)
+def direction_error(estimated: np.ndarray, true: np.ndarray) -> float:
+    """Compute the angle between two translations [3] of any lengths, degrees."""
+    cosine = estimated @ true / (np.linalg.norm(estimated) * np.linalg.norm(true) + 1e-12)
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
 
 

@@ -27,7 +27,7 @@ their distance is at least so much of that depth."""
 FERN_PAIRS = 10
 
 UNSURE_FOCAL = ("street",)
-"""Places whose focal length their own photographs do not tell: the road goes straight ahead."""
+"""Places without reference focal length: forward motion on a road does not determine it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class PosedPair:
 
 
 def posed_pairs(data: Path) -> Iterator[PosedPair]:
-    """All pairs, group by group."""
+    """Yield all pairs, group by group."""
     if (data / "office" / "pairs.json").is_file():
         scene = datasets.load("nerfstudio", data / "office")
         for name, (context, _) in read_pairs(data / "office" / "pairs.json").items():
@@ -65,23 +65,23 @@ def posed_pairs(data: Path) -> Iterator[PosedPair]:
         scene = datasets.load("llff", data / "fern")
         names = list(scene.cameras)
         for i in range(FERN_PAIRS):
-            other = names[(2 * i + 1 + i % 3) % len(names)]
-            yield _pair("fern", f"fern_{i}", scene, names[2 * i], other)
+            partner = names[(2 * i + 1 + i % 3) % len(names)]
+            yield _pair("fern", f"fern_{i}", scene, names[2 * i], partner)
     if (data / "office_walk").is_dir():
         yield from _pairs_of_walk(datasets.load("nerfstudio", data / "office_walk"))
 
 
 def _of_place(folder: Path) -> Iterator[PosedPair]:
-    """The two context photographs of each scene, and either one with its target."""
+    """Yield the two context photographs of each scene, and each of them with the target."""
     scene = datasets.load("nerfstudio", folder)
     for name, ((a, b), (target, *_)) in read_pairs(folder / "pairs.json").items():
         for ending, first, second in (("", a, b), ("_a", a, target), ("_b", target, b)):
-            known = folder.name not in UNSURE_FOCAL
-            yield _pair("places", name + ending, scene, first, second, known)
+            has_focal = folder.name not in UNSURE_FOCAL
+            yield _pair("places", name + ending, scene, first, second, has_focal)
 
 
 def _walk(scene: Scene) -> tuple[list[View], Callable[[int, int], bool]]:
-    """Return the views of a walk, and whether two of them are far enough apart and share enough."""
+    """Return the views of a walk, and a test whether two have enough baseline and overlap."""
     views = [scene.read(name) for name in scene.cameras]
     depths = [float(np.median(view.depth[view.depth > 0])) for view in views]
 
@@ -96,7 +96,7 @@ def _walk(scene: Scene) -> tuple[list[View], Callable[[int, int], bool]]:
 
 
 def _pairs_of_walk(scene: Scene) -> Iterator[PosedPair]:
-    """Yield evenly many of the pairs, up to four steps apart, that can be used."""
+    """Yield evenly spaced usable pairs of views that are at most four steps apart."""
     views, usable = _walk(scene)
     pairs = [
         (first, second)
@@ -122,7 +122,7 @@ WALK_CHAINS = 12
 
 @dataclass(frozen=True, eq=False)
 class PosedChain:
-    """Photographs of one place with their cameras, and whether its focal length is known."""
+    """Photographs of one place with their cameras; states whether the focal length is known."""
 
     group: str
     name: str
@@ -131,7 +131,7 @@ class PosedChain:
 
 
 def posed_chains(data: Path) -> Iterator[PosedChain]:
-    """All chains, group by group."""
+    """Yield all chains, group by group."""
     for folder in sorted((data / "places").glob("*")):
         if (folder / "transforms.json").is_file():
             scene = datasets.load("nerfstudio", folder)
@@ -152,7 +152,7 @@ def posed_chains(data: Path) -> Iterator[PosedChain]:
 
 
 def _chains_of_walk(scene: Scene) -> Iterator[PosedChain]:
-    """Yield evenly many chains of which neighbours can be used; of every or every second view."""
+    """Yield evenly spaced chains of usable neighbours, of every or every second view."""
     views, usable = _walk(scene)
     for k in range(WALK_CHAINS):
         length, gap = LENGTHS[k % len(LENGTHS)], 1 + k % 2

@@ -39,7 +39,7 @@ from slgaussian.errors import InputError
 from slgaussian.scene import View
 
 DRAWS = 1000
-"""Resamplings that an interval is taken from."""
+"""Number of resamplings of an interval."""
 
 
 class Answer(NamedTuple):
@@ -65,15 +65,15 @@ Method = Callable[[View, View], Answer | None]
 
 def opencv_known(a: View, b: View) -> Answer | None:
     at_a, at_b = plain_opencv.matches(a.image, b.image)
-    found = plain_opencv.relative_pose(at_a, at_b, a.camera.K, b.camera.K)
-    return found and Answer(*found)
+    pose = plain_opencv.relative_pose(at_a, at_b, a.camera.K, b.camera.K)
+    return pose and Answer(*pose)
 
 
 def opencv_guessed(a: View, b: View) -> Answer | None:
     at_a, at_b = plain_opencv.matches(a.image, b.image)
     K_a, K_b = (plain_opencv.guessed(v.camera.width, v.camera.height) for v in (a, b))
-    found = plain_opencv.relative_pose(at_a, at_b, K_a, K_b)
-    return found and Answer(*found, (K_a[0, 0], K_b[0, 0]))
+    pose = plain_opencv.relative_pose(at_a, at_b, K_a, K_b)
+    return pose and Answer(*pose, (K_a[0, 0], K_b[0, 0]))
 
 
 def poselib_known(a: View, b: View) -> Answer | None:
@@ -97,7 +97,7 @@ def poselib_known(a: View, b: View) -> Answer | None:
 
 def ours_known(a: View, b: View) -> Answer | None:
     K = [view.camera.K for view in (a, b)]
-    # Cut so that the principal point is in the middle, where ours takes it to be.
+    # Crop so that the principal point is in the centre, as our method assumes.
     images = [_centred(view.image, *k[:2, 2]) for view, k in zip((a, b), K, strict=True)]
     described = (
         Described.of(Photograph(name, image, image.shape[1], image.shape[0]))
@@ -111,7 +111,7 @@ def ours_known(a: View, b: View) -> Answer | None:
 
 
 def _centred(image: np.ndarray, x: float, y: float) -> np.ndarray:
-    """The largest window of an image with its middle, but for half a pixel, at (x, y)."""
+    """Return the largest crop of an image centred at (x, y), up to half a pixel."""
     (height, width), (right, down) = image.shape[:2], np.round(2 * np.array([x, y])).astype(int)
     left, top = max(0, right - width), max(0, down - height)
     return np.ascontiguousarray(image[top : min(down, height), left : min(right, width)])
@@ -123,35 +123,35 @@ def ours(a: View, b: View) -> Answer | None:
         for name, view in (("a", a), ("b", b))
     ]
     try:
-        found = find_cameras(photographs)
+        estimate = find_cameras(photographs)
     except InputError:
         return None
-    there = found.cameras["b"].w2c @ found.cameras["a"].c2w
-    one, other = found.focals["a"], found.focals["b"]
+    relative = estimate.cameras["b"].w2c @ estimate.cameras["a"].c2w
+    first, second = estimate.focals["a"], estimate.focals["b"]
     return Answer(
-        there[:3, :3],
-        there[:3, 3],
-        (one.pixels, other.pixels),
-        ((one.low, one.high), (other.low, other.high)),
-        found.pairs[0].verdict == DOUBTFUL,
+        relative[:3, :3],
+        relative[:3, 3],
+        (first.pixels, second.pixels),
+        ((first.low, first.high), (second.low, second.high)),
+        estimate.pairs[0].verdict == DOUBTFUL,
     )
 
 
 def methods() -> dict[str, Method]:
-    asked: dict[str, Method] = {
+    available: dict[str, Method] = {
         "OpenCV, K known": opencv_known,
         "OpenCV, f = 1.2 max(w, h)": opencv_guessed,
     }
     if importlib.util.find_spec("poselib"):
-        asked["poselib, K known"] = poselib_known
-    return {**asked, "ours, K known": ours_known, "ours, focal unknown": ours}
+        available["poselib, K known"] = poselib_known
+    return {**available, "ours, K known": ours_known, "ours, focal unknown": ours}
 
 
 def measure(pairs: Iterable[PosedPair]) -> list[dict[str, Any]]:
-    """A row a pair and method; errors are NaN where a method gave no answer."""
+    """Return a row per pair and method; errors are NaN if a method has no answer."""
     rows = []
     for pair in pairs:
-        there = pair.b.camera.w2c @ pair.a.camera.c2w
+        true_pose = pair.b.camera.w2c @ pair.a.camera.c2w
         for name, method in methods().items():
             start = time.process_time()
             answer = method(pair.a, pair.b)
@@ -161,12 +161,12 @@ def measure(pairs: Iterable[PosedPair]) -> list[dict[str, Any]]:
                 "method": name,
                 "seconds": time.process_time() - start,
             }
-            rows.append({**row, **_errors(answer, pair, there)})
+            rows.append({**row, **_errors(answer, pair, true_pose)})
     return rows
 
 
-def _errors(answer: Answer | None, pair: PosedPair, there: np.ndarray) -> dict[str, float]:
-    """Of an answer; NaN for what is not known of it, or cannot be judged."""
+def _errors(answer: Answer | None, pair: PosedPair, true_pose: np.ndarray) -> dict[str, float]:
+    """Compute the errors of an answer; NaN if not available or without reference."""
     if answer is None:
         return dict.fromkeys(JUDGED, float("nan"))
     true = [(view.camera.K[0, 0] + view.camera.K[1, 1]) / 2 for view in (pair.a, pair.b)]
@@ -177,8 +177,8 @@ def _errors(answer: Answer | None, pair: PosedPair, there: np.ndarray) -> dict[s
         within = zip(answer.intervals, true, strict=True)
         inside = float(np.mean([low < f < high for (low, high), f in within]))
     errors = (
-        rotation_error(answer.R, there[:3, :3]),
-        direction_error(answer.t, there[:3, 3]),
+        rotation_error(answer.R, true_pose[:3, :3]),
+        direction_error(answer.t, true_pose[:3, 3]),
         focal,
         inside,
         float("nan") if answer.doubted is None else float(answer.doubted),
@@ -187,7 +187,7 @@ def _errors(answer: Answer | None, pair: PosedPair, there: np.ndarray) -> dict[s
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row a group and method."""
+    """Return a row per group and method."""
     groups: dict[str, Callable[[str], bool]] = {
         "all but places": lambda group: group != "places",
         "places": lambda group: group == "places",
@@ -248,14 +248,14 @@ COLUMNS = {
 def main() -> None:
     arguments = parser(__doc__, "poses.md")
     arguments.add_argument("data", type=data_folder("office/pairs.json"), help="folder of places")
-    arguments.add_argument("--rows", type=Path, help="where rows are kept")
-    asked = arguments.parse_args()
+    arguments.add_argument("--rows", type=Path, help="file for the rows")
+    args = arguments.parse_args()
     cv2.setNumThreads(1)
-    rows = measure(posed_pairs(asked.data))
-    if asked.rows:
-        asked.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    rows = measure(posed_pairs(args.data))
+    if args.rows:
+        args.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
     command = "python -m benches.cameras.relative_pose DATA"
-    publish(asked.out, "poses.md", command, table(summary(rows), COLUMNS))
+    publish(args.out, "poses.md", command, table(summary(rows), COLUMNS))
 
 
 if __name__ == "__main__":

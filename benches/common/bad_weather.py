@@ -1,4 +1,4 @@
-"""A server of HTTP as it is on a bad day: a proxy that fails some of the requests.
+"""A faulty HTTP server: a proxy that fails some of the requests.
 
 Which requests fail, and how, is drawn by a seed in the order in which they come.
 """
@@ -24,7 +24,7 @@ FAULTS = (
     "cut short",
     "less than said",
 )
-"""What may become of a request.
+"""Outcomes of a request.
 
 ``500 when done`` and the three last are answered after the server has done it; ``cut short`` ends
 the connection in the middle of the answer's body, ``less than said`` gives half the body and calls
@@ -83,11 +83,11 @@ class BadWeather:
         self.server.server_close()
 
     def fault(self) -> str:
-        """What becomes of the next request."""
+        """Draw the outcome of the next request."""
         with self.lock:
-            found = self.dice.choice(self.faults) if self.dice.random() < self.share else ""
-            self.met[found] += 1
-        return found
+            outcome = self.dice.choice(self.faults) if self.dice.random() < self.share else ""
+            self.met[outcome] += 1
+        return outcome
 
 
 def _handler(weather: BadWeather) -> type[BaseHTTPRequestHandler]:
@@ -135,10 +135,10 @@ def _handler(weather: BadWeather) -> type[BaseHTTPRequestHandler]:
             try:
                 server.request(self.command, self.path, body, dict(self.headers.items()))
                 answer = server.getresponse()
-                kept = [(k, v) for k, v in answer.getheaders() if k.lower() not in _DROPPED]
+                headers = [(k, v) for k, v in answer.getheaders() if k.lower() not in _DROPPED]
                 if self.command == "HEAD" and answer.getheader("Content-Length"):
-                    kept.append(("Content-Length", answer.getheader("Content-Length", "")))
-                return answer.status, kept, answer.read()
+                    headers.append(("Content-Length", answer.getheader("Content-Length", "")))
+                return answer.status, headers, answer.read()
             finally:
                 server.close()
 
@@ -156,7 +156,7 @@ def _handler(weather: BadWeather) -> type[BaseHTTPRequestHandler]:
             self.close_connection |= sent is not None
 
         def reset(self) -> None:
-            # With this the kernel sends a reset and not an end.
+            # This makes the kernel send a reset instead of a regular end.
             now = struct.pack("ii", 1, 0)
             self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, now)
             self.close_connection = True

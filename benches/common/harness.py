@@ -35,12 +35,14 @@ ROUNDS, LEAST_ROUNDS, SECONDS = 11, 3, 8.0
 
 def parser(doc: str | None, page: str = "") -> argparse.ArgumentParser:
     """Return a parser that prints the docstring of a bench, with ``-o`` if it writes to a page."""
-    made = argparse.ArgumentParser(
+    arguments = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     if page:
-        made.add_argument("-o", "--out", type=Path, help=f"folder whose {page} gets the tables")
-    return made
+        arguments.add_argument(
+            "-o", "--out", type=Path, help=f"folder whose {page} gets the tables"
+        )
+    return arguments
 
 
 def measured() -> str:
@@ -135,7 +137,7 @@ def times_in_turn(
     clock: Callable[[], float] = time.perf_counter,
     pick: Callable = np.median,
 ) -> dict[str, float]:
-    """Return median seconds of each, run in turn so that a busy machine is busy for all.
+    """Return median seconds of each, run in turn so that other load affects all equally.
 
     Parameters
     ----------

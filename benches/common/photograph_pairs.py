@@ -1,4 +1,4 @@
-"""Pairs of photographs to run benches on: a made-up room, or those of a folder."""
+"""Pairs of photographs for benches: a procedural room, or those of a folder."""
 
 import json
 from collections.abc import Callable
@@ -17,18 +17,18 @@ DATA_HELP = (
 
 
 def data_folder(*holds: str) -> Callable[[str], Path]:
-    """What reads the argument DATA: a folder that holds these files, or the bench ends at once."""
+    """Return a parser type for DATA: a folder that contains these files, else the bench exits."""
 
-    def read(given: str) -> Path:
-        folder = Path(given)
+    def read(argument: str) -> Path:
+        folder = Path(argument)
         lacks = [name for name in holds if not (folder / name).exists()]
         if not lacks:
             return folder
         near = [folder.parent, *(sorted(folder.iterdir()) if folder.is_dir() else [])]
-        good = [other for other in near if all((other / name).exists() for name in holds)]
+        good = [sibling for sibling in near if all((sibling / name).exists() for name in holds)]
         advice = f"did you mean {good[0]}?" if good else f"give a folder with {', '.join(holds)}"
-        what = f"holds no {' and no '.join(lacks)}" if folder.is_dir() else "is no folder"
-        raise SystemExit(f"error: DATA: {given} {what}; {advice}")
+        problem = f"holds no {' and no '.join(lacks)}" if folder.is_dir() else "is no folder"
+        raise SystemExit(f"error: DATA: {argument} {problem}; {advice}")
 
     return read
 
@@ -38,7 +38,7 @@ labelled = data_folder("transforms.json", "pairs.json", "labels")
 
 
 def load_samples(folder: Path | None, size: tuple[int, int] = SIZE) -> dict[str, Sample]:
-    """Two context views and a target of every scene of ``folder``, or of a procedural one."""
+    """Load two context views and a target of every scene of ``folder``, or of a procedural one."""
     if folder is None:
         scene = datasets.load("procedural", seed=0, height=size[0], width=size[1])
         names = list(scene.cameras)

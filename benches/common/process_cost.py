@@ -1,4 +1,4 @@
-"""What a command costs: all of its processes, from the kernel's own counts in /proc."""
+"""Cost of a command with all of its processes, from the kernel's counters in /proc."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 CLI = (sys.executable, "-c", "from flows.cli.app import main; main()")
-"""The command line of the sources that this runs in."""
+"""Command line of this checkout."""
 
 EVERY = 0.2
-"""Seconds between two looks at the memory."""
+"""Sampling interval of the memory, seconds."""
 
 
 @dataclass
 class Cost:
-    """Seconds; megabytes of all processes together, and the most of a single one (RSS)."""
+    """Seconds; peak RSS of all processes together and of the largest single one, megabytes."""
 
     wall: float = 0.0
     cpu: float = 0.0
@@ -30,7 +30,7 @@ class Cost:
 
 
 def costing(words: Sequence[object], status: Sequence[int] = (0,), **options: object) -> Cost:
-    """Run a command to its end and say what it cost; SystemExit with its words if it fails."""
+    """Run a command and return its cost; SystemExit with its output if it fails."""
     cost = Cost()
     before, start = os.times(), time.perf_counter()
     run = subprocess.Popen(
@@ -53,15 +53,15 @@ def costing(words: Sequence[object], status: Sequence[int] = (0,), **options: ob
 
 
 def family(pid: int) -> list[int]:
-    """A process and all that it started, and those, as far as they are there."""
-    found = [pid]
-    for own in found:
+    """Return the ids of a process and its living descendants."""
+    pids = [pid]
+    for process in pids:
         try:
-            for task in Path(f"/proc/{own}/task").iterdir():
-                found += map(int, (task / "children").read_text().split())
+            for task in Path(f"/proc/{process}/task").iterdir():
+                pids += map(int, (task / "children").read_text().split())
         except OSError:
             continue
-    return found
+    return pids
 
 
 def _watch(run: subprocess.Popen, cost: Cost) -> None:

@@ -1,4 +1,4 @@
-"""Made-up rooms as photographs on disk, small: many scenes of a second each, to run flows on."""
+"""Small procedural rooms as photographs on disk: many scenes of a second each, to run flows on."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ QUERIES = ("red crate", "wall", "floor")
 
 
 def write_rooms(folder: Path, count: int) -> Path:
-    """``count`` rooms of two context views and a target each; the file for `slgaussian run`."""
+    """Write ``count`` rooms of two context views and a target; return the file for `run`."""
     config = folder / "rooms.toml"
     if config.exists():
         return config

@@ -1,4 +1,4 @@
-"""Bytes and errors of every format that a field is exported to.
+"""Size and error of every export format of a field.
 
     python -m benches.formats.exported DATA [-o docs/measured]
 
@@ -40,34 +40,36 @@ READ: dict[str, tuple[Callable, Callable[[Path], Gaussians]]] = {
 
 
 def rows_of(name: str, field: SemanticField, browser: Browser, folder: Path) -> Iterator[dict]:
-    """A row a format: bytes, and the error of pictures of what was read again."""
+    """Return a row per format: bytes, and the error of renderings after reading it again."""
     cameras = list(field.cameras.values())
     middle = between(cameras[0], cameras[-1], 0.5)
     true = [_drawn(field.gaussians, camera) for camera in (*cameras, middle)]
-    held = {"scene": name, "gaussians": len(field.gaussians), "objects": len(field.bank)}
+    common = {"scene": name, "gaussians": len(field.gaussians), "objects": len(field.bank)}
     for suffix, (save, load) in READ.items():
         file = folder / f"scene{suffix}"
         save(field.gaussians, file)
-        again = load(file)
+        reloaded = load(file)
         errors = [
-            psnr(_drawn(again, camera), was)
+            psnr(_drawn(reloaded, camera), was)
             for camera, was in zip((*cameras, middle), true, strict=True)
         ]
-        yield held | _row(suffix, file, min(errors[:-1]), errors[-1])
+        yield common | _row(suffix, file, min(errors[:-1]), errors[-1])
     # The camera between the views is one of the page's only for this.
     file = folder / "scene.html"
     file.write_text(scene_page(field), "utf-8")
-    whole = file.stat().st_size
-    there = field.changed(cameras={**field.cameras, "between": middle})
-    file.write_text(scene_page(there), "utf-8")
+    size = file.stat().st_size
+    with_middle = field.changed(cameras={**field.cameras, "between": middle})
+    file.write_text(scene_page(with_middle), "utf-8")
     with browser.open(file.as_uri(), 400, 300) as tab:
         tab.wait("globalThis.slgaussian !== undefined", 600)
-        seen = [_picture(tab.evaluate(f"slgaussian.snapshot({view})")) for view in range(len(true))]
+        rendered = [
+            _picture(tab.evaluate(f"slgaussian.snapshot({view})")) for view in range(len(true))
+        ]
     errors = [
         psnr(picture, field.render(camera).rgb)
-        for picture, camera in zip(seen, there.cameras.values(), strict=True)
+        for picture, camera in zip(rendered, with_middle.cameras.values(), strict=True)
     ]
-    yield held | _row(".html", file, min(errors[:-1]), errors[-1]) | {"megabytes": whole / 1e6}
+    yield common | _row(".html", file, min(errors[:-1]), errors[-1]) | {"megabytes": size / 1e6}
 
 
 def _row(suffix: str, file: Path, context: float, novel: float) -> dict:
@@ -100,8 +102,8 @@ COLUMNS = {
 def main() -> None:
     arguments = parser(__doc__, "exports.md")
     arguments.add_argument("data", type=photographs)
-    asked = arguments.parse_args()
-    samples = dict(list(load_samples(asked.data).items())[:SCENES]) | load_samples(None)
+    args = arguments.parse_args()
+    samples = dict(list(load_samples(args.data).items())[:SCENES]) | load_samples(None)
     rows = []
     with Browser() as browser, tempfile.TemporaryDirectory() as folder:
         for name, sample in samples.items():
@@ -109,9 +111,7 @@ def main() -> None:
             for row in rows_of(name, field, browser, Path(folder)):
                 rows.append(row | {"bytes": row["megabytes"] * 1e6 / row["gaussians"]})
                 print(rows[-1], flush=True)
-    publish(
-        asked.out, "exports.md", "python -m benches.formats.exported DATA", table(rows, COLUMNS)
-    )
+    publish(args.out, "exports.md", "python -m benches.formats.exported DATA", table(rows, COLUMNS))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How often answers are right, and what tells: fits the constants of the lexicon's confidence.
+"""Accuracy and calibration of answers: fits the constants of the lexicon's confidence.
 
     python -m benches.language.answer_confidence DATA [-o docs/measured] [--rows FILE] [--seeds 3]
 
@@ -68,7 +68,7 @@ poster",
 
 
 class Row(NamedTuple):
-    """One answer: what it rests on, and whether it is right."""
+    """One answer: its predictors of confidence, and whether it is right."""
 
     place: str
     scene: str
@@ -89,11 +89,11 @@ class Row(NamedTuple):
 
 
 RESTS_ON = ("evidence", "stands_out", "parts", "named")
-"""What confidence rests on."""
+"""Predictors of the confidence."""
 
 
 def answers(place: str, scene: SceneSettings, seeds: Sequence[int]) -> Iterator[Row]:
-    """The answers in the target of a labelled pair, by the field of each seed."""
+    """Return the answers in the target of a labelled pair, by the field of each seed."""
     sample = read(scene, Settings())
     assert scene.labels is not None
     target = sample.targets[0]
@@ -143,15 +143,15 @@ def kind_of(place: str) -> str:
 
 
 def signs(rows: Sequence[Row], on: Sequence[str]) -> np.ndarray:
-    """Those numbers of the rows that are named, and ones: float64 [M, S + 1]."""
+    """Return the design matrix of the named predictors with an intercept: float64 [M, S + 1]."""
     return np.array([[*(getattr(row, name) for name in on), 1.0] for row in rows])
 
 
-def fitted(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> np.ndarray:
+def fitted(rows: Sequence[Row], measure: str, predictors: Sequence[str] = RESTS_ON) -> np.ndarray:
     """Constants float64 [S + 1] of the logistic curve of ``mask`` or ``point``, a little held
     back."""
-    X, w = signs(rows, on), weights(rows)
-    right = np.array([getattr(row, what) for row in rows])
+    X, w = signs(rows, predictors), weights(rows)
+    right = np.array([getattr(row, measure) for row in rows])
     w, scale = w / w.sum(), np.append(X[:, :-1].std(0), 0)
 
     def loss(b: np.ndarray) -> tuple[float, np.ndarray]:
@@ -164,7 +164,7 @@ def fitted(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> np.n
 
 
 def left_out(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> np.ndarray:
-    """Probabilities float64 [M], of every place by constants of the other ones."""
+    """Return cross-validated probabilities float64 [M], leaving one place out."""
     out = np.zeros(len(rows))
     for place in {row.place for row in rows}:
         own = np.array([row.place == place for row in rows])
@@ -174,14 +174,14 @@ def left_out(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> np
 
 
 def auroc(p: np.ndarray, right: np.ndarray, w: np.ndarray) -> float:
-    """Weighted probability that a right one is above a wrong one; half for ties."""
+    """Compute the weighted area under the ROC curve; ties count half."""
     above = (p[right][:, None] > p[~right]) + 0.5 * (p[right][:, None] == p[~right])
     both = w[right][:, None] * w[~right]
     return float((above * both).sum() / both.sum())
 
 
 def bins(p: np.ndarray, right: np.ndarray, w: np.ndarray, count: int = 10) -> list[dict]:
-    """Tenths of the weight by probability: what was said, and what was right."""
+    """Return the calibration curve by weighted deciles: predicted and observed accuracy."""
     order = np.argsort(p, kind="stable")
     at = (np.cumsum(w[order]) - w[order] / 2) / w.sum()
     tenths = [order[(at * count).astype(int) == k] for k in range(count)]
@@ -196,20 +196,20 @@ def bins(p: np.ndarray, right: np.ndarray, w: np.ndarray, count: int = 10) -> li
     ]
 
 
-def judged(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> dict:
-    """How well the probabilities of ``mask`` or ``point`` do at places left out."""
-    p, w = left_out(rows, what, on), weights(rows)
-    right = np.array([getattr(row, what) for row in rows])
+def judged(rows: Sequence[Row], measure: str, predictors: Sequence[str] = RESTS_ON) -> dict:
+    """Evaluate the cross-validated probabilities of ``mask`` or ``point``."""
+    p, w = left_out(rows, measure, predictors), weights(rows)
+    right = np.array([getattr(row, measure) for row in rows])
     places = np.array([row.place for row in rows])
     curve = bins(p, right, w)
     by_place = {
         place: auroc(p[places == place], right[places == place], w[places == place])
         for place in EVERY
     }
-    error = sum(one["share"] * abs(one["said"] - one["right"]) for one in curve)
+    error = sum(decile["share"] * abs(decile["said"] - decile["right"]) for decile in curve)
     return {
-        "what": what,
-        "constants": fitted(rows, what, on),
+        "what": measure,
+        "constants": fitted(rows, measure, predictors),
         "auroc": auroc(p, right, w),
         "error": error,
         "by_place": by_place,
@@ -218,7 +218,7 @@ def judged(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> dict
 
 
 def verdicts(rows: Sequence[Row], on: Sequence[str] = RESTS_ON) -> list[dict]:
-    """What is said at places left out, a line a kind of places and one for all."""
+    """Return the cross-validated verdicts, a line per kind of places and one for all."""
     mask, point = (left_out(rows, what, on) for what in ("mask", "point"))
     there, w = np.array([row.there for row in rows]), weights(rows)
     kinds = np.array([kind_of(row.place) for row in rows])
@@ -243,20 +243,20 @@ def main() -> None:
     arguments.add_argument("data", type=data_folder("office", "places", "things"))
     arguments.add_argument("--rows", type=Path)
     arguments.add_argument("--seeds", type=int, default=3)
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     threads.limit()
-    known = asked.rows.read_text().splitlines() if asked.rows and asked.rows.exists() else []
+    known = args.rows.read_text().splitlines() if args.rows and args.rows.exists() else []
     rows = [Row(*json.loads(line)) for line in known]
     done = {(row.place, row.scene, row.seed) for row in rows}
     for place in EVERY:
         kind = kind_of(place)
         folder = place if kind == place else f"{kind}/{place}"
-        for scene in labelled([folder], asked.data):
-            seeds = [s for s in range(asked.seeds) if (place, scene.name, s) not in done]
+        for scene in labelled([folder], args.data):
+            seeds = [s for s in range(args.seeds) if (place, scene.name, s) not in done]
             new = list(answers(place, scene, seeds)) if seeds else []
             rows += new
-            if asked.rows:
-                with asked.rows.open("a") as file:
+            if args.rows:
+                with args.rows.open("a") as file:
                     file.writelines(json.dumps(row) + "\n" for row in new)
             print(f"{place} {scene.name}: {len(new)} answers", flush=True)
     both = [judged(rows, what) for what in ("mask", "point")]
@@ -277,10 +277,10 @@ def main() -> None:
         for one in both
     ]
     publish(
-        asked.out,
+        args.out,
         "words.md",
         "python -m benches.language.answer_confidence DATA",
-        f"{len(rows)} answers of {asked.seeds} seeds, {sum(row.there for row in rows)} to things "
+        f"{len(rows)} answers of {args.seeds} seeds, {sum(row.there for row in rows)} to things "
         "that are there.",
         table([one | one["by_place"] for one in both], columns),
         table(tenths, of_tenths),

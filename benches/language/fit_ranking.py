@@ -1,4 +1,4 @@
-"""Fit the ranking of wholes to what is labelled, and judge it with each place left out.
+"""Fit the ranking of wholes to labelled places, with leave-one-place-out validation.
 
     python -m benches.language.fit_ranking DATA [--rooms 24]
 
@@ -48,11 +48,11 @@ class Question:
 
 
 def questions(kind: str, scene: SceneSettings) -> list[Question]:
-    """Ask a scene all that is labelled; a text that cannot be used has one candidate of IoU 0."""
+    """Query all labelled texts of a scene; an unusable text has one candidate of IoU 0."""
     sample = read(scene, Settings())
     truth = truth_of(scene, sample)
     (inputs,) = built(sample, [0])
-    field, rules, asked = inputs.field, Rules(), []
+    field, rules, collected = inputs.field, Rules(), []
     place = scene.name if kind == "rooms" else f"{kind}/{scene.dataset}"
     for target in sample.targets:
         seen = ObjectMap(field.render(target.camera).ids, field.bank.ids)
@@ -68,18 +68,18 @@ def questions(kind: str, scene: SceneSettings) -> list[Question]:
                     inside, areas = sets @ seen.areas_within(mask), sets @ seen.areas
                     ious = inside / np.maximum(areas + mask.sum() - inside, 1)
             if mask.any():
-                asked.append(Question(kind, place, scene.name, features, ious))
-    return asked
+                collected.append(Question(kind, place, scene.name, features, ious))
+    return collected
 
 
-def fit(asked: Sequence[Question]) -> np.ndarray:
+def fit(items: Sequence[Question]) -> np.ndarray:
     """Fit the weights of a ranking, float64 [13]."""
-    deviation = np.concatenate([q.features for q in asked]).std(0) + 1e-9
-    places = Counter(q.place for q in asked)
-    kinds = Counter(kind for kind, _ in {(q.kind, q.place) for q in asked})
-    counts = torch.tensor([1 / places[q.place] / kinds[q.kind] for q in asked], dtype=torch.float64)
-    features = [torch.from_numpy(q.features / deviation) for q in asked]
-    wanted = [torch.from_numpy(q.ious / SHARPNESS).softmax(0) for q in asked]
+    deviation = np.concatenate([q.features for q in items]).std(0) + 1e-9
+    places = Counter(q.place for q in items)
+    kinds = Counter(kind for kind, _ in {(q.kind, q.place) for q in items})
+    counts = torch.tensor([1 / places[q.place] / kinds[q.kind] for q in items], dtype=torch.float64)
+    features = [torch.from_numpy(q.features / deviation) for q in items]
+    wanted = [torch.from_numpy(q.ious / SHARPNESS).softmax(0) for q in items]
     weights = torch.zeros(len(deviation), dtype=torch.float64, requires_grad=True)
     optimiser = torch.optim.LBFGS([weights], max_iter=200, line_search_fn="strong_wolfe")
 
@@ -96,12 +96,12 @@ def fit(asked: Sequence[Question]) -> np.ndarray:
     return weights.detach().numpy() / deviation
 
 
-def scores(asked: Sequence[Question], choose: Callable[[Question], int]) -> dict[str, str]:
+def scores(evaluated: Sequence[Question], choose: Callable[[Question], int]) -> dict[str, str]:
     """Return mean IoU / share above a half of each kind: means over scenes of their means."""
     cells = {}
     for kind in (*KINDS, "rooms"):
         by_scene: dict[str, list[float]] = {}
-        for q in asked:
+        for q in evaluated:
             if q.kind == kind:
                 by_scene.setdefault(q.scene, []).append(float(q.ious[choose(q)]))
         means = [(np.mean(ious), np.mean(np.array(ious) > 0.5)) for ious in by_scene.values()]
@@ -120,17 +120,17 @@ def main() -> None:
     scenes = [(kind, scene) for kind in KINDS for scene in SETS[kind].scenes(options.data)]
     numbers = range(FIRST_ROOM, FIRST_ROOM + options.rooms)
     scenes += [("rooms", room_scene(number)) for number in numbers]
-    asked = []
+    collected = []
     for kind, scene in scenes:
-        asked += questions(kind, scene)
-        print(scene.name, len(asked), flush=True)
+        collected += questions(kind, scene)
+        print(scene.name, len(collected), flush=True)
 
     def fold(q: Question) -> str:
         return f"rooms {int(q.place.rsplit('_')[-1]) % FOLDS}" if q.kind == "rooms" else q.place
 
-    folds = sorted({fold(q) for q in asked})
-    left_out = {f: fit([q for q in asked if fold(q) != f]) for f in folds}
-    together, shipped = fit(asked), np.array(Lexicon.ranking)
+    folds = sorted({fold(q) for q in collected})
+    left_out = {f: fit([q for q in collected if fold(q) != f]) for f in folds}
+    together, shipped = fit(collected), np.array(Lexicon.ranking)
     for name, weight in zip(Ranking._fields, together, strict=True):
         print(f"        {name}={weight:.2f},")
     ways: dict[str, Callable[[Question], int]] = {
@@ -139,7 +139,7 @@ def main() -> None:
         "fitted to other places": lambda q: int((q.features @ left_out[fold(q)]).argmax()),
         "best candidate": lambda q: int(q.ious.argmax()),
     }
-    rows = [{"weights": name, **scores(asked, choose)} for name, choose in ways.items()]
+    rows = [{"weights": name, **scores(collected, choose)} for name, choose in ways.items()]
     print(table(rows, {name: (name, str) for name in ("weights", *KINDS, "rooms")}))
 
 

@@ -1,4 +1,4 @@
-"""How many class names of public sets the lexicon refuses, or reads without a word.
+"""Share of class names of public data sets that the lexicon rejects, or understands in part.
 
     python -m benches.language.words_known DATA [-o docs/measured]
 
@@ -33,7 +33,7 @@ def class_names(data: Path) -> dict[str, list[str]]:
 
 
 def row_of(title: str, known: Vocabulary, names: Sequence[str]) -> dict[str, object]:
-    """Shares of names that are refused, understood but for a word, or read without a thing."""
+    """Return the shares of names that are rejected, or understood in part."""
     refused, in_part, no_thing = [], 0, 0
     for name in names:
         try:
@@ -62,12 +62,12 @@ COLUMNS = {
 def main() -> None:
     arguments = parser(__doc__, "words.md")
     arguments.add_argument("data", type=data_folder(LVIS))
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     known = load_vocabulary()
     nouns = len({word.name for word in known.words.values() if word.family in NOUNS})
-    rows = [row_of(TITLES[key], known, names) for key, names in class_names(asked.data).items()]
+    rows = [row_of(TITLES[key], known, names) for key, names in class_names(args.data).items()]
     publish(
-        asked.out,
+        args.out,
         "words.md",
         "python -m benches.language.words_known DATA",
         f"The lexicon has {nouns} nouns, in {len(known.words)} spellings of all words.",

@@ -1,4 +1,4 @@
-"""Do objects keep their ids from view to view? Pairs of views, many views, and photographs.
+"""Consistency of object ids across views: pairs of views, many views, and photographs.
 
     python -m benches.masks.id_consistency DATA [-o docs/measured] [--pairs 50] [--rooms 3]
 
@@ -47,12 +47,12 @@ COPIES = (1, 3, 5, 7)
 ARC = {2: (0, 7), 4: (0, 2, 5, 7), 8: tuple(range(8))}
 """Which of eight views of an arc of 1.6 m are looked at."""
 COMMON = 100
-"""Fewest pixels that both views must see of an object."""
+"""Smallest number of an object's pixels visible in both views."""
 AGREE = 0.02
 SENSOR_AGREE = 0.05
-"""Relative depth within which two views see one point, by true depth and by a sensor's."""
+"""Largest relative depth difference of one point in two views, for true and sensor depth."""
 LOST = 0.2
-"""Share of the tiles that a noisy tracker loses at every look."""
+"""Share of the tiles that a noisy tracker drops in every call."""
 
 SCORES = {
     "matched": ("matched", ".3f"),
@@ -66,7 +66,7 @@ SCORES = {
 
 @dataclass
 class Cell:
-    """What is averaged into one row: columns of objects, and seconds of pairs."""
+    """Samples that are averaged into one row: columns of objects, and seconds of pairs."""
 
     objects: list[dict[str, float]] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
@@ -83,7 +83,7 @@ Cells = dict[str, Cell]
 
 
 class Once:
-    """A proposer that does not propose again for a picture it knows; ``seconds`` says its time."""
+    """A proposer that caches its proposals by image; ``seconds`` is its total time."""
 
     def __init__(self, propose: Callable[..., Proposals]) -> None:
         self.propose_now, self.known, self.seconds = propose, {}, 0.0
@@ -98,7 +98,7 @@ class Once:
 
 
 def true_masks(views: tuple[View, ...]) -> Callable[..., Proposals]:
-    """A proposer that knows the truth: errors that are left are those of the tracker."""
+    """A proposer that returns the ground truth: remaining errors are those of the tracker."""
     instances = {view.image.tobytes(): view.instances for view in views}
 
     def propose(seen, where=None):
@@ -110,7 +110,7 @@ def true_masks(views: tuple[View, ...]) -> Callable[..., Proposals]:
 
 
 class Noisy:
-    """A tracker that is wrong in a new way at every look: each tile of 16 pixels may be lost."""
+    """A tracker with random errors in every call: each tile of 16 pixels may be dropped."""
 
     final = False
 
@@ -139,7 +139,7 @@ def predicted_depths(sample: Sample) -> np.ndarray:
 
 
 def landing(a: View, b: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where ``a``'s pixels lie in ``b``: row, column, and whether both see the point there."""
+    """Project the pixels of ``a`` into ``b``: row, column, and whether both show the point."""
     pixels, z = b.camera.project(a.camera.unproject(a.depth))
     column, row = np.floor(pixels).astype(int).transpose(2, 0, 1)
     inside = (z > 0) & (column >= 0) & (column < SIZE[1]) & (row >= 0) & (row < SIZE[0])
@@ -153,7 +153,7 @@ def main_ids(labels: np.ndarray, truth: np.ndarray, objects: list[int]) -> list[
 
 
 def judge(a: View, b: View, labels: np.ndarray) -> list[dict[str, float]]:
-    """The columns of each object that both views see, of label maps [2, H, W]."""
+    """Return the columns of each object visible in both views, for label maps [2, H, W]."""
     first, second = labels
     row, column, seen = landing(a, b)
     common = np.bincount(a.instances[seen])
@@ -181,7 +181,7 @@ def judge(a: View, b: View, labels: np.ndarray) -> list[dict[str, float]]:
 def run(
     sample: Sample, depths: np.ndarray, proposer: Once, tracker: MaskTracker, replicas: int = 5
 ) -> tuple[np.ndarray, float]:
-    """Label maps [2, H, W], and the seconds that they took without proposals."""
+    """Return label maps [2, H, W], and the seconds of tracking without proposals."""
     start, before = time.process_time(), proposer.seconds
     seen = list(map(SeenView, sample.context, depths))
     labels = associate(seen, proposer, tracker, replicas).labels
@@ -246,7 +246,7 @@ def labelled_points(sample: Sample, labels: Path) -> dict[str, list[tuple[np.nda
 
 
 def photograph_cell(folder: Path) -> Cell:
-    """The cell of labelled categories of photographs."""
+    """Return the cell of labelled categories of photographs."""
     scene, cell = nerfstudio.read(folder), Cell()
     for context, target in read_pairs(folder / "pairs.json").values():
         sample = scene.sample(context, target, size=SIZE)
@@ -262,7 +262,7 @@ def photograph_cell(folder: Path) -> Cell:
 
 
 def objects_whole(views: Sequence[View], labels: np.ndarray) -> list[float]:
-    """IoU, over all views together, of each object with the id that most of it has."""
+    """Compute the IoU, over all views together, of each object with its majority id."""
     truth = np.stack([view.instances for view in views])
     found = []
     for number in np.unique(truth[truth > 0]):
@@ -275,7 +275,7 @@ def objects_whole(views: Sequence[View], labels: np.ndarray) -> list[float]:
 
 
 def rows_of_views(rooms: int) -> list[dict]:
-    """A row for each number of views, order and method: means over rooms."""
+    """Return a row for each number of views, order and method: means over rooms."""
     found: dict[tuple, list[dict[str, float]]] = {}
     for seed in range(rooms):
         scene = reader.read(seed, height=SIZE[0], width=SIZE[1], views=8, baseline=1.6)
@@ -317,18 +317,18 @@ def main() -> None:
     arguments.add_argument("data", type=labelled)
     arguments.add_argument("--pairs", type=int, default=50)
     arguments.add_argument("--rooms", type=int, default=3)
-    asked = arguments.parse_args()
-    cells, copies = pair_cells(asked.pairs)
+    args = arguments.parse_args()
+    cells, copies = pair_cells(args.pairs)
     several = {"views": ("views", "d"), "order": ("order", str)}
     several |= {key: SCORES[key] for key in ("matched", "alone", "pixels", "iou")}
     publish(
-        asked.out,
+        args.out,
         "masks.md",
         "python -m benches.masks.id_consistency DATA",
         table_of(cells, "made-up pairs"),
         table_of(copies, "tracker, copies"),
-        table_of({"photographs": photograph_cell(asked.data)}, "labelled categories"),
-        table(rows_of_views(asked.rooms), several),
+        table_of({"photographs": photograph_cell(args.data)}, "labelled categories"),
+        table(rows_of_views(args.rooms), several),
     )
 
 

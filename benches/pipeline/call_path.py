@@ -37,7 +37,7 @@ class CallPath:
         self.files: dict[CodeType, str] = {}
 
     def watch(self, frame: FrameType | None, event: str, _: object) -> None:
-        """Look at a call; for :func:`sys.setprofile`."""
+        """Record a call; callback of :func:`sys.setprofile`."""
         if event != "call" or not (file := self._file(frame)) or _is_module(frame):
             return
         callee = file, frame.f_code.co_qualname
@@ -73,13 +73,13 @@ def words_of(command: str, folder: Path) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("command", nargs="?", choices=("field", "run"), default="field")
-    asked = parser.parse_args()
+    args = parser.parse_args()
     path = CallPath()
     script = tomllib.loads((TREE / "pyproject.toml").read_text())["project"]["scripts"]
     module, _, function = script["slgaussian"].partition(":")
     start = getattr(importlib.import_module(module), function)
     with tempfile.TemporaryDirectory() as folder:
-        sys.argv = ["slgaussian", *words_of(asked.command, Path(folder).resolve())]
+        sys.argv = ["slgaussian", *words_of(args.command, Path(folder).resolve())]
         threading.setprofile(path.watch)
         sys.setprofile(path.watch)
         try:
@@ -92,7 +92,7 @@ def main() -> None:
             threading.setprofile(None)
     files = {file for file, _ in path.functions}
     print(
-        f"{asked.command}: {len(files)} files, {len(path.functions)} functions, "
+        f"{args.command}: {len(files)} files, {len(path.functions)} functions, "
         f"{len(path.crossings)} pairs of caller and callee across files"
     )
 

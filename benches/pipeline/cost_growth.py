@@ -1,4 +1,4 @@
-"""How cost grows: processor seconds and memory against the size of what is asked, with exponents.
+"""Scaling of CPU seconds and memory with the size of the input, with exponents.
 
     python -m benches.pipeline.cost_growth [-o docs/measured] [--only WHAT ...]
 
@@ -29,7 +29,7 @@ RANGES: Mapping[str, tuple[float, ...]] = {
     "pixels": (0.1, 0.2, 0.4, 0.8, 2.0),
     "views": (2, 3, 4, 6),
 }
-"""What grows, and through which sizes; pixels are megapixels a view."""
+"""Varied quantities and their values; pixels are megapixels per view."""
 
 SAYS = {
     "texts": "asking one view of 416x576 pixels and 60 objects",
@@ -44,20 +44,20 @@ SHORT = 2.0
 
 
 def exponent(sizes: list[float], costs: list[float]) -> float:
-    """The slope of log cost over log size, of the larger half of the sizes."""
+    """Compute the slope of log cost over log size for the larger half of the sizes."""
     upper = slice(len(sizes) // 2 - (len(sizes) % 2 == 0), None)
     return float(np.polyfit(np.log(sizes[upper]), np.log(np.maximum(costs[upper], 1e-9)), 1)[0])
 
 
-def job(what: str, size: float) -> Callable[[], object]:
-    """What is done at one size; making it ready is not counted."""
+def job(axis: str, size: float) -> Callable[[], object]:
+    """Return the measured function for one size; its preparation is not measured."""
     return {
         "texts": _texts,
         "objects": _objects,
         "Gaussians": _gaussians,
         "pixels": lambda s: _field(2, s),
         "views": lambda s: _field(int(s), 0.0768),
-    }[what](size)
+    }[axis](size)
 
 
 def _asked(objects: int, texts: int) -> tuple[Callable[[], object], Callable[[], object]]:
@@ -144,36 +144,36 @@ def _field(views: int, megapixels: float) -> Callable[[], object]:
     return lambda: build_field(sample)
 
 
-def point(what: str, size: float) -> dict[str, float]:
-    """The cost of one size, in this process: ``seconds`` of the processor, and ``megabytes``."""
-    job(what, RANGES[what][0])()
-    work = job(what, size)
+def point(axis: str, size: float) -> dict[str, float]:
+    """Measure the cost of one size in this process: CPU ``seconds``, and ``megabytes``."""
+    job(axis, RANGES[axis][0])()
+    work = job(axis, size)
     spent: list[float] = []
     resident_memory.give_back()
-    given = system.memory_status("VmRSS")
+    baseline = system.memory_status("VmRSS")
     system.reset_peak_memory()
     while not spent or (len(spent) < TIMES and spent[0] < SHORT):
         start = time.process_time()
         work()
         spent.append(time.process_time() - start)
-    more = max(system.memory_status("VmHWM") - given, 0)
-    return {"size": size, "seconds": float(np.median(spent)), "megabytes": more / 1e6}
+    increase = max(system.memory_status("VmHWM") - baseline, 0)
+    return {"size": size, "seconds": float(np.median(spent)), "megabytes": increase / 1e6}
 
 
-def grown(what: str) -> dict[str, object]:
-    """All points of a range, each in a process of its own, as a row with exponents."""
+def grown(axis: str) -> dict[str, object]:
+    """Measure all sizes of a range, each in a separate process, as a row with exponents."""
     points = []
-    for size in RANGES[what]:
-        command = [sys.executable, "-m", "benches.pipeline.cost_growth", "--point", what, str(size)]
+    for size in RANGES[axis]:
+        command = [sys.executable, "-m", "benches.pipeline.cost_growth", "--point", axis, str(size)]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode:
             raise SystemExit(done.stderr)
         points.append(json.loads(done.stdout.splitlines()[-1]))
-        print(what, points[-1], file=sys.stderr)
+        print(axis, points[-1], file=sys.stderr)
     sizes = [point["size"] for point in points]
     row = {name: exponent(sizes, [p[name] for p in points]) for name in ("seconds", "megabytes")}
     costs = (f"{p['size']:,.10g}: {p['seconds']:.2g} s, {p['megabytes']:,.0f} MB" for p in points)
-    return {"what": what, "says": SAYS[what], "costs": "; ".join(costs), **row}
+    return {"what": axis, "says": SAYS[axis], "costs": "; ".join(costs), **row}
 
 
 COLUMNS = {
@@ -189,12 +189,12 @@ def main() -> None:
     arguments = parser(__doc__, "waiting.md")
     arguments.add_argument("--only", nargs="*", choices=RANGES, default=list(RANGES))
     arguments.add_argument("--point", nargs=2, help="used by itself")
-    asked = arguments.parse_args()
-    if asked.point:
-        print(json.dumps(point(asked.point[0], float(asked.point[1]))))
+    args = arguments.parse_args()
+    if args.point:
+        print(json.dumps(point(args.point[0], float(args.point[1]))))
         return
-    rows = table([grown(what) for what in asked.only], COLUMNS)
-    publish(asked.out, "waiting.md", "python -m benches.pipeline.cost_growth", rows)
+    rows = table([grown(what) for what in args.only], COLUMNS)
+    publish(args.out, "waiting.md", "python -m benches.pipeline.cost_growth", rows)
 
 
 if __name__ == "__main__":

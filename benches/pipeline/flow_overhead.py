@@ -39,14 +39,14 @@ for room in rooms["scenes"]:
 
 
 def run(tree: Path, config: Path, work: Path) -> Cost:
-    """Run a configuration by a checkout, in its store."""
+    """Run a configuration with a checkout, in its store."""
     words = ["run", config, "-o", work / "out", "--store", work / "store", "--workers", 1]
     env = {**os.environ, "PYTHONPATH": str(tree)}
     return costing([*CLI, *words, "--runner", "threads"], cwd=tree, env=env)
 
 
 def a_scene(many: Sequence[Cost], one: Sequence[Cost], scenes: int) -> str:
-    """Return seconds a scene beyond the first, of wall clock and processors, as cells."""
+    """Return wall-clock and CPU seconds per scene after the first, as cells."""
     cells = []
     for name in ("wall", "cpu"):
         first, last = (statistics.median(getattr(c, name) for c in own) for own in (one, many))
@@ -60,13 +60,13 @@ def main() -> None:
     arguments.add_argument("earlier", type=Path, help="a checkout of another commit")
     arguments.add_argument("--scenes", type=int, default=200)
     arguments.add_argument("--rounds", type=int, default=3, help="of runs with everything cached")
-    asked = arguments.parse_args()
-    work, trees = asked.work.resolve(), {"now": ROOT, "earlier": asked.earlier.resolve()}
+    args = arguments.parse_args()
+    work, trees = args.work.resolve(), {"now": ROOT, "earlier": args.earlier.resolve()}
     costs: dict[tuple[str, str, int], list[Cost]] = {}
-    for count in (1, asked.scenes):
+    for count in (1, args.scenes):
         config = write_rooms(work / f"rooms-{count}", count)
         library = [sys.executable, "-c", LIBRARY, config]
-        for turn in range(asked.rounds + 1):
+        for turn in range(args.rounds + 1):
             for name, tree in trees.items():
                 place = work / f"{name}-{count}"
                 if not turn:
@@ -79,8 +79,8 @@ def main() -> None:
     print(f"{measured()}; load {os.getloadavg()[1]:.1f}\n")
     print("| program | stages | wall, s a scene | processor, s a scene |\n|---|---|--:|--:|")
     for name, state in dict.fromkeys(key[:2] for key in costs):
-        many, one = (costs[name, state, count] for count in (asked.scenes, 1))
-        print(f"| {name} | {state} | {a_scene(many, one, asked.scenes)} |")
+        many, one = (costs[name, state, count] for count in (args.scenes, 1))
+        print(f"| {name} | {state} | {a_scene(many, one, args.scenes)} |")
 
 
 if __name__ == "__main__":

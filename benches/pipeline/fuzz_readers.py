@@ -1,4 +1,4 @@
-"""Damaged files of every format that is read: whether they are refused, and what they cost.
+"""Fuzzing of all readers with damaged files: errors, time and memory.
 
     python -m benches.pipeline.fuzz_readers [-o docs/measured] [--count 3000] [--only FORMAT]
 
@@ -38,12 +38,12 @@ from tests.small_files import FORMATS, new_folder, trial, verdict
 ROOM = 2**30
 """Bytes of address space that a child may take besides what it starts with."""
 PATIENCE = 60.0
-"""Seconds of wall time, on a busy machine, after which a file counts as one that hangs."""
+"""Wall-clock seconds after which reading a file counts as a hang, on a loaded machine."""
 
 
 @dataclass
 class Found:
-    """What became of one damaged file: ``kind``, one of KINDS, and what was said of it."""
+    """Outcome of one damaged file: ``kind``, one of KINDS, and the message."""
 
     number: int
     kind: str
@@ -125,7 +125,7 @@ def fuzz(name: str, count: int, seed: int, folder: Path) -> Iterator[Found]:
 
 
 def _in_child(work: Callable[[], None]) -> None:
-    """Do it in a child, so that no thread starts here, which a fork would not survive."""
+    """Do it in a child process, because a fork does not survive threads started here."""
     child = os.fork()
     if child == 0:
         try:
@@ -151,18 +151,18 @@ def main() -> None:
     arguments.add_argument("--seed", type=int, default=0)
     arguments.add_argument("--only", choices=FORMATS)
     arguments.add_argument("--again", help="a format and a number, such as 'ply 17'")
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     ready()
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "set"
-        if asked.again:
-            name, _, number = asked.again.rpartition(" ")
+        if args.again:
+            name, _, number = args.again.rpartition(" ")
             FORMATS[name].make(new_folder(folder))
-            trial(name, int(number), asked.seed, folder)
+            trial(name, int(number), args.seed, folder)
             return
         rows, bad = [], []
-        for name in [asked.only] if asked.only else FORMATS:
-            found = list(fuzz(name, asked.count, asked.seed, folder))
+        for name in [args.only] if args.only else FORMATS:
+            found = list(fuzz(name, args.count, args.seed, folder))
             shutil.rmtree(folder)
             kinds = Counter(one.kind for one in found)
             row = {"format": name, "files": len(found), **{kind: kinds[kind] for kind in KINDS}}
@@ -176,8 +176,8 @@ def main() -> None:
         "seconds": ("Slowest, s", ".2f"),
         "memory": ("Memory, MiB", ".0f"),
     }
-    command = f"python -m benches.pipeline.fuzz_readers --count {asked.count} --seed {asked.seed}"
-    publish(asked.out, "fuzz.md", command, table(rows, columns))
+    command = f"python -m benches.pipeline.fuzz_readers --count {args.count} --seed {args.seed}"
+    publish(args.out, "fuzz.md", command, table(rows, columns))
     for name, one in bad:
         print(f"{name} {one.number}: {one.kind}: {one.said}")
     raise SystemExit(bool(bad))

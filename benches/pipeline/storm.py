@@ -1,4 +1,4 @@
-"""Everything at once: processes killed, inputs damaged, a full disk, an S3 server on a bad day.
+"""Stress test: killed processes, damaged inputs, a full disk, and a faulty S3 server.
 
     python -m benches.pipeline.storm WORK [-o docs/measured] [--scenes 1000] [--kills 50]
 
@@ -42,19 +42,19 @@ from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore
 
 SHARE = 20
-"""One in so many scenes is damaged."""
+"""Number of scenes per damaged scene."""
 
 BETWEEN = (0.5, 2.0)
-"""Seconds between two kills, at random."""
+"""Range of the random interval between two kills, seconds."""
 
 WHOLE = 10
-"""Every so manieth kill is of the whole run."""
+"""Number of kills per kill of the whole run."""
 
 FAILING = 0.05
 """Share of the requests that fail."""
 
 FULL = 15.0
-"""Seconds that the disk is full, once half of the kills are done."""
+"""Duration of the full disk, after half of the kills, seconds."""
 
 DISK = "600m"
 
@@ -73,7 +73,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 
 @dataclass
 class Storm:
-    """What happened: seconds, kills by what was killed, runs, and what was wrong in the end."""
+    """Result: seconds, kills by target, runs, and errors in the final state."""
 
     seconds: float = 0.0
     kills: Counter[str] = field(default_factory=Counter)
@@ -101,7 +101,7 @@ def scenes_of(work: Path, count: int) -> tuple[list[Path], dict[str, str]]:
 
 
 def run(root: str, listed: Path, out: Path, workers: int) -> None:
-    """The program that is disturbed: take the scenes of a list through their pipeline."""
+    """Run the disturbed program: process the scenes of a list."""
     from flows.runners.environment import interruptible, orchestration
 
     with interruptible(), orchestration(ArtifactStore(root)) as ready:
@@ -114,7 +114,7 @@ def run(root: str, listed: Path, out: Path, workers: int) -> None:
 
 
 def workers_of(pid: int) -> list[int]:
-    """Return the processes of the pool that a run has started."""
+    """Return the worker processes of a run."""
     workers = []
     for child in family(pid)[1:]:
         with suppress(OSError):
@@ -170,7 +170,7 @@ def weathered(
             continue  # killed, or it could not do what can be done
         if storm.kills.total() >= kills:
             break
-        # All is done before all kills are: once more, from a store that lost a part.
+        # If the run ends before all kills are done, repeat it from a store that lost a part.
         lose(ArtifactStore(store), dice)
     storm.seconds = time.perf_counter() - start
     if left_out.keys() != ailing.keys():
@@ -179,13 +179,13 @@ def weathered(
 
 
 def lose(store: ArtifactStore, dice: random.Random) -> None:
-    """Remove a third of the artifacts: a person with a broom."""
+    """Remove a third of the artifacts, as a careless user would."""
     names = [file.uri for files in store.walk(["labels"]) for file in files]
     store.remove(dice.sample(names, len(names) // 3))
 
 
 def content(store: ArtifactStore) -> dict[str, bytes]:
-    """What a store holds: artifacts by path, and of records what they name."""
+    """Return the content of a store: artifacts by path, and the references of records."""
     found = {}
     for records in Records(store).all():
         for record in records:
@@ -206,8 +206,8 @@ def compared(store: str, wanted: Mapping[str, bytes]) -> list[str]:
     ]
 
 
-def in_a_folder(work: Path, listed: Path, asked: argparse.Namespace, calm: bool) -> Storm:
-    """The storm over a folder, on a small disk that is full for a while."""
+def in_a_folder(work: Path, listed: Path, args: argparse.Namespace, calm: bool) -> Storm:
+    """Run the stress test on a folder, on a small disk that is full for a while."""
     store, filler = work / "disk" / ("calm" if calm else "storm"), work / "disk" / "filler"
 
     def full(now: bool) -> None:
@@ -218,18 +218,18 @@ def in_a_folder(work: Path, listed: Path, asked: argparse.Namespace, calm: bool)
             while True:
                 file.write(bytes(4096))
 
-    ailing, kills = ({}, 0) if calm else (asked.ailing, asked.kills)
-    return weathered(work, str(store), listed, ailing, kills, {}, full, asked.seed)
+    ailing, kills = ({}, 0) if calm else (args.ailing, args.kills)
+    return weathered(work, str(store), listed, ailing, kills, {}, full, args.seed)
 
 
-def in_a_bucket(work: Path, listed: Path, asked: argparse.Namespace, calm: bool) -> Storm:
-    """The storm over a bucket, whose server fails requests and is full for a while."""
+def in_a_bucket(work: Path, listed: Path, args: argparse.Namespace, calm: bool) -> Storm:
+    """Run the stress test on a bucket, whose server fails requests and is full for a while."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     words = ["-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
     with (work / "moto.log").open("ab") as log:
         moto = subprocess.Popen([sys.executable, *words], stdout=log, stderr=log)
-    weather = BadWeather(f"http://127.0.0.1:{port}", 0.0, asked.seed, hang=4.0)
+    weather = BadWeather(f"http://127.0.0.1:{port}", 0.0, args.seed, hang=4.0)
     env = {
         "AWS_ENDPOINT_URL": weather.url,
         "AWS_ACCESS_KEY_ID": "AKIAEXAMPLE",
@@ -252,14 +252,14 @@ def in_a_bucket(work: Path, listed: Path, asked: argparse.Namespace, calm: bool)
         s3fs.S3FileSystem.clear_instance_cache()  # of another proxy, perhaps
         ArtifactStore("s3://storm/slg").fs.mkdir("storm")
         weather.share = 0.0 if calm else FAILING
-        ailing, kills = ({}, 0) if calm else (asked.ailing, asked.kills)
+        ailing, kills = ({}, 0) if calm else (args.ailing, args.kills)
 
         def full(now: bool) -> None:
             weather.full = now
 
-        storm = weathered(work, "s3://storm/slg", listed, ailing, kills, env, full, asked.seed)
+        storm = weathered(work, "s3://storm/slg", listed, ailing, kills, env, full, args.seed)
         weather.share = 0.0
-        storm.wrong += compared("s3://storm/slg", asked.wanted)
+        storm.wrong += compared("s3://storm/slg", args.wanted)
     finally:
         weather.close()
         moto.terminate()
@@ -284,7 +284,7 @@ COLUMNS = {
 
 
 def in_own_namespace(words: list[str]) -> None:
-    """Begin again where disks may be mounted that nobody else sees."""
+    """Restart in a private mount namespace, in which disks can be mounted."""
     command = ["unshare", "--user", "--map-root-user", "--mount"]
     if "SLG_STORM" not in os.environ:
         os.environ["SLG_STORM"] = "1"
@@ -304,11 +304,11 @@ def main() -> None:
     arguments.add_argument(
         "--run", nargs=3, metavar=("STORE", "SCENES", "OUT"), help="used by itself"
     )
-    asked = arguments.parse_args()
-    if asked.run:
-        run(asked.run[0], Path(asked.run[1]), Path(asked.run[2]), 2)
+    args = arguments.parse_args()
+    if args.run:
+        run(args.run[0], Path(args.run[1]), Path(args.run[2]), 2)
     in_own_namespace(sys.argv[1:])
-    work = asked.work.resolve()
+    work = args.work.resolve()
     for left in ("cache", "storm.log", "moto.log"):
         shutil.rmtree(work / left, ignore_errors=True)
         if (work / left).is_file():
@@ -316,33 +316,33 @@ def main() -> None:
     (work / "disk").mkdir(parents=True, exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(work / "disk")]
     subprocess.run(mount, check=True)
-    files, ailing = scenes_of(work, asked.scenes)
+    files, ailing = scenes_of(work, args.scenes)
     rows, wrong = [], []
     for name, count, weather in (
-        ("folder", asked.scenes, in_a_folder),
-        ("bucket", asked.in_bucket, in_a_bucket),
+        ("folder", args.scenes, in_a_folder),
+        ("bucket", args.in_bucket, in_a_bucket),
     ):
-        if asked.only not in (None, name):
+        if args.only not in (None, name):
             continue
         some = files[:count]
-        asked.ailing = {own.stem: ailing[own.stem] for own in some if own.stem in ailing}
-        everything, whole = work / "all.json", work / "whole.json"
+        args.ailing = {scene.stem: ailing[scene.stem] for scene in some if scene.stem in ailing}
+        everything, intact = work / "all.json", work / "whole.json"
         everything.write_text(json.dumps(list(map(str, some))))
-        whole.write_text(json.dumps([str(own) for own in some if own.stem not in asked.ailing]))
+        intact.write_text(json.dumps([str(f) for f in some if f.stem not in args.ailing]))
         shutil.rmtree(work / "disk" / "calm", ignore_errors=True)
-        calm = in_a_folder(work, whole, asked, calm=True)
-        asked.wanted = content(ArtifactStore(work / "disk" / "calm"))
+        calm = in_a_folder(work, intact, args, calm=True)
+        args.wanted = content(ArtifactStore(work / "disk" / "calm"))
         if weather is in_a_bucket:
-            calm = in_a_bucket(work, whole, asked, calm=True)
+            calm = in_a_bucket(work, intact, args, calm=True)
         print(f"{name}: a run left alone took {calm.seconds:.0f} s", flush=True)
-        storm = weather(work, everything, asked, calm=False)
+        storm = weather(work, everything, args, calm=False)
         if weather is in_a_folder:
-            storm.wrong += compared(str(work / "disk" / "storm"), asked.wanted)
+            storm.wrong += compared(str(work / "disk" / "storm"), args.wanted)
         rows.append(
             {
                 "store": name,
                 "scenes": count,
-                "damaged": len(asked.ailing),
+                "damaged": len(args.ailing),
                 "alone": calm.seconds,
                 "storm": storm.seconds,
                 "workers": storm.kills["workers"],
@@ -354,7 +354,7 @@ def main() -> None:
         )
         wrong += calm.wrong + storm.wrong
         print(rows[-1], flush=True)
-    publish(asked.out, "scale.md", "python -m benches.pipeline.storm WORK", table(rows, COLUMNS))
+    publish(args.out, "scale.md", "python -m benches.pipeline.storm WORK", table(rows, COLUMNS))
     print("\n".join(wrong[:20]))
     sys.exit(bool(wrong))
 

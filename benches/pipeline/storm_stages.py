@@ -1,4 +1,4 @@
-"""A flow over stages of some milliseconds, to watch the machinery of a run and not the method."""
+"""A flow with stages of a few milliseconds, to test the orchestration and not the method."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def take(run: RunContext, file: KnownFile) -> ArtifactRef:
 
 @stage("storm_smooth", version=1)
 def smooth(run: RunContext, taken: ArtifactRef, times: int) -> ArtifactRef:
-    """The greatest of each pixel and its neighbours, so many times."""
+    """Apply a maximum filter repeatedly."""
     labels = run.store.get(taken)["labels"]
     for _ in range(times):
         around = [np.roll(labels, step, axis) for step in (-1, 1) for axis in (1, 2)]
@@ -44,7 +44,7 @@ def smooth(run: RunContext, taken: ArtifactRef, times: int) -> ArtifactRef:
 
 
 def pipeline(file: str) -> None:
-    """A scene of the storm: two stages, the second reads what the first has stored."""
+    """Process a scene with two stages, of which the second reads the output of the first."""
     if not os.path.exists(file):
         raise InputError(f"{file}: is not there")
     smooth(take(KnownFile(file, file_digest(Path(file)))), 3)
@@ -52,7 +52,7 @@ def pipeline(file: str) -> None:
 
 @flow(name="storm", persist_result=False)
 def storm(root: str, files: list[str], workers: int) -> State[dict[str, str]]:
-    """Take scenes through their pipeline in processes; why each was left out that was."""
+    """Process scenes in worker processes; return the reasons of those left out."""
     scenes = [SceneTask(Path(file).stem, pipeline, (file,), take.name) for file in files]
     with (
         open_workers("processes", workers, ArtifactStore(root)) as opened,

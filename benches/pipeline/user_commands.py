@@ -1,4 +1,4 @@
-"""Everything that users run, as whole commands: exit states and digests of what they leave.
+"""All user commands end to end: exit statuses and digests of their outputs.
 
 Run it before and after a change that should change nothing (``record``), and list the differences
 (``diff``). Each command runs in a process of its own, from a plain install in a new environment
@@ -38,7 +38,7 @@ HOST = "127.0.0.1"
 TIMED = re.compile(r"(times\..*|report\.(html|md)|.*\.mp4|\d{6}\.(parquet|claim)|current\.\w+)")
 """Files with times or dates in them: that they exist is recorded, not their bytes."""
 LIMIT = 3600.0
-"""Seconds after which a command is taken to hang."""
+"""Time limit of a command, seconds."""
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ def questions(
 
 
 def killed(recorder: Recorder, _data: Path | None) -> None:
-    """A run killed in the middle, and resumed: equal to one that nothing met."""
+    """A killed and resumed run must equal an undisturbed run."""
     base = recorder.work / "killed"
     config = write_rooms(base / "rooms", 3)
     arguments = ["run", str(config), "--store", "killed/store", "-o", "killed/out"]
@@ -318,7 +318,7 @@ GROUPS: dict[str, Callable[[Recorder, Path | None], None]] = {
 
 
 def check(results: dict[str, Result]) -> list[str]:
-    """Return what must hold within one recording and does not: statuses, and equal files."""
+    """List the violations within one recording: exit statuses, and files that must be equal."""
     wrong = [
         f"{name}: exit status {result.status}"
         for name, result in results.items()
@@ -345,18 +345,18 @@ EXPECTED = {
     "retrain, refused": (3, 4),
     "run killed": (-signal.SIGKILL,),
 }
-"""Exit statuses that a command may have where it is not 0 alone."""
+"""Allowed exit statuses of commands other than 0 alone."""
 
 EQUAL = (
     ("run threads", "run processes", "run dask", "run ray", "run bucket"),
     ("run undisturbed", "run resumed"),
     ("demo", "demo again"),
 )
-"""Commands whose files are to be the same."""
+"""Commands whose files must be equal."""
 
 
 def differing(one: dict[str, str], other: dict[str, str]) -> list[str]:
-    """Return the paths whose digests differ, or that only one has."""
+    """Return the paths with differing digests or in one set only."""
     return sorted(p for p in one.keys() | other.keys() if one.get(p) != other.get(p))
 
 
@@ -455,7 +455,7 @@ def free_port() -> int:
 
 
 def listens(port: int) -> bool:
-    """Whether a server accepts connections at this port of loopback."""
+    """Tell whether a server accepts connections at this port of loopback."""
     with socket.socket() as client:
         return client.connect_ex((HOST, port)) == 0
 
@@ -515,19 +515,19 @@ def main() -> None:
     diff = commands.add_parser("diff", help="list the differences of two recordings")
     diff.add_argument("before", type=Path)
     diff.add_argument("after", type=Path)
-    asked = parser.parse_args()
-    if asked.command == "diff":
+    args = parser.parse_args()
+    if args.command == "diff":
         before, after = (
             {name: Result(**result) for name, result in json.loads(path.read_text()).items()}
-            for path in (asked.before, asked.after)
+            for path in (args.before, args.after)
         )
         lines = differences(before, after)
     else:
-        work = asked.work.resolve()
+        work = args.work.resolve()
         work.mkdir(parents=True, exist_ok=True)
-        data = asked.data.resolve() if asked.data else None
-        results = recorded(asked.program or installed(work), work, data, asked.only)
-        asked.out.write_text(json.dumps({k: vars(v) for k, v in results.items()}, indent=1))
+        data = args.data.resolve() if args.data else None
+        results = recorded(args.program or installed(work), work, data, args.only)
+        args.out.write_text(json.dumps({k: vars(v) for k, v in results.items()}, indent=1))
         lines = check(results)
     print("\n".join(lines) or "nothing")
     sys.exit(bool(lines))

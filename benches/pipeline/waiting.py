@@ -1,4 +1,4 @@
-"""What people wait for at the command line, beside an earlier commit, in turn.
+"""Waiting times at the command line, compared with an earlier commit in turn.
 
     python -m benches.pipeline.waiting DATA EARLIER [-o docs/measured] [--rounds 7] [--only NAME]
 
@@ -64,7 +64,7 @@ print(json.dumps({name: [min(w for w, _ in own[2:]), min(c for _, c in own[2:]),
 
 
 def program(folder: Path) -> tuple[str, ...]:
-    """What starts the command line of a checkout."""
+    """Return the command that starts the command line of a checkout."""
     told = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))
     module, function = told["project"]["scripts"]["slgaussian"].split(":")
     return sys.executable, "-c", f"from {module} import {function}; {function}()"
@@ -136,16 +136,16 @@ def main() -> None:
     arguments.add_argument("earlier", type=Path)
     arguments.add_argument("--rounds", type=int, default=7)
     arguments.add_argument("--only", nargs="*", help="rows of the table, by their names")
-    asked = arguments.parse_args()
-    folders = (ROOT, asked.earlier.resolve())
+    args = arguments.parse_args()
+    folders = (ROOT, args.earlier.resolve())
     git = ["git", "-C", str(folders[1]), "rev-parse", "--short=7", "HEAD"]
     earlier = subprocess.run(git, capture_output=True, text=True).stdout.strip() or "unknown"
-    pair = next(iter(json.loads((asked.data / "pairs.json").read_text()).values()))
-    photos = [str((asked.data / name).resolve()) for name in pair["context"]]
-    cameras = str((asked.data / "transforms.json").resolve())
+    pair = next(iter(json.loads((args.data / "pairs.json").read_text()).values()))
+    photos = [str((args.data / name).resolve()) for name in pair["context"]]
+    cameras = str((args.data / "transforms.json").resolve())
 
     def wanted(name: str) -> bool:
-        return not asked.only or name in asked.only
+        return not args.only or name in args.only
 
     with tempfile.TemporaryDirectory() as place:
         field = ("field", *photos, "--cameras", cameras, "-o", f"{place}/{{}}")
@@ -162,16 +162,16 @@ def main() -> None:
         rows = []
         for name, words in commands.items():
             if wanted(name):
-                few = min(3, asked.rounds) if words[0] == "field" else asked.rounds
+                few = min(3, args.rounds) if words[0] == "field" else args.rounds
                 rows.append(row_of(name, *in_turn(words, folders, few)))
                 print(rows[-1], file=sys.stderr)
         if any(map(wanted, ASKED)):
-            costs = asked_in_turn(f"{place}/{{}}", folders, asked.rounds)
+            costs = asked_in_turn(f"{place}/{{}}", folders, args.rounds)
             rows += [row_of(name, *costs[name]) for name in ASKED]
         if wanted(FIRST):
-            rows.append(row_of(FIRST, *in_turn(field, folders, min(3, asked.rounds), first=True)))
+            rows.append(row_of(FIRST, *in_turn(field, folders, min(3, args.rounds), first=True)))
     publish(
-        asked.out,
+        args.out,
         "waiting.md",
         "python -m benches.pipeline.waiting DATA EARLIER",
         f"Before is commit {earlier}.",

@@ -81,11 +81,11 @@ def rows(checkpoint: str, folder: Path) -> list[dict]:
     return [row | {"share": row["cpu"] / first["cpu"]} for row in best.values()]
 
 
-def errors(found: Path, exact: Path) -> dict[str, float]:
-    found, exact = dict(np.load(found)), dict(np.load(exact))
+def errors(predicted: Path, exact: Path) -> dict[str, float]:
+    predicted, exact = dict(np.load(predicted)), dict(np.load(exact))
     off = {
-        "distance": np.abs(found["distance"] / exact["distance"] - 1),
-        "pixel": np.abs(found["pixel"] - exact["pixel"]),
+        "distance": np.abs(predicted["distance"] / exact["distance"] - 1),
+        "pixel": np.abs(predicted["pixel"] - exact["pixel"]),
     }
     return {f"{name}_mean": values.mean() for name, values in off.items()} | {
         f"{name}_greatest": values.max() for name, values in off.items()
@@ -111,18 +111,18 @@ def main() -> None:
     arguments = parser(__doc__, "mvsplat.md")
     arguments.add_argument("checkpoint", nargs="?", metavar="CHECKPOINT", help="such as re10k.ckpt")
     arguments.add_argument("--one", nargs=3, help="used by itself")
-    asked = arguments.parse_args()
-    if asked.one:
-        measure(asked.checkpoint, *asked.one)
+    args = arguments.parse_args()
+    if args.one:
+        measure(args.checkpoint, *args.one)
         return
     with tempfile.TemporaryDirectory() as folder:
-        checkpoint = asked.checkpoint
+        checkpoint = args.checkpoint
         if checkpoint is None:
             checkpoint = str(Path(folder) / "recipe.ckpt")
             torch.save(recipe_weights(), checkpoint)
-        found = table(rows(checkpoint, Path(folder)), COLUMNS)
-    command = "python -m benches.predict.mvsplat_cost" + " CHECKPOINT" * bool(asked.checkpoint)
-    publish(asked.out, "mvsplat.md", command, found)
+        tables = table(rows(checkpoint, Path(folder)), COLUMNS)
+    command = "python -m benches.predict.mvsplat_cost" + " CHECKPOINT" * bool(args.checkpoint)
+    publish(args.out, "mvsplat.md", command, tables)
 
 
 if __name__ == "__main__":

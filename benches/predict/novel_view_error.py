@@ -1,4 +1,4 @@
-"""New views of the plane sweep against real photographs, and its depth against a sensor's.
+"""Errors of the plane sweep: new views against photographs, and depth against a sensor.
 
     python -m benches.predict.novel_view_error DATA [-o docs/measured]
 
@@ -89,14 +89,14 @@ def warped(sample: Sample, gaussians: Gaussians, render: Render) -> np.ndarray:
 
 
 def sharpness(image: np.ndarray, truth: np.ndarray) -> float:
-    """Mean absolute Laplacian over that of the truth, both uint8 [H, W, 3]."""
+    """Compute the mean absolute Laplacian relative to the truth, both uint8 [H, W, 3]."""
     greys = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY).astype(np.float64) for one in (image, truth))
     ours, theirs = (np.abs(cv2.Laplacian(grey, cv2.CV_64F)).mean() for grey in greys)
     return float(ours / theirs)
 
 
 def of_pair(sample: Sample) -> dict[str, float]:
-    """Scores of a pair by ``method_metric``, and of its depth where a sensor knows it."""
+    """Compute scores of a pair by ``method_metric``, and of its depth where the sensor has it."""
     target = sample.targets[0]
     gaussians = PlaneSweep()(sample)
     render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
@@ -120,7 +120,7 @@ def of_pair(sample: Sample) -> dict[str, float]:
 
 
 def mean_of(name: str, rows: Sequence[dict[str, float]]) -> dict[str, object]:
-    """A row of the tables: the means over pairs."""
+    """Return a row of the tables: means over pairs."""
     means = {key: float(np.mean([row[key] for row in rows])) for key in rows[0]}
     ahead = sum(row["ahead"] > 0 for row in rows)
     return {"set": name, "pairs": len(rows), "pairs_ahead": ahead, **means}
@@ -151,16 +151,16 @@ DEPTHS = {
 def main() -> None:
     arguments = parser(__doc__, "results.md")
     arguments.add_argument("data", type=data_folder("office/pairs.json", "places"))
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     threads.limit()
     rows = []
-    places = sorted(file.parent for file in (asked.data / "places").glob("*/pairs.json"))
-    for name, folders in {"office": [asked.data / "office"], "other places": places}.items():
+    places = sorted(file.parent for file in (args.data / "places").glob("*/pairs.json"))
+    for name, folders in {"office": [args.data / "office"], "other places": places}.items():
         samples = [one for folder in folders for one in load_samples(folder).values()]
         rows.append(mean_of(name, [of_pair(sample) for sample in samples]))
     stereo = motorcycle(seed=0)
     publish(
-        asked.out,
+        args.out,
         "results.md",
         "python -m benches.predict.novel_view_error DATA",
         table(rows, VIEWS),

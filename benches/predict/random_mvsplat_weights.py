@@ -1,4 +1,4 @@
-"""Weights for MVSplat that anybody can make: to try it without the published ones, and to test it.
+"""Reproducible random weights for MVSplat, to test it without the published ones.
 
 ``python -m benches.predict.random_mvsplat_weights recipe.ckpt`` writes them as a checkpoint. They
 are random, and scenes look it; shapes, times and memory are those of ``re10k.ckpt``.
@@ -22,7 +22,7 @@ GAIN = {
 
 
 def recipe_weights() -> dict[str, torch.Tensor]:
-    """Weights by name, float32, the same everywhere: each from its own name as the seed.
+    """Return reproducible weights by name, float32, each seeded by its name.
 
     Unlike freshly initialised ones, none is zero, so that every layer has a say.
     """

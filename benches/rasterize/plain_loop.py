@@ -1,4 +1,4 @@
-"""The loop anybody would write first, kept to measure the rasteriser against.
+"""A naive rasterisation loop, the baseline of the rasteriser's speed.
 
 Project every Gaussian, sort all of them by depth, splat them one after the other into the image;
 two threads, each with its own half of the rows. The usual cut-offs: 3 sigma, alpha 1/255, 1e-4 of
@@ -7,7 +7,7 @@ the light.
 
 import math
 
-# Before Numba, which reads once where it keeps kernels.
+# Set before the import of Numba, which reads its cache folder once.
 import slgaussian.kernels.threads  # noqa: F401
 
 # isort: split
@@ -16,7 +16,7 @@ import numpy as np
 
 
 def splat_in_order(arrays, values, camera):
-    """Image float32 [H, W, C] of Gaussians given as the arrays of ``Gaussians.to_arrays``."""
+    """Render float32 [H, W, C] from the arrays of ``Gaussians.to_arrays``."""
     splats = _project(
         arrays["means"],
         arrays["scales"],

@@ -1,4 +1,4 @@
-"""Speed, error and memory of the rasteriser, beside the plain loop of ``plain_loop.py``.
+"""Speed, error and memory of the rasteriser, compared with the loop of ``plain_loop.py``.
 
     python -m benches.rasterize.speed_and_error [DATA] [-o docs/measured] [--scene NAME]
 
@@ -56,7 +56,7 @@ WINDOWS = ((0.3, 0.4), (0.5, 0.5), (0.7, 0.3), (0.6, 0.8))
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What is drawn: ``values`` float32 [N, C] of ``gaussians``, seen by ``camera``."""
+    """Rendered input: ``values`` float32 [N, C] of ``gaussians``, from ``camera``."""
 
     name: str
     gaussians: Gaussians
@@ -128,7 +128,7 @@ def scene_row(subject: Subject) -> dict:
 
 
 def cut_rows(subject: Subject) -> list[dict]:
-    """The plain loop and the cut-offs of :data:`CUTS`, each against the same with nothing cut."""
+    """Compare the plain loop and the cut-offs of :data:`CUTS` with the same without cut-offs."""
     contenders = {LOOP: subject.by_loop} | {
         name: lambda settings=settings: subject.drawn(settings) for name, settings in CUTS.items()
     }
@@ -209,15 +209,15 @@ def main() -> None:
     arguments.add_argument("data", nargs="?", type=photographs, metavar="DATA", help=DATA_HELP)
     arguments.add_argument("--scene", help="of all tables but the first")
     arguments.add_argument("--memory", nargs=2, metavar=("FILE", "JOB"), help="used by itself")
-    asked = arguments.parse_args()
-    if asked.memory:
-        print(json.dumps(memory(*asked.memory)))
+    args = arguments.parse_args()
+    if args.memory:
+        print(json.dumps(memory(*args.memory)))
         return
-    subjects = (Subject.of(*item) for item in load_samples(asked.data).items())
+    subjects = (Subject.of(*item) for item in load_samples(args.data).items())
     scenes, swept = [], None
     for subject in subjects:
         scenes.append(scene_row(subject))
-        if swept is None or subject.name == asked.scene:
+        if swept is None or subject.name == args.scene:
             swept = subject
     assert swept is not None
     of_scene = {"scene": ("scene", str), "gaussians": ("Gaussians", ",d")}
@@ -227,7 +227,7 @@ def main() -> None:
     of_sizes |= {name: TIMES[name] for name in ("loop", "fast", "ratio", "greatest")}
     of_memory = {"what": ("what", str), "peak": ("peak, MB", ".0f"), "kept": ("kept, MB", ".0f")}
     publish(
-        asked.out,
+        args.out,
         "rasterizer.md",
         "python -m benches.rasterize.speed_and_error DATA",
         table(scenes, of_scene | TIMES),

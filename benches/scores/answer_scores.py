@@ -1,4 +1,4 @@
-"""How right answers are: against other methods, and against what truth would make of each stage.
+"""Scores of answers, compared with other methods and with ground truth for each stage.
 
     python -m benches.scores.answer_scores DATA [-o docs/measured] [--rows FILE] [--only SET ...]
 
@@ -43,17 +43,17 @@ SCORES = {"iou": ("IoU", 3), "hit_mask": ("point", 2), "miou": ("mIoU", 3)}
 STAGES = ("threshold", "language", "masks")
 LEXICON = Lexicon()
 SMALL = 0.015
-"""Share of the picture below which a thing is small."""
+"""Fraction of the image below which an object is small."""
 SURFACES = {"floor", "wall", "ceiling", "carpet", "rug", "tiles", "grass", "lawn", "sky", "street",
             "road", "pavement", "cloth", "tablecloth"}  # fmt: skip
 KINDS = ("noun", "described noun", "surface", "small")
 
 
 def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
-    """A row a method and seed: means over what is asked in a scene."""
+    """Return a row per method and seed: means over the queries of a scene."""
     sample = read(scene, Settings())
     truth = truth_of(scene, sample)
-    # A labelled folder is one place; the office is one building, and each room one of its own.
+    # A labelled folder is one place; the office is one building, and each room a place of its own.
     place = scene.dataset if name in ("places", "things") else scene.name
     common = {"set": name, "place": place, "scene": scene.name}
     first: Inputs | None = None
@@ -64,9 +64,9 @@ def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
             f"{stage}_iou": float(np.mean([row[f"{stage}_iou"] for row in lost]))
             for stage in STAGES
         }
-        own = common | {"seed": inputs.seed, "queries": len(lost)}
+        summary = common | {"seed": inputs.seed, "queries": len(lost)}
         for method, scores in answers(inputs.field, inputs, truth).items():
-            yield own | {"method": method} | scores | (stages if method == OURS else {})
+            yield summary | {"method": method} | scores | (stages if method == OURS else {})
     assert first is not None
     for method in OTHERS:
         scores = answers(ROWS[method].load()(first), first, truth)[OURS]
@@ -87,8 +87,8 @@ def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dic
 
     ``kinds`` are the IoUs of the texts of each kind.
     """
-    asked = EvaluationSettings(protocols=PROTOCOLS, drawn=False)
-    rows = evaluate(answering, inputs.sample, inputs.label_maps, truth, asked).rows
+    settings = EvaluationSettings(protocols=PROTOCOLS, drawn=False)
+    rows = evaluate(answering, inputs.sample, inputs.label_maps, truth, settings).rows
     selected, cut = (
         [row for row in rows if row["protocol"] == load_protocol(name).label] for name in PROTOCOLS
     )
@@ -96,12 +96,12 @@ def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dic
         point = None if row["point_x"] is None else (row["point_x"], row["point_y"])
         row["hit_mask"] = metrics.point_in_mask(point, truth.masks[row["frame"]][row["query"]])
     means = {}
-    for name, own in ((OURS, selected), (CUT, cut)):
+    for name, own_rows in ((OURS, selected), (CUT, cut)):
         kinds: dict[str, list[float]] = {}
-        for row in own:
+        for row in own_rows:
             mask = truth.masks[row["frame"]][row["query"]]
             kinds.setdefault(kind_of(row["query"], mask), []).append(row["iou"])
-        scores = {score: mean for score, mean in scene_means(own).items() if score in SCORES}
+        scores = {score: mean for score, mean in scene_means(own_rows).items() if score in SCORES}
         means[name] = scores | {"kinds": kinds}
     return means
 
@@ -109,36 +109,36 @@ def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dic
 def measure(data: Path, names: Sequence[str], file: Path) -> list[dict[str, Any]]:
     """The rows of all scenes of these sets."""
     rows = [json.loads(line) for line in file.read_text().splitlines()] if file.is_file() else []
-    there = {(row["set"], row["scene"]) for row in rows}
+    measured = {(row["set"], row["scene"]) for row in rows}
     for name in names:
         for scene in SETS[name].scenes(data):
-            if (name, scene.name) in there:
+            if (name, scene.name) in measured:
                 continue
             new = list(scene_rows(name, scene))
             with file.open("a") as out:
                 out.writelines(json.dumps(row) + "\n" for row in new)
             rows += new
-            said = (f"{row['method']} {row['iou']:.3f}" for row in new if row["seed"] == 0)
-            print(name, scene.name, *said, sep="; ", flush=True)
+            cells = (f"{row['method']} {row['iou']:.3f}" for row in new if row["seed"] == 0)
+            print(name, scene.name, *cells, sep="; ", flush=True)
     return rows
 
 
 def by_scene(rows: Sequence[Mapping[str, Any]], key: str) -> dict[str, float]:
     """The mean over seeds of a score of each scene that has it."""
-    found: dict[str, list[float]] = {}
+    values_of: dict[str, list[float]] = {}
     for row in rows:
         if key in row:
-            found.setdefault(row["scene"], []).append(row[key])
-    return {scene: float(np.mean(values)) for scene, values in found.items()}
+            values_of.setdefault(row["scene"], []).append(row[key])
+    return {scene: float(np.mean(values)) for scene, values in values_of.items()}
 
 
-def reached(own: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
-    """What we reach on a set: a row a score."""
-    places = {row["scene"]: row["place"] for row in own}
+def reached(our_rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
+    """Return our scores on a set, one row per score."""
+    places = {row["scene"]: row["place"] for row in our_rows}
     lines = []
     for key, (title, digits) in SCORES.items():
-        seeds = over_seeds(own, name, key)
-        means = by_scene(own, key)
+        seeds = over_seeds(our_rows, name, key)
+        means = by_scene(our_rows, key)
         ends = interval_of_mean(np.array(list(means.values())), [places[s] for s in means])
         lines.append(
             {
@@ -153,14 +153,14 @@ def reached(own: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]
 
 
 def compared(rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
-    """Our gains over the others on a set, paired by scene: a row a method."""
-    own = {method: [r for r in rows if r["method"] == method] for method in (OURS, CUT, *OTHERS)}
-    places = {row["scene"]: row["place"] for row in own[OURS]}
+    """Return our gains over the others on a set, paired by scene, one row per method."""
+    of = {method: [r for r in rows if r["method"] == method] for method in (OURS, CUT, *OTHERS)}
+    places = {row["scene"]: row["place"] for row in of[OURS]}
     lines = []
     for method in (*OTHERS, CUT):
         line = {"set": name, "method": method}
         for key, (_, digits) in SCORES.items():
-            ours, theirs = by_scene(own[OURS], key), by_scene(own[method], key)
+            ours, theirs = by_scene(of[OURS], key), by_scene(of[method], key)
             if theirs:
                 gain = compare(
                     [ours[scene] for scene in theirs],
@@ -175,15 +175,15 @@ def compared(rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any
 
 
 def placed(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Place by place: means over the scenes of each, of us and of the others."""
+    """Return means over the scenes of each place, for our method and the others."""
     lines = []
     for place in dict.fromkeys(row["place"] for row in rows):
         here = [row for row in rows if row["place"] == place]
         line: dict[str, Any] = {"place": place, "queries": sum_of_queries(here)}
         for method in (OURS, CUT, *OTHERS):
-            own = [row for row in here if row["method"] == method]
+            of_method = [row for row in here if row["method"] == method]
             for key in SCORES:
-                means = list(by_scene(own, key).values())
+                means = list(by_scene(of_method, key).values())
                 if means:
                     line[f"{method} {key}"] = float(np.mean(means))
         lines.append(line)
@@ -191,7 +191,7 @@ def placed(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def by_kind(rows: Sequence[Mapping[str, Any]], name: str) -> list[dict[str, Any]]:
-    """Kind of word by kind: mean IoU over the texts of a set, of us and of the others."""
+    """Return the mean IoU by kind of text on a set, for our method and the others."""
     lines = []
     for kind in KINDS:
         ious: dict[str, list[float]] = {}
@@ -208,12 +208,14 @@ def sum_of_queries(rows: Sequence[Mapping[str, Any]]) -> int:
     return sum({row["scene"]: row["queries"] for row in rows}.values())
 
 
-def staged(own: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
-    """Means over the queries of a set of what truth makes of each stage."""
-    weights = [row["queries"] for row in own]
+def staged(our_rows: Sequence[Mapping[str, Any]], name: str) -> dict[str, Any]:
+    """Return means over the queries of a set with ground truth for each stage."""
+    weights = [row["queries"] for row in our_rows]
     keys = ("iou", *(f"{stage}_iou" for stage in STAGES))
-    line: dict[str, Any] = {"set": name, "queries": sum_of_queries(own)}
-    return line | {key: float(np.average([r[key] for r in own], weights=weights)) for key in keys}
+    line: dict[str, Any] = {"set": name, "queries": sum_of_queries(our_rows)}
+    return line | {
+        key: float(np.average([r[key] for r in our_rows], weights=weights)) for key in keys
+    }
 
 
 REACHED = {
@@ -250,23 +252,23 @@ def main() -> None:
     arguments.add_argument("data", type=data_folder(*SHEETS), help="labelled sets")
     arguments.add_argument("--rows", type=Path, default=Path("answers.jsonl"), help="kept rows")
     arguments.add_argument("--only", nargs="+", choices=SHOWN, default=SHOWN, help="some sets")
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     threads.limit(1)
     try:
-        rows = measure(asked.data, asked.only, asked.rows)
+        rows = measure(args.data, args.only, args.rows)
     except InputError as error:
         arguments.error(str(error))
-    sets = {name: [row for row in rows if row["set"] == name] for name in asked.only}
+    sets = {name: [row for row in rows if row["set"] == name] for name in args.only}
     ours = {name: [r for r in some if r["method"] == OURS] for name, some in sets.items()}
     publish(
-        asked.out,
+        args.out,
         "answers.md",
         "python -m benches.scores.answer_scores DATA",
         table([line for name in sets for line in reached(ours[name], name)], REACHED),
         table([line for name, some in sets.items() for line in by_kind(some, name)], BY_KIND),
         table(placed([*sets.get("things", []), *sets.get("places", [])]), PLACED),
         table([line for name, some in sets.items() for line in compared(some, name)], GAINS),
-        table([staged(own, name) for name, own in ours.items()], STAGED),
+        table([staged(our_rows, name) for name, our_rows in ours.items()], STAGED),
     )
 
 

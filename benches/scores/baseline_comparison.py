@@ -1,4 +1,4 @@
-"""What every method of the benchmark answers, and what it costs.
+"""Scores and costs of every method of the benchmark.
 
     python -m benches.scores.baseline_comparison OUT DATA [-o docs/measured] [--only METHOD ...]
 
@@ -38,19 +38,19 @@ SCORES = ("iou", "hit_mask", "miou")
 
 
 def answers_of(out: Path) -> dict[str, dict]:
-    """The scores of each method, by data set."""
-    found: dict[str, dict] = {}
+    """Return the scores of each method by data set."""
+    scores_of: dict[str, dict] = {}
     for score in pq.read_table(out / "scores.parquet").to_pylist():
-        of, metric = found.setdefault(score["method"], {}), score["metric"]
+        of, metric = scores_of.setdefault(score["method"], {}), score["metric"]
         if score["protocol"].startswith("slgaussian@") and metric in SCORES:
             of[f"{score['dataset']}_{metric}"] = score["value"]
             if metric == "iou" and score["low"] is not None:
                 of[f"{score['dataset']}_ends"] = f"{score['low']:.3f}–{score['high']:.3f}"
-    return found
+    return scores_of
 
 
 def seconds_of(out: Path) -> dict[str, dict]:
-    """The seconds of each method, medians over all scenes."""
+    """Return the seconds of each method, medians over all scenes."""
     rows = pq.read_table(out / "times.parquet").to_pylist()
     return {
         cost.method: {
@@ -63,7 +63,7 @@ def seconds_of(out: Path) -> dict[str, dict]:
 
 
 def memory_of(name: str, data: Path) -> float:
-    """What a fresh process comes to hold beyond the field of one office scene at most, MB."""
+    """Measure the peak memory of a method in a new process beyond one office field, MB."""
     words = [sys.executable, "-m", __spec__.name, "-", str(data), "--alone", name]
     done = subprocess.run(words, capture_output=True, text=True, check=True)
     return float(done.stdout)
@@ -121,18 +121,18 @@ def main() -> None:
     arguments.add_argument("data", type=data_folder("office/pairs.json"))
     arguments.add_argument("--only", nargs="*", metavar="METHOD")
     arguments.add_argument("--alone", help="used by itself")
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     threads.limit(1)
-    if asked.alone:
-        run_alone(asked.alone, asked.data)
+    if args.alone:
+        run_alone(args.alone, args.data)
         return
-    answers, costs = answers_of(asked.run), seconds_of(asked.run)
+    answers, costs = answers_of(args.run), seconds_of(args.run)
     rows = [
-        {"method": name, **answers[name], **costs[name], "memory": memory_of(name, asked.data)}
-        for name in asked.only or answers
+        {"method": name, **answers[name], **costs[name], "memory": memory_of(name, args.data)}
+        for name in args.only or answers
     ]
     command = "python -m benches.scores.baseline_comparison OUT DATA"
-    publish(asked.out, "answers.md", command, table(rows, COLUMNS))
+    publish(args.out, "answers.md", command, table(rows, COLUMNS))
 
 
 if __name__ == "__main__":

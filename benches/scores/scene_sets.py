@@ -1,4 +1,4 @@
-"""The sets of scenes that pages give means of, and their fields with several seeds.
+"""Sets of scenes over which the pages give means, and their fields with several seeds.
 
 A folder DATA holds ``office`` and ``places``, both labelled; rooms are made up.
 """
@@ -29,10 +29,10 @@ from slgaussian.semantic.hard import code_images
 
 PLACES = ("dining", "castle", "kitchen", "bonsai", "street", "lounge")
 UNSEEN = range(40, 60)
-"""Rooms that nothing was chosen on."""
+"""Rooms on which no constant was chosen."""
 
 SHEETS = ("office/pairs.json", *(f"places/{name}/pairs.json" for name in PLACES))
-"""What DATA must hold."""
+"""Required files in DATA."""
 
 
 THINGS = ("boxes", "can", "carton", "duck", "stitch")
@@ -50,13 +50,13 @@ class Set:
 
 
 def labelled(names: Sequence[str], data: Path) -> list[SceneSettings]:
-    """The scenes of labelled folders below DATA."""
-    found = []
+    """Return the scenes of labelled folders below DATA."""
+    scenes = []
     for name in names:
         folder = data / name
-        asked = Settings(data=folder, pairs=folder / "pairs.json", labels=folder / "labels")
-        found += labelled_scenes(asked)[0]
-    return found
+        settings = Settings(data=folder, pairs=folder / "pairs.json", labels=folder / "labels")
+        scenes += labelled_scenes(settings)[0]
+    return scenes
 
 
 OF_LABELS = (
@@ -110,12 +110,12 @@ SETS: Mapping[str, Set] = {
 
 def read(scene: SceneSettings, settings: Settings) -> Sample:
     paths = [] if scene.path is None else [scene.path]
-    found = datasets.load(scene.format, *paths, **scene.options)
-    return found.sample(scene.context, scene.targets, scene.size or settings.size)
+    loaded = datasets.load(scene.format, *paths, **scene.options)
+    return loaded.sample(scene.context, scene.targets, scene.size or settings.size)
 
 
 def truth_of(scene: SceneSettings, sample: Sample) -> Truth:
-    """What was labelled in the targets of a scene, or what a made-up room knows."""
+    """Return the labels of the targets of a scene, or the ground truth of a procedural room."""
     if scene.labels is None:
         return truth_from_instances(sample)
     return read_truth(scene.labels, scene.categories, sample.targets)
@@ -150,6 +150,6 @@ def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
 
 def over_seeds(rows: Sequence[Mapping[str, Any]], name: str, key: str) -> list[float]:
     """Of rows of a ``set``, ``seed`` and metrics, a scene each: their mean, seed by seed."""
-    own = [row for row in rows if row["set"] == name and key in row]
-    seeds = sorted({row["seed"] for row in own})
-    return [float(np.mean([row[key] for row in own if row["seed"] == seed])) for seed in seeds]
+    selected = [row for row in rows if row["set"] == name and key in row]
+    seeds = sorted({row["seed"] for row in selected})
+    return [float(np.mean([row[key] for row in selected if row["seed"] == seed])) for seed in seeds]

@@ -41,13 +41,13 @@ PLACES = {"kitchen": "kitchen", "castle": "castle", "dining": "dining_mug"}
 
 def rooms(seed: int) -> dict[str, float]:
     """``iou`` and ``psnr`` of the two views between the given ones, means over :data:`ROOMS`."""
-    found = []
+    metrics = []
     for number in ROOMS:
         height, width = ROOM_SIZE
         room = datasets.load("procedural", seed=number, height=height, width=width)
         sample = room.sample(["view_00", "view_03"], ["view_01", "view_02"])
-        found.append(_scores(sample, truth_from_instances(sample), seed))
-    return {name: float(np.mean([scores[name] for scores in found])) for name in ("iou", "psnr")}
+        metrics.append(_scores(sample, truth_from_instances(sample), seed))
+    return {name: float(np.mean([scores[name] for scores in metrics])) for name in ("iou", "psnr")}
 
 
 def motorcycle(seed: int) -> dict[str, float]:
@@ -57,8 +57,8 @@ def motorcycle(seed: int) -> dict[str, float]:
     gaussians = load_predictor("planesweep")(sample, seed)
     depth = source_depths(gaussians, [left, right])[0]
     scale = left.K[0, 0] * float(np.linalg.norm(right.center - left.center))
-    found = depth_errors(depth, sample.context[0].depth, scale)
-    return {name: found[name] for name in ("bad2", "abs_rel")}
+    depth_scores = depth_errors(depth, sample.context[0].depth, scale)
+    return {name: depth_scores[name] for name in ("bad2", "abs_rel")}
 
 
 def office(data: Path, seed: int) -> dict[str, float]:
@@ -95,7 +95,7 @@ def main(seeds: int = 8, data: str | None = None) -> None:
     parts = {"rooms": rooms, "motorcycle": motorcycle}
     if data is not None:
         parts |= {"office": partial(office, Path(data)), "places": partial(places, Path(data))}
-    found: dict[str, list[float]] = {}
+    values_of: dict[str, list[float]] = {}
     for seed in range(seeds):
         for part, measure in parts.items():
             start = time.process_time()
@@ -103,8 +103,8 @@ def main(seeds: int = 8, data: str | None = None) -> None:
             seconds = time.process_time() - start
             print(part, seed, scores, f"{seconds:.1f} s", file=sys.stderr, flush=True)
             for name, value in scores.items():
-                found.setdefault(f"{part} {name}", []).append(value)
-    for name, values in found.items():
+                values_of.setdefault(f"{part} {name}", []).append(value)
+    for name, values in values_of.items():
         spread = np.std(values, ddof=1)
         ends = f"{min(values):.4f} to {max(values):.4f}"
         print(f"{name:20} {np.mean(values):.4f} +- {spread:.4f}, {ends}, {len(values)} seeds")

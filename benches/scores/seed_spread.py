@@ -43,22 +43,22 @@ def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]
 
 def score(inputs: Inputs, scene: SceneSettings, truth: Truth) -> dict[str, float]:
     """The metrics of a field of a scene."""
-    asked = EvaluationSettings(queries=scene.queries, protocols=[Settings().protocol], drawn=False)
+    marks = EvaluationSettings(queries=scene.queries, protocols=[Settings().protocol], drawn=False)
     result = evaluate(
         inputs.field,
         inputs.sample,
         inputs.label_maps,
         truth,
-        asked,
+        marks,
         gaussians=inputs.gaussians,
     )
     return {key: float(value) for key, value in result.scene_metrics.items()}
 
 
 def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[dict[str, Any]]:
-    """A row a set, scene and seed, of those named."""
+    """Return a row per set, scene and seed of the named sets."""
     rows = [json.loads(line) for line in file.read_text().splitlines()] if file.is_file() else []
-    there = {(row["set"], row["scene"], row["seed"]) for row in rows}
+    measured = {(row["set"], row["scene"], row["seed"]) for row in rows}
     with (
         ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool,
         file.open("a") as out,
@@ -67,7 +67,7 @@ def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[
         for name in names:
             for scene in SETS[name].scenes(data):
                 wanted = range(SETS[name].seeds)
-                seeds = [seed for seed in wanted if (name, scene.name, seed) not in there]
+                seeds = [seed for seed in wanted if (name, scene.name, seed) not in measured]
                 if seeds:
                     jobs[pool.submit(scored, scene, seeds)] = name, scene.name, seeds
         for job in as_completed(jobs):
@@ -94,7 +94,7 @@ COLUMNS = {
 
 
 def summary(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[dict[str, Any]]:
-    """A row a set and metric: the mean over scenes, and its spread over seeds."""
+    """Return a row per set and metric: the mean over scenes, and its spread over seeds."""
     lines = []
     for name in names:
         for metric in METRICS:
@@ -124,13 +124,13 @@ def main() -> None:
     arguments.add_argument("--rows", type=Path, default=Path("seeds.jsonl"), help="kept rows")
     arguments.add_argument("--only", nargs="+", choices=SETS, default=list(SETS), help="some sets")
     arguments.add_argument("--workers", type=int, default=threads.cores())
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     try:
-        rows = measure(asked.data, asked.only, asked.rows, asked.workers)
+        rows = measure(args.data, args.only, args.rows, args.workers)
     except InputError as error:
         arguments.error(str(error))
-    command = f"python -m benches.scores.seed_spread DATA --only {' '.join(asked.only)}"
-    publish(asked.out, "results.md", command, table(summary(rows, asked.only), COLUMNS))
+    command = f"python -m benches.scores.seed_spread DATA --only {' '.join(args.only)}"
+    publish(args.out, "results.md", command, table(summary(rows, args.only), COLUMNS))
 
 
 if __name__ == "__main__":

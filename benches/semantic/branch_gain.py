@@ -1,4 +1,4 @@
-"""Whether a trained branch earns its place: label IoU of novel views, and what training costs.
+"""Gain of a trained branch: label IoU of novel views, and the cost of training.
 
     python -m benches.semantic.branch_gain CACHE OFFICE [-o docs/measured] [--steps 6000]
         [--paper 3] [--several 3] [--learn PLACE ...]
@@ -130,20 +130,20 @@ def main() -> None:
     arguments.add_argument("--steps", type=int, default=6000)
     for name in TRAINED:
         arguments.add_argument(f"--{name}", type=int, default=3, help="seeds of the network")
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     threads.limit(1)
-    rooms, held_out = (Rooms(asked.cache, seeds) for seeds in (TRAINING, HELD_OUT))
+    rooms, held_out = (Rooms(args.cache, seeds) for seeds in (TRAINING, HELD_OUT))
     rooms.make()
     held_out.make()
     # In memory, so that what other views say of each is looked for once.
     lessons = [rooms[i] for i in range(len(rooms))]
-    for place in asked.learn:
+    for place in args.learn:
         lessons += real_lessons(place, LEARN_SIZE) * REPEAT
-    seeds = {name: getattr(asked, name) for name in TRAINED}
-    liftings, costs = learn(lessons, asked.cache, asked.steps, seeds)
+    seeds = {name: getattr(args, name) for name in TRAINED}
+    liftings, costs = learn(lessons, args.cache, args.steps, seeds)
     columns = {"labels": ("labels", str), "hard": ("hard: IoU", ".3f")}
     columns |= {name: (f"{name}: gain", str) for name in ("filled", *liftings)}
-    real = real_lessons(asked.office)
+    real = real_lessons(args.office)
     blocks = []
     for title, decoding in DECODINGS.items():
         seen = judge(
@@ -156,11 +156,11 @@ def main() -> None:
         blocks += [f"{title}, rooms that no training saw:", table(seen, columns)]
         blocks += [f"{title}, pairs of photographs of the office:", table(office, columns)]
     publish(
-        asked.out,
+        args.out,
         "branch.md",
         "python -m benches.semantic.branch_gain CACHE OFFICE --learn PLACE ...",
         *blocks,
-        f"{asked.steps} steps. Seeds: {seeds}. " + "; ".join(costs) + ".",
+        f"{args.steps} steps. Seeds: {seeds}. " + "; ".join(costs) + ".",
     )
 
 

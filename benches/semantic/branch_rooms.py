@@ -1,4 +1,4 @@
-"""Lessons to train and judge liftings with: rooms whose objects are known, and real pairs.
+"""Lessons to train and evaluate liftings: procedural rooms with known objects, and real pairs.
 
 Making one takes seconds, so they are kept in a folder.
 """
@@ -111,7 +111,7 @@ def association(
     seen = list(SceneGeometry.of(context, gaussians).frames)
     nothing = torch.zeros(len(gaussians), 1)
     for view in targets:
-        # The mean would put a surface between what is before and behind an edge.
+        # The mean would create a surface between foreground and background at an edge.
         drawn = rasterize(gaussians, nothing, view.camera, median=True)
         seen.append(SeenView(view, drawn.median.numpy()))
     return associate(seen, load_proposer(), load_tracker(), 5).labels

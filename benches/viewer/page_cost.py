@@ -1,4 +1,4 @@
-"""What the page costs, sent and served: bytes, seconds to open and to light, memory.
+"""Cost of the page, as a file and served: bytes, seconds to open and to answer, memory.
 
     python -m benches.viewer.page_cost WALK [-o docs/measured]
 
@@ -95,7 +95,7 @@ def _served(browser: Browser, field: SemanticField, folder: Path) -> dict:
 
 
 def _frame(tab: Tab) -> float:
-    """Seconds of a frame after a small turn."""
+    """Measure the seconds of a frame after a small rotation."""
     return tab.evaluate(
         "(async () => { slgaussian.stand.turn(0.02, 0); await slgaussian.wish();"
         "return slgaussian.took / 1000; })()"
@@ -103,7 +103,7 @@ def _frame(tab: Tab) -> float:
 
 
 def _asked(tab: Tab) -> float:
-    """Seconds from Enter to the frame that shows the answer."""
+    """Measure the seconds from Enter to the frame with the answer."""
     tab.wait("!slgaussian.busy", PATIENCE)
     tab.click_on("#words")
     tab.type("floor")
@@ -140,8 +140,8 @@ COLUMNS = {
 def main() -> None:
     arguments = parser(__doc__, "exports.md")
     arguments.add_argument("data", type=data_folder("transforms.json"))
-    asked = arguments.parse_args()
-    scene = datasets.load("nerfstudio", asked.data)
+    args = arguments.parse_args()
+    scene = datasets.load("nerfstudio", args.data)
     names = sorted(scene.cameras)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -151,7 +151,7 @@ def main() -> None:
             print(rows[-1], flush=True)
     command = "python -m benches.viewer.page_cost WALK"
     renderer = f'The renderer calls itself "{rows[0]["renderer"]}".'
-    publish(asked.out, "exports.md", command, renderer, table(rows, COLUMNS))
+    publish(args.out, "exports.md", command, renderer, table(rows, COLUMNS))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What 3 to 8 context views are worth over 2, at the same held-out targets.
+"""Gain of 3 to 8 context views over 2, at the same held-out targets.
 
     python -m benches.views.numbers_of_views DATA [-o docs/measured] [--every 10] [--rooms 20]
 
@@ -65,7 +65,7 @@ def rows_of(
 
 
 def figures(sample: Sample) -> Row:
-    """Predict Gaussians; return what they are worth at the targets, and what they cost."""
+    """Predict Gaussians; return their scores at the targets, and their cost."""
     start = time.process_time()
     gaussians = PlaneSweep()(sample)
     cost = {"gaussians": len(gaussians), "seconds": time.process_time() - start}
@@ -81,8 +81,8 @@ def at_targets(sample: Sample, gaussians: Gaussians) -> Row:
         scores.setdefault("psnr", []).append(psnr(drawn, target.image))
         scores.setdefault("ssim", []).append(ssim(drawn, target.image))
         if target.depth is not None and (target.depth > 0).any():
-            seen = render.alpha.numpy() >= VISIBLE
-            depth = np.where(seen, render.median.numpy(), 0)
+            visible = render.alpha.numpy() >= VISIBLE
+            depth = np.where(visible, render.median.numpy(), 0)
             scores.setdefault("depth", []).append(depth_errors(depth, target.depth)["abs_rel"])
     return {name: float(np.mean(values)) for name, values in scores.items()}
 
@@ -140,11 +140,11 @@ def summary(rows: Sequence[Row]) -> list[Row]:
     two = {row["of"]: row for row in rows if row["views"] == 2 and "refused" not in row}
     lines = []
     for number in NUMBERS:
-        asked = [row for row in rows if row["views"] == number and row["of"] in two]
-        done = [row for row in asked if "refused" not in row]
+        selected = [row for row in rows if row["views"] == number and row["of"] in two]
+        done = [row for row in selected if "refused" not in row]
         if not done:
             continue
-        line: Row = {"views": number, "scenes": len(done), "refused": len(asked) - len(done)}
+        line: Row = {"views": number, "scenes": len(done), "refused": len(selected) - len(done)}
         for name in ("psnr", "ssim", "depth", "gaussians", "seconds"):
             values = [row[name] for row in done if name in row]
             if values:
@@ -177,15 +177,15 @@ def main() -> None:
     arguments.add_argument("data", type=data_folder("office_walk", "fern", "places"))
     arguments.add_argument("--every", type=int, default=10, help="frames between two windows")
     arguments.add_argument("--rooms", type=int, default=20)
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     threads.limit()
     figures(datasets.load("procedural", **SIZE).sample(["view_00", "view_03"], ["view_01"]))
-    folders = sorted((asked.data / "places").glob("*/pairs.json"))
+    folders = sorted((args.data / "places").glob("*/pairs.json"))
     sets = {
-        "walk": walk(asked.data / "office_walk", asked.every),
-        "fern": fern(asked.data / "fern"),
+        "walk": walk(args.data / "office_walk", args.every),
+        "fern": fern(args.data / "fern"),
         "places": (row for file in folders for row in place(file.parent)),
-        "rooms": (row for seed in range(asked.rooms) for row in room(seed)),
+        "rooms": (row for seed in range(args.rooms) for row in room(seed)),
     }
     parts: list[str] = []
     for name, rows in sets.items():
@@ -193,7 +193,7 @@ def main() -> None:
         columns = {k: v for k, v in COLUMNS.items() if any(k in line for line in lines)}
         parts += [f"{name.capitalize()}:", table(lines, columns)]
         print(parts[-1], flush=True)
-    publish(asked.out, "views.md", "python -m benches.views.numbers_of_views DATA", *parts)
+    publish(args.out, "views.md", "python -m benches.views.numbers_of_views DATA", *parts)
 
 
 if __name__ == "__main__":
