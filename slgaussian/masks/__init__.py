@@ -69,8 +69,8 @@ class MaskTracker(Protocol):
         If true, the tracker provides complete label maps: proposals, merging and voting are
         skipped, and its ids do not change.
     repeatable : bool
-        If true, the tracker answers a view as before until another frame is remembered; false by
-        default.
+        If true, the tracker returns the same labels for a view until another frame is remembered;
+        false by default.
     """
 
     final: bool

@@ -46,14 +46,15 @@ def associate(
     labels propagated from all earlier views, merged with fresh proposals (:func:`match_detections`)
     and then remembered. The later copies are propagations from that memory.
 
-    Of a ``repeatable`` tracker, as ``geometric`` and ``sam2-video`` are, every later copy is the
-    same: one is made, and counts for all. :attr:`LabelMaps.computed` says how many were made.
-    Where the tracker returns remembered labels for a remembered image, as ``geometric`` does, the
-    vote is unanimous; where it segments the image anew, its answer has the majority over the
-    detection from three copies on; where it is not repeatable, its noise is voted down.
+    With a ``repeatable`` tracker, such as ``geometric`` and ``sam2-video``, all later copies are
+    identical, so one is computed and given the weight of all of them; :attr:`LabelMaps.computed` is
+    the number of computed copies. If the tracker returns remembered labels for a remembered image,
+    as ``geometric`` does, the vote is unanimous; if it segments the image anew, its labels outvote
+    the detection from three copies on; if it is not repeatable, the vote reduces its noise.
 
-    What no tracker can know when it comes to a view, all views settle in the end, if there are
-    three or more and all have a depth: :mod:`slgaussian.masks.consensus`.
+    Errors that a tracker cannot avoid, because it has not yet seen later views, are corrected
+    afterwards by a vote of all views, if there are three or more and all have a depth
+    (:mod:`slgaussian.masks.consensus`).
 
     Parameters
     ----------
@@ -65,17 +66,17 @@ def associate(
     replicas : int
         Copies of every view, at least 1; 1 is the detection alone.
     votes : "views" or "copies"
-        Described above, or as printed in the paper: all copies are made, and their vote is final.
+        ``views`` as described above; ``copies`` as in the paper: all copies are computed, and their
+        vote is final.
 
     Returns
     -------
     LabelMaps
-        Ids from 1 in order of appearance: those of the first view by falling area. A photograph
-        that is added at the end leaves those of the others as they are, but for objects that its
-        votes join or split. Two views have no gaps in their ids.
-        Objects seen in one view only are kept (:attr:`LabelMaps.seen_once`). 0 is left only where
-        nothing was proposed. Of a ``final`` tracker, its ids as they are. The same input gives the
-        same ids.
+        Ids from 1 in order of appearance, in the first view by falling area. A photograph that is
+        added at the end changes ids only of objects that its votes join or split. With two views
+        ids have no gaps. Objects in one view only are kept (:attr:`LabelMaps.seen_once`). Pixels
+        without a proposal are 0. The ids of a tracker that is ``final`` are returned unchanged. The
+        result is deterministic.
 
     Raises
     ------
@@ -98,10 +99,11 @@ def associate(
     winners, margins, detections = [], [], []
     last_id, computed, all_copies = 0, 1, votes == "copies"
     for index, frame in enumerate(frames):
-        carried = tracker.propagate(frame) if index else np.zeros(frame.image.shape[:2], np.int32)
-        detected = _detect(frame, proposer, carried)
+        unlabelled = np.zeros(frame.image.shape[:2], np.int32)
+        propagated = tracker.propagate(frame) if index else unlabelled
+        detected = _detect(frame, proposer, propagated)
         detections.append(detected)
-        first = without_crumbs(match_detections(carried, detected, last_id + 1))
+        first = without_crumbs(match_detections(propagated, detected, last_id + 1))
         first = _without_gaps(first, last_id)
         last_id = max(last_id, int(first.max()))
         tracker.add(frame, first)
@@ -116,7 +118,7 @@ def associate(
     return LabelMaps(labels, np.stack(margins), computed)
 
 
-def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
+def match_detections(propagated: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
     """Assign every detected region the id of a propagated object, or a new one.
 
     A region takes the id of an object if their IoU is above 0.5, or if most of the region is known
@@ -128,14 +130,14 @@ def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) ->
 
     Parameters
     ----------
-    carried, detected : int32 [H, W]
+    propagated, detected : int32 [H, W]
         Propagated labels and detected regions, 0 where there is none.
     next_id : int
         First id that is not in use.
     """
-    out = carried.copy()
-    regions, objects = int(detected.max(initial=0)) + 1, int(carried.max(initial=0)) + 1
-    table = np.bincount((detected.astype(np.int64) * objects + carried).ravel())
+    out = propagated.copy()
+    regions, objects = int(detected.max(initial=0)) + 1, int(propagated.max(initial=0)) + 1
+    table = np.bincount((detected.astype(np.int64) * objects + propagated).ravel())
     table = np.pad(table, (0, regions * objects - len(table))).reshape(regions, objects)
     object_area = table.sum(0)
     windows = find_objects(detected)
@@ -158,15 +160,15 @@ def match_detections(carried: np.ndarray, detected: np.ndarray, next_id: int) ->
             new[inside] = next_id
             next_id += 1
         else:
-            old = carried[window]
+            old = propagated[window]
             new[inside] = old[nearest_pixel(inside & (old > 0))][inside]
     return out
 
 
-def _detect(frame: SeenView, proposer: MaskProposer, carried: np.ndarray) -> np.ndarray:
+def _detect(frame: SeenView, proposer: MaskProposer, propagated: np.ndarray) -> np.ndarray:
     """Return the proposals of a view as labels, with a second pass for uncovered pixels."""
     detected = flatten(proposer.propose(frame))
-    missed = (detected == 0) & (carried == 0)
+    missed = (detected == 0) & (propagated == 0)
     if missed.sum() >= CRUMB_SHARE * missed.size and detected.any():
         extra = flatten(proposer.propose(frame, missed))
         detected = np.where(missed & (extra > 0), extra + detected.max(), detected)

@@ -58,13 +58,13 @@ def all_masks(
     if region is not None:
         column, row = points.astype(int).T
         points = points[region[row, column]]
-    wanted = [LEVELS.index(level) for level in levels]
+    level_indices = [LEVELS.index(level) for level in levels]
     parts: list[_Candidates] = []
     if len(points):
         prompted = encode(image)
         for start in range(0, len(points), batch):
-            some = points[start : start + batch]
-            parts.extend(_answers(prompted, some, size, settings, wanted))
+            prompts = points[start : start + batch]
+            parts.extend(_mask_prompts(prompted, prompts, size, settings, level_indices))
     if not parts:
         return Proposals(np.zeros((0, *size), bool), np.zeros(0, np.float32))
     candidates = _Candidates.join(parts)
@@ -106,24 +106,24 @@ def point_grid(height: int, width: int, count: int) -> np.ndarray:
     return np.stack([x.ravel(), y.ravel()], 1)
 
 
-def _answers(
+def _mask_prompts(
     prompted: PromptedImage,
     points: np.ndarray,
     size: tuple[int, int],
     settings: Automatic,
-    wanted: Sequence[int],
+    level_indices: Sequence[int],
 ) -> Iterator[_Candidates]:
     """Yield the masks of a batch of points that pass the thresholds."""
     logits, predicted = prompted.segment(points)
     allowed = torch.zeros_like(predicted, dtype=torch.bool)
-    allowed[:, wanted] = True
+    allowed[:, level_indices] = True
     point, level = torch.nonzero(allowed & (predicted > settings.predicted_iou), as_tuple=True)
     step = max(1, min(MOST, BLOCK // (4 * size[0] * size[1])))
     for start in range(0, len(point), step):
         chosen = point[start : start + step], level[start : start + step]
         large = prompted.enlarge(logits[chosen])
-        sure, any_ = ((large > at).sum((1, 2)) for at in (OFFSET, -OFFSET))
-        stability = (sure / any_.clamp(min=1)).cpu().numpy()
+        inner, outer = ((large > at).sum((1, 2)) for at in (OFFSET, -OFFSET))
+        stability = (inner / outer.clamp(min=1)).cpu().numpy()
         inside = (large > 0).cpu().numpy()
         good = (stability >= settings.stability) & inside.any((1, 2))
         yield _Candidates(

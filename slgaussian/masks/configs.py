@@ -18,16 +18,16 @@ from slgaussian.io import file_digest
 MODEL = "Pretrained model: folder, or name on the Hugging Face hub."
 
 Level = Literal["s", "m", "l"]
-"""A mask of a point."""
+"""Level of a mask: part, object or group."""
 
 MAPS = (".png", ".npy")
 """Suffixes of id maps."""
 
 DEPTHS = (".npz", ".png", ".npy", ".exr", ".pfm", ".tiff", ".tif")
-"""Suffixes of files of depth."""
+"""Suffixes of depth files."""
 
 LEVELS: tuple[Level, ...] = ("s", "m", "l")
-"""The masks that one point gives, in the order of the model's outputs: part, object, group."""
+"""The levels of a point's masks in the order of the model's outputs: part, object, group."""
 
 Program = Literal["sam", "sam2", "grouping"]
 """The names of :data:`PRESETS`."""
@@ -35,15 +35,15 @@ Program = Literal["sam", "sam2", "grouping"]
 
 @dataclass(frozen=True)
 class Automatic:
-    """Settings of automatic mask generation. The defaults are those of the SAM authors' program.
+    """Settings of automatic mask generation. The defaults are those of SAM's own program.
 
     Attributes
     ----------
     points : int
         Prompted points along each side of the image.
     predicted_iou, stability : float
-        Thresholds of a mask: of the IoU that the model predicts (exclusive), and of the stability,
-        the IoU of its logits cut at +1 and -1.
+        Thresholds of a mask: of the IoU that the model predicts (exclusive), and of its stability,
+        the IoU of its logits thresholded at +1 and -1.
     box_iou : float
         IoU threshold of non-maximum suppression of boxes, by predicted IoU.
     visible : float or None
@@ -72,17 +72,17 @@ class AutomaticConfig(ComponentConfig):
     model: Annotated[str | Path | None, File(model_digest)] = Field(None, description=MODEL)
     preset: Program | SkipJsonSchema[InstanceOf[Automatic]] = Field(
         "grouping",
-        description="Which masks are asked and kept: sam, sam2 or grouping.",
+        description="Settings of mask generation: sam, sam2 or grouping.",
     )
     points: int | None = Field(
         None,
         ge=1,
-        description="Points prompted along each side, if not as many as the preset says.",
+        description="Points prompted along each side; by default those of the preset.",
     )
     level: Literal["s", "m", "l", "all"] = Field(
-        "all", description="Which masks of a point: s (parts), m (objects), l (groups) or all."
+        "all", description="Level of masks: s (parts), m (objects), l (groups) or all."
     )
-    batch: int = Field(16, ge=1, description="Points prompted together: memory goes with it.")
+    batch: int = Field(16, ge=1, description="Points prompted together; memory grows with it.")
 
 
 class SamConfig(AutomaticConfig, title="sam"):
@@ -98,12 +98,12 @@ class Sam2Config(AutomaticConfig, title="sam2"):
 
 
 class Sam2VideoConfig(ComponentConfig, title="sam2-video"):
-    """Carries labels from view to view as SAM 2 carries objects through a video."""
+    """Tracks objects from view to view as SAM 2 tracks objects through a video."""
 
     target = "slgaussian.masks.sam2_video:Sam2Video"
 
     model: Annotated[str | Path | None, File(model_digest)] = Field(None, description=MODEL)
-    batch: int = Field(16, ge=1, description="Objects tracked together: memory goes with it.")
+    batch: int = Field(16, ge=1, description="Objects tracked together; memory grows with it.")
 
 
 def folder_digest(folder: Path | str, suffixes: tuple[str, ...] = MAPS) -> str:
@@ -118,22 +118,23 @@ def folder_digest(folder: Path | str, suffixes: tuple[str, ...] = MAPS) -> str:
 
 
 def geometry_digest(place: Path | str) -> str:
-    """Compute the SHA-256, hexadecimal, of a file of depth, or of a folder of such files."""
+    """Compute the SHA-256, hexadecimal, of a depth file, or of a folder of depth files."""
     return folder_digest(place, DEPTHS) if Path(place).is_dir() else file_digest(place)
 
 
 class PrecomputedConfig(ComponentConfig, title="precomputed"):
     """Labels from a folder with one id map for each view and consistent ids across views.
 
-    The predictor of this name has the same table; each reads its own field.
+    The predictor of this name shares the table of settings; each reads its own field.
     """
 
     target = "slgaussian.masks.precomputed:Precomputed"
 
     folder: Annotated[Path | None, File(folder_digest)] = Field(
-        None, description="Folder of id maps made elsewhere, PNG or NPY, for the tracker."
+        None, description="Folder of id maps of another program, PNG or NPY, for the tracker."
     )
     geometry: Annotated[Path | None, File(geometry_digest)] = Field(
         None,
-        description="Depth made elsewhere, for the predictor: NPZ, or folder of a file a view.",
+        description="Depth of another program, for the predictor: NPZ, or a folder with one file "
+        "per view.",
     )

@@ -1,9 +1,9 @@
 """Consensus of many views on objects: every view votes on which surface points are one object.
 
-Views are segmented differently: one joins what another splits, and an object that is new in a view
-may have an id already, from a view without overlap. So the label maps are divided into atoms, the
-pixels of one view with one label in one detected region, and each view votes on all visible points
-of atoms, whichever view labelled them. The votes on atoms p and q are
+Views are segmented differently: one joins objects that another splits, and an object that is new in
+a view may already have an id from a view without overlap. The label maps are therefore divided into
+atoms, the pixels of one view with one label in one detected region, and each view votes on all
+visible points of the atoms of all views. The votes on atoms p and q are
 
     sum over views v of  f_pv . f_qv - MAJORITY c_pv c_qv,
 
@@ -25,14 +25,14 @@ from scipy import sparse
 
 from slgaussian.geometry import SeenView
 from slgaussian.masks.flatten import CRUMB_SHARE
-from slgaussian.masks.shared import SurfacePoints, met, overlap
+from slgaussian.masks.shared import SurfacePoints, match_points, overlap
 
 VOTERS = 8
 """Largest number of other views that vote on a view, those with the greatest overlap."""
 LEAST_OVERLAP = 0.02
 """Smallest overlap of a voting view."""
 MAJORITY = 0.4
-"""Share of votes from which points are one object; below a half because proposals split objects
+"""Fraction of votes from which points are one object; below a half because proposals split objects
 more often than they join them. From 0.3 to 0.5 ids of rooms and photographs are about as stable."""
 TRACKED = 1.0
 """Vote of the tracker for two atoms with one label; a unanimous view has 0.6."""
@@ -119,14 +119,14 @@ def vote_on_objects(
 
 def votes_on(atoms: Atoms, points: Sequence[SurfacePoints]) -> np.ndarray:
     """Compute the votes of all views on each pair of atoms, float32 [P, P]; see the module."""
-    everyone = np.arange(len(atoms))
-    rows, columns, weights = [everyone], [atoms.region], [np.ones(len(atoms))]
+    all_atoms = np.arange(len(atoms))
+    rows, columns, weights = [all_atoms], [atoms.region], [np.ones(len(atoms))]
     for view, voters in enumerate(_voters(points)):
         pixels = points[view].pixels
         view_atoms = atoms.maps[view][pixels]
         area = np.bincount(view_atoms[view_atoms >= 0], minlength=len(atoms))
         for voter in voters:
-            which, place = met(points[view], points[voter], pixels)
+            which, place = match_points(points[view], points[voter], pixels)
             atom, voter_atom = view_atoms[which], atoms.maps[voter][place]
             both = (atom >= 0) & (voter_atom >= 0)
             rows.append(atom[both])

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.masks.shared import SurfacePoints, met, overlap
+from slgaussian.masks.shared import SurfacePoints, match_points, overlap
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
     from slgaussian.scene import View
 
-SEEN = 0.3
-"""Smallest share of matched pixels at which matches determine the label of a leaf."""
-LIKE = 0.6
-"""Smallest share of a leaf in the colours of an object at which the object grows over it."""
-COMMON = 0.01
-"""Smallest share of an object's pixels in a colour bin at which the bin belongs to the object."""
+MATCHED_SHARE = 0.3
+"""Smallest fraction of matched pixels at which matches determine the label of a leaf."""
+COLOR_SHARE = 0.6
+"""Smallest fraction of a leaf in the colours of an object at which the object grows over it."""
+BIN_SHARE = 0.01
+"""Smallest fraction of an object's pixels in a colour bin at which the object has that colour."""
 COLOR_BINS = (10, 10, 10)
 MOST_FRAMES = 6
 """Largest number of remembered frames, those with the greatest overlap, that a view is matched
@@ -51,8 +51,8 @@ class GeometricTracker:
     """Propagates labels from remembered frames to a view by cameras and predicted depth.
 
     Pixels of the view are matched with those of remembered frames by depth and colour
-    (:func:`slgaussian.masks.shared.met`). Given poses are accurate enough, even if the predictor
-    refined them.
+    (:func:`slgaussian.masks.shared.match_points`). Given poses are accurate enough, even if the
+    predictor refined them.
 
     Labels are assigned to the watershed leaves of the view, not to pixels, by majority of their
     matched pixels, so that label borders lie on image edges. A leaf without matches, occluded or
@@ -105,14 +105,14 @@ class GeometricTracker:
         votes = np.zeros((len(size), id_count))
         matched_once = np.zeros(labels.shape, bool)
         for past in self._nearest(new):
-            which, place = met(new, past, new.all_pixels)
+            which, place = match_points(new, past, new.all_pixels)
             pixels = new.all_pixels[which]
-            carried = past.labels.ravel()[place]
-            keys = leaves.ravel()[pixels].astype(np.int64) * id_count + carried
+            past_labels = past.labels.ravel()[place]
+            keys = leaves.ravel()[pixels].astype(np.int64) * id_count + past_labels
             votes += np.bincount(keys, minlength=votes.size).reshape(votes.shape)
             matched_once.ravel()[pixels] = True
         matched_share = np.bincount(leaves.ravel(), matched_once.ravel(), len(size)) / size
-        of_leaf = np.where(matched_share >= SEEN, votes.argmax(1), 0).astype(np.int32)
+        of_leaf = np.where(matched_share >= MATCHED_SHARE, votes.argmax(1), 0).astype(np.int32)
         self._grow(of_leaf, leaves, new.lab, id_count)
         return of_leaf[leaves]
 
@@ -132,7 +132,7 @@ class GeometricTracker:
         from slgaussian.masks.merge import adjacency
 
         counts, bins = self._color_counts, self._color_counts.shape[1]
-        object_bins = counts >= COMMON * counts.sum(1, keepdims=True).clip(1)
+        object_bins = counts >= BIN_SHARE * counts.sum(1, keepdims=True).clip(1)
         keys = leaves.astype(np.int64) * bins + _color_bins(lab)
         leaf_colors = np.bincount(keys.ravel(), minlength=len(of_leaf) * bins)
         leaf_colors = leaf_colors.reshape(len(of_leaf), bins)
@@ -143,7 +143,7 @@ class GeometricTracker:
             front = (of_leaf[edges[:, 0]] == 0) & (of_leaf[edges[:, 1]] > 0)
             leaf, label = edges[front, 0], of_leaf[edges[front, 1]]
             similarity = (leaf_colors[leaf] * object_bins[label]).sum(1) / leaf_colors[leaf].sum(1)
-            wins = similarity >= LIKE
+            wins = similarity >= COLOR_SHARE
             if not wins.any():
                 return
             border = np.zeros((len(of_leaf), id_count))

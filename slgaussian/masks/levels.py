@@ -1,7 +1,7 @@
 """Groups of the objects of label maps, as further candidates for the answer to a text.
 
 A label map is one partition, and no partition fits every text: the cushions of a sofa may be
-separate objects. The objects of all views are merged into trees like the leaves of one view
+separate objects. Objects of all views are merged into trees, as leaves of one view are
 (:mod:`slgaussian.masks.merge`). Cuts of these trees are levels, comparable to the three
 granularities of SAM, and every node is a candidate. Object ids do not change; a level only assigns
 each object to a group.

@@ -215,7 +215,7 @@ def joint_sums(views: Sequence[LeafSums]) -> LeafSums:
 
 
 def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
-    """Merge greedily until no two regions touch, by the default ``cues`` if left out."""
+    """Merge greedily until no two regions are adjacent; by default with ``Cues()``."""
     cues = cues or Cues()
     n = len(sums.size)
     parent, height = np.full(2 * n, -1, np.int32), np.zeros(2 * n)

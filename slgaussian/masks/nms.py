@@ -1,4 +1,4 @@
-"""Suppression of masks by the overlap of their boxes, and by what larger masks leave visible."""
+"""Suppression of masks by the IoU of their boxes, and by the coverage of larger masks."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ def box_nms(boxes: np.ndarray, scores: np.ndarray, iou: float) -> np.ndarray:
 
 
 def mostly_visible(masks: np.ndarray, share: float) -> np.ndarray:
-    """Select masks of which larger ones leave at least ``share`` visible; ascending int64 [K].
+    """Select masks that larger masks leave visible by at least ``share``; ascending int64 [K].
 
     Every pixel belongs to the largest mask that contains it (of equals, the earlier); a mask is
-    selected if it owns at least that share, 0 to 1, of its pixels. Empty masks are dropped. So
-    objects win over their parts: the suppression of small objects of DEVA, used by Gaussian
-    Grouping (Ye et al., ECCV 2024).
+    selected if at least the fraction ``share`` of its pixels belong to it. Empty masks are dropped.
+    Objects thus take precedence over their parts: this is the small-object suppression of DEVA, as
+    used by Gaussian Grouping (Ye et al., ECCV 2024).
     """
     areas = masks.sum((1, 2))
     winner = np.full(masks.shape[1:], -1)
     for mask in np.lexsort((-np.arange(len(masks)), areas)):
         winner[masks[mask]] = mask
-    won = np.bincount(winner[winner >= 0], minlength=len(masks))
-    return np.flatnonzero((areas > 0) & (won >= share * areas))
+    visible = np.bincount(winner[winner >= 0], minlength=len(masks))
+    return np.flatnonzero((areas > 0) & (visible >= share * areas))

@@ -1,9 +1,9 @@
 """Merging of the elements of repeated patterns, such as checks, stripes and tiles, into a region.
 
-The border between two checks is as strong as that between two objects. What distinguishes a
-pattern is repetition: beyond a purple check and a white one lies another purple one. Two borders of
-a region are linked if the regions beyond them look the same; a chain of linked borders in which
-both colours recur is a pattern.
+The border between two checks is as strong as that between two objects. A pattern is distinguished
+by repetition: next to a purple check and a white one is another purple one. Two borders of a region
+are linked if the regions beyond them have similar colours; a chain of linked borders in which both
+colours recur is a pattern.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from slgaussian.masks.merge import adjacency, plane_gap, plane_sums
 
 ALIKE = 12.0
-"""CIELAB distance of median colours below which two elements look the same."""
+"""CIELAB distance of median colours below which the colours of two elements are equal."""
 SIZE_RATIO = 2.5
 """Largest ratio of the areas of adjacent elements, except where an outline cuts one."""
 LARGEST = 0.03
@@ -91,9 +91,9 @@ def _medians(values: np.ndarray, index: np.ndarray, size: np.ndarray) -> np.ndar
 def _chains(edges: np.ndarray, weight: np.ndarray, similar: np.ndarray) -> np.ndarray:
     """Return the group of every region, int64 [N]: its own number, or N + k in the pattern k.
 
-    Every region joins the chain with which it shares most border, weighted by contrast. So white
-    checks of two adjacent patterns stay with their own pattern, and blurred regions at the corners
-    of checks attract none.
+    Every region joins the chain with the longest common border, weighted by contrast. White checks
+    of two adjacent patterns thus stay in their pattern, and blurred regions at the corners of
+    checks join none.
     """
     count = len(similar)
     group = np.arange(count)

@@ -58,7 +58,7 @@ class Precomputed(PrecomputedConfig):
             raise InputError(f"precomputed folder: there is no folder {str(self.folder)!r}")
 
     def add(self, frame: SeenView, labels: np.ndarray) -> None:
-        """Do nothing: all labels are in the files."""
+        """Do nothing, because all labels are in the files."""
 
     def propagate(self, frame: SeenView) -> np.ndarray:
         """Read the ids int32 [H, W] of a view from its file."""

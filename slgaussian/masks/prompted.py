@@ -37,8 +37,8 @@ class AutomaticProposer(AutomaticConfig, ABC):
     Attributes
     ----------
     device : str
-        "auto" is "cuda" if available, else "cpu". On a CPU all is float32; elsewhere the image
-        encoder runs in bfloat16, while prompts and masks stay float32.
+        "auto" is "cuda" if available, else "cpu". On a CPU everything is float32; on accelerators
+        the image encoder runs in bfloat16, prompts and masks in float32.
 
     Raises
     ------
@@ -88,7 +88,7 @@ class AutomaticProposer(AutomaticConfig, ABC):
             settings = replace(settings, points=self.points)
         levels = LEVELS if self.level == "all" else (self.level,)
 
-        # By default cuDNN benchmarks its algorithms, so results may differ in the last bit.
+        # Without cuDNN's benchmark mode, by whose choice results differ in the last bit.
         quiet = torch.backends.cudnn.flags(benchmark=False)
         with torch.inference_mode(), quiet, inside(self.network):
             return all_masks(self._encode_once, image, settings, region, levels, self.batch)

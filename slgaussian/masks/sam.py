@@ -1,4 +1,4 @@
-"""The proposer ``sam``: Segment Anything (Kirillov et al., ICCV 2023) out of ``transformers``."""
+"""The proposer ``sam``: Segment Anything (Kirillov et al., ICCV 2023) of ``transformers``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Sam(AutomaticProposer, SamConfig):
     FAMILY: ClassVar[Family] = Family("sam", "SamModel", ("sam",), "facebook/sam-vit-base")
 
     def encode(self, image: np.ndarray) -> SamImage:
-        """Encode an image uint8 [H, W, 3], its longest side brought to that of the network."""
+        """Encode an image uint8 [H, W, 3], resized to the network's longest side."""
         from slgaussian.masks.sam_image import SamImage, encoder_precision, pixel_values
 
         side = self.network.config.prompt_encoder_config.image_size

@@ -1,4 +1,4 @@
-"""The proposer ``sam2``: SAM 2 on images (Ravi et al., ICLR 2025) out of ``transformers``."""
+"""The proposer ``sam2``: SAM 2 on images (Ravi et al., ICLR 2025) of ``transformers``."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 class Sam2(AutomaticProposer, Sam2Config):
     """Masks by SAM 2; folders and hub names like ``facebook/sam2.1-hiera-tiny`` or ``-large``.
 
-    Models for video fit too: their image part is used. Settings and errors are those of
-    :class:`slgaussian.masks.prompted.AutomaticProposer`.
+    Models for video can be used too; only their image part is loaded. Settings and errors are those
+    of :class:`slgaussian.masks.prompted.AutomaticProposer`.
     """
 
     FAMILY: ClassVar[Family] = Family(
@@ -26,7 +26,7 @@ class Sam2(AutomaticProposer, Sam2Config):
     )
 
     def encode(self, image: np.ndarray) -> Sam2Image:
-        """Encode an image uint8 [H, W, 3], brought to the network's square whatever its shape."""
+        """Encode an image uint8 [H, W, 3], resized to the network's square input."""
         from slgaussian.masks.sam_image import Sam2Image, encoder_precision, normalised
 
         side, device = self.network.config.prompt_encoder_config.image_size, self.network.device

@@ -1,4 +1,4 @@
-"""The tracker ``sam2-video``: SAM 2 on videos (Ravi et al., ICLR 2025) out of ``transformers``."""
+"""The tracker ``sam2-video``: SAM 2 on videos (Ravi et al., ICLR 2025) of ``transformers``."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Sam2Video(Sam2VideoConfig):
     Attributes
     ----------
     device : str
-        As PyTorch names it; "auto" is "cuda" if available, else "cpu".
+        PyTorch device; "auto" is "cuda" if available, else "cpu".
 
     Raises
     ------
@@ -148,7 +148,7 @@ class Sam2Video(Sam2VideoConfig):
         session = Sam2VideoInferenceSession(
             inference_device=device,
             inference_state_device=device,
-            dtype=torch.float32,  # its default, a string, is refused by its own calls
+            dtype=torch.float32,  # the default, a string, is refused
             max_vision_features_cache_size=len(encoded),
         )
         for position, frame_features in enumerate(encoded):

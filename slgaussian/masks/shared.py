@@ -69,11 +69,13 @@ def _lattice(depth: np.ndarray, stride: int) -> np.ndarray:
     return (rows * stride + stride // 2) * depth.shape[1] + columns * stride + stride // 2
 
 
-def met(a: SurfacePoints, b: SurfacePoints, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def match_points(
+    a: SurfacePoints, b: SurfacePoints, pixels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Find the pixels of view ``b`` that correspond to ``pixels`` int64 [L] of view ``a``.
 
-    They must be those of :func:`reproject`, which occluded surfaces fail, and have a similar
-    colour, which surfaces of another place have not.
+    They must pass the depth test of :func:`reproject`, which rejects occluded surfaces, and have a
+    similar colour, which rejects surfaces of another place.
 
     Returns
     -------
@@ -95,13 +97,13 @@ def reproject(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the pixels of ``b`` that points of ``a`` project to and that project back by depth.
 
-    Arguments and results are those of :func:`met`.
+    Arguments and results are those of :func:`match_points`.
     """
     height, width = b.frame.image.shape[:2]
-    landed, z = b.frame.view.camera.project(a.lifted(pixels))
-    inside = (z > 0) & (landed >= 0).all(1) & (landed < (width, height)).all(1)
+    projected, z = b.frame.view.camera.project(a.lifted(pixels))
+    inside = (z > 0) & (projected >= 0).all(1) & (projected < (width, height)).all(1)
     which = np.flatnonzero(inside)
-    column, row = landed[which].astype(np.int64).T
+    column, row = projected[which].astype(np.int64).T
     place = row * width + column
     back, z = a.frame.view.camera.project(b.lifted(place))
     row, column = np.divmod(pixels[which], a.frame.image.shape[1])
@@ -111,5 +113,5 @@ def reproject(
 
 
 def overlap(a: SurfacePoints, b: SurfacePoints) -> float:
-    """Estimate the share of the surface in view ``a`` that is visible in ``b``."""
-    return len(met(a, b, a.coarse_pixels)[0]) / max(len(a.coarse_pixels), 1)
+    """Estimate the fraction of the surface in view ``a`` that is visible in ``b``."""
+    return len(match_points(a, b, a.coarse_pixels)[0]) / max(len(a.coarse_pixels), 1)

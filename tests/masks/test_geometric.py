@@ -138,10 +138,10 @@ def test_a_view_is_matched_with_the_few_frames_that_show_most_of_it(monkeypatch)
     scene = reader.read(seed=3, height=104, width=144, views=10, baseline=2.0)
     views = [scene.read(each) for each in scene.cameras]
     tracker, calls = load_tracker("geometric"), []
-    match = geometric.met
+    match = geometric.match_points
     monkeypatch.setattr(
         geometric,
-        "met",
+        "match_points",
         lambda new, old, pixels: calls.append(old.frame.view.name) or match(new, old, pixels),
     )
     for each in views[:9]:
