@@ -1,1 +1,1 @@
-"""Prefect flows and the command line: which stages run on which scenes, and what people see."""
+"""Prefect flows and the command line: which stages run on which scenes, and their output."""

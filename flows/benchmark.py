@@ -1,4 +1,4 @@
-"""The main job: photographs of many scenes in; fields, scores and a report out."""
+"""The main flow: from photographs of many scenes to fields, scores and a report."""
 
 from __future__ import annotations
 
@@ -65,19 +65,19 @@ from tasks.numerics import numerics
 from tasks.report import Scored, report
 
 BUILDING = ("geometry", "masks", "supervision", "field")
-"""The stages that make a field of a sample."""
+"""Stages that build a field from a sample."""
 
 REFRESHABLE = [stage.name for stage in (*STAGES, baselines, report, numerics)]
-"""The stages that a run may compute anew."""
+"""Stages that ``refresh`` may name."""
 
 SWEPT = len(STAGES) - 1
-"""Stages of a scene with other settings: all but attribution."""
+"""Number of stages of a scene in a sweep: all but attribution."""
 
 REPORT, SCORES = "slgaussian-report", "slgaussian-scores"
 """Keys of the Prefect artifacts of a run."""
 
 LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
-"""Files that a run leaves beside its tables and masks, or takes away if it has none of its own."""
+"""Files of a run besides its tables and masks; those of an earlier run are removed."""
 
 
 @dataclass(frozen=True)
@@ -87,12 +87,12 @@ class RunResult:
     Attributes
     ----------
     results : list of SceneResult
-        In the order of the scenes, ours first in each.
+        In the order of the scenes, for each scene our method first.
     failures : list of Failure
-        Who was left out.
+        Scenes and methods that were left out.
     report : Path or None
     ready : str
-        A command that asks the field of one of the scenes; empty if none has a field.
+        A command that queries the field of one of the scenes; empty if there is no field.
     """
 
     results: list[SceneResult]
@@ -102,16 +102,16 @@ class RunResult:
 
     @property
     def look(self) -> str:
-        """A command that opens the field of ``ready`` in the browser; empty if there is none."""
+        """A command that opens the field of ``ready`` in the browser, or empty."""
         return shlex.join(["slgaussian", "view", shlex.split(self.ready)[2]]) if self.ready else ""
 
 
 @flow(name="slgaussian", persist_result=False)
 def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
-    """Score the method, and others, on many scenes; write tables, masks, fields and report.
+    """Score the method and baselines on many scenes; write tables, masks, fields and report.
 
-    The final state names the scenes that were left out; report and scores are artifacts of Prefect
-    too, where its server is the user's.
+    The final state names the scenes that were left out. On an external Prefect server, report and
+    scores are also published as Prefect artifacts.
 
     Parameters
     ----------
@@ -122,8 +122,8 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
     Raises
     ------
     InputError
-        If there is nothing to do, a component is unknown, or the store or the output folder cannot
-        be written.
+        If there are no scenes, a component is unknown, or the store or the output folder cannot be
+        written.
     """
     result = run_session("run", config, lambda store: _score(config, store, verbose))
     message = f"report: {result.report}" if result.report else "no report"
@@ -134,7 +134,7 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
 
 
 def check(config: Settings, store: ArtifactStore) -> None:
-    """Raise InputError if a run cannot begin: as :func:`score_scenes`, without the work."""
+    """Check a run before the work; InputError as in :func:`score_scenes`."""
     scenes, _ = scenes_of(config)
     for method in (
         config.built_by,
@@ -160,8 +160,8 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
             progress.note(text)
         refs = _compute(config, scenes, variants, workers, progress)
     for scene, data in refs.manifest.get("data", {}).items():
-        for name, why in data["left_out"].items():
-            progress.note(f"warning: {scene}: {name} cannot be placed and is left out: {why}")
+        for name, reason in data["left_out"].items():
+            progress.note(f"warning: {scene}: {name} has no camera and is left out: {reason}")
     with writing(config.out):
         results = _write(config, store, refs, progress.note)
     progress.summary()
@@ -176,7 +176,7 @@ def _compute(
     workers: Workers,
     progress: Progress,
 ) -> _Refs:
-    """Take all scenes through their pipeline, ask the other methods the same, make the report."""
+    """Run the pipelines of all scenes, the baselines and the sweep, and write the report."""
     method, verbose = config.built_by, progress.verbose
     with progress:
         ours = map_scenes(
@@ -205,10 +205,7 @@ def _compute(
 
 
 def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
-    """The scenes of a run: of a labelled set, made-up rooms, and listed ones.
-
-    And what is to be said of them.
-    """
+    """Return the scenes of a run, of a labelled set, procedural rooms and a list, and messages."""
     labelled = any((settings.data, settings.pairs, settings.labels))
     scenes, notes = labelled_scenes(settings) if labelled else ([], [])
     if settings.rooms is not None:
@@ -228,7 +225,7 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
 def _write(
     settings: Settings, store: ArtifactStore, refs: _Refs, tell: Callable[[str], None]
 ) -> list[SceneResult]:
-    """Write what people get; the results, without images, as there may be thousands."""
+    """Write all outputs; return the results without images, of which there may be thousands."""
     out = settings.out
     write_failures(out, refs.failures)
     write_artifacts(out, store, refs.outcomes)
@@ -245,7 +242,7 @@ def _write(
         results.append(result)
         shared = refs.build_seconds[scene, ""]
         build = {"build_seconds": refs.build_seconds.get((scene, result.method), shared)}
-        # Results that a store has from an earlier version say nothing of it.
+        # Stored results of earlier versions have no costs.
         costs += [{**row, **build} for row in ref.meta.get("costs", ())]
     rows = [row for result in results for row in result.rows]
     clear_predictions(rows, out)
@@ -281,17 +278,17 @@ def _write(
         if name in files:
             write_atomic(out / name, files[name])
         else:
-            # That of an earlier run is not about these scenes.
+            # The file of an earlier run describes other scenes.
             (out / name).unlink(missing_ok=True)
     write_fields(store, refs.fields, settings.built_by.encoder.places(), out, tell)
     return results
 
 
 def _example(refs: _Refs, out: Path) -> str:
-    """A command that asks a field something, as it can be pasted.
+    """Return a command that queries a field, to be pasted into a shell.
 
-    Of the first scene that has an answer, real ones before made-up ones, and those whose answer is
-    known to be right before others. A field without is drawn.
+    It is for the first scene with an example query, preferring photographs to procedural rooms and
+    answers that are known to be correct. Without such a scene, the command renders a field.
     """
     by_scene = {scored.scene: scored.answer.meta["example"] for scored in refs.scored}
     examples = {scene: example for scene, example in by_scene.items() if example is not None}
@@ -304,7 +301,7 @@ def _example(refs: _Refs, out: Path) -> str:
     if scene is None:
         return ""
     folder = field_place(scene, out)
-    with suppress(ValueError):  # it is not below the working folder
+    with suppress(ValueError):  # not below the working folder
         folder = folder.relative_to(Path.cwd())
     if scene not in examples:
         return shlex.join(["slgaussian", "render", str(folder), "-o", "picture.png"])
@@ -320,12 +317,12 @@ def _json(content: dict[str, Any]) -> bytes:
 class _Refs:
     """Artifacts of the pipelines of a run.
 
-    ``scored`` are the scenes that went through, with other methods and settings; ``fields``, by
-    scene, those of all that came so far. ``build_seconds`` are what a field took, by scene and the
-    method with other settings, empty for the field that all share; ``stages`` what each stage took
-    when its artifacts were made, which for cached ones is long ago, and ``machines`` on which
-    processors, with the number of artifacts. ``hard_cases`` are those of this machine, and
-    ``outcomes`` have all that was made.
+    ``scored`` are the completed scenes with the results of all methods; ``fields`` are the fields
+    by scene, including scenes that failed later. ``build_seconds`` are the times to build a field,
+    by scene and name of the sweep's combination, empty for the field of the method and baselines.
+    ``stages`` has the costs of each stage when its artifacts were computed, possibly in an earlier
+    run, and ``machines`` the number of artifacts by processor. ``hard_cases`` are the numerical
+    errors on this machine, and ``outcomes`` have all artifacts.
     """
 
     scored: list[Scored]

@@ -1,4 +1,4 @@
-"""Sources of clips: folders of any format, chunks, camera files, rooms; and chunks of them."""
+"""Sources of clips, such as folders of any format, chunks and rooms, and packing as chunks."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from tasks.chunks import PosedFolder, Room
 from tasks.context import StageEvent
 
 ROOMS = "procedural:"
-"""How made-up rooms are asked for, with their first and last seed after it."""
+"""Prefix of a source of procedural rooms, followed by the first and last seed."""
 
 _PLACED = re.compile(r"([\w .-]+)=(.+)")
 
 
 @dataclass(frozen=True)
 class Source:
-    """A source by itself.
+    """One scene or one chunk of the sources.
 
     Attributes
     ----------
     location : str
-        As it was named.
+        As given by the user.
     holds : PosedFolder, Room or str
         A scene, or the file or fsspec URL of a chunk.
     place : str
-        What place its clips show, if that was said.
+        Name of the place that its clips show, if given.
     """
 
     location: str
@@ -43,20 +43,21 @@ class Source:
 
     @property
     def name(self) -> str:
-        """Name in tables: a scene as its clip, a chunk by its file."""
+        """Name in tables: the clip's name for a scene, the file for a chunk."""
         return self.holds if isinstance(self.holds, str) else self.holds.name
 
 
 def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
-    """The scenes of a source that is no chunk.
+    """Return the scenes of a source that is not a chunk.
 
-    ``procedural:FIRST-LAST`` are rooms, ``procedural_FIRST`` and so on. A folder of RealEstate10K's
-    camera files has a scene a file. All else is a scene called as its folder, read only later.
+    ``procedural:FIRST-LAST`` gives rooms, named ``procedural_FIRST`` and so on. A folder of
+    RealEstate10K's camera files has one scene per file. Any other source is one scene named after
+    its folder, which is read only later.
 
     Raises
     ------
     InputError
-        If seeds have no such form.
+        If the seeds have another form.
     """
     if source.startswith(ROOMS):
         height, width = settings.size
@@ -73,21 +74,21 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
             return [PosedFolder(file.stem, file) for file in texts]
     if re10k_text.is_camera_file(path):
         return [PosedFolder(path.stem, path)]
-    # A scene is called as the folder above a file of cameras or a COLMAP model.
+    # A scene is named after the folder above a camera file or a COLMAP model.
     folder = colmap.scene_folder((path.parent if path.is_file() else path).resolve())
     return [PosedFolder(folder.name, path)]
 
 
 def sources_of(sources: Sequence[str], settings: PackSettings) -> list[Source]:
-    """All that was named, each scene and chunk by itself, in this order.
+    """Return all scenes and chunks of the sources, in the given order.
 
-    ``PLACE=SOURCE`` says what place the clips of a source show.
+    ``PLACE=SOURCE`` names the place that the clips of a source show.
 
     Raises
     ------
     InputError
-        If a source is not there, a folder of chunks cannot be listed, or two scenes or chunks have
-        one name.
+        If a source does not exist, a folder of chunks cannot be listed, or two scenes or chunks
+        have the same name.
     """
     by_name: dict[str, Source] = {}
     for source in _all(sources, settings):
@@ -101,7 +102,7 @@ def sources_of(sources: Sequence[str], settings: PackSettings) -> list[Source]:
 
 
 def check_sources_exist(sources: Sequence[str]) -> None:
-    """InputError if a source that would be a file or folder here is not there."""
+    """Raise InputError if a source that is a local file or folder does not exist."""
     for words in sources:
         source = _parted(words)[1]
         if not (is_chunks(source) or source.startswith(ROOMS) or Path(source).exists()):
@@ -112,7 +113,7 @@ def check_sources_exist(sources: Sequence[str]) -> None:
 
 
 def _parted(words: str) -> tuple[str, str]:
-    """The place that was said, or nothing, and the source."""
+    """Split ``PLACE=SOURCE`` into place, empty if not given, and source."""
     placed = None if Path(words).exists() else _PLACED.fullmatch(words)
     return (placed[1], placed[2]) if placed else ("", words)
 
@@ -129,7 +130,7 @@ def _all(sources: Sequence[str], settings: PackSettings) -> Iterator[Source]:
             chunks = re10k.chunk_names(folder)
             if not chunks:
                 raise InputError(
-                    f"{source}: holds no chunk ({CHUNK}); `slgaussian ingest` makes some"
+                    f"{source}: has no chunk ({CHUNK}); `slgaussian ingest` makes chunks"
                 )
             for chunk in chunks:
                 yield Source(source, f"{folder}/{chunk}", place)
@@ -151,7 +152,7 @@ def is_chunks(source: str) -> bool:
 
 @dataclass
 class Packed:
-    """The chunks that were written, how many clips are in them, and why others are not."""
+    """Written chunks, their number of clips, and reasons of the clips that were left out."""
 
     chunks: list[str] = field(default_factory=list)
     clips: int = 0
@@ -161,20 +162,20 @@ class Packed:
 def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
     """Add every source as one clip to the folder of chunks ``out``, in new chunks.
 
-    A clip whose name is there already is left as it is. A source that cannot be read, or of which a
-    view cannot, is left out by itself.
+    Clips that the folder already has are skipped. A source is left out if it or one of its views
+    cannot be read.
 
     Parameters
     ----------
     sources : sequence of str
-        As :func:`sources_of` takes them, none of them chunks.
+        Sources of :func:`sources_of`, but no chunks.
     out : path
     settings : PackSettings
 
     Raises
     ------
     InputError
-        If a source has no such form, two have one name, or the folder cannot be written.
+        If a source is invalid, two have the same name, or the folder cannot be written.
     """
     existing = re10k.read_index(out) if (out / re10k.INDEX).exists() else {}
     scenes = [
@@ -187,7 +188,7 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
 
     def clips() -> Iterator[re10k.Clip]:
         for scene in scenes:
-            assert not isinstance(scene, str)  # no chunk
+            assert not isinstance(scene, str)  # not a chunk
             start = time.perf_counter()
             progress.update(StageEvent(scene.name, "pack", "running"))
             try:

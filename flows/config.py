@@ -34,15 +34,15 @@ from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
 from slgaussian.semantic.configs import BranchConfig
 
 PRESETS = ("fast", "balanced", "paper")
-"""Named settings, each a file in `presets`. The last is what the paper prints, see
+"""Named settings, each a file in `presets`. The last has the settings of the paper, see
 `docs/reference/paper.md`."""
 
 SIDES = range(16, 8193)
-"""Heights and widths, in pixels, that views may be brought to."""
+"""Allowed heights and widths of views, in pixels."""
 
 
 def _parse_sides(value: Any) -> tuple[int, int]:
-    """Height and width of ``"256x256"``, as the command line gives them, or of a pair."""
+    """Parse height and width from ``"256x256"``, as on the command line, or from a pair."""
     try:
         height, width = map(int, value.split("x") if isinstance(value, str) else value)
     except (TypeError, ValueError):
@@ -59,7 +59,7 @@ AT_MOST = "at most "
 
 
 def _parse_size(value: Any) -> tuple[int, int] | str:
-    """Height and width, or words."""
+    """Parse height and width, or one of the texts for sizes."""
     if value in ("auto", "original"):
         return value
     bound = isinstance(value, str) and value.startswith(AT_MOST)
@@ -77,9 +77,9 @@ Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 
 
 RUNNERS = ("threads", "processes")
-"""Who may do the work of a flow on this machine."""
+"""Runners on this machine."""
 CLUSTERS = ("dask", "ray")
-"""Whose workers may, by the address of a cluster that runs."""
+"""Runners that need the address of a running cluster."""
 
 
 def _parse_runner(value: Any) -> str:
@@ -101,13 +101,13 @@ Runner = Annotated[str, BeforeValidator(_parse_runner)]
 
 
 class Config(BaseModel):
-    """Fields that are checked when they are given, and never changed."""
+    """Base class of immutable, validated configurations."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def table_of(component: str) -> str:
-    """Return the name of a component's table, for which TOML and Python take no hyphen."""
+    """Return the name of a component's table, without hyphens as in Python names."""
     return component.replace("-", "_")
 
 
@@ -118,31 +118,31 @@ class QueryRules(Config):
         None,
         gt=0,
         lt=1,
-        description="Take what fits a text above this relevancy, 0 to 1.",
+        description="Accept objects whose relevancy is above this, 0 to 1.",
     )
     share: float = Field(
         0.6,
         gt=0,
         le=1,
-        description="Without a threshold: objects that have this share of the best "
-        "one's lead over the canonical phrases fit about as well.",
+        description="Without a threshold: accept objects with this fraction of the best object's "
+        "lead over the canonical phrases.",
     )
     temperature: float = Field(10.0, gt=0, description="Temperature of the relevancy.")
     canonical: str | None = Field(
         None,
-        description="Phrases that a text competes with, with commas between, or lerf for LERF's "
-        "four; the encoder's own if left out.",
+        description="Phrases that a text competes with, separated by commas, or lerf for LERF's "
+        "four; default: those of the encoder.",
     )
     absent: str = Field(
         "skip",
         examples=["skip", "zero"],
-        description="What a view says of an object that it does not hold: skip (nothing), or zero "
-        "(as the paper).",
+        description="Score of a view that does not show an object: skip (none), or zero (as the "
+        "paper).",
     )
 
 
 RULES = set(QueryRules.model_fields)
-"""The settings of a query."""
+"""Names of the settings of a query."""
 
 
 def _kind(kind: str) -> Any:
@@ -150,19 +150,19 @@ def _kind(kind: str) -> Any:
 
 
 class MethodSettings(QueryRules):
-    """The parts of the method and their settings: what a result depends on."""
+    """Components of the method and their settings, on which results depend."""
 
     size: Size = Field(
         "auto",
-        description="Height and width to work at: 416x576, 'at most 416x576' (smaller views stay), "
-        "original, or auto, which is at most 416x576.",
+        description="Height and width of the views: 416x576, 'at most 416x576' (without "
+        "enlarging), original, or auto, which is at most 416x576.",
     )
     near: float | None = Field(
         None,
         gt=0,
-        description="Least depth, in scene units; found from the photographs if left out.",
+        description="Smallest depth, in scene units; estimated from the photographs by default.",
     )
-    far: float | None = Field(None, gt=0, description="Greatest depth, likewise.")
+    far: float | None = Field(None, gt=0, description="Largest depth, likewise.")
     predictor: str = _kind("predictor")
     proposer: str = _kind("proposer")
     tracker: str = _kind("tracker")
@@ -171,26 +171,26 @@ class MethodSettings(QueryRules):
     lifting: str = _kind("lifting")
     trust_cameras: bool = Field(
         False,
-        description="Go on even if the matches between the photographs contradict their cameras.",
+        description="Continue even if the matches between the photographs contradict the cameras.",
     )
     replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
     votes: Literal["views", "copies"] = Field(
         "views",
         examples=list(VOTES),
-        description="Who votes on labels: views (copies that differ, then all views on what is one "
-        "object), or copies (all of each view, as the paper).",
+        description="Voters on labels: views (distinct copies of a view, then all views on which "
+        "regions are one object), or copies (all copies of each view, as the paper).",
     )
-    seed: int = Field(0, ge=0, description="Seed of everything random.")
+    seed: int = Field(0, ge=0, description="Seed of all random numbers.")
     keep: Literal["needed", "all"] = Field(
         "needed",
         examples=list(KEEP),
-        description="Gaussians of a field: needed, where even neighbours become larger ones, or "
-        "all that were predicted.",
+        description="Gaussians of a field: needed (similar neighbours are merged), or all "
+        "predicted ones.",
     )
     bank: Literal["groups", "objects"] = Field(
         "groups",
         examples=list(BANK),
-        description="What a text is scored on: objects and groups of them, or objects alone (as "
+        description="Entries that a text is scored on: groups (and objects), or objects alone (as "
         "the paper).",
     )
     planesweep: PlaneSweepConfig = PlaneSweepConfig()
@@ -206,11 +206,11 @@ class MethodSettings(QueryRules):
     branch: BranchConfig = BranchConfig()
 
     def component_names(self) -> dict[str, str]:
-        """The name of each part."""
+        """Return the name of the component of each kind."""
         return self.model_dump(include=set(KINDS))
 
     def component_values(self) -> dict[str, dict[str, Any]]:
-        """The tables of the parts that are chosen, as :mod:`slgaussian.build` takes settings."""
+        """Return the field values of the chosen components, by their names."""
         return {
             name: dict(getattr(self, table_of(name)))
             for name in self.component_names().values()
@@ -222,30 +222,30 @@ class MethodSettings(QueryRules):
         return self.model_dump(include=RULES)
 
     def part(self, kind: str) -> Component:
-        """The part of a kind, with its settings; InputError if its files cannot be read."""
+        """Return the component of a kind; InputError if its files cannot be read."""
         name = getattr(self, kind)
         return Component.of(kind, name, self.component_values().get(name))
 
     @cached_property
     def built_by(self) -> BuildMethod:
-        """Method of building a field; InputError if files cannot be read."""
+        """The method that builds a field; InputError if files cannot be read."""
         parts: dict[str, Any] = {kind: self.part(kind) for kind in KINDS}
         return BuildMethod(**parts, **self.model_dump(include=set(METHOD_FIELDS)))
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """Identity of a field besides the sample, as cache keys and artifacts hold it.
+        """All inputs of a field except the sample, for cache keys and artifacts.
 
-        The chosen parts, their settings with files by content, replicas, seed and what is kept.
+        See :meth:`slgaussian.components.method.Method.identity`.
         """
         return self.built_by.identity()
 
 
-def _brought() -> Iterator[tuple[str, Any]]:
-    """Yield table and default config of each component that another package brings."""
+def _plugin_tables() -> Iterator[tuple[str, Any]]:
+    """Yield table name and default config of each component of other packages."""
     for kind, registered in KINDS.items():
         for name in plugins(registered.group):
-            # What is wrong with one is said when it is asked for.
+            # Errors are reported when the component is used.
             with suppress(InputError):
                 config = find_config(kind, name)
                 if config.model_fields:
@@ -253,20 +253,20 @@ def _brought() -> Iterator[tuple[str, Any]]:
 
 
 Method = create_model(
-    "Method", __base__=MethodSettings, __doc__=MethodSettings.__doc__, **dict(_brought())
+    "Method", __base__=MethodSettings, __doc__=MethodSettings.__doc__, **dict(_plugin_tables())
 )
-"""The parts of the method, and a table of fields for each that has some."""
+"""Settings of the method, with the tables of components of other packages."""
 
 TABLES: dict[str, type[ComponentConfig]] = {
     name: field.annotation
     for name, field in Method.model_fields.items()
     if isinstance(field.annotation, type) and issubclass(field.annotation, ComponentConfig)
 }
-"""The settings that are the config of a component, by its name."""
+"""Configs of components, by table name."""
 
 
 class SceneSettings(Config):
-    """One scene: where its photographs are and which of them are what."""
+    """One scene: its photographs, context and target views, labels and queries."""
 
     name: str = Field(min_length=1)
     dataset: str = Field("scenes", min_length=1)
@@ -287,56 +287,55 @@ class Engine(Config):
     """Runner, workers and store of a flow."""
 
     store: str = Field(
-        "./slg-data", description="Folder or fsspec URL that keeps the results of every stage."
+        "./slg-data", description="Folder or fsspec URL for the results of all stages."
     )
     runner: Runner = Field(
         "threads",
         examples=list(RUNNERS),
-        description="Who does the work: threads, processes, or a cluster that runs, as "
-        "dask://host:port.",
+        description="Workers: threads, processes, or a running cluster, as dask://host:port.",
     )
     workers: int = Field(
-        min(2, threads.cores()), ge=1, description="Scenes (or chunks) done at a time."
+        min(2, threads.cores()), ge=1, description="Number of concurrent scenes (or chunks)."
     )
     refresh: list[str] = Field(
-        [], description="Stages to compute anew, with what follows from them."
+        [], description="Stages to recompute, with all stages that depend on them."
     )
 
 
 class Settings(Engine, Method):
-    """A whole run."""
+    """Configuration of a run."""
 
     preset: str | None = Field(
         None,
         examples=list(PRESETS),
-        description=f"Begin from named settings: {', '.join(PRESETS)}; other options win.",
+        description=f"Named settings: {', '.join(PRESETS)}; other options override them.",
     )
     out: Path = Field(Path("out"), description="Folder for the report and the tables.")
     method: str = Field("slgaussian", description="Name of the method in tables and folders.")
-    data: Path | None = Field(None, description="Folder of a labelled set, as its format has it.")
+    data: Path | None = Field(None, description="Folder of a labelled set.")
     format: str | None = Field(
         None,
         examples=list(FROM_FILES),
-        description="Its format, if the index does not say: nerfstudio if left out.",
+        description="Format of the data, if the index does not name it; default nerfstudio.",
     )
     pairs: Path | None = Field(
-        None, description="Its index: what `benchmark` wrote, or made by hand."
+        None, description="Index file of the data, written by `benchmark` or by hand."
     )
     labels: Path | None = Field(
-        None, description="Folder of its labels, if they are not in that of the data."
+        None, description="Folder of the labels, if they are not in the folder of the data."
     )
     rooms: str | None = Field(
-        None, description="Made-up rooms to score as well, by their seeds: FIRST-LAST."
+        None, description="Procedural rooms to score as well, by their seeds: FIRST-LAST."
     )
     against: list[str] = Field(
-        [], description="Other methods to score in the same run, by name, or all."
+        [], description="Baselines to score in the same run, by name, or all."
     )
     sweep: list[str] = Field(
         [],
-        description="Settings to compare in the same run: FIELD=a,b,c, of the method's settings, "
-        "views or preset; several are combined.",
+        description="Settings to compare in the same run: FIELD=a,b,c, where FIELD is a setting of "
+        "the method, views or preset; several are combined.",
     )
-    scenes: list[SceneSettings] = Field([], description="More scenes, beside a labelled set.")
+    scenes: list[SceneSettings] = Field([], description="More scenes, besides a labelled set.")
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
@@ -350,13 +349,13 @@ class Settings(Engine, Method):
 class PackSettings(Config):
     """Views of procedural rooms, and size of chunks."""
 
-    views: int = Field(12, ge=2, description="Views of each made-up room, evenly on an arc.")
+    views: int = Field(12, ge=2, description="Views of each procedural room, evenly on an arc.")
     baseline: float = Field(
-        1.2, gt=0, description="Metres between the first and the last; the middle is 3.3 m away."
+        1.2, gt=0, description="Metres from the first to the last view; the centre is 3.3 m away."
     )
-    size: Sides = Field((360, 640), description="Their height and width, as 360x640.")
+    size: Sides = Field((360, 640), description="Height and width of the views, as 360x640.")
     chunk_mb: float = Field(
-        100.0, gt=0, description="Megabytes of images after which a chunk is closed."
+        100.0, gt=0, description="Megabytes of images after which a new chunk is begun."
     )
 
 
@@ -364,26 +363,26 @@ class PairSettings(Config):
     """Requirements on two context views."""
 
     min_overlap: float = Field(
-        0.6, ge=0, le=1, description="Least share that context views see in common."
+        0.6, ge=0, le=1, description="Smallest overlap of context views, as a fraction."
     )
     max_overlap: float = Field(
-        1.0, ge=0, le=1, description="Greatest share that they see in common."
+        1.0, ge=0, le=1, description="Largest overlap of context views, as a fraction."
     )
     min_baseline: float = Field(
         0.08,
         ge=0,
-        description="Least distance of context cameras, as a share of the depth of what they see.",
+        description="Smallest distance of context cameras, as a fraction of the scene's depth.",
     )
     max_baseline: float = Field(
-        0.4, ge=0, description="Greatest distance of context cameras, likewise."
+        0.4, ge=0, description="Largest distance of context cameras, likewise."
     )
     max_blur: float = Field(
         0.16,
         ge=0,
-        description="By how much a view may be more blurred than the median of its clip, 0 to 1.",
+        description="Largest blur of a view above the median of its clip, 0 to 1.",
     )
     max_clipped: float = Field(
-        0.4, ge=0, le=1, description="Share of a view that may be black or white."
+        0.4, ge=0, le=1, description="Largest black or white fraction of a view."
     )
 
     @model_validator(mode="after")
@@ -399,49 +398,49 @@ class PairSettings(Config):
     def bounds(self) -> dict[str, Any]:
         """Return the fields of :class:`slgaussian.datasets.pair_selection.Bounds`.
 
-        That is not imported here, as it takes OpenCV with it.
+        The class itself is not imported here, as it imports OpenCV.
         """
         return self.model_dump(include={*PairSettings.model_fields, "most"})
 
 
 class IndexSettings(PairSettings):
-    """By which rule the index of a labelled set is made."""
+    """Rule that chooses the context views in the index of a labelled set."""
 
     format: str = Field(
         "nerfstudio",
         examples=list(FROM_FILES),
-        description="Of the data, such as lerf_ovs or ovs3d.",
+        description="Format of the data, such as lerf_ovs or ovs3d.",
     )
     min_cover: float = Field(
-        0.9, ge=0, le=1, description="Least share of a labelled frame that a context view sees."
+        0.9, ge=0, le=1, description="Smallest fraction of a labelled frame in the context views."
     )
     max_aside: float = Field(
         0.3,
         ge=0,
         lt=0.5,
-        description="Greatest distance of a labelled frame from the middle of the context cameras, "
-        "as a share of their distance.",
+        description="Largest distance of a labelled frame from the midpoint of the context "
+        "cameras, as a fraction of their distance.",
     )
 
 
 class Withdrawal(Config):
-    """Clips that may not be used any more."""
+    """Clips that may no longer be used."""
 
     withdrawn: Path | None = Field(
         None,
-        description="File with the keys of clips that may not be used any more, a line each.",
+        description="File with the keys of clips that may no longer be used, one per line.",
     )
 
     def withdrawn_clips(self) -> set[str]:
-        """The keys in the file; InputError if it cannot be read."""
+        """Read the keys in the file; InputError if it cannot be read."""
         if self.withdrawn is None:
             return set()
         try:
             lines = read_lines(self.withdrawn)
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(
-                f"withdrawn {self.withdrawn}: cannot be read ({error}); expected keys of clips, a "
-                "line each"
+                f"withdrawn {self.withdrawn}: cannot be read ({error}); expected keys of clips, "
+                "one per line"
             ) from error
         return {line.strip() for line in lines if line.strip()}
 
@@ -452,7 +451,7 @@ class CorpusSettings(Withdrawal, PairSettings, Engine, Method):
     size: Sides = Field(
         (256, 256), description="Height and width of the views of a lesson, as 256x256."
     )
-    most: int = Field(0, ge=0, description="Most samples of a clip; 0 for as many as there are.")
+    most: int = Field(0, ge=0, description="Largest number of samples of a clip; 0 for all.")
     chunks: str = Field(description="Folder or fsspec URL of the chunks.")
     out: Path = Field(description="Folder for the tables.")
 
@@ -461,35 +460,35 @@ class SetSettings(Config):
     """Content, quality thresholds and format of the samples of a training set."""
 
     size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
-    targets: int = Field(3, ge=1, description="Target views of a sample, between its two contexts.")
-    most: int = Field(0, ge=0, description="Most samples of a clip; 0 for as many as there are.")
+    targets: int = Field(3, ge=1, description="Number of target views, between the context views.")
+    most: int = Field(0, ge=0, description="Largest number of samples of a clip; 0 for all.")
     max_unlabelled: float = Field(
-        1.0, ge=0, le=1, description="Share of pixels that may be without an object id."
+        1.0, ge=0, le=1, description="Largest fraction of pixels without an object id."
     )
     min_confirmed: float = Field(
-        0.0, ge=0, le=1, description="Least share of the depth that a second view confirms."
+        0.0, ge=0, le=1, description="Smallest fraction of the depth that a second view confirms."
     )
     held_out: float = Field(
-        0.2, ge=0, lt=1, description="Share of the places, about, that go to the split test."
+        0.2, ge=0, lt=1, description="Approximate fraction of the places in the split test."
     )
     images: Literal["jpg", "png"] = Field(
         "jpg",
         examples=["jpg", "png"],
-        description="How images are stored: jpg (quality 95) or png.",
+        description="Format of stored images: jpg (quality 95) or png.",
     )
-    shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is closed.")
+    shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is full.")
 
 
 class DatasetSettings(SetSettings, Withdrawal, PairSettings, Engine, Method):
-    """A training set, what it is made from, and where it goes."""
+    """A training set, its sources, and its output folder."""
 
     size: Sides = SetSettings.model_fields["size"]  # type: ignore[assignment]  # not the method's
-    sources: list[str] = Field(min_length=1, description="What its clips are from.")
+    sources: list[str] = Field(min_length=1, description="Sources of the clips.")
     out: Path = Field(description="Folder of the training set.")
 
 
 def _parse_widths(value: Any) -> tuple[int, ...]:
-    """Channels of a list, or of text with commas between."""
+    """Parse numbers of channels from a list, or from text separated by commas."""
     try:
         widths = tuple(map(int, value.split(",") if isinstance(value, str) else value))
     except (TypeError, ValueError):
@@ -505,68 +504,65 @@ Widths = Annotated[tuple[int, ...], BeforeValidator(_parse_widths)]
 class Training(Config):
     """Hyperparameters of a training, without lessons, codes and seed."""
 
-    steps: int = Field(1500, ge=1, description="Steps of training.")
-    batch: int = Field(1, ge=1, description="Lessons of a step.")
-    rate: float = Field(3e-3, gt=0, description="Highest learning rate.")
+    steps: int = Field(1500, ge=1, description="Number of training steps.")
+    batch: int = Field(1, ge=1, description="Number of lessons per step.")
+    rate: float = Field(3e-3, gt=0, description="Largest learning rate.")
     corrupted: float = Field(
-        0.75, ge=0, le=1, description="Share of the steps with corrupted labels."
+        0.75, ge=0, le=1, description="Fraction of the steps with corrupted labels."
     )
     held_out: float = Field(
-        0.2, gt=0, lt=1, description="Share of the clips, about, that are kept to judge by."
+        0.2, gt=0, lt=1, description="Approximate fraction of the clips held out for evaluation."
     )
     widths: Widths | None = Field(
         None,
-        description="Channels of the branch at full size, half, a quarter ...; if left out, those "
-        "of the weights to begin from, else 8,16,24,32.",
+        description="Channels of the branch at full resolution, half, a quarter ...; default: "
+        "those of the initial weights, else 8,16,24,32.",
     )
     hidden: int | None = Field(
-        None, ge=1, description="Numbers of the hidden layer for each pixel; likewise, else 32."
+        None, ge=1, description="Width of the hidden layer for each pixel; likewise, else 32."
     )
     device: str = Field(
-        "cpu",
-        description="Where the network computes, as PyTorch calls it: cpu; cuda and others go the "
-        "same way and have not been tried.",
+        "cpu", description="PyTorch device of the network; devices other than cpu are untested."
     )
     threads: int = Field(
-        1, ge=1, description="Threads of PyTorch; on their number depend the last bits."
+        1, ge=1, description="Threads of PyTorch; the last bits of results depend on the number."
     )
 
 
-# Settings that are those of other commands, declared there.
+# Fields that are shared with other commands.
 _METHOD: dict[str, Any] = dict(Method.model_fields)
 _CORPUS: dict[str, Any] = dict(CorpusSettings.model_fields)
 
 
 class TrainSettings(Training):
-    """A training on lessons that are there already."""
+    """Training on existing lessons."""
 
     preset: Literal["paper"] | None = Field(
         None,
         examples=["paper"],
-        description="Begin from named settings: paper, as it prints its training; other options "
-        "win.",
+        description="Named settings: paper, those of its training; other options override them.",
     )
     codes: str = Field(
         "separated",
         examples=["separated", "grid"],
-        description="How ID codes are drawn: separated or grid.",
+        description="Sampling of ID codes: separated or grid.",
     )
     architecture: Literal["several", "paper"] = Field(
         "several",
         examples=["several", "paper"],
-        description="The network and its loss: several, which sees what other views say of a "
-        "pixel, or paper, as printed.",
+        description="Network and loss: several, with labels of other views as input, or paper, as "
+        "published.",
     )
     seed: int = _METHOD["seed"]
     store: str = _CORPUS["store"]
-    lessons: Path = Field(description="Folder that `supervise` wrote.")
+    lessons: Path = Field(description="Output folder of `supervise`.")
     start: Path | None = Field(
-        None, description="Weights to begin from: a file, or a folder of versions."
+        None, description="Initial weights: a file, or a folder of versions."
     )
     out: Path = Field(description="Folder for the weights and the report.")
 
 
 class RetrainSettings(Training, CorpusSettings):
-    """A corpus that grows, and the weights that are kept of it."""
+    """Retraining on a growing corpus."""
 
     models: Path = Field(description="Folder of the versions of the weights.")

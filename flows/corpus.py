@@ -1,7 +1,7 @@
-"""A corpus of chunks made ready to learn from: its views and samples, and their lessons.
+"""Preparation of a corpus of chunks for training: views, samples and lessons.
 
-A chunk is the unit of work, of memory, of caching and of failure. Chunks are known by content, so
-a second run reads those alone that are new.
+A chunk is the unit of work, of memory, of caching and of failure. Chunks are identified by their
+content, so a second run reads only new chunks.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ INGEST = ("views", "pairs")
 SUPERVISE = (*INGEST, "predictions", "lessons")
 
 FILES = {"views": "views.parquet", "pairs": "pairs.parquet", "lessons": "lessons.parquet"}
-"""The tables that the output folder gets, by the stage whose artifacts are joined in it."""
+"""Tables in the output folder, by the stage whose artifacts are concatenated."""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Result of a run: the number of rows of each table, what failed, and all that was made."""
+    """Result of a run: number of rows of each table, failures, and all artifacts."""
 
     rows: dict[str, int]
     failures: list[Failure]
@@ -59,8 +59,7 @@ class Prepared:
 def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
     """Choose samples of all chunks: ``views.parquet`` and ``pairs.parquet``.
 
-    What could not be used is in ``failures.parquet``: chunks, clips and frames, each with a
-    sentence.
+    Chunks, clips and frames that could not be used are in ``failures.parquet`` with the reasons.
 
     Raises
     ------
@@ -76,9 +75,7 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
 
 @flow(name="slgaussian-supervise", persist_result=False)
 def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
-    """Make lessons of a corpus: ``lessons.parquet``.
-
-    Also what :func:`ingest_corpus` leaves.
+    """Make the lessons of a corpus: ``lessons.parquet``, and the tables of :func:`ingest_corpus`.
 
     Raises
     ------
@@ -90,7 +87,7 @@ def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Pre
 
 
 def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = False) -> Prepared:
-    """Do the work of :func:`supervise_corpus`, within any flow."""
+    """Do the work of :func:`supervise_corpus` within any flow."""
     method = config.built_by
     method.check()
     framing = Framing(config.size, config.near, config.far)
@@ -98,12 +95,12 @@ def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = Fals
 
 
 def ingest_chunk(file: str, bounds: Bounds) -> ArtifactRef:
-    """Take a chunk through its pipeline: its views, and samples of them."""
+    """Run the pipeline of a chunk up to the choice of samples."""
     return pairs(views(known_chunk(current_run().store, file)), bounds)
 
 
 def supervise_chunk(file: str, bounds: Bounds, framing: Framing, method: Method) -> None:
-    """Take a chunk through its pipeline, which goes on to lessons of the samples."""
+    """Run the pipeline of a chunk up to the lessons of its samples."""
     chunk = known_chunk(current_run().store, file)
     samples = pairs(views(chunk), bounds)
     predicted = predictions(samples, chunk, framing, method.predictor, method.seed)
@@ -112,10 +109,10 @@ def supervise_chunk(file: str, bounds: Bounds, framing: Framing, method: Method)
 
 
 def check(config: CorpusSettings, store: ArtifactStore) -> None:
-    """Raise InputError if chunks cannot be prepared, before anything is begun."""
+    """Check a run before the work; InputError as in :func:`ingest_corpus`."""
     if not re10k.chunk_names(config.chunks):
         raise InputError(
-            f"{config.chunks}: holds no chunk (.torch); `slgaussian ingest` makes some of scenes"
+            f"{config.chunks}: has no chunk (.torch); `slgaussian ingest` makes chunks of scenes"
         )
     config.withdrawn_clips()
     store.check_writable()
@@ -130,9 +127,9 @@ def _prepare(
     arguments: tuple[Any, ...],
     verbose: bool,
 ) -> Prepared:
-    """Take all chunks through a pipeline, which has these stages, and write their tables.
+    """Run a pipeline with these stages on all chunks, and write their tables.
 
-    It is called with the place of a chunk, the bounds of its samples, and ``arguments``.
+    It is called with the location of a chunk, the bounds of its samples, and ``arguments``.
     """
     check(config, store)
     chunks, withdrawn = re10k.chunk_names(config.chunks), config.withdrawn_clips()
@@ -156,7 +153,7 @@ def _write(
     for stage_refs in refs.values():
         for stage in stages:
             failures += [Failure(stage=stage, **bad) for bad in stage_refs[stage].meta["left_out"]]
-    # A clip belongs to the first chunk that has it; what is withdrawn belongs to none.
+    # A clip belongs to the first chunk that has it; a withdrawn clip belongs to none.
     owners = dict.fromkeys(withdrawn, "")
     rows = {}
     for stage in stages:
@@ -177,10 +174,10 @@ def _join(
     owners: dict[str, str],
     failures: list[Failure],
 ) -> int:
-    """Write one table of those of all chunks, one of them in memory at a time; its rows.
+    """Concatenate the tables of all chunks, one in memory at a time; return the number of rows.
 
-    A clip belongs to the first chunk that has it, ``owners``; another with its key is a failure.
-    One that belongs to none is left away.
+    A clip belongs to the first chunk that has it, recorded in ``owners``; further clips with the
+    same key are failures. Clips that belong to no chunk are omitted.
     """
     count = 0
     schema = with_provenance(load_spec(stage).schema)
@@ -198,7 +195,7 @@ def _own_rows(
     clips = table["clip"].to_pylist()
     for clip in dict.fromkeys(clips):
         if owners.setdefault(clip, chunk) not in (chunk, ""):
-            reason = f"clip {clip!r} of {chunk} is in {owners[clip]} too, which is the one used"
+            reason = f"clip {clip!r} of {chunk} is also in {owners[clip]}, which is used"
             failure = Failure(clip, "views", "InputError", reason)
             if failure not in failures:
                 failures.append(failure)

@@ -1,7 +1,7 @@
-"""The card of a training set: what is in it, how good it is, whose it is, and what was refused.
+"""Data card of a training set: content, quality, licences and number of refused samples.
 
-``README.md`` with a contact sheet beside it. The same set and settings give the same
-bytes: there is no time and no place of this machine in it.
+It is a ``README.md`` with a contact sheet. The same set and settings give the same bytes, as it has
+no time and no path of the machine.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from tasks.chunks import Room
 CARD, SHEET = "README.md", "sheet.jpg"
 
 SHEET_ROWS, SHEET_SIDE = 12, 144
-"""Most samples on the contact sheet, and the pixels of a picture on it."""
+"""Largest number of samples on the contact sheet, and height of its pictures in pixels."""
 
 SHEET_WIDE = 2400
-"""Most pixels of its width."""
+"""Largest width of the contact sheet in pixels."""
 
 QUALITY = (
     "overlap", "baseline", "blur", "clipped", "unlabelled", "unlabelled_targets", "confirmed",
     "explained", "objects",
 )  # fmt: skip
-"""The columns of the index whose quantiles the card gives."""
+"""Columns of the index whose quantiles are on the card."""
 
 
 def write_card(
@@ -58,8 +58,8 @@ def write_card(
 ) -> None:
     """Write the card and its contact sheet beside the index of a set; OSError if that fails.
 
-    ``sources`` are those of each sample, ``refused`` is the number of failures, and ``stages`` are
-    the versions of the stages.
+    ``sources`` has the source of each sample, ``refused`` is the number of failures, and ``stages``
+    has the versions of the stages.
     """
     samples = TrainingSet(out)
     write_atomic(out / SHEET, encode_jpeg(_sheet(samples), SHEET_WIDE))
@@ -108,7 +108,7 @@ def _counts(out: Path, rows: pa.Table) -> dict[str, Any]:
 
 
 def _size_category(samples: int) -> str:
-    """As the hub of Hugging Face calls it."""
+    """Return the size category of the Hugging Face hub."""
     steps = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"))
     return next((name for limit, name in steps if samples < limit), "100K<n<1M")
 
@@ -131,7 +131,7 @@ def _members(samples: TrainingSet) -> list[tuple[str, str, str]]:
             spec = load_spec(SPECS[stem])
             text = f"{spec.doc} {', '.join(spec.fields)}"
         elif ending == "json":
-            text = "What the index says of it, and the address of its video if there is one."
+            text = "Its row of the index, and the URL of its video if there is one."
         else:
             text = "Photograph, undistorted, RGB."
         members.append((name, f"{len(data) / 1e3:.0f}", text))
@@ -143,7 +143,7 @@ def _sources(rows: pa.Table, sources: Mapping[str, Source]) -> list[tuple[str, i
     stated: dict[str, str] = {}
     for row in rows.to_pylist():
         source = sources[row["sample"]]
-        # Not where it is on this machine.
+        # Without the path on this machine.
         name = Path(source.location).name if "://" not in source.location else source.location
         by_source[name].append(row)
         stated[name] = _licence(source)
@@ -163,11 +163,11 @@ def _licence(source: Source) -> str:
     if isinstance(source.holds, Room):
         return ", ".join(datasets.SOURCES["procedural"])
     path = source.holds if isinstance(source.holds, str) else source.holds.path
-    return licences.stated(Path(path)) or "none found beside the data: ask who made them"
+    return licences.stated(Path(path)) or "none found beside the data: ask their author"
 
 
 def _asked(settings: DatasetSettings) -> dict[str, Any]:
-    """The settings that the samples depend on, parts and files by content."""
+    """Return the settings on which the samples depend, files by digest."""
     fields = {*SetSettings.model_fields, "near", "far", "trust_cameras"}
     values = settings.model_dump(mode="json", include=fields)
     identity = {key: value for key, value in settings.identity.items() if key != "lifting"}
@@ -175,7 +175,7 @@ def _asked(settings: DatasetSettings) -> dict[str, Any]:
 
 
 def _sheet(samples: TrainingSet) -> np.ndarray:
-    """Draw some samples, evenly over the set: each view, labels over it, and its depth."""
+    """Draw evenly chosen samples: each view, its labels and its depth."""
     count = min(SHEET_ROWS, len(samples))
     tiles: list[tuple[str, np.ndarray]] = []
     for index in np.linspace(0, len(samples) - 1, count).round().astype(int).tolist():

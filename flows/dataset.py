@@ -1,9 +1,8 @@
-"""A training set that others can train on, from scenes and corpora of any format.
+"""Production of a training set for any network from scenes and corpora of any format.
 
-Chunks and scenes first go through a pipeline to their samples, then each sample through its own:
-the unit of work, of caching and of failure. What is done comes from the store. In the end the
-samples are written into shards (:mod:`flows.shard_writing`), with a card
-(:mod:`flows.data_card`).
+One pipeline chooses the samples of each chunk and scene, a second one computes each sample, which
+is the unit of work, of caching and of failure. Then the samples are written to shards
+(:mod:`flows.shard_writing`) with a data card (:mod:`flows.data_card`).
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ from tasks.samples import Frames, all_masks, framed
 from tasks.scene import geometry, supervision
 
 SAMPLES = (framed, geometry, all_masks, supervision, example)
-"""The stages of a sample."""
+"""Stages of a sample."""
 
 FILTER = "filter"
-"""What failures call the stage that a sample was not good enough for."""
+"""Stage of failures of samples below the quality thresholds."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class TrainingSetResult:
 
 @dataclass(frozen=True)
 class Chosen:
-    """A sample before anything was computed of it: its clip, and its row of spec ``pairs``."""
+    """A chosen sample before its computation: its clip, and its row of spec ``pairs``."""
 
     source: Source
     chunk: KnownFile | ArtifactRef
@@ -67,15 +66,15 @@ class Chosen:
 
 @flow(name="slgaussian-dataset", persist_result=False)
 def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[TrainingSetResult]:
-    """Make a training set, or bring one that is there up to date with its sources.
+    """Make a training set, or update an existing one.
 
-    It then holds what these sources give with these settings and nothing else. Shards of which
-    nothing changed stay as they are, byte for byte. What was refused is in ``failures.parquet``.
+    The set then has exactly the samples of these sources with these settings. Shards whose samples
+    are unchanged stay the same, byte for byte. Refused samples are in ``failures.parquet``.
 
     Raises
     ------
     InputError
-        If a source is not there, a component is unknown, no sample is left, or the store or the
+        If a source is missing, a component is unknown, no sample is left, or the store or the
         folder cannot be written.
     """
     result = run_session("dataset", config, lambda store: build(config, store, verbose))
@@ -83,7 +82,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
 
 
 def check(config: DatasetSettings, store: ArtifactStore) -> None:
-    """Raise InputError if a set cannot be made, before anything is begun."""
+    """Check a run before the work; InputError as in :func:`make_training_set`."""
     config.built_by.check()
     sources_of(config.sources, PackSettings())
     config.withdrawn_clips()
@@ -94,7 +93,7 @@ def check(config: DatasetSettings, store: ArtifactStore) -> None:
 def build(
     config: DatasetSettings, store: ArtifactStore, verbose: bool = False
 ) -> TrainingSetResult:
-    """Do the work of :func:`make_training_set`, within any flow."""
+    """Do the work of :func:`make_training_set` within any flow."""
     check(config, store)
     sources, withdrawn = sources_of(config.sources, PackSettings()), config.withdrawn_clips()
     places = Places()
@@ -122,12 +121,12 @@ def build(
 
 
 def choose_of_chunk(file: str, bounds: Bounds, targets: int) -> ArtifactRef:
-    """Take a chunk through its pipeline to its samples."""
+    """Run the pipeline that chooses the samples of a chunk."""
     return pairs(views(known_chunk(current_run().store, file)), bounds, targets)
 
 
 def choose_of_scene(source: PosedFolder | Room, bounds: Bounds, targets: int) -> ArtifactRef:
-    """Take a scene through its pipeline to its samples: it becomes a chunk first."""
+    """Run the pipeline that chooses the samples of a scene, which is first packed as a chunk."""
     return pairs(views(packed(source)), bounds, targets)
 
 
@@ -140,7 +139,7 @@ def make_example(
     known: Mapping[str, Any],
     images: str,
 ) -> ArtifactRef:
-    """Take a sample through the first stages of :func:`flows.scene.answer_scene`, with targets."""
+    """Run the first stages of :func:`flows.scene.answer_scene` on a sample, with its targets."""
     sample = framed(chunk, frames, framing)
     base = geometry(sample, method.predictor, method.seed, trust_cameras)
     ids = all_masks(sample, base, method.proposer, method.tracker, method.replicas, method.votes)
@@ -156,7 +155,7 @@ def _choose(
     failures: list[Failure],
     verbose: bool,
 ) -> list[Chosen]:
-    """The samples of all sources; ``places`` gets to know the photographs of all clips."""
+    """Choose the samples of all sources; add the photographs of all clips to ``places``."""
     arguments = Bounds(**settings.bounds()), settings.targets
     files = [source for source in sources if isinstance(source.holds, str)]
     scenes = [source for source in sources if not isinstance(source.holds, str)]
@@ -194,7 +193,7 @@ def _of_source(
     owners: dict[str, str],
     failures: list[Failure],
 ) -> Iterator[Chosen]:
-    """The samples of a source, without those of a clip that another one has, its owner."""
+    """Yield the samples of a source, without clips that an earlier source has."""
     if isinstance(source.holds, str):
         chunk: KnownFile | ArtifactRef = known_chunk(store, source.holds)
         cameras = "given"
@@ -204,9 +203,7 @@ def _of_source(
     view_rows = store.get(stage_refs[views.name]).select(["clip", "digest"]).to_pylist()
     for clip in dict.fromkeys(row["clip"] for row in view_rows):
         if owners.setdefault(clip, source.name) != source.name:
-            reason = (
-                f"clip {clip!r} of {source.name} is in {owners[clip]} too, which is the one used"
-            )
+            reason = f"clip {clip!r} of {source.name} is also in {owners[clip]}, which is used"
             failures.append(Failure(clip, views.name, "InputError", reason))
             continue
         places.add(clip, (row["digest"] for row in view_rows if row["clip"] == clip), source.place)
@@ -223,7 +220,7 @@ def _finish(
     failures: list[Failure],
     verbose: bool,
 ) -> list[Finished]:
-    """The samples that went down their road and are good enough, in the order of their names."""
+    """Compute the samples, and return those above the quality thresholds, sorted by name."""
     framing = Framing(settings.size, settings.near, settings.far)
     tasks = []
     for choice in chosen:
@@ -250,9 +247,9 @@ def _finish(
     by_clip = places.by_clip()
     good = []
     for name, description in sorted(descriptions.items()):
-        why = refused(description, settings)
-        if why is not None:
-            failures.append(Failure(name, FILTER, "Filtered", why))
+        reason = refused(description, settings)
+        if reason is not None:
+            failures.append(Failure(name, FILTER, "Filtered", reason))
             continue
         good.append((outcome.refs[name][example.name], by_clip[description["clip"]]))
     tested = hold_out({place for _, place in good}, settings.held_out)
@@ -264,7 +261,7 @@ def refused(description: Mapping[str, Any], settings: SetSettings) -> str | None
     unlabelled = max(description["unlabelled"], description["unlabelled_targets"])
     if unlabelled > settings.max_unlabelled:
         return (
-            f"{unlabelled:.2f} of the pixels of its context views or targets are without an id, "
+            f"{unlabelled:.2f} of the pixels of its context views or targets have no id, "
             f"above max_unlabelled {settings.max_unlabelled:g}"
         )
     if description["confirmed"] < settings.min_confirmed:

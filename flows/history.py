@@ -1,9 +1,9 @@
-"""The record of a retraining: a numbered JSON file, and the Markdown of its Prefect artifact.
+"""Records of retrainings: numbered JSON files, and the Markdown of their Prefect artifacts.
 
-``history/000012.json`` in the output folder says that a retraining is on, and in the end what came
-of it. One that still says so when the next begins was ended from outside: a retraining holds a
-lock, which the kernel takes back. Nothing goes by the time of day, so no clock that is put forward
-or back loses one or counts one twice.
+``history/000012.json`` in the output folder has the outcome of a retraining, or "on" while it runs.
+If a record is still "on" when the next retraining begins, its process was killed, as a retraining
+holds a lock that the kernel releases. Records are numbered and not ordered by time, so changes of
+the clock have no effect.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
 
 ARTIFACT = "slgaussian-retraining"
-"""Key of the Prefect artifact of a retraining; a server keeps those of all."""
+"""Key of the Prefect artifacts of retrainings."""
 
 NAMES = 20
-"""Names of each kind that a record has at most; there may be as many as there are clips."""
+"""Largest number of names of each kind in a record."""
 
 
 class History:
-    """The records of all retrainings, and of the last one the clips that there were."""
+    """The records of all retrainings, and the clips of the last one."""
 
     def __init__(self, out: Path) -> None:
         self.folder = out / "history"
 
     def file(self, number: int) -> Path:
-        """Return the place of a record."""
+        """Return the path of a record."""
         return self.folder / f"{number:06d}.json"
 
     def numbers(self) -> list[int]:
@@ -54,13 +54,13 @@ class History:
             raise SpecError(f"{file}: cannot be read ({error!r:.200}); delete it") from error
 
     def begin(self) -> dict[str, Any]:
-        """Begin a record, after that of one that was ended from outside is closed."""
+        """Begin a record; if the last retraining was killed, first write its outcome."""
         self.folder.mkdir(exist_ok=True)
         numbers = self.numbers()
         if numbers and (last := self.read(numbers[-1]))["outcome"] == "on":
             reason = (
-                f"retraining {last['number']}, begun {last['begun']}, was ended from outside; the "
-                "next goes on with what it made"
+                f"retraining {last['number']}, begun {last['begun']}, was killed; the next one "
+                "reuses its results"
             )
             self.end(last | {"outcome": "failed", "messages": [reason]}, None)
         record = {
@@ -73,9 +73,9 @@ class History:
         return record
 
     def end(self, record: dict[str, Any], clips: pa.Table | None) -> None:
-        """Write the record of a retraining that is over, and create its artifact.
+        """Write the record of a finished retraining, and create its Prefect artifact.
 
-        ``clips`` are what the next one compares with; None if nothing is known of them.
+        ``clips`` are stored for comparison by the next retraining; None if unknown.
         """
         number = record["number"]
         if clips is not None:
@@ -88,9 +88,9 @@ class History:
         publish_markdown(ARTIFACT, markdown_of(record), f"Retraining {number}")
 
     def previous(self) -> tuple[pa.Table, set[str]]:
-        """Return the clips of the last retraining that knew them, and names of what it left out.
+        """Return the last stored clips, and the names of clips that were left out.
 
-        An empty table and none at first.
+        An empty table and no names if there is none.
         """
         spec = load_spec("clips")
         for number in reversed(self.numbers()):
@@ -117,5 +117,5 @@ def markdown_of(record: Mapping[str, Any]) -> str:
 
 
 def first_names(names: Sequence[str]) -> dict[str, Any]:
-    """Return how many names there are, and the first :data:`NAMES`."""
+    """Return the number of names, and the first :data:`NAMES`."""
     return {"count": len(names), "first": list(names[:NAMES])}

@@ -1,4 +1,4 @@
-"""Choosing the context views of labelled frames: the index file of a labelled set."""
+"""Choice of context views for labelled frames: the index file of a labelled set."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from slgaussian.scene import Scene
 def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: Path) -> Index:
     """Choose two context views for every labelled frame of a set, and write the index file.
 
-    Labels are those of the format, or lie in ``labels``: there in a folder of each scene's name if
+    Labels are those of the format, or are in the folder ``labels``, in one subfolder per scene if
     the format has several scenes.
 
     Raises
@@ -38,14 +38,14 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
     for name, options, place in label_places(data, labels, settings.format):
         scene = datasets.load(settings.format, data, **options)
         pairs_of_frame = _surrounded(scene, name, labelled_frames((labels or data) / place), rule)
-        for called, pair in pairs_of_frame.items():
+        for pair_name, pair in pairs_of_frame.items():
             if isinstance(pair, str):
-                left_out[called] = pair
+                left_out[pair_name] = pair
             else:
-                pairs.append(ScenePair(called, *pair[:3], place, options, pair[3]))
+                pairs.append(ScenePair(pair_name, *pair[:3], place, options, pair[3]))
     if not pairs:
-        why = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
-        raise InputError(f"{labels or data}: no labelled frame has a pair ({why or 'no labels'})")
+        text = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
+        raise InputError(f"{labels or data}: no labelled frame has a pair ({text or 'no labels'})")
     index = Index(tuple(pairs), settings.format, rule.described(), left_out)
     write_index(out, index)
     return index
@@ -54,14 +54,14 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
 def label_places(
     data: Path, labels: Path | None, format: str
 ) -> Iterator[tuple[str, dict[str, Any], str]]:
-    """The scenes of a folder that have labels: name, settings of the reader, and where they are.
+    """Yield the labelled scenes of a folder: name, options of the reader, and folder of labels.
 
-    That is a folder below ``labels``, or below ``data`` where the format has its own.
+    The folder is relative to ``labels``, or to ``data`` if the format includes labels.
 
     Raises
     ------
     InputError
-        If the format reads no folder, or has no labels of its own and none are given.
+        If the format reads no folder, or includes no labels and none are given.
     """
     datasets.check_format(format)
     if labels is None and format not in LABELS:
@@ -78,13 +78,13 @@ def label_places(
 
 
 Chosen = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, float]]
-"""Context, targets, categories and what was measured of a pair."""
+"""Context, targets, categories and measurements of a pair."""
 
 
 def _surrounded(
     scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, Chosen | str]:
-    """The pair of every labelled frame, or why there is none; under the pair's name."""
+    """Return the pair of every labelled frame, or the reason if there is none, by pair name."""
     published_frames = SETS["lerf_ovs"][name].frames if name in SETS["lerf_ovs"] else ()
     views, out = _views_of(scene, frames, published_frames)
     names, clip, unreadable = _look(scene)
@@ -101,10 +101,10 @@ def _surrounded(
         if (pair := contexts.pair) is None:
             out[frame] = contexts.reason
             continue
-        known_by = {
+        owners = {
             "overlap": pair, "baseline": pair, "cover": contexts, "aside": contexts, "score": pair,
         }  # fmt: skip
-        measured = {name: round(getattr(of, name), 4) for name, of in known_by.items()}
+        measured = {name: round(getattr(owner, name), 4) for name, owner in owners.items()}
         context = tuple(names[i] for i in pair.context)
         out[frame] = context, (views[frame],), frames[frame], measured
     order = [frame for frame in dict.fromkeys([*frames, *published_frames]) if frame in out]
@@ -114,10 +114,10 @@ def _surrounded(
 def _views_of(
     scene: Scene, frames: Mapping[str, tuple[str, ...]], published_frames: Iterable[str]
 ) -> tuple[dict[str, str], dict[str, Any]]:
-    """The views of the labelled frames, and of those that cannot be asked why.
+    """Return the views of the labelled frames, and the reasons of unusable frames.
 
-    ``published_frames`` are frames that the data set calls labelled, even if their labels are
-    missing: they are no context views of others.
+    ``published_frames`` are the labelled frames by the publication of the data set, even if their
+    labels are missing; they may not be context views.
     """
     views, out = {}, {}
     for frame in dict.fromkeys([*frames, *published_frames]):
@@ -134,7 +134,7 @@ def _views_of(
 
 
 def _look(scene: Scene) -> tuple[list[str], Views, dict[str, str]]:
-    """Measure the views of a scene that can be read, and of the others why not."""
+    """Measure the readable views of a scene; return the reasons of the others."""
     names, greys, unreadable = [], [], {}
     for name in scene.cameras:
         try:

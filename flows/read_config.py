@@ -1,4 +1,4 @@
-"""Read and check configurations, from a TOML file or the command line; errors in one sentence."""
+"""Reading and validation of configurations from a TOML file or the command line."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ AnyModel = TypeVar("AnyModel", bound=BaseModel)
 AnySettings = TypeVar("AnySettings", bound=MethodSettings)
 
 PATHS = ("out", "data", "pairs", "labels", "models", "withdrawn")
-"""The settings that are paths."""
+"""Settings that are paths."""
 
 URLS = ("store", "chunks")
-"""The settings that may be URLs."""
+"""Settings that may be URLs."""
 
 
 def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
-    """``model(**values)``, over its preset; InputError in a sentence that names source and key."""
+    """Return ``model(**values)`` with its preset; InputError, which names source and key."""
     for name in URLS:
         if isinstance(values.get(name), str):
             check_url(values[name], f"{source}: {name}")
@@ -47,7 +47,7 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
         raise InputError(f"{source}: {_sentence(error, model)}") from error
     if isinstance(config, MethodSettings):
         for kind, name in config.component_names().items():
-            find_config(kind, name)  # refuses a name that nobody knows before any work
+            find_config(kind, name)  # InputError for an unknown name
     return config
 
 
@@ -56,21 +56,21 @@ def make_settings(values: dict[str, Any], source: str) -> Settings: ...
 @overload
 def make_settings(values: dict[str, Any], source: str, model: type[AnySettings]) -> AnySettings: ...
 def make_settings(values: dict[str, Any], source: str, model: Any = Settings) -> Any:
-    """Check ``values`` as :func:`checked`, all of which must have an effect."""
+    """Validate ``values`` with :func:`checked`; InputError also if one has no effect."""
     settings = checked(model, values, source)
     refuse_idle(values, settings, source)
     return settings
 
 
 def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
-    """Read a configuration, over which ``overrides`` win.
+    """Read a configuration file; ``overrides`` take precedence.
 
-    It may hold tables of parts that are not chosen, so that one is changed for another easily.
+    The file may have tables of unused components, so that components are easily exchanged.
 
     Raises
     ------
     InputError
-        If the file cannot be read, a key is unknown or a value does not fit.
+        If the file cannot be read, a key is unknown or a value is invalid.
     """
     settings = checked(Settings, read_values(path, overrides), str(path))
     refuse_idle(overrides, settings, "run")
@@ -78,7 +78,7 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
 
 
 def read_retraining(config: Path | None, overrides: dict[str, Any]) -> RetrainSettings:
-    """Read a configuration of retraining likewise."""
+    """Read a configuration of retraining as :func:`read_toml`."""
     values = overrides if config is None else read_values(config, overrides)
     settings = checked(RetrainSettings, values, "retrain" if config is None else str(config))
     refuse_idle(overrides, settings, "retrain")
@@ -86,9 +86,9 @@ def read_retraining(config: Path | None, overrides: dict[str, Any]) -> RetrainSe
 
 
 def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
-    """The values in a TOML file, and over them, key by key of a part's table, ``overrides``.
+    """Read the values of a TOML file, merged with ``overrides`` by :func:`layered`.
 
-    Its relative paths are relative to the file, those given to hand not.
+    Relative paths in the file are relative to its folder, those of ``overrides`` are not.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
 
 
 def preset_values(preset: Any, source: str, of: str = "") -> dict[str, Any]:
-    """Return the settings of the named preset; ``of`` is before the name of its file.
+    """Return the settings of a preset; ``of`` is the prefix of its file name.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def preset_values(preset: Any, source: str, of: str = "") -> dict[str, Any]:
 
 
 def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
-    """Return ``under`` with the values of ``over``, of a part's table key by key."""
+    """Return ``under`` updated by ``over``; tables of components are merged key by key."""
     tables = {
         name: {**under[name], **over[name]}
         for name in TABLES
@@ -135,7 +135,7 @@ def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """A copy of settings whose relative paths are relative to ``folder``."""
+    """Return a copy of settings with relative paths resolved against ``folder``."""
     values = _anchored(values, PATHS, folder)
     for name in URLS:
         if isinstance(values.get(name), str) and "://" not in values[name]:
@@ -155,22 +155,22 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
     if not isinstance(table, dict):
-        return table  # which is said where settings are checked
+        return table  # validation reports the error
     places = {key: table[key] for key in keys if isinstance(table.get(key), str | Path)}
     return {**table, **{key: str(folder / place) for key, place in places.items()}}
 
 
-SAID = {
+MESSAGES = {
     "path_type": "expected a path, in quotes",
     "model_type": "expected a table",
     "too_short": "expected at least {min_length}",
     "string_too_short": "expected some text",
 }
-"""What Pydantic says in its own terms, said in those of a configuration, by its error type."""
+"""Messages for configurations that replace those of Pydantic, by error type."""
 
 
 def _sentence(error: ValidationError, config_type: type[BaseModel]) -> str:
-    # A misspelt key leaves another one missing; it is the cause, so it goes first.
+    # A misspelt key also causes a missing key; report the misspelt one.
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
     key = ".".join(place)
@@ -180,18 +180,18 @@ def _sentence(error: ValidationError, config_type: type[BaseModel]) -> str:
         near = did_you_mean(place[-1], model.model_fields)
         return f"unknown key {key!r}{near or f'; the keys are {listed}'}"
     if isinstance(first.get("ctx", {}).get("error"), InputError):
-        return str(first["ctx"]["error"])  # of a component's config
+        return str(first["ctx"]["error"])  # raised by a component's config
     if first["type"] == "missing":
         return f"{key} is missing"
-    if first["type"] in SAID:
-        message = SAID[first["type"]].format(**first.get("ctx", {}))
+    if first["type"] in MESSAGES:
+        message = MESSAGES[first["type"]].format(**first.get("ctx", {}))
     else:
         message = first["msg"][0].lower() + first["msg"][1:]
     return f"{key}: found {first['input']!r}; {message}"
 
 
 def refuse_idle(values: dict[str, Any], settings: MethodSettings, source: str) -> None:
-    """InputError if ``values`` has the table of a part that the settings do not choose."""
+    """Raise InputError if ``values`` has the table of a component that is not used."""
     used = set(map(table_of, settings.component_values()))
     for name in TABLES:
         if name in values and name not in used:

@@ -37,12 +37,12 @@ FIELDS = "fields"
 
 
 def field_place(scene: str, out: Path) -> Path:
-    """The folder of a scene's field."""
+    """Return the folder of a scene's field."""
     return out / FIELDS / file_name(scene)
 
 
 def check_places(scenes: Iterable[str], out: Path) -> None:
-    """Raise InputError now, not after the work, where something else is in a field's place."""
+    """Raise InputError if the folder of a field has other content; call it before the work."""
     for scene in scenes:
         field_folder.check_free(field_place(scene, out))
 
@@ -56,17 +56,17 @@ def write_fields(
 ) -> None:
     """Write the fields by scene below folder ``out``, and a table of them.
 
-    Their files are links to those in the store where there can be any: of all that a run leaves
-    they are by far the largest. What is there already stays as it is; fields that an earlier run
-    left and this one has not are taken away. ``places`` are those of the encoder's files, and
-    ``tell`` is told of what takes time.
+    Their files are hard links to those in the store if possible, as they are by far the largest
+    output of a run. Unchanged fields are not written again; fields of an earlier run that this run
+    does not have are removed. ``places`` are the locations of the encoder's files, and ``tell``
+    receives messages about slow steps.
 
     Raises
     ------
     DamagedError
-        If an artifact is gone or damaged.
+        If an artifact is missing or damaged.
     InputError
-        If something is in the way, or the store does not answer.
+        If other content is at the path of a field, or the store does not answer.
     OSError
         If a folder cannot be written.
     """
@@ -100,7 +100,7 @@ def write_fields(
 
 
 def _earlier(out: Path) -> set[str]:
-    """The folders that the table of an earlier run names; none if it is no such table."""
+    """Return the folders in the table of an earlier run; none if it cannot be read."""
     try:
         table = read_table(out / f"{FIELDS}.parquet", ["folder"])
         return {name for name in table["folder"].to_pylist() if file_name(name) == name}
@@ -110,7 +110,7 @@ def _earlier(out: Path) -> set[str]:
 
 @dataclass(frozen=True)
 class _FieldFolder:
-    """A field in its folder: ``text`` is that of ``field.json``."""
+    """A field in its folder; ``text`` is the content of ``field.json``."""
 
     folder: Path
     text: str
@@ -128,14 +128,14 @@ class _FieldFolder:
         )
 
     def write(self, store: ArtifactStore) -> None:
-        """Write it whole, or not at all."""
+        """Write the folder completely or not at all."""
         field_folder.write(
             self.folder, self.text, lambda spec, file: store.link_or_copy(self.parts[spec], file)
         )
 
 
 def write_artifacts(out: Path, store: ArtifactStore, outcomes: Sequence[Outcome]) -> None:
-    """Write the table of all that jobs made, those that failed among them, to folder ``out``.
+    """Write the table of all artifacts, also those of failed scenes, to folder ``out``.
 
     OSError if it cannot be written.
     """
@@ -176,7 +176,7 @@ def _rows(outcome: Outcome, store: ArtifactStore) -> Iterator[dict[str, Any]]:
 
 
 def _digests(meta: Mapping[str, Any]) -> set[str]:
-    """Of all artifacts that a stage was given, wherever they stand among its arguments."""
+    """Return the digests of all input artifacts of a stage, also of nested arguments."""
     digests = set(meta.get("inputs", {}).values())
     waiting = [meta.get("settings", {})]
     while waiting:
@@ -202,10 +202,10 @@ def manifest(
     refs: Mapping[str, Mapping[str, ArtifactRef]],
     baselines: Mapping[str, Row],
 ) -> dict[str, Any]:
-    """The manifest of a run, as plain data.
+    """Return the manifest of a run as plain data.
 
-    ``refs`` are what the ``stages`` made by scene, of those scenes that went through, and
-    ``baselines`` the methods beside ours.
+    ``refs`` are the results of ``stages`` by scene, for completed scenes, and ``baselines`` the
+    other methods.
     """
     values = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
     method_values = {
@@ -243,8 +243,8 @@ def _described(row: Row) -> str:
 
 
 def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, Any]:
-    """Describe the data of a scene: files, and the digests of what they amount to."""
-    # Sorted: what comes from a record of the store has lost its order.
+    """Describe the data of a scene: views, files, and digests of files and artifacts."""
+    # Sorted, as records in the store do not preserve the order.
     files, labels = (
         dict(sorted(refs[stage].meta["settings"][of]["files"].items()))
         for stage, of in (("ingest", "photographs"), ("truth", "labels"))
@@ -267,7 +267,7 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
 
 
 def published_as(scene: SceneSettings) -> dict[str, str]:
-    """Return the fields of ``Standing`` of the published scene of its data, if any."""
+    """Compare a scene with the published data set: fields of ``Standing``, or empty."""
     if scene.labels is None or scene.path is None:
         return {}
     queries, sizes = {}, {}
@@ -281,7 +281,7 @@ def published_as(scene: SceneSettings) -> dict[str, str]:
             for file in files:
                 if file.stem == frame and (size := stored_size(file)):
                     sizes[frame] = size
-    except (InputError, OSError, KeyError):  # results that are there outlive their data
+    except (InputError, OSError, KeyError):  # the data may be gone, with all results cached
         return {}
     name = str(scene.options.get("scene") or scene.labels.name)
     published = standing(LabelledFrames(scene.format, name, queries, list(frames), sizes))

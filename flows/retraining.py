@@ -1,6 +1,6 @@
-"""Retrain: learn what is new in a corpus, judge it, and use it if it is better.
+"""Retraining on a growing corpus: train, evaluate, and promote the weights if they are better.
 
-One flow, for people and schedules: ``prefect.yaml`` deploys it.
+The flow is used by the command line and by deployments (``prefect.yaml``).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from slgaussian.storage.store import ArtifactStore
 from slgaussian.storage.tables import read_table
 
 ASKED = (*Training.model_fields, "codes", "seed")
-"""The settings of which another value asks for another training."""
+"""Settings whose change requires a new training."""
 
 STATUS = {
     "promoted": 0,
@@ -49,13 +49,13 @@ STATUS = {
 LOCK = ".retrain.lock"
 
 BY = "slgaussian retrain"
-"""Who puts a version to use, in the history of the versions."""
+"""Author of a promotion in the history of versions."""
 
 FEW = 3
-"""Names that a sentence has at most."""
+"""Largest number of names in a message."""
 
 NO_NETWORK = {"hard": "no network (hard)", "filled": "no network (filled)"}
-"""Liftings that need no weights. What is worse than one of them is of no use to anybody."""
+"""Liftings without weights. A branch that is worse than one of them is useless."""
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,8 @@ class Retraining:
     outcome : str
         One of :data:`STATUS`.
     messages : tuple of str
-        Sentences for people.
     record : Path or None
-        Its JSON file; None if another one is on.
+        JSON file of the record; None if another retraining is running.
     """
 
     outcome: str
@@ -79,20 +78,20 @@ class Retraining:
 
 @dataclass(frozen=True, eq=False)
 class Learnt:
-    """Result of learning.
+    """Result of :func:`learn`.
 
     Attributes
     ----------
     message : str
-        In a sentence.
+        Summary in a sentence.
     version : Version or None
-        What was added; None if there was nothing new.
+        The added version; None if nothing was new.
     regressed : str
-        A sentence if the version in use, before this, is worse than no network on what was held
-        out; else empty.
+        A message if the version in use before is worse than no network on the held-out lessons;
+        else empty.
     forgotten : tuple of str
-        Clips that the version in use had learnt and that were withdrawn or changed since: then
-        training began anew, and not from it.
+        Training clips of the version in use that were withdrawn or changed since. If there are
+        any, training starts from scratch.
     """
 
     message: str
@@ -103,17 +102,17 @@ class Learnt:
 
 @flow(name="slgaussian-retrain", persist_result=False)
 def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]:
-    """Ingest and supervise what is new, train, judge, and put to use what is better.
+    """Ingest and label new clips, train, evaluate, and promote the weights if they are better.
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
-    ``Refused``, ``Regressed``, ``LeftOut``, ``NothingNew`` or ``Busy``; one that fails fails the
-    run. A record and an artifact of Prefect say what arrived, changed and was withdrawn, drift,
-    scores and the decision.
+    ``Refused``, ``Regressed``, ``LeftOut``, ``NothingNew`` or ``Busy``; an error fails the run. A
+    record and a Prefect artifact have the new, changed and withdrawn clips, drift, scores and the
+    decision.
 
     Raises
     ------
     InputError
-        As :func:`flows.corpus.supervise` and :func:`learn`; record and artifact say so first.
+        As in :func:`flows.corpus.supervise` and :func:`learn`, after it was recorded.
     """
     check_folder(config.out)
     try:
@@ -138,7 +137,7 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
         record |= {"outcome": "failed", "messages": [reason]}
         raise
     finally:
-        # What is stopped by a signal stays on record as being on: the next one says so.
+        # After a signal the outcome stays "on", and the next retraining records the failure.
         if record["outcome"] != "on":
             record["seconds"] = round(time.perf_counter() - start, 1)
             history.end(record, clips)
@@ -153,7 +152,7 @@ def _learn_what_is_new(
     history: History,
     record: dict[str, Any],
 ) -> pa.Table:
-    """Take the steps of a retraining, put down in its record; returns the clips that there are."""
+    """Do the steps of a retraining and fill its record; return the clips of the corpus."""
     prepared = corpus.supervise(config, store, verbose)
     before, left_out_before = history.previous()
     clips = clips_of(read_table(config.out / corpus.FILES["views"]))
@@ -187,15 +186,15 @@ def _learn_what_is_new(
         messages.append(f"{learnt.regressed}; {end}")
     if used is not None and (gone := forgotten_by(versions, used, clips, left_out.keys())):
         messages.append(
-            f"{version_name(used.number)}, in use, has learnt what was withdrawn or changed since: "
-            f"{shorten(gone)}; {end}"
+            f"{version_name(used.number)}, in use, was trained on clips that were withdrawn or "
+            f"changed since: {shorten(gone)}; {end}"
         )
     if new:
         name = new[0]
         messages.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
     drifted = [measurement["measure"] for measurement in record["drift"] if measurement["drifted"]]
     if drifted:
-        messages.append(f"what arrived differs from what there was in {', '.join(drifted)}")
+        messages.append(f"new clips differ from earlier ones in {', '.join(drifted)}")
     record |= {"outcome": _outcome(learnt, bool(new)), "messages": messages}
     return clips
 
@@ -217,23 +216,23 @@ def learn(
     failed: Collection[str] = (),
     before: Sequence[Outcome] = (),
 ) -> Learnt:
-    """Train from the weights in use on lessons, and keep what is better.
+    """Train on lessons from the weights in use, and promote the result if it is better.
 
-    The candidate, the version in use, ``hard`` and ``filled`` are judged on the same held-out
-    lessons. The candidate is put to use if it is better than each of the others beyond noise
-    (:func:`slgaussian.benchmark.significance.gate`), and kept in any case. Without anything new,
-    in the lessons or the settings, nothing is trained.
-    ``before`` is what the same command made before, for its table of artifacts.
+    The candidate, the version in use, ``hard`` and ``filled`` are evaluated on the same held-out
+    lessons. The candidate is promoted if it is significantly better than all others
+    (:func:`slgaussian.benchmark.significance.gate`), and stored in any case. If lessons and
+    settings are unchanged, nothing is trained. ``before`` are earlier outcomes of the same command,
+    for its table of artifacts.
 
-    ``clips`` are those of the corpus, spec ``clips``, and ``failed`` the names of the clips and
-    chunks that could not be read. If the version in use has learnt what is no more among them,
-    training begins anew, so that nothing of it is in what is built from now on.
+    ``clips`` are the clips of the corpus, spec ``clips``, and ``failed`` the names of unreadable
+    clips and chunks. If training clips of the version in use were withdrawn or changed, training
+    starts from scratch, so that they have no influence on new weights.
 
     Raises
     ------
     InputError
-        As :func:`flows.training.parted` and :func:`flows.training.train_on`; if other clips were
-        held out for the weights in use; or if a folder cannot be written.
+        As in :func:`flows.training.parted` and :func:`flows.training.train_on`; if the weights in
+        use had another fraction of held-out clips; or if a folder cannot be written.
     """
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
@@ -268,12 +267,12 @@ def learn(
         if clips is None
         else _clips_named(clips, set(lessons.learnt["clip"].to_pylist())),
     )
-    done = "put to use" if added.promoted else "kept, not used"
+    done = "promoted" if added.promoted else "stored, not promoted"
     anew = ""
     if incumbent is not None and forgotten:
         anew = (
-            f"; trained anew, as {version_name(incumbent.number)} has learnt what was withdrawn or "
-            f"changed since: {shorten(forgotten)}"
+            f"; trained from scratch, as {version_name(incumbent.number)} was trained on clips "
+            f"that were withdrawn or changed since: {shorten(forgotten)}"
         )
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
     return Learnt(
@@ -287,7 +286,7 @@ def learn(
 def forgotten_by(
     versions: Versions, version: Version, clips: pa.Table, failed: Collection[str]
 ) -> tuple[str, ...]:
-    """The clips that a version has learnt and that are no more, or are others now, sorted."""
+    """Return the training clips of a version that were withdrawn or changed since, sorted."""
     gone: set[str] = set()
     for learnt in versions.training_clips(version):
         changed_clips = changes(learnt, clips, failed)
@@ -296,7 +295,7 @@ def forgotten_by(
 
 
 def shorten(names: Sequence[str]) -> str:
-    """Some names in words, and how many more there are."""
+    """List the first names, and the number of the others."""
     rest = f" and {len(names) - FEW} more" if len(names) > FEW else ""
     return f"{', '.join(names[:FEW])}{rest}"
 
@@ -312,13 +311,13 @@ def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:
 
 
 def _check_share(settings: RetrainSettings, incumbent: Version) -> None:
-    """The incumbent must not be judged on what it was trained on, nor favoured by it."""
+    """Raise InputError if the incumbent would be evaluated on its own training clips."""
     before = incumbent.facts.get("asked", {}).get("held_out")
     if before is not None and before != settings.held_out:
         raise InputError(
             f"held_out: found {settings.held_out:g}, but version {incumbent.number} in "
-            f"{settings.models} was trained with {before:g} and may have learnt what it would be "
-            f"judged by; keep {before:g}, or begin in another folder of versions"
+            f"{settings.models} was trained with {before:g}, perhaps on clips that are held out "
+            f"now; keep {before:g}, or begin in another folder of versions"
         )
 
 

@@ -1,8 +1,8 @@
-"""The pipeline of a scene, from photographs to scores: each line a stage, in the order they run.
+"""The pipeline of a scene, from photographs to scores, as a sequence of stages.
 
-A stage is a Prefect task whose result is looked up in the store first (:mod:`tasks.stage`).
-:func:`slgaussian.build.build_field` takes the same steps with arrays in memory and without a store,
-from a sample to a field. :mod:`flows.runners.batches` runs the pipelines of many scenes.
+A stage is a Prefect task that first looks up its result in the store (:mod:`tasks.stage`).
+:func:`slgaussian.build.build_field` does the same steps from sample to field in memory, without a
+store. :mod:`flows.runners.batches` runs the pipelines of many scenes.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from tasks.numerics import numerics
 from tasks.scene import Labels, Photographs, field, geometry, ingest, masks, supervision, truth
 
 STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
-"""The stages of :func:`score_scene`, in their order."""
+"""The stages of :func:`score_scene`, in order."""
 
 OURS = "slgaussian"
 
 JUDGED = "auto"
-"""Size of the targets of every run, whatever it works at: scores of other sizes do not compare."""
+"""Size of the targets in every run, as scores at different sizes are not comparable."""
 
 
 def score_scene(
@@ -43,9 +43,9 @@ def score_scene(
     trust_cameras: bool,
     settings: EvaluationSettings,
 ) -> None:
-    """Build the field of a scene, ask it all that its truth knows, and find what lost each miss."""
+    """Build the field of a scene, score it on its ground truth, and attribute each miss."""
     *refs, _, built = answer_scene(photographs, labels, method, trust_cameras, settings)
-    # What is asked without truth can be no miss.
+    # Queries without ground truth cannot be misses.
     attribution(*refs, built, method, replace(settings, queries=()))
 
 
@@ -56,7 +56,7 @@ def answer_scene(
     trust_cameras: bool,
     settings: EvaluationSettings,
 ) -> tuple[ArtifactRef, ...]:
-    """Build the field of a scene and ask it.
+    """Build the field of a scene and answer its queries.
 
     Returns the refs of sample, truth, Gaussians, label maps and field.
     """
@@ -80,17 +80,17 @@ def score_baseline(
     fields: Mapping[str, Any],
     package: str,
 ) -> None:
-    """Ask a baseline what the field of a scene was asked.
+    """Score a baseline on the queries of the field of a scene.
 
     ``refs`` are the results of the stages of :func:`score_scene`, ``name`` and ``fields`` those of
-    the baseline, and ``package`` what another package that brings it is known by, else empty.
+    the baseline, and ``package`` is the identity of its external package, else empty.
     """
     inputs = (refs[stage] for stage in ("ingest", "truth", "geometry", "masks", "field"))
     baselines(*inputs, method, settings, name, fields, package)
 
 
 def check_numerics() -> None:
-    """Measure the hard cases of the machine that works, unless it or one of its kind has."""
+    """Measure numerical errors on the worker's machine, once for each kind of machine."""
     machine = {"processor_name": threads.processor(), "code": threads.kernel_folder().name}
     numerics(threads.kernels() | machine)
 
@@ -102,15 +102,15 @@ def scene_task(settings: Settings, method: Method, scene: SceneSettings) -> Scen
 
 
 def judged_at(size: Size) -> Size:
-    """Return the size of targets where scenes are worked on at ``size``.
+    """Return the size of targets for views of ``size``.
 
-    A height and width crops, and so crops the targets too.
+    A given height and width crops the views, so it also applies to the targets.
     """
     return JUDGED if isinstance(size, str) else size
 
 
 def photographs(settings: Settings, scene: SceneSettings) -> Photographs:
-    """Return which photographs of a scene are read in a run, and how."""
+    """Return the photographs of a scene in a run, with size and depth range."""
     size = scene.size or settings.size
     return Photographs(
         scene.name,
@@ -127,12 +127,12 @@ def photographs(settings: Settings, scene: SceneSettings) -> Photographs:
 
 
 def labels(scene: SceneSettings) -> Labels:
-    """Return where the truth of a scene comes from."""
+    """Return the source of a scene's ground truth."""
     return Labels(scene.labels, tuple(scene.targets), tuple(scene.categories))
 
 
 def evaluation(settings: Settings, scene: SceneSettings) -> EvaluationSettings:
-    """Return what a scene is asked in a run."""
+    """Return the evaluation settings of a scene in a run."""
     place = scene.options.get("scene")
     return EvaluationSettings(
         method=settings.method,
@@ -144,9 +144,9 @@ def evaluation(settings: Settings, scene: SceneSettings) -> EvaluationSettings:
 
 
 def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
-    """Return the baselines by these names, in the order of the table of methods.
+    """Return the baselines of these names, in the order of the table of methods.
 
-    ``all`` stands for all. Without our own, which is scored anyway.
+    ``all`` selects all that are not slow. Our own method, which is always scored, is not included.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def baseline_tasks(
     scenes: Sequence[SceneSettings],
     refs: Mapping[str, Mapping[str, ArtifactRef]],
 ) -> list[SceneTask]:
-    """Return a task for each baseline and scene that has ``refs`` of its stages."""
+    """Return a task for each baseline and each completed scene, which is in ``refs``."""
     scene_tasks = []
     for scene in (scene for scene in scenes if scene.name in refs):
         scene_settings = evaluation(settings, scene)
@@ -184,5 +184,5 @@ def baseline_tasks(
 
 
 def method_task_name(scene: str, method: str) -> str:
-    """Return the name of the task of another method and scene, in failures too."""
+    """Return the task name of a method on a scene, also used in failures."""
     return f"{scene}: {method}"

@@ -1,4 +1,4 @@
-"""The scenes of a run: of a labelled set, made-up rooms, those of the demo, and listed ones."""
+"""Scenes of a run: labelled sets, procedural rooms, and scenes of the demo."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from slgaussian.errors import InputError
 
 DATASET = "procedural"
 THIRDS = 3
-"""Into how many parts thirds of the way are parted where views are added: enough for eight."""
+"""Subdivisions of each third of a room's camera path when views are swept: enough for eight."""
 _SEEDS = re.compile(r"(\d+)(?:-(\d+))?")
 
 
 def seeds(text: str, source: str) -> range:
-    """The seeds of ``"FIRST-LAST"``, both included, or of one number.
+    """Parse the seeds of ``"FIRST-LAST"``, inclusive, or of one number.
 
     Raises
     ------
     InputError
-        If it is neither, or there is none; the sentence begins with ``source``.
+        If the text has another form or the range is empty; the message begins with ``source``.
     """
     match = _SEEDS.fullmatch(text)
     first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
@@ -33,10 +33,10 @@ def seeds(text: str, source: str) -> range:
 
 
 def room_scene(seed: int, thirds: int = 1) -> SceneSettings:
-    """A room of eight objects, seen from two places, asked from two between them.
+    """Return a room of eight objects with two context views and two targets between them.
 
-    Each third of the way between the two is parted into ``thirds``, so that there are further views
-    to choose from; the cameras of those four are the same, their noise and exposure are not.
+    Each third of the camera path is subdivided into ``thirds`` parts, which gives more views to
+    choose from. The cameras of the four views stay the same, their noise and exposure do not.
     """
     first, *targets, last = (f"view_{k * thirds:02d}" for k in range(4))
     return SceneSettings(
@@ -54,7 +54,7 @@ ROOMS = (0, 1, 2)
 
 
 def demo_scenes() -> list[SceneSettings]:
-    """The motorcycle stereo pair at its own size and three procedural rooms with novel views."""
+    """Return the motorcycle stereo pair at original size and three rooms with novel views."""
     motorcycle = SceneSettings(
         name="motorcycle",
         dataset="stereo",
@@ -67,15 +67,15 @@ def demo_scenes() -> list[SceneSettings]:
 
 
 def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
-    """The scenes of a labelled set as its index lists them, and what is to be said of the others.
+    """Return the scenes of a labelled set by its index, and messages about omitted scenes.
 
-    Clips of a published index that are not in the data, and, where labels are given, those without,
-    are left out; of the others the targets that are labelled.
+    Clips of a published index that are not in the data are omitted. If labels are given, clips and
+    targets without labels are omitted too.
 
     Raises
     ------
     InputError
-        If the index cannot be read, its format is not the given one, or nothing of it is there.
+        If the index cannot be read, its format is not the given one, or no scene is left.
     """
     if settings.data is None or settings.pairs is None:
         raise InputError("a labelled set needs data and pairs, and labels where it has none inside")
@@ -113,7 +113,7 @@ def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]
 def _scene(
     pair: ScenePair, format: str, data: Path, label_folder: Path | None
 ) -> SceneSettings | None:
-    """The scene of a pair; None if labels are given, but none of what it asks is labelled."""
+    """Return the scene of a pair; None if labels are given, but none for its targets."""
     targets, categories = list(pair.targets), list(pair.categories)
     place = (label_folder or data) / pair.labels
     labels = place if categories or label_folder is not None else None

@@ -1,4 +1,4 @@
-"""Score masks that were made elsewhere, on the data and labels of a benchmark."""
+"""Scoring of masks of external methods on the data and labels of a benchmark."""
 
 from __future__ import annotations
 
@@ -44,31 +44,32 @@ class Scores:
 
 
 def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) -> Scores:
-    """Score the masks in a folder or JSON file by some protocols, by those that they are of if none
-    is named; write tables and masks to ``out``.
+    """Score the masks in a folder or JSON file, and write tables and masks to ``out``.
+
+    ``protocols`` default to those of the masks.
 
     Raises
     ------
     InputError
-        If data, labels or masks cannot be read, no mask is of what is asked, or ``out`` is the
+        If data, labels or masks cannot be read, no mask belongs to a query, or ``out`` is the
         folder of a run or cannot be written. Then nothing is written.
     """
     for name in protocols:
         load_protocol(name)
         if name not in SCORABLE:
             raise InputError(
-                f"protocol: {name!r} scores relevancies, of which masks say nothing; expected one "
-                f"of {', '.join(SCORABLE)}"
+                f"protocol: {name!r} scores relevancies, which masks do not have; expected one of "
+                f"{', '.join(SCORABLE)}"
             )
     if settings.size not in ("auto", judged_at(settings.size)):
         raise InputError(
-            f"size: found {settings.size!r}, expected HEIGHTxWIDTH, or nothing: all is judged at "
-            "one size"
+            f"size: found {settings.size!r}, expected HEIGHTxWIDTH, or nothing: all masks are "
+            "scored at one size"
         )
     if any((out / name).exists() for name in LEFT):
         raise InputError(
-            f"{out}: holds what a run left, whose scores would be replaced; choose another folder "
-            "with -o"
+            f"{out}: has the results of a run, which would be replaced; choose another folder with "
+            "-o"
         )
     predictions = read_predictions(place, protocols)
     chosen = [load_protocol(name) for name in dict.fromkeys(protocols or predictions.protocols)]
@@ -82,7 +83,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     if not tally.used:
         listed = ", ".join(tally.unused(predictions)[:3])
         raise InputError(
-            f"{predictions.place}: no mask is of what is asked (found {listed}); name scenes, "
+            f"{predictions.place}: no mask belongs to a query (found {listed}); name scenes, "
             "frames and queries as the data and labels do"
         )
     check_folder(out)
@@ -113,7 +114,7 @@ def _by_scenes(settings: Settings, scenes: Sequence[SceneSettings]) -> Iterator[
 
 
 def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
-    """Every labelled frame of the data, asked what is labelled in it."""
+    """Yield the labelled frames of the data, whose queries are their labels."""
     data, format = settings.data, settings.format or "nerfstudio"
     if data is None:
         raise InputError("data is missing; give the folder of the photographs with --data")

@@ -1,4 +1,4 @@
-"""Samples into the shards of a training set, so that what is unchanged stays byte for byte."""
+"""Writing of samples to the shards of a training set; unchanged shards are reused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
 @dataclass(frozen=True)
 class Finished:
-    """A sample that is ready for a shard: artifact of spec ``example``, its place and split."""
+    """A computed sample: artifact of spec ``example``, place and split."""
 
     ref: ArtifactRef
     place: str
@@ -30,28 +30,27 @@ class Finished:
 
     @property
     def name(self) -> str:
-        """Of the sample."""
+        """Name of the sample."""
         return self.ref.meta["about"]["sample"]
 
 
 def write_shards(
     out: Path, finished: Sequence[Finished], store: ArtifactStore, shard_bytes: int
 ) -> tuple[int, int, int]:
-    """Bring the shards and the index of a set to hold these samples and no others.
+    """Update the shards and the index of a set so that it has exactly these samples.
 
-    A shard that is there stays if it is whole and all of its samples are still wanted. The samples
-    of the others, and new ones, go into new shards in the order of their names, a split each. The
-    index is written last, so that it is true at every moment; then what it does not name any more
-    is removed.
+    An existing shard is reused if it is undamaged and all its samples are still in the set. All
+    other samples are written to new shards of each split, sorted by name. The index is written
+    after the shards, so that it is valid at any time; then unreferenced shards are removed.
 
-    Returns how many shards the set has, how many of them are new, and the bytes of all.
+    Returns the number of shards of the set, the number of new ones, and the bytes of all.
 
     Raises
     ------
     DamagedError
         If an artifact is damaged.
     OSError
-        If something cannot be written.
+        If a file cannot be written.
     """
     rows: dict[str, dict[str, Any]] = {}
     wanted = {item.name: item for item in finished}
@@ -81,7 +80,7 @@ def write_shards(
 
 
 def _index(out: Path) -> dict[str, list[dict[str, Any]]]:
-    """The rows of the set that is there by shard; none if it is not there or not readable."""
+    """Read the rows of an existing set by shard; none if it is missing or unreadable."""
     try:
         data = (out / INDEX).read_bytes()
         rows = decode_table(data, load_spec("training_set"), str(out / INDEX), ANEW).to_pylist()
@@ -94,7 +93,7 @@ def _index(out: Path) -> dict[str, list[dict[str, Any]]]:
 
 
 def _is_kept(file: Path, rows: Sequence[Mapping[str, Any]], wanted: Mapping[str, Finished]) -> bool:
-    """Return whether all samples of a shard are wanted unchanged, and is what the index says."""
+    """Return whether all samples of a shard stay unchanged, and its file matches the index."""
     if not all(
         row["sample"] in wanted
         and row["split"] == wanted[row["sample"]].split
@@ -127,7 +126,7 @@ def _batches(finished: Sequence[Finished], limit: int) -> Iterator[list[Finished
 
 
 def _write(file: Path, batch: Sequence[Finished], store: ArtifactStore) -> list[dict[str, Any]]:
-    """Write a shard, one sample in memory at a time; return where in it each lies."""
+    """Write a shard, one sample in memory at a time; return the position of each sample."""
     offset, places = 0, []
     with atomic_path(file) as name, open(name, "wb") as shard:
         for item in batch:
@@ -141,7 +140,7 @@ def _write(file: Path, batch: Sequence[Finished], store: ArtifactStore) -> list[
 
 
 def _row(item: Finished, place: Mapping[str, Any], columns: Sequence[str]) -> dict[str, Any]:
-    """A row of the index: where it lies, and what is known of it."""
+    """Return the row of the index: position, place, split and properties of a sample."""
     values = {**item.ref.meta["about"], "place": item.place, "split": item.split}
     values |= {name: place[name] for name in ("shard", "offset", "bytes", "digest")}
     return {name: values[name] for name in columns}

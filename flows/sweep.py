@@ -1,7 +1,7 @@
-"""Combinations of settings that a benchmark compares, each a method of the one report.
+"""Combinations of settings that a benchmark compares, each as a method of the report.
 
-``FIELD=a,b,c`` names a setting and its values; several of them are multiplied out. What a changed
-setting does not touch is read from the store.
+``FIELD=a,b,c`` names a setting and its values; several of them give all combinations. Stages that
+do not depend on a changed setting are read from the store.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from slgaussian.datasets import context_views
 from slgaussian.errors import InputError, did_you_mean
 
 VIEWS, PRESET = "views", "preset"
-"""Fields beside the method's settings: the number of context views, and named settings."""
+"""Fields besides the method's settings: the number of context views, and the preset."""
 
 
 @dataclass(frozen=True)
@@ -42,23 +42,23 @@ class Combination:
 
     @property
     def name(self) -> str:
-        """Name of its method in the report."""
+        """Name of the method in the report."""
         changed = ", ".join(f"{key.rpartition('.')[2]}={v}" for key, v in self.fields.items())
         return f"{self.settings.method}, {changed}"
 
     @property
     def row(self) -> Row:
-        """Its row in the table of methods."""
+        """Row in the table of methods."""
         return Row(self.settings.method, "the field, with other settings", dict(self.fields), {},
                    variant=True)  # fmt: skip
 
     def of(self, scene: SceneSettings) -> SceneSettings:
-        """Return the scene with as many context views as this asks for.
+        """Return the scene with :attr:`views` context views.
 
         Raises
         ------
         InputError
-            If it has no targets, or not so many views around them.
+            If it has no targets, or not enough views around them.
         """
         if self.views is None:
             return scene
@@ -71,14 +71,14 @@ class Combination:
 
 
 def combinations(settings: Settings) -> list[Combination]:
-    """Return each combination of the values that ``settings.sweep`` names.
+    """Return all combinations of the values in ``settings.sweep``.
 
-    One that is the run itself is left out.
+    A combination that equals the run itself is omitted.
 
     Raises
     ------
     InputError
-        If a field is unknown or named twice, or a value does not fit.
+        If a field is unknown or named twice, or a value is invalid.
     """
     axes = [_axis(text) for text in settings.sweep]
     names = [name for name, _ in axes]
@@ -97,15 +97,15 @@ def combinations(settings: Settings) -> list[Combination]:
 def sweep_tasks(
     variants: Sequence[Combination], scenes: Sequence[SceneSettings]
 ) -> tuple[dict[tuple[str, str], SceneTask], list[Failure]]:
-    """Return a task for each scene and combination, by both names, and what cannot be tried."""
+    """Return a task for each scene and combination, by both names, and the failures."""
     scene_tasks, failures = {}, []
     for variant in variants:
         for scene in scenes:
-            called = method_task_name(scene.name, variant.name)
+            task_name = method_task_name(scene.name, variant.name)
             try:
                 changed = variant.of(scene)
             except InputError as error:
-                failures.append(Failure(called, VIEWS, type(error).__name__, str(error)))
+                failures.append(Failure(task_name, VIEWS, type(error).__name__, str(error)))
                 continue
             scene_settings = replace(
                 evaluation(variant.settings, scene), method=variant.name, drawn=False
@@ -116,7 +116,7 @@ def sweep_tasks(
                 variant.settings.built_by,
             )
             arguments = *read, variant.settings.trust_cameras, scene_settings
-            scene_tasks[scene.name, variant.name] = SceneTask(called, answer_scene, arguments)
+            scene_tasks[scene.name, variant.name] = SceneTask(task_name, answer_scene, arguments)
     return scene_tasks, failures
 
 
@@ -159,5 +159,5 @@ def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
 
 
 def _outcome(settings: Settings) -> tuple[Any, ...]:
-    """Return what answers depend on."""
+    """Return all settings on which answers depend."""
     return settings.size, repr(settings.identity), sorted(settings.rules().items(), key=str)

@@ -1,4 +1,4 @@
-"""Train the semantic branch on the lessons of a corpus, and judge it on those it has not seen."""
+"""Training of the semantic branch on the lessons of a corpus, with held-out evaluation."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ FILES = {
     "judgements": "judgements.parquet",
     "report": "report.html",
 }
-"""What a training leaves in the output folder."""
+"""Output files of a training."""
 
 LAST = 20
-"""The loss that weights tell is the mean over so small a part of the last steps: one in this."""
+"""The loss in the metadata of weights is the mean over the last 1/LAST of the steps."""
 
 EVERY = 20
-"""Steps between checkpoints: seconds of work, of which one takes hundredths."""
+"""Steps between checkpoints: these steps take seconds, a checkpoint hundredths of a second."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parted:
-    """Lessons, tables of that spec: to learn from, and held out to judge by."""
+    """Tables of training lessons and of held-out lessons, spec ``lessons``."""
 
     learnt: pa.Table
     held_out: pa.Table
 
     def counts(self) -> dict[str, int]:
-        """Count the lessons and clips of each."""
+        """Return the numbers of lessons and clips of both."""
         return {
             f"{name} {kind}": count
             for name, table in vars(self).items()
@@ -68,7 +68,7 @@ class Parted:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """Result of a training: weights as a safetensors file, its course, and judgements.
+    """Result of a training: weights as a safetensors file, metrics, scores and report.
 
     ``outcome`` has all artifacts.
     """
@@ -82,7 +82,7 @@ class Trained:
     def write(self, out: Path, store: ArtifactStore, before: Sequence[Outcome] = ()) -> None:
         """Write the :data:`FILES` and the table of artifacts; InputError if that fails.
 
-        ``before`` is what the same command made before.
+        ``before`` are earlier outcomes of the same command.
         """
         contents = {
             "weights": self.weights,
@@ -103,8 +103,8 @@ def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]
     Raises
     ------
     InputError
-        If there are too few lessons, they are not in the store, the weights to begin from cannot
-        be used, the training fails, or something cannot be written.
+        If there are too few lessons, they are not in the store, the initial weights cannot be used,
+        the training fails, or a file cannot be written.
     """
     trained = run_session("train", config, lambda store: _train(config, store, verbose))
     return completed(f"weights: {config.out / FILES['weights']}", trained)
@@ -120,8 +120,8 @@ def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Traine
     began = None if start is None else load_branch(start).architecture.name
     if "architecture" in config.model_fields_set and began not in (None, chosen.name):
         raise InputError(
-            f"{start}: its weights are of another architecture than {config.architecture!r}; "
-            "leave out --architecture, or --from"
+            f"{start}: its weights have another architecture than {config.architecture!r}; leave "
+            "out --architecture, or --from"
         )
     common = config.codes, config.seed, start, store, verbose
     trained = train_on(lessons, config, *common, architecture=chosen)
@@ -130,12 +130,12 @@ def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Traine
 
 
 def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
-    """The table that `supervise` left; InputError if it or its lessons are not there."""
+    """Read the table of `supervise`; InputError if it or its lessons are missing."""
     try:
         data = file.read_bytes()
     except OSError as error:
         raise InputError(
-            f"{file}: cannot be read ({error.strerror}); expected what `slgaussian supervise` wrote"
+            f"{file}: cannot be read ({error.strerror}); expected a table of `slgaussian supervise`"
         ) from error
     spec = load_spec("lessons")
     table = decode_table(data, spec, str(file), "run `slgaussian supervise` again")
@@ -144,21 +144,21 @@ def read_lessons(file: Path, store: ArtifactStore) -> pa.Table:
             store.check_exists(uri)
     except SpecError as error:
         raise InputError(
-            f"{file}: its lessons are not in the store {store.root}; give the --store that "
-            "`slgaussian supervise` had"
+            f"{file}: its lessons are not in the store {store.root}; give the --store of "
+            "`slgaussian supervise`"
         ) from error
     return table
 
 
 def parted(lessons: pa.Table, share: float) -> Parted:
-    """Lessons of clips to train on, and of those that are :func:`held out <held_out>`.
+    """Split lessons into those of training clips and of :func:`held-out <held_out>` clips.
 
-    In an order that does not depend on which chunk they are in.
+    Their order does not depend on the chunks.
 
     Raises
     ------
     InputError
-        If either has none.
+        If one of them is empty.
     """
     schema = load_spec("lessons").schema
     rows = [{**row, "chunk": None} for row in lessons.sort_by("sample").to_pylist()]
@@ -170,9 +170,9 @@ def parted(lessons: pa.Table, share: float) -> Parted:
     counts = result.counts()
     if not all(counts.values()):
         raise InputError(
-            f"held_out {share:g}: found {counts['learnt clips']} clips with lessons to learn from "
-            f"and {counts['held_out clips']} to judge by, expected one of each at least; give more "
-            "clips, or another share"
+            f"held_out {share:g}: found {counts['learnt clips']} training clips and "
+            f"{counts['held_out clips']} held-out clips with lessons, expected at least one of "
+            "each; give more clips, or another fraction"
         )
     return result
 
@@ -188,11 +188,11 @@ def train_on(
     architecture: Architecture | None = None,
     rival: Path | None = None,
 ) -> Trained:
-    """Train from the weights ``start``, or seeded ones of an architecture, judge, and report.
+    """Train from the weights ``start``, or random ones of an architecture; evaluate and report.
 
-    Judged beside it, as ``before``, are the weights ``rival``, by default ``start``. What was done
-    before comes from the store; what was interrupted goes on. The weights say what they were
-    trained on and how they were judged.
+    The weights ``rival``, by default ``start``, are evaluated too, as ``before``. Stages that were
+    computed before are read from the store, and an interrupted training is resumed. The metadata of
+    the weights describe their training data and scores.
     """
     find_device(options.device)
     architecture = architecture or Architecture()
@@ -251,7 +251,7 @@ def _kept(weights: Path | None, store: ArtifactStore) -> ArtifactRef | None:
 
 
 def _metrics(course: pa.Table, judgements: pa.Table) -> dict[str, Any]:
-    """The loss of the last steps, and the IoU of each lifting by the kind of labels."""
+    """Return the mean loss of the last steps, and the IoU by kind of labels and lifting."""
     last = course["loss"].to_numpy()[-max(1, course.num_rows // LAST) :]
     means = judgements.group_by(["labels", "lifting"]).aggregate([("iou", "mean")])
     iou: dict[str, dict[str, float]] = {}
@@ -272,7 +272,7 @@ def learn_and_judge(
     manifest: Mapping[str, Any],
     checkpoints: Path,
 ) -> None:
-    """Learn, be judged on what was held out, and report: the stages of a training."""
+    """Run the stages of a training: train, evaluate on held-out lessons, report."""
     arguments = settings.codes, settings.seed
     branch = train_stage(learnt, start, settings, checkpoints)
     judgements = judge(held_out, branch, before, *arguments)
@@ -280,9 +280,9 @@ def learn_and_judge(
 
 
 class _TrainingProgress(Progress):
-    """Progress of a single scene, whose failure is raised in the end."""
+    """Progress of a single task, whose failure is raised at the end."""
 
     def say_failed(self, text: str, traceback: str) -> None:
-        """Print only what the reason leaves out."""
+        """Print only the traceback, as the reason is in the raised error."""
         if self.verbose and traceback:
             self.line(traceback)

@@ -1,1 +1,1 @@
-"""The command line: its commands, options and help, and what a command does by itself."""
+"""The command line: commands, options and help."""

@@ -1,4 +1,4 @@
-"""The command line. Heavy imports wait until a command needs them: `--help` answers at once."""
+"""The command line. Commands import large packages only when they run, so `--help` is fast."""
 
 import sys
 import warnings
@@ -16,21 +16,21 @@ from slgaussian.errors import SLGaussianError
 from slgaussian.kernels import compiling
 
 COMMANDS = {
-    "Build a field and ask it": (
+    "Build a field and query it": (
         build.demo, build.field, build.cameras, build.masks, ask.query, ask.segment, ask.words,
         objects.objects, show.render, show.view, show.export,
     ),
     "Score it": (run.run, run.benchmark, score.score, score.compare),
-    "Learn from many scenes": (
+    "Train on many scenes": (
         corpus.ingest, corpus.supervise, corpus.dataset, train.train, train.retrain, train.versions,
     ),
-    "Look after an installation": (doctor.doctor, store.inspect, store.store_app),
+    "Check files and installation": (doctor.doctor, store.inspect, store.store_app),
 }  # fmt: skip
-"""Commands and groups of them, by the heading under which they are listed."""
+"""Commands and groups of commands, by the heading in the help."""
 
 app = typer.Typer(
     cls=Group,
-    help="Two photographs in, a scene that answers words out. Try `slgaussian demo`.",
+    help="From photographs to a 3D scene that answers words. Try `slgaussian demo`.",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -55,7 +55,7 @@ def slgaussian(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show it.")
     ] = False,
 ) -> None:
-    """Take the options of the program itself."""
+    """Parse the options of the program itself."""
 
 
 def _show_warning(message: Warning | str, *where: Any, **more: Any) -> None:
@@ -63,11 +63,11 @@ def _show_warning(message: Warning | str, *where: Any, **more: Any) -> None:
 
 
 def main() -> None:
-    """Run the command line; errors meant for users end in one sentence and exit status 2."""
+    """Run the command line; errors for users are printed in one sentence, with exit status 2."""
     warnings.showwarning = _show_warning
 
     @cache
-    def waiting() -> Callable[[str], None]:  # its imports are heavy, and seldom needed
+    def waiting() -> Callable[[str], None]:  # its imports are slow, and rarely needed
         from flows.runners.progress import Waiting
 
         return Waiting(sys.stderr)

@@ -1,4 +1,4 @@
-"""The commands `slgaussian query | segment | words`. Heavy imports wait until one is given."""
+"""The commands `slgaussian query | segment | words`, with lazy imports."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from slgaussian.language.query import QueryResult
 
 BEST = 3
-"""Objects of an answer that are printed."""
+"""Number of printed objects of an answer."""
 
 NOTHING = "no text fits"
-"""Label of pixels that fit no text better than the canonical phrases."""
+"""Name of the label of pixels that fit canonical phrases better than any text."""
 
 
 @options.configured("preset", "threshold")
@@ -32,7 +32,7 @@ def query(
     ctx: typer.Context,
     field: options.Folder,
     texts: options.Texts = None,
-    like: Annotated[list[Path] | None, typer.Option(help="Look for what a picture shows.")] = None,
+    like: Annotated[list[Path] | None, typer.Option(help="Find what a picture shows.")] = None,
     view: options.Views = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
@@ -40,12 +40,12 @@ def query(
     out: options.Picture = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Ask a field where something is, in words or by a picture.
+    """Find objects in a field, by a text or a picture.
 
-    Takes the objects that fit the text about as well as the best one does, and none if no object
-    fits better than canonical phrases ("object", "things" ...). With --threshold, takes all above.
-    Says how likely that is right. The exit status is 0 if each text is found in a view, 3 if one is
-    in none (not sure, not here, or cannot tell), 1 if one is refused.
+    Returns the objects that fit the text about as well as the best one, and none if all objects fit
+    canonical phrases ("object", "things" ...) better. With --threshold, returns all objects above
+    it. Prints the probability that the answer is right. The exit status is 0 if each text is found
+    in a view, 3 if one is not (not sure, not here, or cannot tell), 1 if one is refused.
 
     \b
     slgaussian query field/ "red basket" -o hit.png
@@ -57,7 +57,7 @@ def query(
 
     texts = texts or []
     if not texts and not like:
-        raise InputError("nothing is asked: give a TEXT, or a picture with --like")
+        raise InputError("nothing to look for: give a TEXT, or a picture with --like")
     if out is not None:
         check_picture(out)
     rules, opened = open_field(
@@ -96,16 +96,16 @@ def query(
 
 
 def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str, Any]:
-    """Return what ``--json`` prints of a text in a view, beside the view and the picture.
+    """Return the JSON output of a text in a view, without the names of view and picture.
 
     ``text``, whether it is ``found``, ``verdict`` (``found``, ``not sure``, ``not here``,
-    ``cannot tell``; None if refused), ``summary`` of both in a line, ``confidence`` (``mask``,
-    ``point``) or None, for what that is ``uncalibrated`` or None, ``score``, ``point`` [x, y] and
-    ``pixels`` of the mask, None and 0 unless it is found or not sure, ``objects`` (``id``,
-    ``relevancy``), of what is not here those most like it, what the text is ``read_as``,
-    ``unknown`` words, ``unused`` ones (word: reason), who answered (``kind``: ``known``, ``named``,
-    ``taught``, ``unknown``, ``picture``) by how many ``examples``, what a name or a taught word
-    would mean otherwise (``instead_of``), and why it was ``refused`` or None.
+    ``cannot tell``; None if refused), a one-line ``summary``, ``confidence`` (``mask``, ``point``)
+    or None, the ``uncalibrated`` component or None, ``score``, ``point`` [x, y] and ``pixels`` of
+    the mask (None and 0 unless found or not sure), ``objects`` (``id``, ``relevancy``; the most
+    similar ones if not here), the interpretation ``read_as``, ``unknown`` words, ``unused`` words
+    (word: reason), the source of the meaning (``kind``: ``known``, ``named``, ``taught``,
+    ``unknown``, ``picture``), the number of taught ``examples``, the encoder's meaning of a name or
+    taught word (``instead_of``), and the reason if ``refused``, else None.
     """
     answer: dict[str, Any] = {
         "text": text,
@@ -148,7 +148,7 @@ def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str
 
 
 def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
-    """Return an answer for people: a sentence, the best objects, and words that do not count."""
+    """Format an answer as text: a sentence, the best objects, and unused words."""
     if answer["refused"]:
         return f"{answer['text']!r} is {answer['summary']}"
     lines = [f"{answer['text']!r} in {answer['view']}"] if with_title else []
@@ -169,9 +169,9 @@ def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
 
 
 def _describe_words(answer: Mapping[str, Any]) -> Sequence[str]:
-    """Return which words of a text count for its answer, if not all do."""
+    """Describe the meaning of a text: its source, and unknown and unused words."""
     if answer["kind"] == "picture":
-        return ["asked by picture"]
+        return ["queried by a picture"]
     if answer["kind"] in ("named", "taught"):
         count, encoder_words = answer["examples"], answer["instead_of"]
         lines = [f"a taught word: {count} example{'' if count == 1 else 's'}"]
@@ -190,7 +190,7 @@ def _describe_words(answer: Mapping[str, Any]) -> Sequence[str]:
 
 
 def _read_crop(file: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read a photograph, upright, uint8 [H, W, 3]; where it is opaque, bool [H, W], if not all."""
+    """Read an upright photograph, uint8 [H, W, 3], and its opaque pixels, bool [H, W], or None."""
     import numpy as np
     from PIL import ImageOps
 
@@ -227,7 +227,7 @@ def _hit_picture(name: str, view: FieldView, hit: QueryResult) -> np.ndarray:
 def segment(
     ctx: typer.Context,
     field: options.Folder,
-    texts: Annotated[list[str], typer.Argument(metavar="TEXT", help="What to look for.")],
+    texts: Annotated[list[str], typer.Argument(metavar="TEXT", help="Texts to look for.")],
     view: options.View = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
@@ -235,12 +235,13 @@ def segment(
     out: options.Picture = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Give each object in view the text that fits it best.
+    """Label each object in a view with the text that fits it best.
 
-    What fits no text better than canonical phrases ("object", "things" ...) gets none; --threshold
-    moves that bound from 0.5. Prints a row a text: label, share of the pixels, mean relevancy, what
-    a query for it alone says, and objects. The exit status is 1 if a text is refused. Beside -o
-    labels.png, labels.ids.png is written: a PNG with 16 bits, 1 for the first text and 0 for none.
+    Objects that fit canonical phrases ("object", "things" ...) better than any text get none;
+    --threshold moves that bound from 0.5. Prints one row per text: label, fraction of the pixels,
+    mean relevancy, verdict of a query for it alone, and objects. The exit status is 1 if a text is
+    refused. With -o labels.png, also writes labels.ids.png: a 16-bit PNG, 1 for the first text, 0
+    for none.
 
     \b
     slgaussian segment field/ wall floor "red sofa" -o labels.png
@@ -262,7 +263,7 @@ def segment(
     ((name, shot),) = chosen.items()
     rendered = opening.render_view(field, opened, shot)
     hits = rendered.query_all(accepted, **rules)
-    # A text has the label of its place among all texts, from 1.
+    # The label of a text is its position among all texts, from 1.
     numbers = [texts.index(text) + 1 for text in accepted]
     labels = np.array([0, *numbers], np.int32)[rendered.segment(accepted, **rules)]
     best = np.stack([hit.relevancy for hit in hits]).max(0)
@@ -323,10 +324,10 @@ def _labels_picture(
 def words(
     texts: Annotated[list[str] | None, typer.Argument(metavar="[WORD]...")] = None,
 ) -> None:
-    """List the words that the encoder lexicon knows, synonyms in brackets, or say how some are.
+    """List the words that the encoder lexicon knows, or explain some words.
 
-    A word is known by its look, by the classifier, by both or not at all. The exit status is 0 if
-    all are known, 3 if one is not.
+    Synonyms are in brackets. A word is known by measurements, by the classifier, by both or not at
+    all. The exit status is 0 if all words are known, 3 if one is not.
 
     \b
     slgaussian words

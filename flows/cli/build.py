@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from slgaussian.field import SemanticField
 
 MASKS = "masks.json"
-"""File of a folder of masks with what made them."""
+"""File in a folder of masks with their settings."""
 LOOK = "look.jpg"
-"""A picture for people. Not a PNG, so that no view is called like it."""
+"""Picture of the masks for viewing; a JPEG, as view names end in .png."""
 
 
 @options.configured("preset", "encoder", "seed", *options.ENGINE)
@@ -34,11 +34,11 @@ def demo(
     out: options.Out = Path("slg-demo"),
     verbose: options.Verbose = False,
 ) -> None:
-    """Try everything on scenes that come with the installation.
+    """Run and score the whole pipeline on example scenes.
 
-    A stereo pair with true depth, and three made-up rooms in which everything is known. It takes
-    one or two minutes, leaves a report and a field of every scene, and ends with a command that
-    asks the real one. Run it again, and what is unchanged comes from the store.
+    The scenes are a stereo pair with true depth, and three procedural rooms with full ground truth.
+    Takes one or two minutes, writes a report and a field of every scene, and prints a command that
+    queries the stereo pair. Running it again reads all unchanged results from the store.
 
     \b
     slgaussian demo
@@ -58,21 +58,21 @@ def field(
     cameras: options.Cameras = None,
     refine: options.Refine = False,
     keyframes: Annotated[
-        int | None, typer.Option(metavar="N", min=2, help="Use the N sharpest of a walk, evenly.")
+        int | None, typer.Option(metavar="N", min=2, help="Use N sharp photographs of a sequence.")
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field.")] = Path("field"),
     strict: Annotated[
-        bool, typer.Option("--strict", help="End with status 4 if the scene is poor.")
+        bool, typer.Option("--strict", help="Exit with status 4 if the scene is poor.")
     ] = False,
     verbose: Annotated[
-        bool, typer.Option("--verbose", "-v", help="Print all warnings, and what it is made of.")
+        bool, typer.Option("--verbose", "-v", help="Print all warnings, and statistics.")
     ] = False,
 ) -> None:
     """Build a field from two or more photographs.
 
-    A field is a folder with the scene as Gaussians and what words need to find its objects.
-    `query`, `segment`, `render` and `export` open it. Cameras that are found are in no metres: the
-    first two are 1 apart.
+    A field is a folder with the Gaussians of the scene and a memory bank, by which texts find its
+    objects. `query`, `segment`, `render` and `export` open it. Estimated cameras have no metric
+    scale: the distance of the first two is 1.
 
     \b
     slgaussian field a.jpg b.jpg -o field/
@@ -123,10 +123,10 @@ def field(
 
 
 def choose_word(field: SemanticField) -> str | None:
-    """Choose the common thing that a query finds most surely in the first view; None if none is."""
+    """Choose the common object with the most confident query in the first view; None if none."""
     from slgaussian.objects import COMMON_OBJECTS
 
-    if field.settings["encoder"] != "lexicon":  # nobody measured how sure others are
+    if field.settings["encoder"] != "lexicon":  # other encoders have no calibrated confidence
         return None
     view = field.render(next(iter(field.cameras.values())))
     sure = {
@@ -140,15 +140,15 @@ def choose_word(field: SemanticField) -> str | None:
 def cameras(
     photos: options.Photos,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="transforms.json, in nerfstudio's form.")
+        Path | None, typer.Option("--out", "-o", help="transforms.json, in nerfstudio's format.")
     ] = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Find the cameras of photographs.
+    """Estimate the cameras of photographs.
 
-    Prints a row for each pair: matches, those that its pose explains, degrees between the lines of
-    sight, by how many degrees the pose may be off, and a verdict. The world is the first camera's;
-    the first two are 1 apart. A transforms.json says all this too, and `--cameras` reads it.
+    Prints a row for each pair: matches, inliers of its pose, parallax angle and uncertainty of the
+    pose in degrees, and a verdict. The world is that of the first camera; the distance of the first
+    two is 1. A transforms.json contains all this too, and `--cameras` reads it.
 
     \b
     slgaussian cameras a.jpg b.jpg -o transforms.json
@@ -166,8 +166,8 @@ def cameras(
             raise InputError(message) from None
         if not ours:
             raise InputError(
-                f"{out}: is there already, and not written by `slgaussian cameras`; choose another "
-                "place, or remove it"
+                f"{out}: exists and was not written by `slgaussian cameras`; choose another file, "
+                "or remove it"
             )
     files = unposed.named(photos)
     estimate = unposed.find(files)
@@ -177,8 +177,8 @@ def cameras(
         if turned:
             rest = f" and {len(turned) - 1} more" if turned[1:] else ""
             typer.echo(
-                f"warning: {turned[0]}{rest} are stored turned, and the cameras are those of "
-                "upright photographs: for programs that do not turn them, save upright copies",
+                f"warning: {turned[0]}{rest} are stored rotated, and the cameras are those of "
+                "upright photographs: save upright copies for programs that do not rotate them",
                 err=True,
             )
     print_warnings(estimate.warnings, verbose=True)
@@ -189,7 +189,7 @@ def cameras(
 
 
 def _pairs_text(estimate: EstimatedCameras) -> str:
-    """Tabulate the pairs of photographs: matches, those that agree, angles and a verdict."""
+    """Tabulate the pairs of photographs: matches, inliers, angles and verdict."""
     from flows.cli.tables import table_text
 
     place = {name: number for number, name in enumerate([*estimate.cameras, *estimate.left_out])}
@@ -210,10 +210,10 @@ def masks(
     refine: options.Refine = False,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
 ) -> None:
-    """Label the objects of photographs, alike in all views.
+    """Label the objects of photographs consistently in all views.
 
-    Writes a map of each view, a grey PNG with 16 bits whose pixels are ids, 0 for none; and
-    look.jpg, to look at. The tracker precomputed reads the maps: change them, and build a field.
+    Writes a label map of each view, a 16-bit grey PNG of object ids, 0 for none, and look.jpg for
+    viewing. The tracker precomputed reads the maps, which you may edit before building a field.
 
     \b
     slgaussian masks a.jpg b.jpg -o ids/

@@ -1,4 +1,4 @@
-"""The commands `slgaussian ingest | supervise | dataset`. Heavy imports wait until one is given."""
+"""The commands `slgaussian ingest | supervise | dataset`, with lazy imports."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from flows.read_config import checked, make_settings
 from slgaussian.errors import InputError
 
 SET_FIELDS = ("size", "targets", "min_confirmed", "held_out")
-"""Fields of a training set that `slgaussian dataset` has options of."""
+"""Fields of a training set that are options of `slgaussian dataset`."""
 
 
 class IngestSettings(PackSettings, Withdrawal, PairSettings, Engine):
-    """Sources, which samples are taken of them, and where they go."""
+    """Sources, choice of samples, and output folder."""
 
     sources: list[str] = Field(min_length=1)
     most: int = CorpusSettings.model_fields["most"]  # type: ignore[assignment]
@@ -46,13 +46,13 @@ def ingest(
     out: options.Out,
     verbose: options.Verbose = False,
 ) -> None:
-    """Choose samples to learn from in a corpus of chunks.
+    """Choose training samples in a corpus of chunks.
 
-    Leaves views.parquet (camera, blur, exposure and distance of each view), pairs.parquet (two
-    context and three target views each) and failures.parquet (what could not be used, and why).
-    Reads new chunks alone. Sources that are no chunks are first added to OUT/chunks, in the format
-    of RealEstate10K, each scene as a clip with the name of its folder. The exit status is 1 if
-    something was left out.
+    Writes views.parquet (camera, blur, exposure and distance of each view), pairs.parquet (two
+    context and three target views each) and failures.parquet (what was left out, and why). Reads
+    only new chunks. Other sources are first added to OUT/chunks in the format of RealEstate10K,
+    each scene as a clip with the name of its folder. The exit status is 1 if something was left
+    out.
 
     \b
     slgaussian ingest chunks/train -o corpus
@@ -79,10 +79,10 @@ def ingest(
             raise typer.Exit(1)
     elif sources[1:]:
         raise InputError(
-            f"ingest: found {len(sources)} sources, chunks among them; give one folder or URL of "
-            "chunks alone, or sources that are no chunks"
+            f"ingest: found {len(sources)} sources with chunks among them; give one folder or URL "
+            "of chunks, or only sources that are not chunks"
         )
-    # The size of an ingest is that of made-up rooms, not of samples.
+    # ``--size`` of ingest applies to procedural rooms only.
     fields = CorpusSettings.model_fields.keys() & settings.model_fields_set - {"size"}
     values = {name: getattr(settings, name) for name in fields} | {"chunks": chunks}
     _prepare("ingest", make_settings(values, "ingest", CorpusSettings), verbose)
@@ -99,8 +99,8 @@ def supervise(
 ) -> None:
     """Label the samples of a corpus: lessons for `train`.
 
-    Predicts Gaussians and object masks for all views. Leaves what `ingest` leaves, and
-    lessons.parquet. Other masks do not predict Gaussians again.
+    Predicts Gaussians and object masks for all views. Writes the tables of `ingest` and
+    lessons.parquet. Changing the masks reuses cached Gaussians.
 
     \b
     slgaussian supervise chunks/train -o corpus
@@ -114,7 +114,7 @@ def _prepare(command: str, settings: CorpusSettings, verbose: bool) -> None:
     """Prepare a corpus, and print its tables and what was left out; exit with 1 if anything was."""
     if "://" not in settings.chunks and not Path(settings.chunks).is_dir():
         raise InputError(
-            f"{command}: {settings.chunks}: is no folder; expected one of chunks, or its fsspec URL"
+            f"{command}: {settings.chunks}: is no folder; expected a folder or fsspec URL of chunks"
         )
     prepared = run_flow(command, settings, verbose)
     from flows.corpus import FILES
@@ -140,9 +140,9 @@ def dataset(
 ) -> None:
     """Make a training set for any network, as tar shards.
 
-    Images, cameras, depth, labels and language features for `torch.utils.data`, `webdataset` and
-    `datasets`; an index of quality; and a data card. The same again, or with more sources, does
-    only what is new. No place is in two splits.
+    Writes images, cameras, depth, labels and language features for `torch.utils.data`, `webdataset`
+    and `datasets`; an index with measures of quality; and a data card. Running it again, also with
+    more sources, computes only new samples. All clips of a place are in one split.
 
     \b
     slgaussian dataset set chunks/train kitchen office=walk office=office_two

@@ -1,4 +1,4 @@
-"""The command `slgaussian doctor`: checks that try the real thing, and none stops another."""
+"""The command `slgaussian doctor`: independent checks of the installation, store and models."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import PACKAGE, requirements
 
 SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
-"""Packages whose versions are shown even if all is well."""
+"""Packages whose versions are always shown."""
 ROOM = 2**30
-"""Bytes that the disk of the store should have left, of which a scene takes some 30 MB."""
+"""Bytes that should be free on the disk of the store; a scene takes some 30 MB."""
 
 
 @options.configured("store", "runner", *options.COMPONENTS, "encoder")
@@ -37,12 +37,12 @@ def doctor(
     components: Annotated[bool, typer.Option("--components", help="List all components.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema.")] = False,
 ) -> None:
-    """Check what a run needs, and say what to do about it.
+    """Check the requirements of a run, and give advice.
 
-    Looks at packages, threads, the store, the Prefect server and the files and models that options
-    name, and says of each: ok, or BAD with what to do. A model is known by its digest where the hub
-    has one, and otherwise loaded and tried. Nothing is downloaded. The exit status is 1 if anything
-    is BAD. Or lists the components with their fields, or the schema of a configuration file.
+    Checks packages, threads, the store, the Prefect server and the files and models of options, and
+    prints for each ok, or BAD with advice. A model is checked by its digest on the hub, if it has
+    one, else by loading and testing it. Nothing is downloaded. The exit status is 1 if anything is
+    BAD. --components and --schema print components or the schema of configuration files instead.
 
     \b
     slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
@@ -84,7 +84,7 @@ def _passes(name: str, check: Callable[..., str], *arguments: Any) -> bool:
         message, passes = check(*arguments), True
     except SLGaussianError as error:
         message = str(error).removeprefix(f"{name} ").removeprefix(f"{name}: ")
-    except Exception as error:  # whatever it is, the other checks go on
+    except Exception as error:  # the other checks continue after any error
         reason = one_line(f"{type(error).__name__}: {error}")
         message = f"cannot be checked ({reason}); install it as the README says"
     if message:
@@ -93,24 +93,24 @@ def _passes(name: str, check: Callable[..., str], *arguments: Any) -> bool:
 
 
 def _packages() -> str:
-    """Compare the packages that are always needed with the bounds of pyproject.toml."""
+    """Compare the installed packages with the requirements in pyproject.toml."""
     needed = requirements()
     installed = packages_distributions()
     modules: dict[str, str] = {
         canonicalize_name(name): module for module in installed for name in installed[module]
     }
-    modules.update(zip(installed, installed, strict=True))  # torch is not only torchgen
+    modules.update(zip(installed, installed, strict=True))  # torch also provides torchgen
     problems = {str(needs): problem for needs in needed if (problem := _problem(needs, modules))}
     if problems:
         install = " ".join(f"'{needs}'" for needs in problems)
         raise InputError(f"{'; '.join(problems.values())}; run `pip install {install}`")
-    return f"{len(needed)} as they must be: {', '.join(f'{n} {version(n)}' for n in SHOWN)}"
+    return f"{len(needed)} as required: {', '.join(f'{n} {version(n)}' for n in SHOWN)}"
 
 
 def _problem(needs: Requirement, modules: Mapping[str, str]) -> str | None:
-    """Return the problem of a package, if any: not there, too old, or broken.
+    """Return the problem of a package, if any: missing, wrong version, or broken.
 
-    ``modules`` holds the name under which each installed package is imported.
+    ``modules`` has the import name of each installed package.
     """
     try:
         installed = version(needs.name)
@@ -126,7 +126,7 @@ def _problem(needs: Requirement, modules: Mapping[str, str]) -> str | None:
 
 
 def _store(place: str, opened: list[Any]) -> str:
-    """Write to the store and remove the folders that this makes; put the store into ``opened``."""
+    """Write to the store and remove folders created by that; add the store to ``opened``."""
     from slgaussian.storage.store import ArtifactStore
 
     store = ArtifactStore(place)
@@ -137,7 +137,7 @@ def _store(place: str, opened: list[Any]) -> str:
         free = shutil.disk_usage(path).free if store.local else ROOM
     finally:
         for folder in missing:
-            with suppress(OSError):  # it was not made
+            with suppress(OSError):  # it was not created
                 folder.rmdir()
     opened.append(store)
     if free < ROOM:
@@ -147,7 +147,7 @@ def _store(place: str, opened: list[Any]) -> str:
 
 
 def _server(store: Any = None) -> str:
-    """Ask the server of ``PREFECT_API_URL``, or start and stop one of our own."""
+    """Ask the server of ``PREFECT_API_URL``, or start and stop a local one."""
     import urllib.request
 
     from flows.runners.environment import home_of, orchestration
@@ -163,7 +163,7 @@ def _server(store: Any = None) -> str:
                 f"PREFECT_API_URL {redacted(url)}: no Prefect server answers there ({error}); "
                 "start it with `prefect server start`, correct the variable, or unset it"
             ) from error
-    # In a store that has no database yet, the server would leave one.
+    # The server would create a database in a store that has none.
     begun = store is not None and store.local and home_of(store).exists()
     with (
         tempfile.TemporaryDirectory() as temporary,

@@ -1,4 +1,4 @@
-"""Groups of commands whose help is one screen, and usage errors in one sentence."""
+"""Help of command groups on one screen, and usage errors in one sentence."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ class Group(TyperGroup):
     """A group that lists its commands under their headings."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Show the help where no command is given."""
+        """Show the help if no command is given."""
         if not args and not ctx.resilient_parsing:
             typer.echo(ctx.get_help(), err=True)
             ctx.exit(2)
         return super().parse_args(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the first sentence of each command, whole."""
+        """Write the complete first sentence of each command."""
         width = max(map(len, self.commands))
         formatter.write_paragraph()
         rows: dict[str, list[tuple[str, str]]] = {}
-        all_commands: Any = self.commands.values()  # Typer's have a heading, click's have not
+        all_commands: Any = self.commands.values()  # only Typer's commands have a heading
         for command in all_commands:
             row = command.name.ljust(width), command.get_short_help_str(1000)
             rows.setdefault(command.rich_help_panel or "Commands", []).append(row)
@@ -38,12 +38,12 @@ class Group(TyperGroup):
 
 
 def usage_sentence(error: TyperException) -> str:
-    """Return a usage error as one sentence, with the command whose help says more."""
+    """Return a usage error as one sentence that refers to the help of the command."""
     sentence = error.format_message().removesuffix(".")
     context: Any = getattr(error, "ctx", None)
     if hasattr(error, "possibilities"):
         names = [name for param in context.command.get_params(context) for name in param.opts]
-        option = error.option_name  # type: ignore[attr-defined]  # what has possibilities has it
+        option = error.option_name  # type: ignore[attr-defined]  # errors with possibilities do
         sentence = f"no such option {option}{did_you_mean(option, names)}"
         field = option.removeprefix("--").replace("-", "_")
         model = getattr(context.command.callback, "settings_model", None)

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from slgaussian.objects import SceneObject
 
 LARGEST = 20
-"""Objects that are listed, those of most Gaussians."""
+"""Number of listed objects, those with most Gaussians."""
 
 SURE_VIEWS = 4
-"""Context views, at most, in which words are asked for."""
+"""Largest number of context views in which words are queried."""
 
 UNITS = {
     True: "Sizes are in metres.",
-    False: "Sizes are in scene units, which are not metres: the cameras were found.",
+    False: "Sizes are in scene units, which are not metres: the cameras were estimated.",
     None: "Sizes are in scene units, those of the given cameras.",
 }
 
@@ -49,17 +49,17 @@ def list_(
     words: options.Words = None,
     out: options.Picture = None,
     show_all: Annotated[
-        bool, typer.Option("--all", help="List them all, not the largest.")
+        bool, typer.Option("--all", help="List all objects, not only the largest.")
     ] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the twenty largest objects of a field: words, size, place and views.
+    """List the twenty largest objects of a field: words, size and views.
 
-    Each has the words, of all that the field knows or of the texts given, with which a query finds
-    it, or in brackets the one that fits it best; how clearly its pixels are its own (from 0 to 1);
-    the size of the upright box around it, longer side, shorter side and height; and the views that
-    hold it. --json has all objects, with the words that fit best, centres and axes. The exit status
-    is 1 if a text is refused.
+    For each object, prints the words, of all known words or of the given texts, with which a query
+    finds it, or in brackets the best word; the confidence of its segmentation (0 to 1); the size of
+    its upright bounding box (longer side, shorter side, height); and the views that show it. --json
+    has all objects, with the best words, centres and axes. The exit status is 1 if a text is
+    refused.
 
     \b
     slgaussian objects list field/
@@ -99,18 +99,17 @@ def list_(
 @objects.command()
 def teach(
     field: options.Folder,
-    word: Annotated[str, typer.Argument(metavar="WORD", help='What you call it, as "fox".')],
+    word: Annotated[str, typer.Argument(metavar="WORD", help='The word, such as "fox".')],
     at: Annotated[
-        tuple[int, int] | None, typer.Option(metavar="X Y", help="Column and row of its pixel.")
+        tuple[int, int] | None, typer.Option(metavar="X Y", help="Column and row of a pixel of it.")
     ] = None,
     view: options.View = None,
     forget: Annotated[bool, typer.Option("--forget", help="Forget the word.")] = False,
 ) -> None:
-    """Teach a field a word of your own by pointing at a thing.
+    """Teach a field a new word by pointing at an object.
 
-    The word is kept in the field, and asked like any other. Point again, at other things or in
-    other views, for more examples. Other fields of the same place take the words with
-    --words field/words.npz.
+    The word is stored in the field, and queried like any other. Point at more objects or in other
+    views to add examples. Other fields use the words with --words field/words.npz.
 
     \b
     slgaussian objects teach field/ fox --at 312 140
@@ -121,7 +120,7 @@ def teach(
     from slgaussian.field import SemanticField
 
     if forget == (at is not None):
-        raise InputError("say either where it is, with --at X Y, or --forget")
+        raise InputError("give either the position of an example, --at X Y, or --forget")
     opened = SemanticField.load(field)
     if at is None:
         opened.forget(word).save_edits(field)
@@ -149,10 +148,12 @@ def teach(
 @objects.command()
 def name(
     field: options.Folder,
-    id_: Annotated[int, typer.Argument(metavar="ID", help="The object, as `objects list` has it.")],
-    name: Annotated[str | None, typer.Argument(help="Its name; left out, it has none.")] = None,
+    id_: Annotated[int, typer.Argument(metavar="ID", help="Id of the object, see `objects list`.")],
+    name: Annotated[
+        str | None, typer.Argument(help="Its name; without one, it is removed.")
+    ] = None,
 ) -> None:
-    """Give an object a name that can be asked, or take it away.
+    """Give an object a name for queries, or remove its name.
 
     \b
     slgaussian objects name field/ 17 "my chair"
@@ -175,11 +176,11 @@ def remove(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field without it.")],
     words: options.Words = None,
 ) -> None:
-    """Write a field again without some of its things.
+    """Write a copy of a field without some of its objects.
 
-    What was behind is shown where another view saw it. Where none did, nothing is painted: pictures
-    have grey stripes there. The exit status is 3 if nothing is found for any text; what is found of
-    the others is removed.
+    Surfaces behind a removed object are visible if another view shows them, else renderings have
+    grey stripes there. The exit status is 3 if one text finds nothing; the objects of the other
+    texts are removed.
 
     \b
     slgaussian objects remove field/ "red chair" -o without/
@@ -192,8 +193,7 @@ def remove(
 
     if out.resolve() == field.resolve():
         raise InputError(
-            f"{out}: is the field itself, and what is removed does not come back; choose another "
-            "folder"
+            f"{out}: is the field itself, and removal cannot be undone; choose another folder"
         )
     check_target(out)
     rules, opened = open_field(field, options.settings_from(ctx, Method), words)
@@ -220,10 +220,10 @@ def extract(
     out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
     words: options.Words = None,
 ) -> None:
-    """Take a thing out of a field, alone.
+    """Write the objects of a query alone, as a field or .ply file.
 
-    A text takes the objects that a query would take, in whatever view. The exit status is 3 if the
-    scene as a whole does not hold it, by the verdict of `query`; then nothing is written.
+    A text selects objects as `query` does, but in the whole scene instead of a view. The exit
+    status is 3 if the verdict is "not here" or "cannot tell"; then nothing is written.
 
     \b
     slgaussian objects extract field/ "red chair" -o chair.ply
@@ -250,9 +250,9 @@ def extract(
 
 
 def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> Hits:
-    """Return the objects that a text means: that of this id, those of this name, or those it fits.
+    """Return the objects of a text, which is an id, a name or a query.
 
-    None where the scene as a whole answers the text with "not here" or "cannot tell".
+    None if the verdict in the whole scene is "not here" or "cannot tell".
     """
     import numpy as np
 
@@ -264,7 +264,7 @@ def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> H
     if text.strip().isdecimal():
         if int(text) not in present:
             raise InputError(
-                f"{text!r}: is no object of the field; `slgaussian objects list` has them"
+                f"{text!r}: is no object of the field; `slgaussian objects list` lists them"
             )
         return ((int(text), 1.0),)
     labels = field.labels()
@@ -279,11 +279,11 @@ def _listed(hits: Hits) -> str:
 
 
 def _row(thing: SceneObject) -> dict[str, Any]:
-    """Return what ``--json`` prints of an object.
+    """Return the JSON output of an object.
 
-    ``words`` are best first, with their ``relevancies``. ``centre`` [3], ``axes`` [9] (longer side,
+    ``words`` are sorted by ``relevancies``, best first. ``centre`` [3], ``axes`` [9] (longer side,
     shorter side and up) and ``half_sizes`` [3] of its box are in scene units, None without
-    Gaussians. ``metres`` as :class:`slgaussian.objects.SceneObject` has it.
+    Gaussians. ``metres`` as in :class:`slgaussian.objects.SceneObject`.
     """
     box = thing.box
     return {
@@ -304,7 +304,7 @@ def _row(thing: SceneObject) -> dict[str, Any]:
 def _sure_words(
     field: SemanticField, texts: Sequence[str], rules: Mapping[str, Any]
 ) -> dict[int, list[str]]:
-    """Return the words with which a query in a context view finds each object, surest first."""
+    """Return the words whose query finds each object in a context view, most confident first."""
     from slgaussian.objects import words_for
 
     candidate_texts = list(dict.fromkeys([*field.taught, *(texts or words_for(field.encoder))]))
@@ -337,15 +337,15 @@ def _picture(
     things: Sequence[SceneObject],
     sure: Mapping[int, Sequence[str]],
 ) -> np.ndarray:
-    """Draw how each object looks in the view that shows most of it."""
+    """Draw each object in the view that shows most of it."""
     import numpy as np
 
     from slgaussian.benchmark import pictures
 
     if field.bank.boxes is None:
         raise InputError(
-            f"{folder}: its memory bank does not know where the objects are, so they cannot be "
-            "drawn; leave out the picture, or build the field again"
+            f"{folder}: its memory bank has no bounding boxes, so objects cannot be drawn; leave "
+            "out the picture, or build the field again"
         )
     views = [field.render(camera) for camera in field.cameras.values()]
     rows = np.searchsorted(field.bank.ids, [thing.id for thing in things])

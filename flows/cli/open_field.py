@@ -1,4 +1,4 @@
-"""Open a field to ask it, choose cameras to look at it from, and render it."""
+"""Opening of a field for queries, choice of cameras, and rendering."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from slgaussian.storage.field_folder import read_about
 from slgaussian.storage.local_copies import cached_arrays
 
 RENDERED = ("rgb", "ids", "confidence", "alpha", "depth")
-"""Arrays of a view that the user's cache holds."""
+"""Arrays of a rendered view that are cached for the user."""
 
 
 def open_field(
     folder: Path, settings: Mapping[str, Any], words: Path | None = None, rules: bool = True
 ) -> tuple[dict[str, Any], SemanticField]:
-    """Return the rules among ``settings``, and the field with its encoder ready to be asked.
+    """Return the rules in ``settings``, and the field with its encoder loaded.
 
     Settings are fields of :class:`slgaussian.language.rules.Rules` unless ``rules`` is false,
-    ``preset``, of which the rules count, and by the name of the field's encoder a table of where
-    its files are now. ``words`` is a file of taught words that the field takes for this.
+    ``preset``, of which only the rules are used, and under the name of the field's encoder the
+    current locations of its files. ``words`` is a file of taught words to use with the field.
 
     Raises
     ------
     InputError
-        If a setting is unknown, does not fit or has no effect, or the folder, the encoder's files
-        or the words cannot be read.
+        If a setting is unknown, invalid or without effect, or the folder, the encoder's files or
+        the words cannot be read.
     """
     values = dict(settings)
     preset = preset_values(values.pop("preset"), "query") if "preset" in values else {}
@@ -53,11 +53,11 @@ def open_field(
     fixed |= {f"{encoder}.{k}" for k in places if k not in TABLES[table_of(encoder)].files()}
     for name in sorted(fixed):
         raise InputError(
-            f"{folder}: {name} is given, but the field is built, and its encoder is {encoder!r}: "
-            f"only {'rules of queries and ' * rules}files of this encoder can be given"
+            f"{folder}: {name} cannot be changed after the field was built with encoder "
+            f"{encoder!r}: only {'rules of queries and ' * rules}files of this encoder can be given"
         )
     field = replace(field, places={**field.places, **places})
-    field.encoder  # noqa: B018  (an encoder that is missing is an error before anything is drawn)
+    field.encoder  # noqa: B018  (loads it, so that a missing encoder fails before rendering)
     if words is not None:
         field = field.taking(TaughtWords.load(words, encoder_identity(field.settings)))
     return chosen, field
@@ -66,10 +66,10 @@ def open_field(
 def sort_texts(
     field: SemanticField, texts: Sequence[str], untold: bool = True
 ) -> tuple[list[str], dict[str, str]]:
-    """Return the texts that can be asked, each once, and the reason of each that cannot.
+    """Return the distinct texts that can be queried, and the reasons for the others.
 
-    Those of which nothing can be told are among the first if ``untold``. InputError if there are
-    texts and none can be asked.
+    Texts with verdict "cannot tell" are accepted if ``untold``. InputError if all texts are
+    refused.
     """
     refused = {}
     for text in dict.fromkeys(texts):
@@ -86,7 +86,7 @@ def sort_texts(
 
 
 def refusals(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a line for each row of a text that was refused."""
+    """Return a message for each row of a refused text."""
     return [f"{row['text']!r} is refused: {row['refused']}" for row in rows if row.get("refused")]
 
 
@@ -97,15 +97,15 @@ def choose_cameras(
     file: Path | None = None,
     between: tuple[str, str, float] | None = None,
 ) -> dict[str, Camera]:
-    """Return the cameras that options name, by the names of their views.
+    """Return the cameras selected by options, by view name.
 
-    Views are those of ``file`` in place of those of the field ``source``, if a file is given: by
-    name or number from 0, the first one if none is named; or a camera ``between`` two of them.
+    Views are given by name or number from 0, default the first one, or as a camera ``between`` two
+    views. They are views of the field ``source``, or of ``file`` if given.
 
     Raises
     ------
     InputError
-        If there is no such view, or views are given beside ``between``.
+        If a view does not exist, or both ``views`` and ``between`` are given.
     """
     if file is not None:
         from slgaussian.datasets.recognise import cameras_in
@@ -116,7 +116,7 @@ def choose_cameras(
         names = [_find_view(scene, view) for view in views or ["0"]]
         return {name: cameras[name] for name in names}
     if views:
-        raise InputError("--view and --between: are two ways to look; give one of them")
+        raise InputError("--view and --between: both choose a camera; give one of them")
     from slgaussian.cameras import paths
 
     a, b = (_find_view(scene, view) for view in between[:2])
@@ -126,7 +126,7 @@ def choose_cameras(
 
 
 def _find_view(scene: Scene, view: str) -> str:
-    """Return the name of the view called ``view``, or of that number; InputError if none is."""
+    """Return the name of a view given by name or number; InputError if there is none."""
     names = list(scene.cameras)
     if view.isdecimal() and str(int(view)) == view and int(view) < len(names):
         return names[int(view)]
@@ -134,14 +134,14 @@ def _find_view(scene: Scene, view: str) -> str:
 
 
 def _refuse_to_read(name: str) -> NoReturn:
-    raise InputError(f"{name}: a field holds no photographs")
+    raise InputError(f"{name}: a field contains no photographs")
 
 
 def render_view(folder: Path, field: SemanticField, camera: Camera) -> FieldView:
-    """Render the field of ``folder``, or take the view from the user's cache.
+    """Render the field of ``folder``, or read the view from the user's cache.
 
-    The cache knows views by all that their pixels depend on: content, camera, code and processor.
-    A view that is asked again reads no Gaussians: 1.1 s in place of 2.8 for an office.
+    The cache key has all inputs of the pixels: content, camera, code and processor. A cached view
+    does not read the Gaussians: 1.1 s instead of 2.8 s for an office.
     """
 
     def arrays() -> dict[str, np.ndarray]:

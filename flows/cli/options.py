@@ -1,4 +1,4 @@
-"""Options that several commands share, and the settings that they and ``--set`` give."""
+"""Options of several commands, and settings from options and ``--set``."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from slgaussian.errors import InputError
 ENGINE = ("store", "runner", "workers", "refresh")
 COMPONENTS = ("predictor", "proposer", "tracker")
 LABELLED_SET = ("data", "pairs", "labels", "format", "rooms")
-"""Fields that several commands have options of."""
+"""Fields that are options of several commands."""
 
 
 def configured(
     *names: str, model: type[BaseModel] = Settings
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command options of fields of a configuration, and ``--set`` for its other fields.
+    """Add options for fields of a configuration to a command, and ``--set`` for its other fields.
 
-    They are no arguments of the function: :func:`settings_from` reads them from the context.
+    They are not passed to the function: :func:`settings_from` reads them from the context.
     """
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
@@ -53,7 +53,7 @@ def configured(
 
 
 def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
-    """Return the option of a field of a configuration: its description, default and values."""
+    """Return the option for a field of a configuration, with its description and default."""
     field = model.model_fields[name]
     text, values = field.description or "", tuple(field.examples or ())
     if name in KINDS:
@@ -72,7 +72,7 @@ def field_option(name: str, model: type[BaseModel] = Settings) -> Any:
 
 
 def _type_of(name: str, model: type[BaseModel]) -> Any:
-    """Return the type that the command line reads; what else a field demands its model checks."""
+    """Return the type that the command line parses; the model validates the rest."""
     annotation = model.model_fields[name].annotation
     types = (bool, int, float, Path, list[str])
     return next((t for t in types if annotation in (t, t | None)), str) | None
@@ -83,38 +83,38 @@ Set = Annotated[
     typer.Option(
         "--set",
         metavar="<key=value>",
-        help="Any other field of the configuration, as clip.model=PATH; may be repeated.",
+        help="Another field of the configuration, such as clip.model=PATH; may be repeated.",
     ),
 ]
 Store = Annotated[str | None, field_option("store")]
 Out = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print a line for every stage.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 Photos = Annotated[list[str], typer.Argument(metavar="PHOTO", help="Photographs, or a folder.")]
 Texts = Annotated[
-    list[str] | None, typer.Argument(metavar="TEXT", help='What to look for, as "red basket".')
+    list[str] | None, typer.Argument(metavar="TEXT", help='Text to look for, as "red basket".')
 ]
 Cameras = Annotated[
     Path | None,
-    typer.Option(help="transforms.json, LLFF's, or a COLMAP folder. [default: found]"),
+    typer.Option(help="transforms.json, LLFF's, or a COLMAP folder. [default: estimated]"),
 ]
-Refine = Annotated[bool, typer.Option("--refine", help="Find given cameras anew, in their world.")]
-Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder that `field` wrote.")]
+Refine = Annotated[bool, typer.Option("--refine", help="Re-estimate given cameras, same world.")]
+Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder of a field.")]
 FieldOrPly = Annotated[Path, typer.Argument(metavar="FIELD|PLY", help="Field, or any 3DGS .ply.")]
 Words = Annotated[Path | None, typer.Option(help="Words taught elsewhere: words.npz of a field.")]
-View = Annotated[str | None, typer.Option(help="By name or number from 0. [default: 0]")]
+View = Annotated[str | None, typer.Option(help="Name or number from 0. [default: 0]")]
 Views = Annotated[
     list[str] | None,
-    typer.Option("--view", help="Views to look from, by name or number from 0. [default: 0]"),
+    typer.Option("--view", help="View, by name or number from 0; may be repeated. [default: 0]"),
 ]
 CameraFile = Annotated[
     Path | None,
-    typer.Option("--camera", "--cameras", help="JSON of a camera, or a transforms.json, to use."),
+    typer.Option("--camera", "--cameras", help="JSON of a camera, or a transforms.json."),
 ]
 Between = Annotated[
     tuple[str, str, float] | None,
-    typer.Option(metavar="A B T", help="Look from share T, 0 to 1, of the way from view A to B."),
+    typer.Option(metavar="A B T", help="Interpolate views A and B; T from 0 (A) to 1 (B)."),
 ]
 Picture = Annotated[Path | None, typer.Option("--out", "-o", help="Picture: .png or .jpg.")]
 
@@ -122,16 +122,16 @@ Picture = Annotated[Path | None, typer.Option("--out", "-o", help="Picture: .png
 def settings_from(
     ctx: typer.Context, model: type[BaseModel] = Settings, **values: Any
 ) -> dict[str, Any]:
-    """Return settings as a configuration file would have them, tables as nested dicts.
+    """Return settings in the form of a configuration file, tables as nested dicts.
 
-    They are ``values``, the arguments of the command that are fields of ``model``, and texts
-    ``KEY=VALUE`` or ``TABLE.KEY=VALUE`` of ``--set``. A value is read as TOML where it is valid
+    They combine ``values``, the options of the command that are fields of ``model``, and texts
+    ``KEY=VALUE`` or ``TABLE.KEY=VALUE`` of ``--set``. A value is parsed as TOML if it is valid
     TOML, else it is text.
 
     Raises
     ------
     InputError
-        If a text has no such form, or a key is given twice.
+        If a text has another form, or a key is given twice.
     """
     values |= {name: ctx.params[name] for name in model.model_fields.keys() & ctx.params.keys()}
     values = {name: value for name, value in values.items() if value not in (None, [], ())}

@@ -1,4 +1,4 @@
-"""Load the photographs of a command with cameras: given, estimated, or estimated anew."""
+"""Loading of photographs with cameras: given, estimated, or re-estimated."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slgaussian.objects import COMMON_OBJECTS
 from slgaussian.scene import Camera, Sample, Scene
 
 POSED = ("nerfstudio", "colmap", "llff")
-"""Formats of cameras that are read beside the photographs of a benchmark."""
+"""Formats of cameras for the photographs of a benchmark."""
 
 
 def load_photographs(
@@ -31,31 +31,31 @@ def load_photographs(
     keyframes: int | None = None,
     verbose: bool = True,
 ) -> tuple[Sample, dict[str, str]]:
-    """Load photographs with their cameras, at the size that the settings ask for.
+    """Load photographs with their cameras, at the size of the settings.
 
-    Cameras that are left out are those of precomputed geometry, if it has some, or else estimated;
-    with ``refine`` they are estimated anew, in the same world; how is printed. Of more photographs,
-    ``keyframes`` are taken. Those that cannot be placed are left out with a warning; of several
-    warnings one is printed unless ``verbose``.
+    Without ``cameras``, those of precomputed geometry are used, else they are estimated; with
+    ``refine``, given cameras are re-estimated in the same world. The method used is printed. If
+    there are more than ``keyframes`` photographs, that many are chosen. Photographs whose cameras
+    cannot be estimated are left out with a warning; only one warning is printed unless ``verbose``.
 
     Returns
     -------
     sample : Sample
     places : dict str -> str
-        Of all photographs that were taken, also those that could not be placed: paths from the
-        root by name or, where no file was given, names of views.
+        Of all chosen photographs, also those without a camera: absolute paths by name or, if no
+        file was given, names of views.
 
     Raises
     ------
     InputError
-        If anything given cannot be used.
+        If an argument cannot be used.
     """
     if cameras is None and settings.predictor == "precomputed":
         cameras = _cameras_of(settings.precomputed.geometry)
     if cameras is None:
         if refine:
             raise InputError(
-                "--refine: finds given cameras anew, and none are given; leave it out, or add "
+                "--refine: re-estimates given cameras, and none are given; leave it out, or add "
                 "--cameras"
             )
         files = unposed.named(photos)
@@ -85,7 +85,7 @@ def load_photographs(
 
 
 def _cameras_of(geometry: Path | None) -> Path | None:
-    """Return the file of precomputed geometry if it holds cameras too."""
+    """Return the file of precomputed geometry if it has cameras too."""
     if geometry is None or geometry.suffix != ".npz" or not geometry.is_file():
         return None
     from slgaussian.formats.depth_maps import read_geometry
@@ -100,18 +100,17 @@ def _print_cameras(estimate: EstimatedCameras, verbose: bool) -> None:
 
 
 def print_warnings(warnings: Sequence[str], verbose: bool) -> None:
-    """Print warnings: all, or else the first and how many there are more."""
+    """Print all warnings if ``verbose``, else the first one and the number of the others."""
     for warning in warnings if verbose else warnings[:1]:
         rest = f" (and {len(warnings) - 1} more, with -v)" if warnings[1:] else ""
         print(f"warning: {warning}{'' if verbose else rest}", file=sys.stderr)
 
 
 def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[str, Path]]:
-    """Find the views of a scene that are named, by their files, folders of these, or view names.
+    """Find the views of a scene given by files, folders of files, or view names.
 
-    Of a folder, those in it that have a camera are taken. A photograph that was left out when the
-    cameras were estimated is left out with a warning. The views of the scene are named from
-    ``folder``.
+    A folder selects all photographs in it that have a camera. A photograph without an estimated
+    camera is left out with a warning. Names of the scene's views are relative to ``folder``.
 
     Returns
     -------
@@ -121,26 +120,26 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
     Raises
     ------
     InputError
-        If a photograph, or all in a folder, have no camera.
+        If a photograph, or all photographs in a folder, have no camera.
     """
     names = {(folder / name).resolve(): name for name in scene.cameras}
     left_out = {(folder / name).resolve(): reason for name, reason in scene.left_out.items()}
     views: list[tuple[str, Path]] = []
     for photo in photos:
         place = Path(photo).resolve()
-        # Views may be named without the suffix of their file.
+        # Names of views may lack the suffix of their file.
         name = names.get(place) or names.get(place.parent / place.stem)
         if place.is_dir():
             inside = sorted(name for file, name in names.items() if file.is_relative_to(place))
             if not inside:
                 raise InputError(
-                    f"{photo}: none of the {len(names)} photographs that have a camera lies in "
-                    f"this folder; they are in {folder}"
+                    f"{photo}: none of the {len(names)} photographs that have a camera is in this "
+                    f"folder; they are in {folder}"
                 )
             views += [(name, folder / name) for name in inside]
         elif place in left_out:
             print(
-                f"warning: {photo} could not be placed when cameras were found, and is left out: "
+                f"warning: {photo} has no camera, as it could not be estimated, and is left out: "
                 f"{left_out[place]}",
                 file=sys.stderr,
             )
@@ -155,15 +154,15 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
 
 
 def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings:
-    """Make a scene of photographs without labels, the middle one of which is held out.
+    """Make a scene of photographs without labels, with the middle one as held-out target.
 
-    The error of the view that is drawn in its place is all that can be measured then. Cameras are
-    estimated from all photographs together if they are left out.
+    Only the error of the rendered target view can be measured. Cameras are estimated from all
+    photographs if ``cameras`` is None.
 
     Raises
     ------
     InputError
-        If there are fewer than three, or one cannot be found or has no camera.
+        If there are fewer than three photographs, or one is missing or has no camera.
     """
     if cameras is None:
         files = unposed.named(photos)
@@ -178,11 +177,11 @@ def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings
         options = {} if format == "nerfstudio" else {"images": str(folder.resolve())}
     if len(names) < 3:
         raise InputError(
-            f"benchmark: found {len(names)} photographs, expected three at least: the middle one "
+            f"benchmark: found {len(names)} photographs, expected at least three: the middle one "
             "is held out, and a field is built from the others"
         )
     target = names.pop(len(names) // 2)
-    print(f"{target} is held out: it shows the error of a new view", file=sys.stderr)
+    print(f"{target} is held out, to measure the error of a new view", file=sys.stderr)
     return SceneSettings(
         name=(place if place.is_dir() else place.parent).resolve().name or "photographs",
         dataset="photographs",
@@ -201,7 +200,7 @@ def _keyframes(
     count: int,
     cameras: Sequence[Camera] | None = None,
 ) -> list[str]:
-    """Choose so many of the views, and print which."""
+    """Choose ``count`` of the views, and print their names."""
     chosen = [names[k] for k in choose_keyframes([blur(look) for look in looks], count, cameras)]
     some = ", ".join(chosen[:4]) + (", ..." if len(chosen) > 4 else "")
     print(f"keyframes: {len(chosen)} of {len(names)} photographs, {some}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Write pictures and films in the format that a file's name says: complete, or not at all."""
+"""Atomic writing of pictures and videos in the format of the file name."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ PICTURES = (".png", ".jpg", ".jpeg")
 FILMS = (".mp4",)
 
 RATE = 15
-"""Frames a second."""
+"""Frames per second."""
 
 VP9 = "vp09"
-"""Codec of a .mp4: browsers, VLC and mpv play it, and OpenCV brings its encoder along."""
+"""Codec of .mp4 files: browsers, VLC and mpv play it, and OpenCV includes its encoder."""
 
 
 def check_picture(path: Path, kinds: Sequence[str] = PICTURES) -> None:
-    """Check that a file of one of these kinds can be written to ``path``, before the work.
+    """Check, before the work, that a file of one of these suffixes can be written to ``path``.
 
     Raises
     ------
     InputError
-        If the name has another suffix, or no file can be made there.
+        If the name has another suffix, or no file can be created.
     """
     if path.suffix.lower() not in kinds:
         kind = "picture" if kinds is PICTURES else "film"
@@ -38,12 +38,12 @@ def check_picture(path: Path, kinds: Sequence[str] = PICTURES) -> None:
             f"in {' or '.join(kinds)}"
         )
     if path.is_dir() or not os.access(path.parent, os.W_OK):
-        reason = "it is a folder" if path.is_dir() else "its folder is not there or not yours"
-        raise InputError(f"{path}: cannot be written ({reason}); name a file in a folder that is")
+        reason = "it is a folder" if path.is_dir() else "its folder is missing or read-only"
+        raise InputError(f"{path}: cannot be written ({reason}); name a file in a writable folder")
 
 
 def write_picture(path: Path, *images: np.ndarray) -> None:
-    """Write images uint8 [H, W, 3] below each other as a PNG or JPEG; InputError if it fails."""
+    """Write a column of images uint8 [H, W, 3] as a PNG or JPEG; InputError if it fails."""
     width = max(image.shape[1] for image in images)
     sheet = np.concatenate(
         [
@@ -67,7 +67,7 @@ def write_film(path: Path, frames: Iterable[np.ndarray]) -> None:
     import cv2
 
     with atomic_path(path) as temporary:
-        # OpenCV knows a format by the suffix.
+        # OpenCV chooses the format by the suffix.
         draft, written = f"{temporary}{path.suffix}", 0
         writer = cv2.VideoWriter()
         try:
@@ -78,11 +78,11 @@ def write_film(path: Path, frames: Iterable[np.ndarray]) -> None:
                 writer.write(np.ascontiguousarray(frame[..., ::-1]))
                 written += 1
             writer.release()
-            # OpenCV raises nothing where it fails, so the file is read.
+            # OpenCV raises no error on failure, so the file is read back.
             if cv2.VideoCapture(draft).get(cv2.CAP_PROP_FRAME_COUNT) != written:
                 raise InputError(
-                    f"{path}: cannot be written by the OpenCV that is installed, or the disk is "
-                    "full; make room, or install opencv-contrib-python-headless anew"
+                    f"{path}: cannot be written by the installed OpenCV, or the disk is full; free "
+                    "disk space, or reinstall opencv-contrib-python-headless"
                 )
             os.replace(draft, temporary)
         finally:

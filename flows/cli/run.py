@@ -1,4 +1,4 @@
-"""The commands `slgaussian run | benchmark`, and what other commands share that run flows."""
+"""The commands `slgaussian run | benchmark`, and functions of all commands that run flows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def run(
 ) -> None:
     """Run a configuration file, and write its report and fields.
 
-    Options given here win over the file. Paths in the file are relative to the file.
+    Options override the file. Paths in the file are relative to the file.
 
     \b
     out = "results"
@@ -55,11 +55,11 @@ def benchmark(
     out: options.Out = Path("slg-benchmark"),
     verbose: options.Verbose = False,
 ) -> None:
-    """Score the method, and others, on a labelled set, made-up rooms or photographs.
+    """Score the method and baselines on a labelled set, procedural rooms or photographs.
 
-    Builds a field from each scene's context views and asks it in its target views. Without --pairs,
-    two context views are chosen for each labelled frame (OUT/pairs.json). Of three photographs or
-    more the middle one is held out. Leaves a report, tables, masks and fields.
+    Builds a field from each scene's context views and scores queries in its target views. Without
+    --pairs, two context views are chosen for each labelled frame (OUT/pairs.json). Of three or more
+    photographs, the middle one is held out. Writes a report, tables, masks and fields.
 
     \b
     slgaussian benchmark --rooms 0-19 --against lerf-like
@@ -89,7 +89,7 @@ def benchmark(
         settings = settings.model_copy(update={"pairs": file})
     elif fields := rule.keys() - {"format"}:
         raise InputError(
-            f"benchmark: {min(fields)}: context views are chosen only of --data without --pairs; "
+            f"benchmark: {min(fields)}: context views are chosen only for --data without --pairs; "
             "leave it out"
         )
     if photos:
@@ -98,12 +98,12 @@ def benchmark(
         scenes = [*settings.scenes, held_out_scene(photos, cameras)]
         settings = settings.model_copy(update={"scenes": scenes})
     elif cameras is not None:
-        raise InputError("--cameras: is given without photographs; name them, or leave it out")
+        raise InputError("--cameras: given without photographs; add them, or leave it out")
     run_scenes("benchmark", settings, verbose)
 
 
 def run_flow(command: str, settings: Any, verbose: bool) -> Any:
-    """Run the flow of a command, which can be interrupted; return its result."""
+    """Run the flow of a command, interruptible by Ctrl-C; return its result."""
     from flows.runners.environment import interruptible, perform
 
     with interruptible():
@@ -111,7 +111,7 @@ def run_flow(command: str, settings: Any, verbose: bool) -> Any:
 
 
 def run_scenes(command: str, settings: Any, verbose: bool) -> None:
-    """Run scenes, and print scores, report and what was left out; exit with 1 if anything was."""
+    """Run scenes; print scores, report and failures; exit with status 1 if there are failures."""
     from slgaussian import precompile
 
     precompile.begin()
@@ -130,14 +130,14 @@ def run_scenes(command: str, settings: Any, verbose: bool) -> None:
 
 
 def _after_demo(root: str) -> str:
-    """Return what the demo leaves on the disk, and the commands for photographs of one's own."""
+    """Return the size of the store, and the commands for the user's own photographs."""
     from rich.filesize import decimal
 
     from slgaussian.storage.store import ArtifactStore
 
     store = ArtifactStore(root)
     return (
-        f"store: {root} has {decimal(store.fs.du(store.path))}, from which the next run is quick; "
+        f"store: {root} has {decimal(store.fs.du(store.path))}, which makes the next run fast; "
         "delete that folder when you are done\n"
         "your own photographs: slgaussian field a.jpg b.jpg -o field/\n"
         "and then: slgaussian view field/"
@@ -145,7 +145,7 @@ def _after_demo(root: str) -> str:
 
 
 def report_left_out(out: Path, failures: Sequence[Any]) -> None:
-    """Print how much was left out and where the reasons are; exit with 1 if anything was."""
+    """Print the number of failures and the first reason; exit with status 1 if there are any."""
     if failures:
         first = failures[0]
         typer.echo(

@@ -12,7 +12,7 @@ from flows.cli import options
 from flows.read_config import make_settings
 
 NAMED = 3
-"""Of masks that are missing, or that nothing asks for, so many are named."""
+"""Largest number of names of missing or unused masks in a message."""
 
 
 @options.configured(*options.LABELLED_SET, "size")
@@ -25,11 +25,11 @@ def score(
     ] = None,
     out: options.Out = Path("slg-score"),
 ) -> None:
-    """Score masks that you made, as `benchmark` scores its own.
+    """Score your masks as `benchmark` scores its own.
 
-    Masks are PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png, or a JSON file of COCO's run
-    lengths. One that is missing counts as empty. Without --pairs every labelled frame is asked what
-    is labelled in it; without --protocol all are scored that the folder has. Leaves tables and
+    Masks are PNG files, METHOD/PROTOCOL/SCENE/FRAME/QUERY.png, or a JSON file of COCO run-length
+    encodings. A missing mask counts as empty. Without --pairs, the queries of each labelled frame
+    are its labels; without --protocol, all protocols in the folder are scored. Writes tables and
     masks as `benchmark` does, which `compare` reads.
 
     \b
@@ -50,7 +50,7 @@ def score(
             f"empty one: {_few(list(dict.fromkeys(tally.missing)))}"
         )
     if unused := tally.unused(scores.predictions):
-        notes.append(f"not asked, left out: {_few(unused)}")
+        notes.append(f"not queried, left out: {_few(unused)}")
     for note in notes:
         typer.echo(note, err=True)
     typer.echo(f"{methods_text(rows)}\n{out}")
@@ -62,9 +62,9 @@ def compare(
 ) -> None:
     """Compare the settings, scores and costs of runs, and rank their methods.
 
-    Differences are each run minus the first, for each method, on the queries that both were asked,
-    with bootstrap intervals over scenes. Methods are ranked in a table for each data set, protocol
-    and size; only what was asked the same is in one table.
+    Prints each run minus the first, for each method, on the queries of both runs, with bootstrap
+    intervals over scenes. Methods are ranked in a table for each data set, protocol and size; a
+    table has only results for the same queries.
 
     \b
     slgaussian compare before after -o changes

@@ -12,7 +12,7 @@ from slgaussian.benchmark.scores import of_first_protocol, score_table
 
 
 def scenes_text(results: Sequence[SceneResult]) -> str:
-    """Tabulate the scenes of each data set, by the first method, and the methods if several."""
+    """Tabulate the first method's scores of each scene by data set, and all methods if several."""
     blocks = []
     for dataset in dict.fromkeys(result.dataset for result in results):
         members = [result for result in results if result.dataset == dataset]
@@ -27,7 +27,7 @@ def scenes_text(results: Sequence[SceneResult]) -> str:
 
 
 def methods_text(samples: Sequence[Mapping[str, Any]]) -> str:
-    """Tabulate samples: a table a data set and protocol, one line a method."""
+    """Tabulate samples: one table per data set and protocol, one line per method."""
     tables = method_tables(score_table(samples).to_pylist())
     texts = ("\n".join([t.title, t.as_text(), *map(plain, t.notes)]) for t in tables)
     return "\n\n".join(texts)

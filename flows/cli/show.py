@@ -1,4 +1,4 @@
-"""The commands `slgaussian render | view | export`. Heavy imports wait until one is given."""
+"""The commands `slgaussian render | view | export`, with lazy imports."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
 EXPORTS = (".html", ".ply", ".spz")
 
 SEEN_FOR_RANGE = 8
-"""Frames of a film that tell the range of its depth."""
+"""Number of frames of a video that determine its depth range."""
 
 
 class Shot(NamedTuple):
-    """A source as one camera sees it: uint8 [H, W, 3], float32 [H, W], int32 [H, W] or None."""
+    """Rendering of a source: uint8 [H, W, 3], float32 [H, W], int32 [H, W] or None."""
 
     rgb: np.ndarray
     depth: np.ndarray
@@ -40,34 +40,32 @@ class Shot(NamedTuple):
 
 def render(
     source: options.FieldOrPly,
-    out: Annotated[
-        Path, typer.Option("--out", "-o", help="Picture: .png or .jpg; of frames: .mp4.")
-    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Picture: .png or .jpg; video: .mp4.")],
     view: options.Views = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
     orbit: Annotated[
-        int | None, typer.Option(metavar="N", min=2, max=2000, help="Draw a turn of N frames.")
+        int | None, typer.Option(metavar="N", min=2, max=2000, help="Render an orbit of N frames.")
     ] = None,
     path: Annotated[
-        Path | None, typer.Option(help="Draw a frame from each camera of a JSON file, in order.")
+        Path | None, typer.Option(help="Render a frame from each camera of a JSON file.")
     ] = None,
     depth: Annotated[
-        Path | None, typer.Option(help="Write z-depth too: .npy, .png (thousandths) or .exr.")
+        Path | None, typer.Option(help="Also write z-depth: .npy, .png (thousandths) or .exr.")
     ] = None,
-    ids: Annotated[Path | None, typer.Option(help="Write ids of objects too: a .png.")] = None,
+    ids: Annotated[Path | None, typer.Option(help="Also write object ids: a .png.")] = None,
     panels: Annotated[
-        bool, typer.Option("--panels", help="Draw depth and objects beside the colours.")
+        bool, typer.Option("--panels", help="Show depth and objects beside the colours.")
     ] = False,
     show: Annotated[
-        str, typer.Option(help="What is drawn: colours, or codes (the paper's feature maps).")
+        str, typer.Option(help="Content: colours, or codes (the paper's feature maps).")
     ] = "colours",
 ) -> None:
-    """Draw a field, or any .ply of Gaussians, from a camera.
+    """Render a field, or any .ply of Gaussians, from a camera.
 
-    A field knows its own cameras; a .ply knows none, so give some in its world with --camera. A
-    --path is a camera path of nerfstudio's viewer, or a transforms.json. Depth is 0 where nothing
-    is, and ids are 16-bit numbers, 0 for none; both are of one view.
+    A field has cameras; for a .ply, give cameras in its world with --camera. A --path is a camera
+    path of nerfstudio's viewer, or a transforms.json. Depth is 0 where there is no surface, and ids
+    are 16-bit numbers, 0 for none; both are written for one view only.
 
     \b
     slgaussian render field/ -o picture.png --view 1 --depth depth.npy --ids ids.png
@@ -94,7 +92,7 @@ def render(
     ways = {"--orbit": orbit, "--path": path, "--view": view, "--between": between}
     chosen = [name for name, value in ways.items() if value]
     if film and chosen[1:]:
-        raise InputError(f"{chosen[0]}: is a way to look of its own; leave out {chosen[1]}")
+        raise InputError(f"{chosen[0]} and {chosen[1]}: both choose cameras; leave out one of them")
     for name, file, kinds in (("--depth", depth, WRITTEN), ("--ids", ids, (".png",))):
         if file is not None and (film or len(view or ()) > 1):
             raise InputError(f"{name}: is of one view; leave out {chosen[0]}, or name one view")
@@ -113,7 +111,7 @@ def render(
     if is_ply:
         gaussians, _ = load_ply(source)
         if not len(gaussians):
-            raise InputError(f"{source}: holds no Gaussians, so there is nothing to draw")
+            raise InputError(f"{source}: has no Gaussians, so there is nothing to render")
         look = partial(_look_at_ply, gaussians, source)
         cameras: Mapping[str, Camera] = {}
     else:
@@ -122,8 +120,8 @@ def render(
         look = partial(_look_at_field, field, show == "codes")
     if path is not None:
         shots = dict(cameras_in(path))
-        if len({(one.width, one.height) for one in shots.values()}) > 1:
-            raise InputError(f"{path}: has cameras of several sizes, and a film has one")
+        if len({(shot.width, shot.height) for shot in shots.values()}) > 1:
+            raise InputError(f"{path}: has cameras of several sizes, and a video has one")
     elif orbit is not None:
         cameras = cameras if camera is None else cameras_in(camera)
         turn = paths.orbit(list(cameras.values()), gaussians.means.numpy(), orbit)
@@ -145,7 +143,7 @@ def render(
 
 
 def _draw_panels(see: Callable[[str], Shot], names: Sequence[str]) -> Iterator[np.ndarray]:
-    """Draw colours, depth and objects side by side, depth on one scale so that no film flickers."""
+    """Draw colours, depth and objects side by side, with one depth scale for all frames."""
     from slgaussian.benchmark import pictures
 
     some = names[:: -(-len(names) // SEEN_FOR_RANGE)]
@@ -173,7 +171,7 @@ def _look_at_field(field: SemanticField, codes: bool, camera: Camera) -> Shot:
 
 
 def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
-    """Draw Gaussians; warn if hardly any is in view."""
+    """Render Gaussians; warn if hardly any are visible."""
     import numpy as np
 
     from slgaussian.labels import VISIBLE
@@ -189,7 +187,7 @@ def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
             f"({', '.join(f'{x:.3g}' for x in camera.center)}); do both use one world?",
             err=True,
         )
-    # Over black, as such files are trained; where little is seen, the mean depth means nothing.
+    # On black, as such files are trained; mean depth is meaningless where alpha is low.
     rgb = np.rint(rendered.values.clip(0, 1) * 255).astype(np.uint8)
     return Shot(rgb, np.where(visible, rendered.depth, 0), None)
 
@@ -201,13 +199,13 @@ def view(
     port: Annotated[
         int | None, typer.Option(min=1, max=65535, help="[default: 8080, or a free one]")
     ] = None,
-    host: Annotated[str, typer.Option(help="Where to listen; 0.0.0.0 is for all.")] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Address to bind; 0.0.0.0 for all.")] = "127.0.0.1",
 ) -> None:
-    """Look at a scene in the browser; ask it by word and by click.
+    """View a field in the browser; query and edit its objects.
 
-    Prints the address to open; several people may, and change the same field. Type a word, or click
-    a thing to see what it is, to name it, to teach a word for it, or to remove it; Save changes
-    writes all that into the folder of the field. Ctrl-C ends it.
+    Prints the address to open; several users may open and change the same field. Type a word, or
+    click an object to see its words, to name it, to teach a word, or to remove it; "Save changes"
+    writes the changes to the folder of the field. Ctrl-C stops it.
 
     \b
     slgaussian view field/
@@ -221,7 +219,7 @@ def view(
     def terminate(number: int, frame: object) -> NoReturn:
         raise KeyboardInterrupt
 
-    # Of both: a shell that starts this in the background has it ignore SIGINT.
+    # SIGINT too: it is ignored if a shell starts this in the background.
     before = {sign: signal.signal(sign, terminate) for sign in (signal.SIGINT, signal.SIGTERM)}
     live = None
     try:
@@ -231,8 +229,8 @@ def view(
         page = scene_page(live.field, live=True)
         typer.echo(access.address)
         if access.token:
-            typer.echo("whoever has this address sees the scene and can change it", err=True)
-        typer.echo("Ctrl-C ends it", err=True)
+            typer.echo("everybody with this address can see and change the scene", err=True)
+        typer.echo("Ctrl-C stops it", err=True)
         if sys.stdout.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             webbrowser.open(access.address)
         serve(app(page, access, live), access)
@@ -251,20 +249,19 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="File: .html, .ply or .spz.")],
     texts: Annotated[
         list[str] | None,
-        typer.Option("--text", help="What a page shall answer, beside its words; may be repeated."),
+        typer.Option("--text", help="Further text that a page answers; may be repeated."),
     ] = None,
     points: Annotated[
         bool, typer.Option("--points", help="Write a .ply of points, not of Gaussians.")
     ] = False,
 ) -> None:
-    """Write a field as one file: a page to send, or for a viewer.
+    """Write a field as a web page, or as a file for other viewers.
 
-    A page (.html) opens from disk in any browser, without a network: look around, ask words, click
-    things. It holds small copies of the photographs. A .ply keeps everything: each Gaussian also
-    carries its ID code and weight (f_sem_0 and on; without codes the number of its object), the
-    pixel that it came from (source), and its object (label, 0 for none); with --points it is a
-    plain point cloud with colours and labels, as MeshLab and Open3D read it. A .spz keeps Gaussians
-    in fewer bytes.
+    A page (.html) opens from disk in any browser, without a network, with queries and object
+    selection. It contains small copies of the photographs. A .ply has all data: each Gaussian also
+    has its ID code and weight (f_sem_0 and on; without codes the number of its object), its source
+    pixel (source), and its object (label, 0 for none); with --points it is a plain point cloud with
+    colours and labels for MeshLab and Open3D. A .spz stores Gaussians in fewer bytes.
 
     \b
     slgaussian export field/ -o scene.html
@@ -305,7 +302,7 @@ def export(
 
 
 def _photographs(folder: Path, field: SemanticField) -> dict[str, np.ndarray]:
-    """Read the photographs of a field that are still where they were, by view."""
+    """Read the photographs of a field that are still at their paths, by view."""
     from slgaussian.datasets.photographs import open_photograph
     from slgaussian.io import file_digest
     from slgaussian.storage.inputs import read_photographs
@@ -315,6 +312,6 @@ def _photographs(folder: Path, field: SemanticField) -> dict[str, np.ndarray]:
         try:
             if name in field.cameras and file_digest(file) == digest:
                 images[name], _ = open_photograph(file, upright=True)
-        except (InputError, OSError):  # it was moved; what the field drew is shown
+        except (InputError, OSError):  # moved or changed; the page shows a rendering instead
             continue
     return images

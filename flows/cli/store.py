@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 DAY = 86400.0
 
-store_app = typer.Typer(name="store", cls=Group, help="Look after a store: clean it, check it.")
+store_app = typer.Typer(name="store", cls=Group, help="Clean or check a store.")
 
 
 def inspect(
     path: Annotated[Path, typer.Argument(help="File or folder to inspect.")],
     as_json: options.AsJson = False,
 ) -> None:
-    """Show the spec, fields and origin of a file, and check it.
+    """Show the spec, fields and provenance of a file, and check it.
 
-    Takes a table (Parquet), arrays (NPZ), weights (safetensors), JSON, Gaussians (PLY, SPZ), or a
-    folder, such as a field or the results of a run, file by file. The exit status is 1 if a file is
-    damaged, or a table or arrays are not what their spec says.
+    Reads tables (Parquet), arrays (NPZ), weights (safetensors), JSON, Gaussians (PLY, SPZ), or all
+    files of a folder, such as a field or the results of a run. The exit status is 1 if a file is
+    damaged, or a table or arrays break their spec.
 
     \b
     slgaussian inspect results/samples.parquet
@@ -53,20 +53,20 @@ def inspect(
 @store_app.command()
 def gc(
     store: options.Store = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Remove it, and not only list it.")] = False,
-    age: Annotated[float, typer.Option(min=0, help="Days; what is younger stays.")] = 1.0,
+    yes: Annotated[bool, typer.Option("--yes", help="Remove files instead of listing.")] = False,
+    age: Annotated[float, typer.Option(min=0, help="Days; more recent files stay.")] = 1.0,
     superseded: Annotated[
         bool, typer.Option("--superseded", help="Also results of other versions of the stages.")
     ] = False,
     keep: Annotated[
-        list[Path] | None, typer.Option(help="Table as lessons.parquet; what it names stays.")
+        list[Path] | None, typer.Option(help="Table like lessons.parquet, whose artifacts stay.")
     ] = None,
 ) -> None:
-    """Say what nothing in a store refers to, and remove it with --yes.
+    """List unreferenced files in a store, and remove them with --yes.
 
-    What a record names stays, with its parts: so does all that the next run would find. Files that
-    a killed program left half-written go too. A run may go on meanwhile: what it makes is younger
-    than --age.
+    Artifacts in a record stay, with their parts, so the next run finds all its results. Temporary
+    files of killed programs are removed too. Runs may continue meanwhile, as their files are more
+    recent than --age.
 
     \b
     slgaussian store gc --store s3://bucket/slg --yes
@@ -98,10 +98,9 @@ def verify(
     store: options.Store = None,
     remove: Annotated[bool, typer.Option("--remove", help="Delete what is damaged.")] = False,
 ) -> None:
-    """Read everything in a store, and name what is damaged.
+    """Read all files of a store, and list damaged ones.
 
-    Each file is compared with its spec and digest. The exit status is 1 if something is damaged
-    and stays.
+    Each file is checked by its spec and digest. The exit status is 1 if a damaged file stays.
 
     \b
     slgaussian store verify --store s3://bucket/slg --remove
@@ -112,23 +111,23 @@ def verify(
         state = housekeeping.verify(opened, remove, _stage_versions())
     for reason in state.damaged.values():
         typer.echo(f"damaged: {reason}")
-    done = " and removed: the next run makes them again" if state.damaged and remove else ""
-    typer.echo(f"{state.sound} artifacts are whole, {len(state.damaged)} files are damaged{done}")
+    done = " and removed: the next run recomputes them" if state.damaged and remove else ""
+    typer.echo(f"{state.sound} artifacts are intact, {len(state.damaged)} files are damaged{done}")
     if state.missing:
-        typer.echo(f"{state.missing} artifacts are missing; a run that needs one makes it")
+        typer.echo(f"{state.missing} artifacts are missing; runs recompute them on demand")
     if state.superseded:
         typer.echo(
-            f"{state.superseded} artifacts were made by other versions of the stages, and nothing "
-            "reads them any more; `slgaussian store gc --superseded` removes them"
+            f"{state.superseded} artifacts were written by other versions of the stages, and are "
+            "no longer read; `slgaussian store gc --superseded` removes them"
         )
     if state.damaged and not remove:
-        typer.echo("give --remove to delete them: the next run makes them again")
+        typer.echo("give --remove to delete them: the next run recomputes them")
         raise typer.Exit(1)
 
 
 @contextmanager
 def _opened(url: str | None) -> Iterator[ArtifactStore]:
-    """Open a store that is there; on a terminal, show that it is read."""
+    """Open an existing store; on a terminal, show that it is read."""
     from rich.console import Console
 
     from flows.read_config import make_settings
@@ -150,5 +149,5 @@ def _stage_versions() -> dict[str, int]:
     from tasks.stage import Stage
 
     modules = [import_module(f"tasks.{module.name}") for module in iter_modules(tasks.__path__)]
-    stages = (one for module in modules for one in vars(module).values() if isinstance(one, Stage))
+    stages = (v for module in modules for v in vars(module).values() if isinstance(v, Stage))
     return {stage.name: stage.version for stage in stages}

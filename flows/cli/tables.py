@@ -1,4 +1,4 @@
-"""Tables for a terminal, or for a pipe with each row in a line."""
+"""Text tables for a terminal, or with one line per row for a pipe."""
 
 import sys
 from collections.abc import Iterable, Sequence
@@ -7,14 +7,13 @@ from rich.console import Console
 from rich.table import Table
 
 UNBOUNDED = 10_000
-"""Columns of characters of what is no terminal."""
+"""Width of tables that are not printed to a terminal."""
 
 
 def table_text(rows: Iterable[Sequence[str]], sides: str = "<") -> str:
-    """Return rows of cells, the first of which is the header, as text in columns.
+    """Return rows of cells, with the header first, as text in columns.
 
-    ``sides`` has ``<`` (left) or ``>`` (right) for each column; those that it does not name are to
-    the right.
+    ``sides`` has the alignment of each column, ``<`` (left) or ``>`` (right, the default).
     """
     header, *body = rows
     table = Table(box=None, pad_edge=False)

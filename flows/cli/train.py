@@ -1,4 +1,4 @@
-"""The commands `slgaussian train | retrain | versions`. Heavy imports wait until one is given."""
+"""The commands `slgaussian train | retrain | versions`, with lazy imports."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def train(
     lessons: Annotated[Path, options.field_option("lessons", TrainSettings)],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for weights and report.")],
     start: Annotated[
-        Path | None, typer.Option("--from", help="Weights to begin from, or a folder of versions.")
+        Path | None, typer.Option("--from", help="Initial weights, or a folder of versions.")
     ] = None,
     verbose: options.Verbose = False,
 ) -> None:
-    """Train the semantic branch on lessons, and judge it.
+    """Train the semantic branch on lessons, and evaluate it.
 
-    It is judged on clips that it has not seen. Leaves branch.safetensors, report.html,
-    metrics.parquet (a row a step) and judgements.parquet (a row a held-out lesson and lifting). A
-    training that was interrupted goes on where it was.
+    The evaluation uses held-out clips. Writes branch.safetensors, report.html, metrics.parquet (one
+    row per step) and judgements.parquet (one row per held-out lesson and lifting). Resumes an
+    interrupted training.
 
     \b
     slgaussian train --lessons corpus -o trained
@@ -65,15 +65,14 @@ def retrain(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for tables.")] = None,
     verbose: options.Verbose = False,
 ) -> None:
-    """Learn what is new in a corpus; use it if it is better.
+    """Train on new clips of a corpus; promote better weights.
 
-    A candidate is trained from the weights in use, and put to use if it is better on held-out clips
-    than those and than no network, beyond noise. See `versions`. A file has chunks, out, models and
-    other settings; options win over it. cron can run it, or Prefect by `prefect.yaml`. Leaves
-    OUT/history/NUMBER.json, and an artifact of Prefect. The exit status is 0 if a version was put
-    to use, 1 if clips were left out first now and nothing else is new, 2 if it failed, 3 if the
-    version was refused, 4 if the one in use is worse than none, 5 if another retraining is on, 6 if
-    nothing is new.
+    A candidate is trained from the weights in use, and promoted if it is significantly better on
+    held-out clips than these and than no network. See `versions`. A file has chunks, out, models
+    and other settings; options override it. cron can run it, or Prefect by `prefect.yaml`. Writes
+    OUT/history/NUMBER.json, and a Prefect artifact. The exit status is 0 if a version was promoted,
+    1 if only new clips that were left out are new, 2 if it failed, 3 if the version was refused, 4
+    if the one in use is worse than none, 5 if another retraining is running, 6 if nothing is new.
 
     \b
     slgaussian retrain --chunks chunks/train --out corpus --models models
@@ -90,16 +89,16 @@ def retrain(
 
 def versions(
     models: Annotated[Path, typer.Argument(help="Folder of versions.")],
-    use: Annotated[str | None, typer.Option(help="Put this version to use, or `none`.")] = None,
+    use: Annotated[str | None, typer.Option(help="Use this version, or `none`.")] = None,
     roll_back: Annotated[
-        bool, typer.Option("--roll-back", help="Use what the one in use was trained from.")
+        bool, typer.Option("--roll-back", help="Use the parent of the version in use.")
     ] = False,
     why: Annotated[str | None, typer.Option(help="Reason, for the history.")] = None,
 ) -> None:
-    """List the weights that `retrain` keeps, or switch to others.
+    """List the weights of `retrain`, or choose the version in use.
 
-    Prints who put which to use when, and why. What the gate refused can be put to use by hand, and
-    what it let pass can be taken out of use.
+    Prints the history of the versions in use: time, user and reason. You may use a version that the
+    gate refused, or stop using one that it promoted.
 
     \b
     slgaussian versions models
@@ -112,9 +111,9 @@ def versions(
     folder = Versions(models)
     by_number = {version.number: version for version in folder.all()}
     if use is not None and roll_back:
-        raise InputError("versions: --use and --roll-back are two ways; choose one")
+        raise InputError("versions: --use and --roll-back both choose a version; give one of them")
     if why is not None and use is None and not roll_back:
-        raise InputError("versions: --why is for --use and --roll-back")
+        raise InputError("versions: --why needs --use or --roll-back")
     if use is not None:
         if use != "none" and not (use.isdecimal() and int(use) in by_number):
             numbers = ", ".join(map(str, by_number)) or "no version"

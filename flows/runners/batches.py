@@ -174,14 +174,15 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     Raises
     ------
     DamagedError
-        At the end, if a scene needs a damaged artifact of another one, which is removed.
+        At the end, if a scene needs a damaged artifact that belongs to another scene; the artifact
+        is deleted.
     SLGaussianError
         If the task runner accepts no more work.
     """
     outcome = Outcome()
     damaged: DamagedError | None = None
     waiting = deque(_sendable(scene_tasks, outcome, progress))
-    alone: deque[SceneTask] = deque()
+    retried_singly: deque[SceneTask] = deque()
     lost_before: set[str] = set()
     news: queue.SimpleQueue[StageEvent | PrefectFuture[Any]] = queue.SimpleQueue()
     running: dict[PrefectFuture[Any], tuple[list[SceneTask], TaskRunner[Any]]] = {}
@@ -199,7 +200,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
         running[future] = scenes, workers.runner
         future.add_done_callback(news.put)
 
-    def lose(scenes: list[SceneTask], runner: TaskRunner[Any], error: BaseException) -> None:
+    def retry(scenes: list[SceneTask], runner: TaskRunner[Any], error: BaseException) -> None:
         died, reason = type(error).__name__ in DEAD, last_line(str(error)) or type(error).__name__
         event_text = f"died ({reason})" if died else f"raised {type(error).__name__}: {reason}"
         progress.lost(event_text, [scene_task.scene for scene_task in scenes])
@@ -207,19 +208,19 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
             if scene_task.scene in lost_before:
                 _leave_out(scene_task, died, event_text, outcome, progress)
             else:
-                alone.append(scene_task)
+                retried_singly.append(scene_task)
         lost_before.update(scene_task.scene for scene_task in scenes)
         if died:
             workers.restart(runner)
 
     with run_context(RunContext(workers.store, notify=notify)):
         try:
-            while waiting or alone or running:
+            while waiting or retried_singly or running:
                 while waiting and len(running) < workers.count:
                     size = max(1, min(MAX_BATCH, len(waiting) // (2 * workers.count)))
                     submit([waiting.popleft() for _ in range(size)])
-                if alone and not running:
-                    submit([alone.popleft()])
+                if retried_singly and not running:
+                    submit([retried_singly.popleft()])
                 event = news.get()
                 if isinstance(event, StageEvent):
                     progress.update(event)
@@ -230,7 +231,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
                 except DamagedError as error:
                     damaged = error
                 except Exception as error:  # each task runner has its own
-                    lose(scenes, runner, error)
+                    retry(scenes, runner, error)
                 else:
                     _collect(results, outcome, progress)
         finally:
@@ -275,7 +276,7 @@ def _sendable(
 def _leave_out(
     scene_task: SceneTask, died: bool, event_text: str, outcome: Outcome, progress: Progress
 ) -> None:
-    reason = f"its worker {event_text} twice, the second time with no other scene beside it"
+    reason = f"its worker {event_text} twice, the second time while no other scene was running"
     if died:
         reason += "; it may need more memory than there is: try it with --workers 1"
     kind = "WorkerDied" if died else "WorkerRaised"

@@ -52,7 +52,7 @@ def prepare(home: Path) -> None:
         "PREFECT_SERVER_LOGGING_LEVEL": "CRITICAL",
         # flows.runners.progress reports progress and failures.
         "PREFECT_LOGGING_LEVEL": "CRITICAL",
-        # Nor on the terminal of who has set that level for the sake of Prefect's page.
+        # Also if the user has set that level for Prefect's page.
         "PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL": "CRITICAL",
         # Our own server ends with the run, so its logs cannot be read.
         "PREFECT_LOGGING_TO_API_ENABLED": str(bool(os.environ.get("PREFECT_API_URL"))),
@@ -150,7 +150,7 @@ class _Terminated(BaseException):
 
 
 def perform(command: str, config: Any, verbose: bool = False) -> Any:
-    """Run the flow of a command; returns what it returns.
+    """Run the flow of a command, and return its result.
 
     Raises
     ------
@@ -188,12 +188,12 @@ def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
         url, home = redacted(os.environ["PREFECT_API_URL"]), os.environ["PREFECT_HOME"]
         failed = f"the Prefect server at {url} failed ({error})"
         if RESULTS:
-            message = f"{failed} when all was done; it may show this run as running for ever"
+            message = f"{failed} after the work; it may show this run as running forever"
             logger.warning(message)
             print(message, file=sys.stderr)
             return RESULTS[0]
         raise SLGaussianError(
-            f"{failed}; start it, or unset PREFECT_API_URL, as none of yours is needed; one of our "
-            f"own may need room on the disk of {home}; what was made is in the store, and the same "
-            "command goes on"
+            f"{failed}; start it, or unset PREFECT_API_URL to use a local server, which may need "
+            f"space on the disk of {home}; finished stages are in the store, and the same command "
+            "continues"
         ) from error

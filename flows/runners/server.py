@@ -63,7 +63,7 @@ class LocalServer:
             log = self.log.open("wb")
         except OSError as error:
             raise InputError(
-                f"{self.home}: cannot keep the records of runs there ({error.strerror}); choose a "
+                f"{self.home}: cannot store the history of runs ({error.strerror}); choose a "
                 "writable folder with --store"
             ) from error
         with log:
@@ -136,7 +136,7 @@ def _lay_database(home: Path) -> bool:
     ):
         unfinished.write(cached[32:])
         unfinished.flush()
-        os.link(unfinished.name, place)  # does not replace that of a server started meanwhile
+        os.link(unfinished.name, place)  # does not replace the file of another server
     return place.exists()
 
 

@@ -90,8 +90,8 @@ class Workers:
         except Exception as error:  # each task runner has its own
             reason = one_line(f"{type(error).__name__}: {error}")
             raise SLGaussianError(
-                f"runner: takes on no more work ({reason}); what was made is in the store: if the "
-                "cluster has gone, start it, and the same command goes on"
+                f"runner: accepts no more work ({reason}); finished stages are in the store: if "
+                "the cluster has stopped, start it, and the same command continues"
             ) from error
 
     def restart(self, broken: TaskRunner[Any]) -> None:
@@ -178,7 +178,7 @@ def _check_workers(name: str, workers: Workers) -> None:
         workers.submit(roll_call, parameters).result(timeout=PATIENCE)
     except TimeoutError as error:
         raise InputError(
-            f"runner: no worker of {name} took on any work within {PATIENCE:.0f} s; start one, or "
+            f"runner: no worker of {name} accepted work within {PATIENCE:.0f} s; start one, or "
             "wait until one is free"
         ) from error
     except Exception as error:  # each task runner has its own

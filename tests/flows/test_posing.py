@@ -107,7 +107,7 @@ def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, monkeyp
     assert [frame["file_path"] for frame in content["frames"]] == [f"../{n}" for n in PHOTOS]
     assert content["slgaussian"]["left_out"] == {f"../{ELSEWHERE}": "of another place"}
     assert run(monkeypatch, "masks", *all_three, "--cameras", "there/t.json", "-o", "ids") == 0
-    warned = f"warning: {ELSEWHERE} could not be placed when cameras were found, and is left out"
+    warned = f"warning: {ELSEWHERE} has no camera, as it could not be estimated, and is left out"
     assert warned in capsys.readouterr().err
     valid = datasets.load("nerfstudio", photos / "there/t.json")
     with pytest.raises(InputError, match=r"was left out when cameras were found \(of another"):
@@ -133,8 +133,11 @@ def test_what_makes_no_sense_is_refused_before_any_work(photos, monkeypatch, cap
     monkeypatch.setattr(unposed, "find_cameras", lambda photographs: pytest.fail("worked"))
     (photos / "mine.json").write_text('{"frames": []}')
     for words, error in [
-        (("field", *PHOTOS, "--refine"), "--refine: finds given cameras anew, and none are given"),
-        (("cameras", *PHOTOS, "-o", "mine.json"), "mine.json: is there already, and not written"),
+        (
+            ("field", *PHOTOS, "--refine"),
+            "--refine: re-estimates given cameras, and none are given",
+        ),
+        (("cameras", *PHOTOS, "-o", "mine.json"), "mine.json: exists and was not written"),
         (("cameras", PHOTOS[0]), "expected at least two"),
         (("field", "a.jpg", "b.jpg"), "a.jpg: cannot be read (No such file"),
     ]:

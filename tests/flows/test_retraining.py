@@ -87,7 +87,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     # A first one, of too few clips to promote anything.
     for clip in (first, judged):
         arrive(tmp_path, clip)
-    assert "version 1 kept, not used: too few clips" in retrain("refused")
+    assert "version 1 stored, not promoted: too few clips" in retrain("refused")
     output = record(tmp_path, 1)
     assert output["changes"]["arrived"]["count"] == 2 and output["outcome"] == "refused"
     page = artifact()
@@ -116,10 +116,9 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     arrive(tmp_path, second)
     text = retrain("refused")
     assert (
-        f"trained anew, as version 1 has learnt what was withdrawn or changed since: {first.key}"
-        in text
+        f"version 1 was trained on clips that were withdrawn or changed since: {first.key}" in text
     )
-    assert f"version 1, in use, has learnt what was withdrawn or changed since: {first.key}" in text
+    assert f"in use, was trained on clips that were withdrawn or changed since: {first.key}" in text
     output = record(tmp_path, 6)
     assert output["changes"]["withdrawn"]["first"] == [first.key]
     assert output["changes"]["arrived"]["first"] == [second.key]

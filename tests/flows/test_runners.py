@@ -193,7 +193,7 @@ def test_a_cluster_that_cannot_do_the_work_is_named(
 @needs["dask"]
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(tmp_path, monkeypatch):
     monkeypatch.setattr(task_runners, "PATIENCE", 0.5)
-    message = "no worker of dask://.* took on any work within"
+    message = "no worker of dask://.* accepted work within"
     with dask_cluster(workers=0) as runner, pytest.raises(InputError, match=message):
         run_tiny(ArtifactStore(tmp_path), {}, runner=runner)
     assert not list(tmp_path.glob(".probe*"))

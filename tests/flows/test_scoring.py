@@ -188,12 +188,12 @@ def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeyp
     other.write_text(json.dumps([entry]))
     asked = data(labelled)
     for words, sentence in (
-        ((made, *asked, "--protocol", "highest-pixel"), "of which masks say nothing"),
+        ((made, *asked, "--protocol", "highest-pixel"), "which masks do not have"),
         ((made, *asked, "--protocol", "langsplt"), "did you mean 'langsplat'"),
         ((made, *asked[:-1], "32x32"), "has 64x64 pixels, height first, and its view is"),
         ((made, *asked[:-1], "original"), "size: found 'original', expected HEIGHTxWIDTH"),
         ((empty, *asked), "holds no mask of slgaussian or langsplat"),
-        ((other, *asked), "no mask is of what is asked (found 'c' in b of a)"),
+        ((other, *asked), "no mask belongs to a query (found 'c' in b of a)"),
         ((made, "--data", labelled), "data format 'nerfstudio' has no labels of its own"),
         ((made,), "nothing to do"),
     ):
@@ -202,5 +202,5 @@ def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeyp
         assert not out.exists()
     before = (made / "samples.parquet").read_bytes()
     assert run(monkeypatch, "score", made, *asked, "-o", made) == 2
-    assert "holds what a run left" in said(capsys)
+    assert "has the results of a run" in said(capsys)
     assert (made / "samples.parquet").read_bytes() == before

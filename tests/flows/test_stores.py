@@ -110,7 +110,7 @@ def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
     assert kept(store) == full
 
     assert run(monkeypatch, "store", "verify", "--store", store.root) == 0
-    assert "3 artifacts are whole, 0 files are damaged" in capsys.readouterr().out
+    assert "3 artifacts are intact, 0 files are damaged" in capsys.readouterr().out
     store.fs.pipe_file(f"{store.path}/{loose.uri}", b"damaged")
     assert run(monkeypatch, "store", "verify", "--store", store.root) == 1
     assert f"damaged: {store.root}/{loose.uri}: file: found 7 bytes" in capsys.readouterr().out

@@ -172,9 +172,9 @@ def count_steps(monkeypatch) -> list[int]:
 @pytest.mark.parametrize(
     ("more", "expected"),
     [
-        (("--set", "held_out=0.001"), "6 clips with lessons to learn from and 0 to judge by"),
+        (("--set", "held_out=0.001"), "found 6 training clips and 0 held-out clips"),
         (("--set", "codes=exact"), "found codes of 0 numbers, expected 3"),
-        (("--store", "elsewhere"), "give the --store that `slgaussian supervise` had"),
+        (("--store", "elsewhere"), "give the --store of `slgaussian supervise`"),
     ],
 )
 def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, capsys, more, expected):
@@ -205,7 +205,7 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     settings = retrain_settings(tmp_path)
     made = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert made.version.number == 1 and not made.version.promoted and versions.current() is None
-    why = r"version 1 kept, not used: (no gain over|worse than) no network \((filled|hard)\)"
+    why = r"version 1 stored, not promoted: (no gain over|worse than) no network \((filled|hard)\)"
     assert re.match(why, made.message)
     same = learn(lessons_of(tmp_path, range(16)), settings, store)
     assert same.version is None
@@ -214,13 +214,15 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     bad = versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, True, "for the test")
     made = learn(lessons_of(tmp_path, range(18)), settings, store)
     assert not made.version.promoted
-    assert re.match(r"version 3 kept, not used: (no gain over|worse than) no network", made.message)
+    assert re.match(
+        r"version 3 stored, not promoted: (no gain over|worse than) no network", made.message
+    )
     assert made.regressed.startswith("version 2, in use, is worse than no network (")
 
     settings = retrain_settings(tmp_path, steps=200, rate=0.02, corrupted=0.0)
     made = learn(lessons_of(tmp_path, range(18), holed=True), settings, store)
     assert made.version.promoted and made.version.parent == bad.number and not made.regressed
-    assert made.message.startswith("version 4 put to use: better than no network (")
+    assert made.message.startswith("version 4 promoted: better than no network (")
     assert made.message.endswith("and version 2") or "and than version 2 and no" in made.message
     assert versions.current() == made.version
     last = versions.history()[-1]
@@ -250,7 +252,7 @@ def test_versions_are_listed_put_to_use_and_taken_back(tmp_path, monkeypatch, ca
         (["--roll-back"], "cannot roll back, as nothing is in use"),
         (["--use", "7"], "expected one of the versions there (1, 2), or none"),
         (["--use", "two"], "expected one of the versions there (1, 2), or none"),
-        (["--why", "so"], "--why is for --use and --roll-back"),
+        (["--why", "so"], "--why needs --use or --roll-back"),
     ):
         assert run(monkeypatch, *models, *words) == 2
         assert sentence in capsys.readouterr().err

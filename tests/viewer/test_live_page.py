@@ -214,7 +214,7 @@ def test_the_command_ends_when_it_is_told_to(folder, sign, changed):
         out, error = child.communicate(timeout=30)
         assert (child.returncode, out) == (0, "")
         last = "stopped; changes were not saved" if changed else "stopped"
-        assert error.splitlines()[-3:] == ["Ctrl-C ends it", "", last]  # after what is compiled
+        assert error.splitlines()[-3:] == ["Ctrl-C stops it", "", last]  # after what is compiled
 
 
 @contextmanager
