@@ -1,7 +1,7 @@
-"""Access to the viewer: the address it answers at, and the requests it refuses.
+"""Access control of the viewer: its address, access token, and checks of requests.
 
-A server of its own would take no token, and answer pages of other sites. So it is given a socket
-that is bound here, and every request passes :class:`Guard` first.
+The web server alone would check no token and would answer requests from pages of other sites, so
+the socket is bound here, and every request passes :class:`Guard` first.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from slgaussian.errors import InputError, SLGaussianError
 
 PORT = 8080
-"""Tried first where the user names none."""
+"""Default port; if it is in use, a free one is chosen."""
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
@@ -53,7 +53,7 @@ class Access:
         return f"http://{host}:{self.port}/" + (f"{self.token}/" if self.token else "")
 
     def path_within(self, path: str, host: str | None, origin: str | None) -> str | None:
-        """The path of a request without the token; None for a request that is to be refused.
+        """Return the path of a request without the token, or None to refuse the request.
 
         Parameters
         ----------

@@ -129,13 +129,13 @@ class LiveField:
         }
 
     def change(self, changed: SemanticField) -> dict[str, Any]:
-        """Go on with a changed field; return its state."""
+        """Replace the field by a changed one; return the state."""
         self._earlier.append(self.field)
         self.field = changed
         return self.state()
 
     def undo(self) -> dict[str, Any]:
-        """Take the last change back, if there is one; return the state."""
+        """Undo the last change, if there is one; return the state."""
         if self._earlier:
             self.field = self._earlier.pop()
         return self.state()
