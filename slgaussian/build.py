@@ -27,7 +27,7 @@ from slgaussian.masks.levels import group_objects
 from slgaussian.predict import CountingPredictor, Depths
 from slgaussian.predict.view_graph import select_usable
 from slgaussian.rasterize.merging import Change, merge
-from slgaussian.scene import Sample, View
+from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.statistics import FieldStatistics
 
 
@@ -187,7 +187,7 @@ def lift_field(
     Its settings record method, quality of the views and statistics. With ``method.keep`` "needed"
     its Gaussians are merged: code that needs one Gaussian per pixel must use the unmerged input.
     """
-    cameras = {view.name: view.camera for view in sample.context}
+    cameras = {view.name: _judged(view.camera, quality) for view in sample.context}
     lifted = method.lifting.load()(gaussians, label_maps, bank)
     change = Change()
     if method.keep == "needed":
@@ -211,8 +211,17 @@ def lift_field(
     settings["verdict"] = quality.verdict()._asdict()
     settings["account"] = statistics.as_json()
     if sample.found:
-        settings["cameras"] = dict(sample.found)
+        confidence = round(quality.camera_confidence(sample.found["confidence"]), 3)
+        settings["cameras"] = {**sample.found, "confidence": confidence}
     return SemanticField(lifted, bank, cameras, settings, method.encoder.places())
+
+
+def _judged(camera: Camera, quality: Quality) -> Camera:
+    """Return a camera with the confidence that the scene gives it, if it was estimated."""
+    if camera.estimated is None:
+        return camera
+    confidence = quality.camera_confidence(camera.estimated.confidence)
+    return replace(camera, estimated=replace(camera.estimated, confidence=confidence))
 
 
 @contextmanager

@@ -121,7 +121,7 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=10)  # increase it also when camera estimation changes
+@stage("ingest", version=11)  # increase it also when camera estimation changes
 def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     """Read the sample of a scene: spec ``sample``.
 
@@ -152,13 +152,12 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
 
 
 def describe_cameras(cameras: Iterable[Camera]) -> str:
-    """Describe the origin of cameras: given, or estimated with their confidence."""
+    """Describe the origin of cameras: given, or estimated, with the source of focal lengths."""
     estimates = [camera.estimated for camera in cameras if camera.estimated is not None]
     if not estimates:
         return "given"
     sources = " and ".join(sorted({estimate.source for estimate in estimates}))
-    sure = min(estimate.confidence for estimate in estimates)
-    return f"estimated, focal length from {sources}, confidence {sure:.0%}"
+    return f"estimated, focal length from {sources}"
 
 
 def _check_held_out(sample: Sample) -> None:
@@ -352,7 +351,7 @@ def supervision(
     return run.store.put("bank", bank.to_arrays(), {"objects": len(bank)})
 
 
-@stage("field", version=8)
+@stage("field", version=9)
 def field(
     run: RunContext,
     sample: ArtifactRef,

@@ -82,7 +82,7 @@ def field(
     from flows.cli.photographs import load_photographs, print_warnings
     from slgaussian import precompile
     from slgaussian.build import build_field
-    from slgaussian.cameras.quality import POOR, Quality
+    from slgaussian.cameras.quality import POOR, Quality, camera_doubt
     from slgaussian.language.weights import INSTALL, find_weights
     from slgaussian.storage.field_folder import check_target
     from slgaussian.storage.inputs import describe_photographs
@@ -110,6 +110,8 @@ def field(
         steps = ", ".join(f"{step} {spent:.2f}" for step, spent in seconds.items())
         lines.append(f"seconds: {steps}")
     lines.append(quality.verdict().sentence())
+    if doubt := camera_doubt(built.settings.get("cameras", {})):
+        lines.append(f"warning: {doubt}")
     if built.settings["encoder"] == "lexicon" and find_weights() is None:
         lines.append(f"it knows few nouns: the optional classifier is not installed; {INSTALL}")
     if (word := choose_word(built)) is not None:
@@ -181,7 +183,8 @@ def cameras(
                 "upright photographs: save upright copies for programs that do not rotate them",
                 err=True,
             )
-    print_warnings(estimate.warnings, verbose=True)
+    doubts = [f"these cameras are doubtful: {estimate.doubt}"] if estimate.doubt else []
+    print_warnings([*doubts, *estimate.warnings], verbose=True)
     typer.echo(estimate.summary(), err=True)
     typer.echo(json.dumps(estimate.as_json()) if as_json else _pairs_text(estimate))
     if out is not None and not as_json:
@@ -224,6 +227,7 @@ def masks(
     from flows.cli.tables import table_text
     from slgaussian.benchmark import pictures
     from slgaussian.build import predict
+    from slgaussian.cameras.quality import camera_doubt
     from slgaussian.geometry import SceneGeometry
     from slgaussian.io import atomic_folder
     from slgaussian.masks.associate import associate
@@ -246,6 +250,10 @@ def masks(
     start = time.perf_counter()
     predicted = predict(sample, graph, components[0], method.seed, method.trust_cameras)
     geometry = SceneGeometry.of(sample.context, predicted.gaussians)
+    if sample.found:
+        confidence = predicted.quality.camera_confidence(sample.found["confidence"])
+        if doubt := camera_doubt({**sample.found, "confidence": confidence}):
+            typer.echo(f"warning: {doubt}", err=True)
     maps = associate(geometry.frames, proposing, tracking, method.replicas, method.votes)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 

@@ -84,6 +84,9 @@ class EstimatedCameras:
     pairs : tuple of EstimatedPair
     confidence : float
         Probability, 0 to 1, that every pose is right to a few degrees.
+    doubt : str
+        Reason to doubt the cameras, a clause; empty if the matches give none. Whether the cameras
+        are right is decided by the scene (:meth:`slgaussian.cameras.quality.Quality.doubt`).
     warnings : tuple of str
         Warnings for the user, a sentence each.
     left_out : mapping str -> str
@@ -95,6 +98,7 @@ class EstimatedCameras:
     k1: Mapping[str, float]
     pairs: tuple[EstimatedPair, ...]
     confidence: float
+    doubt: str = ""
     warnings: tuple[str, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
 
@@ -104,6 +108,7 @@ class EstimatedCameras:
         """Return the estimation record as JSON-compatible data, for files."""
         return {
             "confidence": round(self.confidence, 3),
+            "doubt": self.doubt,
             "focals": {name: asdict(focal) for name, focal in self.focals.items()},
             "k1": dict(self.k1),
             "pairs": [

@@ -174,7 +174,7 @@ def _estimated_cameras(solution: PlacedCameras, described: Sequence[Described]) 
         {p.name: float(k1) for p, k1 in zip(photographs, solution.k1, strict=True)},
         solution.pairs,
         solution.confidence,
-        (f"these cameras are doubtful: {doubt}",) if doubt else (),
+        doubt,
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
@@ -23,6 +24,18 @@ LITTLE_CLASH, MOST_CLASH = 0.16, 0.22
 """A scene is good with agreement from the first and clash up to the first, and poor with agreement
 below the second or clash above the second. Chosen on 26 pairs of photographs
 (`docs/measured/poses.md`): clash is 0.35 and more where depth is wrong, else at most 0.18."""
+
+
+CONFIDENCE = (2.53, 0.40, -7.92)
+"""Logistic regression of right cameras, within 20 degrees: intercept, and the weights of the logit
+of the matches' confidence and of clash, by ``benches.cameras.scene_evidence``
+(`docs/measured/poses.md`)."""
+
+LEAST_CONFIDENCE, MOST_CONFIDENCE = 0.01, 0.99
+"""Range to which the confidence by the matches is clipped: beyond it is not calibrated."""
+
+SURE = 0.9
+"""Confidence below which found cameras are doubted, whatever the matches say."""
 
 
 class Verdict(NamedTuple):
@@ -100,6 +113,17 @@ class Quality:
         """Return a clause on the confirmed fraction of the depth, for terminal and page."""
         return f"another view confirms {self.confirmed:.0%} of the pixels"
 
+    def camera_confidence(self, by_matches: float) -> float:
+        """Return the probability that cameras found from the photographs are right, 0 to 1.
+
+        ``by_matches`` is the confidence of
+        :class:`slgaussian.cameras.estimated.EstimatedCameras`, which has not seen the scene.
+        """
+        intercept, of_matches, of_clash = CONFIDENCE
+        p = min(max(by_matches, LEAST_CONFIDENCE), MOST_CONFIDENCE)
+        logit = intercept + of_matches * math.log(p / (1 - p)) + of_clash * self.clash
+        return 1 / (1 + math.exp(-logit))
+
     def verdict(self) -> Verdict:
         """Judge the scene by overlap, agreement and clash; angle and turn only give reasons."""
         if self.overlap < LITTLE_SHARED:
@@ -138,6 +162,19 @@ class Quality:
                 "photograph from between, with more texture in it",
             )
         return Verdict(level, f"{clause}: {cause}; add a photograph from between")
+
+
+def camera_doubt(found: Mapping[str, Any]) -> str:
+    """Return a sentence if found cameras may be wrong, else an empty string.
+
+    ``found`` is the record of :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`, with
+    the confidence of :meth:`Quality.camera_confidence`; empty if the cameras were given.
+    """
+    confidence, reason = found.get("confidence", 1.0), found.get("doubt", "")
+    if not reason and confidence >= SURE:
+        return ""
+    reason = reason or "what one view shows has other colours in the other"
+    return f"the cameras are right with a probability of {confidence:.0%}: {reason}"
 
 
 def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quality, np.ndarray]:

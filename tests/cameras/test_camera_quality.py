@@ -8,7 +8,7 @@ import pytest
 from slgaussian import datasets
 from slgaussian.cameras.check import check_pairs
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.cameras.quality import Quality, measure
+from slgaussian.cameras.quality import Quality, camera_doubt, measure
 from slgaussian.geometry import SceneGeometry, SeenView
 from slgaussian.scene import Camera, Sample, View
 from tests.cameras.walls import FAR, two_rows
@@ -30,6 +30,7 @@ def of(sample: Sample, depths: np.ndarray) -> Quality:
 def test_true_depth_is_confirmed_where_the_other_view_sees_it(room):
     depths = np.stack([view.depth for view in room.context])
     good = of(room, depths)
+    assert good.camera_confidence(0.95) > 0.95
     assert 0.7 < good.overlap < 1 and 0.8 * good.overlap < good.confirmed <= 1
     wrong = depths.copy()
     wrong[1] *= 1.1
@@ -89,3 +90,15 @@ def test_what_people_read():
     moved = replace(GOOD, agreement=0.5, clash=0.35).verdict()
     assert moved.level == "poor" and "something moved" in moved.reason
     assert "too few agree" in replace(GOOD, judged=False, angle=None).summary()
+
+
+def test_found_cameras_are_less_sure_where_the_views_clash_or_the_matches_are_doubtful():
+    clashes, matches = (0.0, 0.1, 0.3, 0.7), (1.0, 0.9, 0.5, 0.0)
+    table = np.array(
+        [[replace(GOOD, clash=c).camera_confidence(m) for m in matches] for c in clashes]
+    )
+    assert (np.diff(table, axis=0) < 0).all() and (np.diff(table, axis=1) < 0).all()
+    assert 0.97 < table[0, 0] < 1 and 0 < table[-1, -1] < 0.02
+    assert camera_doubt({"confidence": 0.97, "doubt": ""}) == camera_doubt({}) == ""
+    assert "few matches" in camera_doubt({"confidence": 0.97, "doubt": "few matches"})
+    assert "62%" in camera_doubt({"confidence": 0.62, "doubt": ""})

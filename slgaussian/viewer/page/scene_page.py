@@ -25,7 +25,7 @@ import numpy as np
 
 from slgaussian import __version__
 from slgaussian.benchmark.pictures import depth_range, encode_jpeg, label_colors
-from slgaussian.cameras.quality import Quality
+from slgaussian.cameras.quality import Quality, camera_doubt
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
@@ -208,8 +208,9 @@ def _honest(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
         sentences.append(
             "The cameras were found from the photographs, so there is no scale in metres."
         )
-        warnings = field.settings.get("cameras", {}).get("warnings", [])
-        sentences += [f"Warning: {warning}." for warning in warnings]
+        found = field.settings.get("cameras", {})
+        warnings = [camera_doubt(found), *found.get("warnings", [])]
+        sentences += [f"Warning: {warning}." for warning in warnings if warning]
     if gaussians.sh.shape[1] > 1:
         sentences.append("Colours do not change with the viewpoint here, as those of the field do.")
     when = f", as worked out when this file was made with slgaussian {__version__}"
