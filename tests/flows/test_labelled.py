@@ -143,7 +143,7 @@ class TestIndex:
             (lerf, (*lerf_ovs, "--set", "min_overlap=0.9", "--set", "max_overlap=0.8"),
              "min_overlap 0.9 is above max_overlap 0.8"),
             (lerf, (*lerf_ovs, "--set", "min_baseline=0.4"), "have it between them"),
-            (lerf, ("--pairs", "p.json", "--set", "min_cover=0.8"), "of --data without --pairs"),
+            (lerf, ("--pairs", "p.json", "--set", "min_cover=0.8"), "for --data without --pairs"),
         ):  # fmt: skip
             words = ("benchmark", "--data", data, *words, "-o", lerf / "out")
             assert run(monkeypatch, *words) == 2
