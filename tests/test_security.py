@@ -203,7 +203,8 @@ class TestLargeImages:
             b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EOF\n"
         )
         assert Image.open(tmp_path / "a.png").format == "EPS"
-        with pytest.raises(ValueError, match="not an image of a supported format"), opened(tmp_path / "a.png"):
+        refusal = pytest.raises(ValueError, match="not an image of a supported format")
+        with refusal, opened(tmp_path / "a.png"):
             pass
 
 

@@ -276,7 +276,7 @@ def _sendable(
 def _leave_out(
     scene_task: SceneTask, died: bool, event_text: str, outcome: Outcome, progress: Progress
 ) -> None:
-    reason = f"its worker {event_text} twice, the second time while no other scene was running"
+    reason = f"its worker {event_text} twice, the second time with no other scene"
     if died:
         reason += "; it may need more memory than there is: try it with --workers 1"
     kind = "WorkerDied" if died else "WorkerRaised"

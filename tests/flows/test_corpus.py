@@ -211,7 +211,7 @@ def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     assert "clip 'procedural_1': 4 of its 4 views are sharp" in message["procedural_1", "pairs"]
     assert "clip 'procedural_9': 4 of its 4 views" in message["procedural_9", "pairs"]
     assert "clip 'dead': none of its 4 frames can be used" in reasons
-    assert "clip 'new' of 000009.torch is in 000002.torch too" in message["new", "views"]
+    assert "clip 'new' of 000009.torch is also in 000002.torch" in message["new", "views"]
     # Three more are of the four frames of "dead", and the last of all.
     assert len(output.failures) == 11
     assert {sample["clip"] for sample in table(tmp_path, "pairs")} == {good.key, "new"}

@@ -103,7 +103,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     (tmp_path / "chunks" / "broken.torch").write_bytes(b"no chunk")
     assert "left out for the first time: 1, as broken.torch: " in retrain("left out")
     assert record(tmp_path, 3)["outcome"] == "failed"
-    assert "begun 2099-01-01T00:00:00+00:00, was ended" in record(tmp_path, 3)["messages"][0]
+    assert "begun 2099-01-01T00:00:00+00:00, was killed" in record(tmp_path, 3)["messages"][0]
     assert '"broken.torch": ' in artifact()
     assert "nothing new" in retrain("nothing new")  # what was left out before is no news
 
