@@ -171,7 +171,9 @@ def camera_doubt(found: Mapping[str, Any]) -> str:
     the confidence of :meth:`Quality.camera_confidence`; empty if the cameras were given.
     """
     confidence, reason = found.get("confidence", 1.0), found.get("doubt", "")
-    if not reason and confidence >= SURE:
+    # Doubtful matches of a pair count even where the scene agrees; no chain of three or more
+    # photographs had wrong cameras (docs/measured/poses.md).
+    if confidence >= SURE and (not reason or len(found.get("pairs", ())) > 1):
         return ""
     reason = reason or "what one view shows has other colours in the other"
     return f"the cameras are right with a probability of {confidence:.0%}: {reason}"

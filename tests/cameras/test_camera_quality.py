@@ -100,5 +100,7 @@ def test_found_cameras_are_less_sure_where_the_views_clash_or_the_matches_are_do
     assert (np.diff(table, axis=0) < 0).all() and (np.diff(table, axis=1) < 0).all()
     assert 0.97 < table[0, 0] < 1 and 0 < table[-1, -1] < 0.02
     assert camera_doubt({"confidence": 0.97, "doubt": ""}) == camera_doubt({}) == ""
-    assert "few matches" in camera_doubt({"confidence": 0.97, "doubt": "few matches"})
+    doubted = {"confidence": 0.97, "doubt": "few matches", "pairs": [{}]}
+    assert "few matches" in camera_doubt(doubted)
+    assert camera_doubt({**doubted, "pairs": [{}, {}]}) == ""
     assert "62%" in camera_doubt({"confidence": 0.62, "doubt": ""})
