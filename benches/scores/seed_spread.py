@@ -43,7 +43,7 @@ def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]
 
 def score(inputs: Inputs, scene: SceneSettings, truth: Truth) -> dict[str, float]:
     """The metrics of a field of a scene."""
-    marks = EvaluationSettings(queries=scene.queries, protocols=[Settings().protocol], drawn=False)
+    marks = EvaluationSettings(queries=scene.queries, protocols=["slgaussian"], drawn=False)
     result = evaluate(
         inputs.field,
         inputs.sample,
