@@ -218,13 +218,13 @@ def main() -> None:
     arguments = parser(__doc__, "poses.md")
     arguments.add_argument("data", type=data_folder("office"), help="photographs with cameras")
     arguments.add_argument("--rows", type=Path, default=Path("evidence.jsonl"), help="rows so far")
-    asked = arguments.parse_args()
+    args = arguments.parse_args()
     rows = (
-        [json.loads(s) for s in asked.rows.read_text().splitlines()] if asked.rows.is_file() else []
+        [json.loads(s) for s in args.rows.read_text().splitlines()] if args.rows.is_file() else []
     )
     measured = {(row["group"], row["name"]) for row in rows}
-    with asked.rows.open("a") as out:
-        for group, name, load in pairs(asked.data):
+    with args.rows.open("a") as out:
+        for group, name, load in pairs(args.data):
             if (group, name) not in measured:
                 row = {"group": group, "name": name, **(measure(*load()) or {})}
                 rows.append(row)
@@ -232,7 +232,7 @@ def main() -> None:
                 out.flush()
     lines, sentence = summary(rows)
     command = "python -m benches.cameras.scene_evidence DATA"
-    publish(asked.out, "poses.md", command, sentence, table(lines, COLUMNS))
+    publish(args.out, "poses.md", command, sentence, table(lines, COLUMNS))
 
 
 if __name__ == "__main__":

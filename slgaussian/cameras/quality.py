@@ -164,16 +164,16 @@ class Quality:
         return Verdict(level, f"{clause}: {cause}; add a photograph from between")
 
 
-def camera_doubt(found: Mapping[str, Any]) -> str:
+def camera_doubt(record: Mapping[str, Any]) -> str:
     """Return a sentence if found cameras may be wrong, else an empty string.
 
-    ``found`` is the record of :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`, with
+    ``record`` is that of :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`, with
     the confidence of :meth:`Quality.camera_confidence`; empty if the cameras were given.
     """
-    confidence, reason = found.get("confidence", 1.0), found.get("doubt", "")
+    confidence, reason = record.get("confidence", 1.0), record.get("doubt", "")
     # Doubtful matches of a pair count even where the scene agrees; no chain of three or more
     # photographs had wrong cameras (docs/measured/poses.md).
-    if confidence >= SURE and (not reason or len(found.get("pairs", ())) > 1):
+    if confidence >= SURE and (not reason or len(record.get("pairs", ())) > 1):
         return ""
     reason = reason or "what one view shows has other colours in the other"
     return f"the cameras are right with a probability of {confidence:.0%}: {reason}"

@@ -20,8 +20,6 @@ from slgaussian.errors import InputError
 from slgaussian.language import lite0
 from slgaussian.language.weights import INSTALL, PACKAGE, SHA256, find_weights
 
-CLASSES = 1000
-
 SIZES = (448, 672, 960)
 """Long sides, in pixels, to which a photograph is resized."""
 

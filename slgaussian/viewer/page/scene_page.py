@@ -208,8 +208,8 @@ def _honest(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
         sentences.append(
             "The cameras were found from the photographs, so there is no scale in metres."
         )
-        found = field.settings.get("cameras", {})
-        warnings = [camera_doubt(found), *found.get("warnings", [])]
+        record = field.settings.get("cameras", {})
+        warnings = [camera_doubt(record), *record.get("warnings", [])]
         sentences += [f"Warning: {warning}." for warning in warnings if warning]
     if gaussians.sh.shape[1] > 1:
         sentences.append("Colours do not change with the viewpoint here, as those of the field do.")
