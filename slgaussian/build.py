@@ -38,6 +38,7 @@ class Predicted(NamedTuple):
     ----------
     gaussians : Gaussians
         With the array ``guessed``.
+    geometry : SceneGeometry
     quality : Quality
         Quality of the views.
     depths : Depths or None
@@ -45,6 +46,7 @@ class Predicted(NamedTuple):
     """
 
     gaussians: Gaussians
+    geometry: SceneGeometry
     quality: Quality
     depths: Depths | None
 
@@ -96,8 +98,7 @@ def build_field(
         warnings.warn(f"{name} is left out: {reason}", stacklevel=2)
     with _timed("geometry", took):
         predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras)
-        gaussians, quality, depths = predicted
-        geometry = SceneGeometry.of(sample.context, gaussians)
+        gaussians, geometry, quality, depths = predicted
     with _timed("masks", took):
         masking = method.proposer, method.tracker, method.replicas, method.votes
         label_maps = label_views(geometry, *masking)
@@ -133,10 +134,11 @@ def predict(
     opaque = _opaque(sample.context)
     if opaque is not None:
         gaussians = gaussians[opaque.ravel()[gaussians.to_arrays()["source"]]]
-    quality, confirmed = measure(SceneGeometry.of(sample.context, gaussians), checks)
+    geometry = SceneGeometry.of(sample.context, gaussians)
+    quality, confirmed = measure(geometry, checks)
     arrays = gaussians.to_arrays()
     guessed = ~confirmed.ravel()[arrays["source"]] | arrays.get("guessed", False)
-    return Predicted(gaussians.with_arrays(guessed=guessed), quality, depths)
+    return Predicted(gaussians.with_arrays(guessed=guessed), geometry, quality, depths)
 
 
 def label_views(

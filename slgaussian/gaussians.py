@@ -273,7 +273,7 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
         if not in_view.any() or (depth > 0).all():
             continue
         nearest = np.full((H, W), np.inf, np.float32)
-        inside = ~in_view & (z > 0) & (pixels >= 0).all(1) & (pixels < (W, H)).all(1)
+        inside = ~in_view & camera.shows(pixels, z)
         column, row = pixels[inside].astype(np.int64).T
         np.minimum.at(nearest, (row, column), z[inside].astype(np.float32))
         # Points do not project to every pixel.

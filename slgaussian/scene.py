@@ -177,6 +177,14 @@ class Camera:
         pixels = local @ self.K.T
         return pixels[..., :2] / safe[..., None], z
 
+    def shows(self, pixels: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Return which projected points are in the image and in front of the camera, bool [...].
+
+        ``pixels`` [..., 2] and ``depth`` [...] are results of :meth:`project`.
+        """
+        u, v = pixels[..., 0], pixels[..., 1]
+        return (depth > 0) & (u >= 0) & (v >= 0) & (u < self.width) & (v < self.height)
+
     def rays(self) -> np.ndarray:
         """Compute the world-space ray through every pixel centre, z = 1: float64 [H, W, 3]."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
@@ -500,8 +508,7 @@ def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:
     local = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(a.K).T
     points = a.center + (local * np.broadcast_to(depth, u.shape)[..., None]) @ a.c2w[:3, :3].T
     pixels, z = b.project(points)
-    inside = (z > 0) & (pixels >= 0).all(-1) & (pixels < (b.width, b.height)).all(-1)
-    return float(inside.mean())
+    return float(b.shows(pixels, z).mean())
 
 
 def _check_views(scene: str, views: Sequence[View]) -> None:

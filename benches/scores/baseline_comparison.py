@@ -26,7 +26,6 @@ from slgaussian.build import build_memory_bank, label_views, lift_field, predict
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
-from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels import threads
 from slgaussian.masks import load_proposer
 from slgaussian.system import memory_status, reset_peak_memory
@@ -76,8 +75,8 @@ def run_alone(name: str, data: Path) -> None:
     truth = read_truth(data / "office" / "labels", pair.categories, sample.targets).masks
     method = Method()
     graph = MatchGraph.of(sample.context)
-    gaussians, quality, depths = predict(sample, graph, method.predictor, method.seed)
-    geometry = SceneGeometry.of(sample.context, gaussians)
+    predicted = predict(sample, graph, method.predictor, method.seed)
+    gaussians, geometry, quality, depths = predicted
     label_maps = label_views(geometry, method.proposer, method.tracker, method.replicas)
     bank = build_memory_bank(
         sample, geometry, label_maps, method.encoder, method.codes, method.seed

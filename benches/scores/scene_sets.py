@@ -22,7 +22,6 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import truth_from_instances
 from slgaussian.build import build_memory_bank, label_views, lift_field, predict
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.geometry import SceneGeometry
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Sample
 from slgaussian.semantic.hard import code_images
@@ -131,8 +130,7 @@ def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     method = replace(Settings().built_by, seed=seeds[0])
     graph = MatchGraph.of(sample.context)
     predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras=True)
-    gaussians, quality, depths = predicted
-    geometry = SceneGeometry.of(sample.context, gaussians)
+    gaussians, geometry, quality, depths = predicted
     labels = label_views(geometry, method.proposer, method.tracker, method.replicas)
     bank = build_memory_bank(sample, geometry, labels, method.encoder, method.codes, method.seed)
     draw, proposer = method.codes.load(), method.proposer.load()

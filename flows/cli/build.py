@@ -228,7 +228,6 @@ def masks(
     from slgaussian.benchmark import pictures
     from slgaussian.build import predict
     from slgaussian.cameras.quality import camera_doubt
-    from slgaussian.geometry import SceneGeometry
     from slgaussian.io import atomic_folder
     from slgaussian.masks.associate import associate
     from slgaussian.masks.precomputed import encode_ids, map_names
@@ -249,12 +248,11 @@ def masks(
     typer.echo(f"labelling {views} with {', '.join(c.name for c in components)}", err=True)
     start = time.perf_counter()
     predicted = predict(sample, graph, components[0], method.seed, method.trust_cameras)
-    geometry = SceneGeometry.of(sample.context, predicted.gaussians)
     if sample.found:
         confidence = predicted.quality.camera_confidence(sample.found["confidence"])
         if doubt := camera_doubt({**sample.found, "confidence": confidence}):
             typer.echo(f"warning: {doubt}", err=True)
-    maps = associate(geometry.frames, proposing, tracking, method.replicas, method.votes)
+    maps = associate(predicted.geometry.frames, proposing, tracking, method.replicas, method.votes)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)
 
     files, panels = {}, []

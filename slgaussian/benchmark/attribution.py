@@ -270,8 +270,7 @@ def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray
     landed = []
     for view, depth in zip(sample.context, depths, strict=True):
         pixels, z = target.camera.project(view.camera.unproject(depth))
-        inside = (depth > 0) & (z > 0) & (pixels >= 0).all(-1)
-        inside &= (pixels < (width, height)).all(-1)
+        inside = (depth > 0) & target.camera.shows(pixels, z)
         column, row = np.where(inside[..., None], pixels, 0).astype(np.int64).transpose(2, 0, 1)
         place = np.where(inside, row * width + column, -1)
         np.minimum.at(nearest, place[inside], z[inside])

@@ -141,7 +141,7 @@ def _half_axes(offsets: np.ndarray, image_axes: np.ndarray) -> tuple[np.ndarray,
 
 def _median_depth(camera: Camera, points: np.ndarray) -> float:
     pixels, z = camera.project(np.asarray(points, np.float64))
-    inside = (z > 0) & (pixels >= 0).all(-1) & (pixels < (camera.width, camera.height)).all(-1)
+    inside = camera.shows(pixels, z)
     if not inside.any():
         raise InputError("orbit: nothing lies before the cameras, so there is nothing to aim at")
     return float(np.median(z[inside]))

@@ -187,7 +187,7 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
     """
     views, depths = geometry.views, geometry.depths
     shared = np.zeros(len(views))
-    clash = np.zeros(len(views))
+    nearest = [(0, 0)] * len(views)  # the pair of each view with the largest overlap
     confirmed, met = np.zeros(depths.shape, bool), np.zeros(depths.shape, bool)
     for a, b in neighbours(views):
         fractions = []
@@ -196,10 +196,13 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
             confirmed[view_index] |= same
             met[view_index] |= inside
             fractions.append(float(inside.sum() / max((depths[view_index] > 0).sum(), 1)))
-        worst = max(geometry.clash(a, b), geometry.clash(b, a))
         for view in (a, b):
             if min(fractions) > shared[view]:
-                shared[view], clash[view] = min(fractions), worst
+                shared[view], nearest[view] = min(fractions), (a, b)
+    clash = {
+        (a, b): max(geometry.clash(a, b), geometry.clash(b, a)) if a != b else 0.0
+        for a, b in set(nearest)
+    }
     axes = {view.name: view.camera.c2w[:3, 2] for view in views}
     cosines = [axes[check.views[0]] @ axes[check.views[1]] for check in checks]
     angles = [check.angle for check in checks if np.isfinite(check.angle)]
@@ -215,6 +218,6 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
         judged=enough(matches, agreeing),
         apart=int((shared < LITTLE_SHARED).sum()),
         agreement=float(confirmed.sum() / max(met.sum(), 1)),
-        clash=float(np.median(clash)),
+        clash=float(np.median([clash[pair] for pair in nearest])),
     )
     return quality, confirmed

@@ -125,14 +125,21 @@ class SceneGeometry:
 
         Two bool [H, W].
         """
-        camera, depth = self.views[first].camera, self.depths[first]
-        target, target_depth = self.views[second].camera, self.depths[second]
-        pixels, z = target.project(camera.unproject(depth))
-        inside = (depth > 0) & (z > 0) & (pixels >= 0).all(-1)
-        inside &= (pixels < (target.width, target.height)).all(-1)
-        u, v = np.where(inside[..., None], pixels, 0).astype(np.int64).transpose(2, 0, 1)
-        observed = target_depth[v, u]
+        inside, pixels, z = self._projected(first, second)
+        column, row = pixels.astype(np.int64).transpose(2, 0, 1)
+        observed = self.depths[second][row, column]
         return inside, inside & (observed > 0) & (np.abs(z - observed) <= CONFIRMS * observed)
+
+    def _projected(self, first: int, second: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return which pixels of view ``first`` are inside view ``second``, where, and how deep.
+
+        bool [H, W], float64 [H, W, 2], 0 for pixels outside, and float64 [H, W].
+        """
+        depth, target = self.depths[first], self.views[second].camera
+        pixels, z = target.project(self.views[first].camera.unproject(depth))
+        inside = (depth > 0) & target.shows(pixels, z)
+        pixels[~inside] = 0
+        return inside, pixels, z
 
     def clash(self, first: int, second: int) -> float:
         """Return the share of visible pixels of view ``first`` with another colour in ``second``.
@@ -141,14 +148,11 @@ class SceneGeometry:
         compared after compensation of exposure. Where they differ by more than :data:`CLASHES`, an
         object moved or the depth is wrong. 0 if there are no such pixels.
         """
-        camera, depth = self.views[first].camera, self.depths[first]
-        target, target_depth = self.views[second].camera, self.depths[second]
-        pixels, z = target.project(camera.unproject(depth))
-        inside, _ = self.seen_again(first, second)
-        at = np.where(inside[..., None], pixels, 0)
-        u, v = at.astype(np.float32).transpose(2, 0, 1)
-        column, row = at.astype(np.int64).transpose(2, 0, 1)  # float32 may round up to the width
-        visible = inside & (z <= (1 + CONFIRMS) * target_depth[row, column])
+        inside, pixels, z = self._projected(first, second)
+        u, v = pixels.astype(np.float32).transpose(2, 0, 1)
+        # Not of float32, which may round up to the width.
+        column, row = pixels.astype(np.int64).transpose(2, 0, 1)
+        visible = inside & (z <= (1 + CONFIRMS) * self.depths[second][row, column])
         if not visible.any():
             return 0.0
         lab, target_lab = (

@@ -99,12 +99,11 @@ def reproject(
 
     Arguments and results are those of :func:`match_points`.
     """
-    height, width = b.frame.image.shape[:2]
-    projected, z = b.frame.view.camera.project(a.lifted(pixels))
-    inside = (z > 0) & (projected >= 0).all(1) & (projected < (width, height)).all(1)
-    which = np.flatnonzero(inside)
+    camera = b.frame.view.camera
+    projected, z = camera.project(a.lifted(pixels))
+    which = np.flatnonzero(camera.shows(projected, z))
     column, row = projected[which].astype(np.int64).T
-    place = row * width + column
+    place = row * camera.width + column
     back, z = a.frame.view.camera.project(b.lifted(place))
     row, column = np.divmod(pixels[which], a.frame.image.shape[1])
     error = np.hypot(back[:, 0] - column - 0.5, back[:, 1] - row - 0.5)

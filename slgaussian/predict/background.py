@@ -135,7 +135,6 @@ def _blocks_behind_edges(
 def _is_unseen(points: np.ndarray, camera: Camera, inverse_depth: np.ndarray) -> np.ndarray:
     """Return the mask of points [M, 3] outside a view or behind its surface, bool [M]."""
     pixels, z = camera.project(points)
-    size = camera.width, camera.height
-    inside = (z > 0) & (pixels >= 0).all(1) & (pixels < size).all(1)
+    inside = camera.shows(pixels, z)
     column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
     return ~inside | (z * inverse_depth[row, column] > 1 + BEHIND)

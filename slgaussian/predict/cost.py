@@ -36,21 +36,20 @@ _AREA = np.float32(_SIDE**2)
 _FLOOR = np.float32(_SIDE**2)
 
 
-def matching_cost(
+def matching_costs(
     ref: np.ndarray,
-    src: np.ndarray,
-    relative: Relative,
+    sources: Sequence[tuple[np.ndarray, Relative]],
     inverse_depths: np.ndarray,
     census_weight: float = CENSUS_WEIGHT,
 ) -> np.ndarray:
-    """Compute the cost volume of a reference view against one source view.
+    """Compute the cost volumes of a reference view against S source views.
 
     Parameters
     ----------
-    ref, src : uint8 [H, W]
-        Grey images.
-    relative : Relative
-        From the reference to the source, pixel centres at +0.5.
+    ref : uint8 [H, W]
+        Grey image.
+    sources : sequence of S (uint8 [H, W], Relative)
+        Grey image, and pose from the reference to the source, pixel centres at +0.5.
     inverse_depths : float64 [D]
         Candidates.
     census_weight : float
@@ -58,7 +57,7 @@ def matching_cost(
 
     Returns
     -------
-    uint8 [H, W, D]
+    uint8 [S, H, W, D]
         0 is a perfect match and 100 an unrelated one, in both terms: ``(1 - ZNCC) * 100`` and the
         share of differing census bits times 200. :data:`OUTSIDE` where a candidate lands outside
         the source or behind it.
@@ -66,24 +65,26 @@ def matching_cost(
     # Kernels have pixel centres at integers: shift once here instead of for every pixel.
     centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
     away = np.linalg.inv(centre)
-    volume = np.empty((*src.shape, len(inverse_depths)), np.uint8)
-    share(
-        _matching_cost,
-        -(-len(volume) // BLOCK),
-        np.pad(ref, RADIUS, mode="edge").astype(np.float32),
-        _squares(src),
-        (away @ relative.infinity @ centre).astype(np.float32),
-        (away @ relative.epipole).astype(np.float32),
-        inverse_depths.astype(np.float32),
-        np.float32((1 - census_weight) * 100),
-        np.float32(census_weight * 200 / (_SIDE**2 - 1)),
-        volume,
-    )
-    return volume
+    volumes = np.empty((len(sources), *ref.shape, len(inverse_depths)), np.uint8)
+    padded = np.pad(ref, RADIUS, mode="edge").astype(np.float32)
+    for (src, relative), volume in zip(sources, volumes, strict=True):
+        share(
+            _matching_cost,
+            -(-len(volume) // BLOCK),
+            padded,
+            _squares(src),
+            (away @ relative.infinity @ centre).astype(np.float32),
+            (away @ relative.epipole).astype(np.float32),
+            inverse_depths.astype(np.float32),
+            np.float32((1 - census_weight) * 100),
+            np.float32(census_weight * 200 / (_SIDE**2 - 1)),
+            volume,
+        )
+    return volumes
 
 
-def combine_costs(costs: Sequence[np.ndarray]) -> np.ndarray:
-    """Combine the cost volumes of several sources: the mean of the better half, uint8 [H, W, D].
+def combine_costs(costs: np.ndarray) -> np.ndarray:
+    """Combine cost volumes uint8 [S, H, W, D] to the mean of the better half, uint8 [H, W, D].
 
     The better half is robust to occlusion in some sources; the minimum alone would reward
     accidental matches. Sources with the candidate outside the image are ignored, unless all are.
@@ -91,7 +92,7 @@ def combine_costs(costs: Sequence[np.ndarray]) -> np.ndarray:
     if len(costs) == 1:
         return costs[0]
     out = np.empty_like(costs[0])
-    share(_combine, len(out), np.stack(costs), out)
+    share(_combine, len(out), costs, out)
     return out
 
 

@@ -68,21 +68,21 @@ def cross_check(
     uint8 [H, W]
         One of :data:`UNSEEN`, :data:`AGREES`, :data:`IN_FRONT`, :data:`BEHIND`.
     """
-    return _cross_check(
-        inverse_depth, source_depth, relative.infinity, relative.epipole, STEP_TOLERANCE * step
-    )
+    A, e = relative.infinity, relative.epipole
+    out = np.empty(inverse_depth.shape, np.uint8)
+    share(_cross_check, len(out), inverse_depth, source_depth, A, e, STEP_TOLERANCE * step, out)
+    return out
 
 
 @kernel
-def _cross_check(inverse_depth, source_depth, A, e, least_tolerance):
+def _cross_check(counter, inverse_depth, source_depth, A, e, least_tolerance, out):
     H, W = inverse_depth.shape
-    out = np.empty((H, W), np.uint8)
-    for y in range(H):
+    y = take(counter)
+    while y < H:
         for x in range(W):
-            out[y, x] = compare_depth(
-                x, y, float(inverse_depth[y, x]), source_depth, A, e, least_tolerance
-            )
-    return out
+            w = float(inverse_depth[y, x])
+            out[y, x] = compare_depth(x, y, w, source_depth, A, e, least_tolerance)
+        y = take(counter)
 
 
 @kernel

@@ -16,7 +16,7 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.predict import Depths
 from slgaussian.predict.background import continue_surfaces
 from slgaussian.predict.configs import PlaneSweepConfig
-from slgaussian.predict.cost import combine_costs, matching_cost
+from slgaussian.predict.cost import combine_costs, matching_costs
 from slgaussian.predict.depth_completion import (
     AGREES,
     IN_FRONT,
@@ -197,7 +197,7 @@ def _search(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the index of the best candidate of every pixel, float32 [H, W], and a mask of clear
     winners, bool [H, W]."""
-    costs = [matching_cost(guide, grey, relative, steps) for grey, relative in sources]
+    costs = matching_costs(guide, sources, steps)
     best, offset, margin = select_winners(aggregate(combine_costs(costs), guide))
     return best + offset, margin > MIN_MARGIN
 

@@ -5,7 +5,7 @@ import pytest
 from textured_planes import Plane, camera
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.cost import combine_costs, matching_cost
+from slgaussian.predict.cost import combine_costs, matching_costs
 
 # Written out, not imported: a slip in the module must show here.
 OUTSIDE, RADIUS = 60, 2
@@ -66,7 +66,7 @@ def test_cost_is_that_of_the_plain_formula(case, weight):
     ref[:20, :30] = 77  # A blank patch: the correlation there is decided by the noise floor.
     relative = Relative.between(*cameras)
     inverse_depths = np.linspace(0.1, 1.0, 7)
-    fast = matching_cost(ref, src, relative, inverse_depths, census_weight=weight)
+    (fast,) = matching_costs(ref, [(src, relative)], inverse_depths, census_weight=weight)
     plain = plain_cost(ref, src, relative, inverse_depths, RADIUS, weight)
     off = np.abs(fast.astype(int) - plain)
     # float32 decides the rounding, a census bit or the side of the source's edge differently now
@@ -79,9 +79,8 @@ def test_cost_is_that_of_the_plain_formula(case, weight):
 
 def test_combined_costs_are_the_mean_of_the_better_half_of_those_that_see():
     rng = np.random.default_rng(0)
-    costs = [rng.integers(0, 200, (5, 7, 11)).astype(np.uint8) for _ in range(4)]
-    for cost in costs:
-        cost[rng.random(cost.shape) < 0.4] = OUTSIDE
+    costs = rng.integers(0, 200, (4, 5, 7, 11)).astype(np.uint8)
+    costs[rng.random(costs.shape) < 0.4] = OUTSIDE
     for count in (1, 2, 3, 4):
         result = combine_costs(costs[:count])
         for at in np.ndindex(result.shape):
