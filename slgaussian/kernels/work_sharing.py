@@ -11,11 +11,11 @@ can share at the same time, and a single-threaded kernel compiles faster than a 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from llvmlite import ir
@@ -24,6 +24,8 @@ from numba.extending import intrinsic
 
 from slgaussian.kernels import threads
 from slgaussian.system import after_fork
+
+T = TypeVar("T")
 
 
 @intrinsic
@@ -56,6 +58,24 @@ def share(kernel: Callable[..., Any], portions: int, *args: Any) -> None:
         for helper in helpers:
             if not helper.cancel():
                 helper.result()
+
+
+def share_items(function: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
+    """Apply ``function`` to items on several threads, as ``map`` does; return results in order.
+
+    Items gain by it as far as they release the GIL: kernels, OpenCV and large NumPy operations do.
+    A result must not depend on the order of the items.
+    """
+    items = list(zip(*arguments, strict=True))
+    results: list[Any] = [None] * len(items)
+    numbers = iter(range(len(items)))
+
+    def work(counter: np.ndarray) -> None:
+        for number in numbers:  # a range iterator gives each number to one thread
+            results[number] = function(*items[number])
+
+    share(work, len(items))
+    return results
 
 
 @cache

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 
 import numpy as np
 
@@ -217,6 +218,8 @@ def build_bank(
     InputError
         If views, label maps, codes and groups do not match, or there is no object at all.
     """
+    from slgaussian.kernels.work_sharing import share_items
+
     ids = label_maps.ids
     if len(ids) == 0:
         raise InputError("memory bank: the label maps hold no object; nothing could be queried")
@@ -255,15 +258,18 @@ def build_bank(
             ]
         # One call for both, so that the encoder processes the photograph once.
         regions = np.concatenate([masks, groups_here])
-        encoded = encoder.encode_regions(view.image, regions, around)
+        tasks = [partial(encoder.encode_regions, view.image, regions, around)]
+        if classify is not None:
+            tasks.append(partial(classify, view.image, regions))
+        encoded, *scores = share_items(lambda task: task(), tasks)
         columns.append(_half_rounded(encoded[: len(masks)], visible))
         unions.append(_half_rounded(encoded[len(masks) :], visible_groups))
-        scores = None if classify is None else classify(view.image, regions)
-        if scores is not None:
-            column = np.zeros((len(ids) + len(visible_groups), scores[0].shape[1]), np.uint8)
-            column[np.concatenate([visible, visible_groups])] = scores[0]
+        if scores and scores[0] is not None:
+            of_regions, of_photograph = scores[0]
+            column = np.zeros((len(ids) + len(visible_groups), of_regions.shape[1]), np.uint8)
+            column[np.concatenate([visible, visible_groups])] = of_regions
             classes.append(column)
-            photographs.append(scores[1])
+            photographs.append(of_photograph)
     features = np.stack(columns, 1)
     together = np.stack(unions, 1) if members is not None else None
     codes = np.asarray(codes, np.float32)

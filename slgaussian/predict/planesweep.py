@@ -13,6 +13,7 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
+from slgaussian.kernels.work_sharing import share_items
 from slgaussian.predict import Depths
 from slgaussian.predict.background import continue_surfaces
 from slgaussian.predict.configs import PlaneSweepConfig
@@ -237,15 +238,16 @@ def _complete_depths(
     sample: Sample, links: Sequence[Sequence[Link]], swept: Sequence[SweptView]
 ) -> list[np.ndarray]:
     """Complete the inverse depth of every view, V of float32 [H, W]."""
-    completed = []
-    for i, (view, sweep) in enumerate(zip(sample.context, swept, strict=True)):
+
+    def complete(view: View, sweep: SweptView, sources: Sequence[Link]) -> np.ndarray:
         planes = fit_planes(sweep.inverse_depth, sweep.answered, sweep.step)
-        witnesses = [(link.relative, swept[link.source].confirmed) for link in links[i]]
+        witnesses = [(link.relative, swept[link.source].confirmed) for link in sources]
         filled = fill_depth(
             sweep.inverse_depth, sweep.known, view.grey, planes, sweep.steps, witnesses
         )
-        completed.append(weighted_median(filled, view.image, sweep.steps[0], sweep.step))
-    return completed
+        return weighted_median(filled, view.image, sweep.steps[0], sweep.step)
+
+    return share_items(complete, sample.context, swept, links)
 
 
 def _opacity(
