@@ -285,10 +285,13 @@ def geometry(
         graph = MatchGraph.from_arrays(run.store.get(stored))
     else:  # a sample of a clip
         graph = MatchGraph.of(views.context)
-    gaussians, quality, depths = predict(views, graph, predictor, seed, trust_cameras)
+    predicted = predict(views, graph, predictor, seed, trust_cameras)
+    gaussians, geometry, quality, depths = predicted
     gaussians.check()
     meta = {"gaussians": len(gaussians), "quality": quality.as_json(), "depths": depths}
-    return run.store.put("gaussians", gaussians.to_arrays(), meta)
+    ref = run.store.put("gaussians", gaussians.to_arrays(), meta)
+    run.once((SceneGeometry, sample.digest, ref.digest), lambda: geometry)
+    return ref
 
 
 def read_geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> SceneGeometry:

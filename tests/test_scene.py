@@ -46,6 +46,12 @@ def test_unproject_inverts_project(yaw, x, z, depth):
     np.testing.assert_allclose(pixels[5, 7], (7.5, 5.5), atol=1e-7)
 
 
+def test_a_camera_shows_pixels_from_the_first_up_to_the_last_edge():
+    pixels = np.array([[0, 0], [31.9, 23.9], [32, 5], [5, 24], [-0.1, 5], [5, 5], [5, 5]])
+    depth = np.array([1, 1, 1, 1, 1, 0, -1.0])
+    assert camera().shows(pixels, depth).tolist() == [True, True] + 5 * [False]
+
+
 def test_resizing_and_cropping_move_the_image_with_the_camera():
     cam = camera()
     point = np.array([0.4, -0.2, 3.0])

@@ -10,7 +10,7 @@ import pytest
 
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.threads import allotted, cores, kernels_on
-from slgaussian.kernels.work_sharing import share, take
+from slgaussian.kernels.work_sharing import share, share_items, take
 
 
 @kernel
@@ -28,6 +28,20 @@ def test_every_portion_is_taken_once(portions, threads):
     with kernels_on(threads):
         share(_count, portions, items)
     assert (items == 1).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 50])
+def test_results_of_items_are_in_order_and_items_can_share(threads):
+    def counted(size, plus):
+        items = np.full(size, plus)
+        share(_count, size, items)
+        return items.sum()
+
+    with kernels_on(threads):
+        sums = share_items(counted, range(40), range(40))
+    assert sums == [size * (size + 1) for size in range(40)]
+    with pytest.raises(ZeroDivisionError), kernels_on(threads):
+        share_items(lambda number: 1 // number, range(3))
 
 
 def test_several_threads_are_in_a_kernel_at_once():
