@@ -37,10 +37,12 @@ photographs = data_folder("transforms.json", "pairs.json")
 labelled = data_folder("transforms.json", "pairs.json", "labels")
 
 
-def load_samples(folder: Path | None, size: tuple[int, int] = SIZE) -> dict[str, Sample]:
+def load_samples(
+    folder: Path | None, size: tuple[int, int] = SIZE, seed: int = 0
+) -> dict[str, Sample]:
     """Load two context views and a target of every scene of ``folder``, or of a procedural one."""
     if folder is None:
-        scene = datasets.load("procedural", seed=0, height=size[0], width=size[1])
+        scene = datasets.load("procedural", seed=seed, height=size[0], width=size[1])
         names = list(scene.cameras)
         return {"procedural": scene.sample([names[0], names[-1]], names[1:2])}
     scene = datasets.load("nerfstudio", folder)

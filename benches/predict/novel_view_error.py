@@ -2,8 +2,9 @@
 
     python -m benches.predict.novel_view_error DATA [-o docs/measured]
 
-DATA holds ``office`` and ``places``, nerfstudio folders with ``pairs.json`` (scene -> context,
-target) and depth, of a sensor in the office. The motorcycle pair ships with the code. Methods:
+DATA holds ``office``, ``places`` and ``things``, nerfstudio folders with ``pairs.json`` (scene ->
+context, target), with depth of a sensor in the office. Rooms are procedural, and the motorcycle
+pair ships with scikit-image. Methods:
 
 - ``gaussians``: rendered; what no Gaussian covers fades to black.
 - ``warped``: a control without Gaussians of its own. The depth of the target is the median depth
@@ -13,7 +14,8 @@ target) and depth, of a sensor in the office. The motorcycle pair ships with the
   the median ratio per channel.
 - ``nearest``: the photograph taken closest to the target, as it is.
 
-PSNR in dB and SSIM (Wang et al. 2004: Gaussian window, sigma 1.5) of 8-bit RGB.
+PSNR in dB and SSIM (Wang et al. 2004: Gaussian window, sigma 1.5) of 8-bit RGB. The PSNR of
+``gaussians`` is also given at borders, in a band 8 px wide along steps of the rendered depth.
 """
 
 from collections.abc import Sequence
@@ -32,12 +34,26 @@ from slgaussian.rasterize import Render, rasterize
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.semantic.decode import VISIBLE
 
+ROOMS = 8
+
+STEP = 1.1
+BAND = 4
+"""Ratio of neighbouring depths from which there is a step, and half the width of the band around
+it, pixels."""
+
+
+def border_band(depth: np.ndarray) -> np.ndarray:
+    """Mask the pixels near a step of a depth map [H, W] in which 0 is unknown, bool [H, W]."""
+    far = cv2.dilate(depth, np.ones((3, 3)))
+    near = cv2.erode(np.where(depth > 0, depth, np.float32(np.inf)), np.ones((3, 3)))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * BAND + 1, 2 * BAND + 1))
+    return cv2.dilate((far > STEP * near).astype(np.uint8), disc) > 0
+
 
 def project_inside(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixels, depths, and which points [H, W, 3] fall inside the image."""
     pixels, z = camera.project(points)
-    inside = (z > 0) & (pixels >= 0).all(-1) & (pixels < (camera.width, camera.height)).all(-1)
-    return pixels, z, inside
+    return pixels, z, camera.shows(pixels, z)
 
 
 def depth_errors(view: View, other: View, depth: np.ndarray) -> tuple[float, float, float]:
@@ -110,6 +126,9 @@ def of_pair(sample: Sample) -> dict[str, float]:
         row[f"{method}_psnr"] = psnr(picture, target.image)
         row[f"{method}_ssim"] = ssim(picture, target.image)
         row[f"sharp_{method}"] = sharpness(picture, target.image)
+    band = border_band(render.median.numpy())
+    for part, mask in (("border", band), ("elsewhere", ~band)):
+        row[part] = psnr(pictures["gaussians"][mask], target.image[mask])
     row["ahead"] = row["gaussians_psnr"] - row["warped_psnr"]
     a, b = sample.context
     if a.depth is not None and b.depth is not None:
@@ -130,6 +149,8 @@ VIEWS = {
     "set": ("set", str),
     "pairs": ("pairs", "d"),
     "gaussians_psnr": ("gaussians: PSNR, dB", ".2f"),
+    "border": ("at borders", ".2f"),
+    "elsewhere": ("elsewhere", ".2f"),
     "gaussians_ssim": ("SSIM", ".3f"),
     "sharp_gaussians": ("sharpness", ".2f"),
     "warped_psnr": ("warped: PSNR, dB", ".2f"),
@@ -150,14 +171,14 @@ DEPTHS = {
 
 def main() -> None:
     arguments = parser(__doc__, "results.md")
-    arguments.add_argument("data", type=data_folder("office/pairs.json", "places"))
+    arguments.add_argument("data", type=data_folder("office/pairs.json", "places", "things"))
     args = arguments.parse_args()
     threads.limit()
-    rows = []
-    places = sorted(file.parent for file in (args.data / "places").glob("*/pairs.json"))
-    for name, folders in {"office": [args.data / "office"], "other places": places}.items():
-        samples = [one for folder in folders for one in load_samples(folder).values()]
-        rows.append(mean_of(name, [of_pair(sample) for sample in samples]))
+    sets = {"rooms": [load_samples(None, seed=seed)["procedural"] for seed in range(ROOMS)]}
+    for name in ("office", "places", "things"):
+        files = sorted(args.data.glob(f"{name}/**/pairs.json"))
+        sets[name] = [one for file in files for one in load_samples(file.parent).values()]
+    rows = [mean_of(name, [of_pair(one) for one in samples]) for name, samples in sets.items()]
     stereo = motorcycle(seed=0)
     publish(
         args.out,
