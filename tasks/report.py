@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark.reports.look import Scene
+from slgaussian.benchmark.reports.examples import Scene
 from slgaussian.benchmark.reports.run_report import run_report
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
@@ -34,7 +34,7 @@ class Scored:
     others: Mapping[str, ArtifactRef]
 
 
-@stage("report", version=11)
+@stage("report", version=12)
 def report(
     run: RunContext,
     scenes: Sequence[Scored],

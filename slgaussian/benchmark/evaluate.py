@@ -229,7 +229,7 @@ def evaluate(
         return recorder.result()
     for context, labels in zip(sample.context, label_maps.labels, strict=True):
         recorder.pictures[f"input/{context.name}"] = context.image
-        recorder.pictures[f"labels/{context.name}"] = pictures.name_objects(labels, context.image)
+        recorder.pictures[f"labels/{context.name}"] = pictures.number_objects(labels, context.image)
     return recorder.result()
 
 

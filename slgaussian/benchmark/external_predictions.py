@@ -1,7 +1,7 @@
 """Score masks of other programs: a folder of PNG files, or a JSON file of run lengths.
 
 A folder has the layout of a benchmark's masks, ``<method>/<protocol>/<scene>/<frame>/<query>.png``
-(:func:`slgaussian.benchmark.outputs.mask_place`), white inside the mask. A JSON file is a list of
+(:func:`slgaussian.benchmark.outputs.mask_path`), white inside the mask. A JSON file is a list of
 masks, each scored by every protocol::
 
     [{"method": "mine", "scene": "desk", "frame": "0007.png", "query": "red mug",

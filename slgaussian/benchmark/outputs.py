@@ -61,7 +61,7 @@ def write_table(name: str, table: pa.Table, out: str | Path) -> None:
 def write_predictions(
     rows: Sequence[Row], predictions: Mapping[tuple[str, str, str], bytes], out: str | Path
 ) -> None:
-    """Write every mask into folder ``out``, at the path of its row (:func:`mask_place`).
+    """Write every mask into folder ``out``, at the path of its row (:func:`mask_path`).
 
     ``predictions`` are PNG files by the protocol, frame and query of ``rows``, white inside the
     mask. A protocol without masks has no folder.
@@ -69,7 +69,7 @@ def write_predictions(
     for row in rows:
         png = predictions.get((row["protocol"], row["frame"], row["query"]))
         if png is not None:
-            write_file(Path(out, mask_place(row)), png)
+            write_file(Path(out, mask_path(row)), png)
 
 
 def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
@@ -82,7 +82,7 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
     columns = "method", "protocol", "scene", "frame", "query"
     try:
         earlier = read_table(out / "samples.parquet", columns).to_pylist()
-        left = set(map(mask_place, earlier)) - set(map(mask_place, rows))
+        left = set(map(mask_path, earlier)) - set(map(mask_path, rows))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
         return
     folders: set[Path] = set()
@@ -94,7 +94,7 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
             (out / "predictions" / folder).rmdir()
 
 
-def mask_place(row: Row) -> Path:
+def mask_path(row: Row) -> Path:
     """Return the path ``<method>/<protocol>/<scene>/<frame>/<query>.png`` of a row's mask.
 
     The protocol has no version, and the frame is named like its label file, without folder and

@@ -147,15 +147,15 @@ def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) 
 
 
 @dataclass(frozen=True, eq=False)
-class Named:
+class Region:
     """A region of an image, bool [H, W], and its caption; ``id`` determines the colour."""
 
-    text: str
+    caption: str
     mask: np.ndarray
     id: int
 
 
-def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarray:
+def draw_captions(image: np.ndarray, regions: Sequence[Region], size: int) -> np.ndarray:
     """Return a copy with each caption at the widest part of its region, without overlap.
 
     ``size`` is the font size in pixels. Empty regions have no caption.
@@ -165,45 +165,52 @@ def draw_names(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarr
     font = ImageFont.load_default(size=size)
     height, width = image.shape[:2]
     free = np.ones((height, width), bool)
-    for item in sorted(named, key=lambda item: int(item.mask.sum())):
-        if not item.mask.any():
+    for region in sorted(regions, key=lambda region: int(region.mask.sum())):
+        if not region.mask.any():
             continue
-        tall, wide = size * 1.5, font.getlength(item.text) + size
-        open_ = item.mask & free
-        inside = open_ if open_.any() else item.mask
-        deep = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)
-        row, column = np.unravel_index(int(deep[1:-1, 1:-1].argmax()), inside.shape)
-        x = min(max(float(column), wide / 2), max(width - wide / 2, wide / 2))
-        y = min(max(float(row), tall / 2), max(height - tall / 2, tall / 2))
-        box = x - wide / 2, y - tall / 2, x + wide / 2, y + tall / 2
-        color = tuple(int(level) for level in label_colors(np.array(item.id)))
-        draw.rounded_rectangle(box, tall / 4, fill=(20, 22, 28), outline=color, width=2)
-        draw.text((x, y), item.text, fill=(255, 255, 255), font=font, anchor="mm")
+        box_height, box_width = size * 1.5, font.getlength(region.caption) + size
+        uncovered = region.mask & free
+        inside = uncovered if uncovered.any() else region.mask
+        distance = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)
+        row, column = np.unravel_index(int(distance[1:-1, 1:-1].argmax()), inside.shape)
+        x = min(max(float(column), box_width / 2), max(width - box_width / 2, box_width / 2))
+        y = min(max(float(row), box_height / 2), max(height - box_height / 2, box_height / 2))
+        box = x - box_width / 2, y - box_height / 2, x + box_width / 2, y + box_height / 2
+        color = tuple(int(level) for level in label_colors(np.array(region.id)))
+        draw.rounded_rectangle(box, box_height / 4, fill=(20, 22, 28), outline=color, width=2)
+        draw.text((x, y), region.caption, fill=(255, 255, 255), font=font, anchor="mm")
         # Captions of other regions must not overlap: block the centres of such boxes.
-        grown = box[0] - wide / 2, box[1] - 1.2 * tall, box[2] + wide / 2, box[3] + 1.2 * tall
-        left, top, right, bottom = (max(0, round(end)) for end in grown)
+        left, top, right, bottom = (
+            max(0, round(edge))
+            for edge in (
+                box[0] - box_width / 2,
+                box[1] - 1.2 * box_height,
+                box[2] + box_width / 2,
+                box[3] + 1.2 * box_height,
+            )
+        )
         free[top:bottom, left:right] = False
     return np.asarray(sheet)
 
 
-def show_named(image: np.ndarray, named: Sequence[Named], size: int) -> np.ndarray:
-    """Draw named regions in colour, with outline and caption; the rest grey and dim."""
+def draw_regions(image: np.ndarray, regions: Sequence[Region], size: int) -> np.ndarray:
+    """Draw regions in colour, with outline and caption; the rest is grey and dim."""
     union = np.zeros(image.shape[:2], bool)
-    for item in named:
-        union |= item.mask
+    for region in regions:
+        union |= region.mask
     out = spotlight(image, union)
-    for item in sorted(named, key=lambda item: -int(item.mask.sum())):
-        color = label_colors(np.array(item.id))
-        out[item.mask] = (0.78 * image[item.mask] + 0.22 * color).astype(np.uint8)
-        out = draw_outline(out, item.mask, (int(color[0]), int(color[1]), int(color[2])))
-    return draw_names(out, named, size)
+    for region in sorted(regions, key=lambda region: -int(region.mask.sum())):
+        color = label_colors(np.array(region.id))
+        out[region.mask] = (0.78 * image[region.mask] + 0.22 * color).astype(np.uint8)
+        out = draw_outline(out, region.mask, (int(color[0]), int(color[1]), int(color[2])))
+    return draw_captions(out, regions, size)
 
 
-def name_objects(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
+def number_objects(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Return :func:`paint_labels` with the id of each object as caption."""
     ids = [int(number) for number in np.unique(labels) if number]
-    named = [Named(str(number), labels == number, number) for number in ids]
-    return draw_names(paint_labels(labels, image), named, max(8, round(image.shape[1] / 48)))
+    regions = [Region(str(number), labels == number, number) for number in ids]
+    return draw_captions(paint_labels(labels, image), regions, max(8, round(image.shape[1] / 48)))
 
 
 def spotlight(image: np.ndarray, mask: np.ndarray) -> np.ndarray:

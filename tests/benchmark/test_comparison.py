@@ -45,7 +45,7 @@ def compared(*folders):
 
 def counts_of(report) -> list[list[str]]:
     """Of each run: scenes, methods, samples, those in A too, and those of them that changed."""
-    (table,) = section(report, "What is compared")
+    (table,) = section(report, "Runs")
     return [[cell.value for cell in line.cells[2:]] for line in table.lines]
 
 
@@ -62,8 +62,8 @@ def test_a_run_and_itself_differ_in_nothing(tmp_path, result):
     report = compared(leave(tmp_path / "a", result), leave(tmp_path / "b", result))
     every = str(len(result.rows))
     assert counts_of(report) == [["1", "1", every, every, "0"]] * 2
-    assert not section(report, "IoU that changed") and not section(report, "What they cost")
-    (table, more) = section(report, "B minus A")
+    assert not section(report, "Largest changes") and not section(report, "Costs")
+    (table, more) = section(report, "Differences")
     for gains in (table, *more.blocks):
         assert {float(cell.value) for line in gains.lines for cell in line.cells[1:]} == {0.0}
 
@@ -79,14 +79,14 @@ def test_a_change_is_named(tmp_path, result):
     first, second = leave(tmp_path / "a", result), leave(tmp_path / "b", result, change)
     report = compared(first, second)
     assert counts_of(report)[1][-1] == "1"
-    gain = section(report, "B minus A")[0].lines[0].cells[1].value
+    gain = section(report, "Differences")[0].lines[0].cells[1].value
     assert gain == f"{-0.25 / len(scored(result)):+.3f}"
-    (table,) = section(report, "IoU that changed most")
+    (table,) = section(report, "Largest changes")
     (line,) = table.lines
     before, after = (float(cell.value) for cell in line.cells[2:4])
     assert line.cells[0].value == lowered and round(after - before, 2) == -0.25
     back = compared(second, first)
-    assert section(back, "B minus A")[0].lines[0].cells[1].value == gain.replace("-", "+")
+    assert section(back, "Differences")[0].lines[0].cells[1].value == gain.replace("-", "+")
 
 
 def test_settings_and_data_are_compared_by_their_leaves():
@@ -99,15 +99,13 @@ def test_settings_and_data_are_compared_by_their_leaves():
     assert differing_settings([MANIFEST, other, MANIFEST]) == [
         ["settings.share", "0.7", "0.5", "0.7"],
         ["methods.lerf-like", "–", "lerf-like", "–"],
-        ["data.procedural_3.files.a.png", "11", "22", "11"],
-        ["data.new", "–", "present", "–"],
+        ["data: missing or different scenes", "new", "procedural_3", "new"],
     ]
     runs = [
         {**MANIFEST, "data": {f"s{k}": {"sample": f"{k}{side}"} for k in range(5)}} for side in "ab"
     ]
     assert differing_settings(runs) == [
-        *([f"data.s{k}.sample", f"{k}a", f"{k}b"] for k in range(3)),
-        ["data of 2 more scenes.sample", "differs", "differs"],
+        ["data: missing or different scenes", "none", "s0, s1, s2 and 2 more"],
     ]
 
 
@@ -120,11 +118,11 @@ def test_only_queries_of_both_judged_at_one_size_are_compared(tmp_path, result):
     assert counts_of(compared(first, less))[1][2:4] == [str(every - gone)] * 2
     mine = leave(tmp_path / "c", result, lambda row: {**row, "method": "mine"})
     report = compared(first, mine)
-    assert section(report, "B minus A")[0].lines[0].cells[0].value == "mine − slgaussian"
+    assert section(report, "Differences")[0].lines[0].cells[0].value == "mine − slgaussian"
     attic = {"dataset": "attic", "scene": "x"}
     for name, change in (("small", {"width": 72}), ("attic", attic)):
         report = compared(first, leave(tmp_path / name, result, lambda row, c=change: row | c))
-        assert counts_of(report)[1][3] == "0" and not section(report, "B minus A")
+        assert counts_of(report)[1][3] == "0" and not section(report, "Differences")
     empty = leave(tmp_path / "d", result, lambda row: None)
     assert counts_of(compared(empty, less))[0] == ["0"] * 5
 
@@ -139,11 +137,11 @@ def test_costs_of_both_stand_side_by_side(tmp_path, result):
         stages, host = {"field": 4 * seconds}, {"processor": f"P{seconds}", "workers": "2"}
         times = {"seconds_by_stage": stages, "host": host}
         write_file(folder / "times.json", json.dumps(times).encode())
-    (table,) = section(compared(*folders), "What they cost")
+    (table,) = section(compared(*folders), "Costs")
     assert [tuple(cell.value for cell in line.cells) for line in table.lines] == [
-        ("d, slgaussian: a query in a new view, s", "0.5000", "0.2500"),
+        ("d, slgaussian: query in a new view, s", "0.5000", "0.2500"),
         ("d, slgaussian: memory, MB", "200", "200"),
-        ("field of all scenes, s", "2.00", "1.00"),
+        ("stage field, all scenes, s", "2.00", "1.00"),
         ("machine", "–", "–"),
         ("processor", "P0.5", "P0.25"),
         ("workers", "2", "2"),

@@ -17,7 +17,7 @@ from slgaussian.benchmark.external_predictions import (
     read_predictions,
     score_predictions,
 )
-from slgaussian.benchmark.outputs import mask_place, write_predictions
+from slgaussian.benchmark.outputs import mask_path, write_predictions
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.protocols import PROTOCOLS, load_protocol
 from slgaussian.errors import InputError
@@ -47,7 +47,7 @@ def folder(tmp_path, result):
 
 def place_of(result, folder, query, protocol="slgaussian@2"):
     row = {**result.rows[0], "query": query, "protocol": protocol}
-    return folder / "predictions" / mask_place(row)
+    return folder / "predictions" / mask_path(row)
 
 
 def scored(place, judged, *protocols):
@@ -167,7 +167,7 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(folder, tmp_pat
     target.mkdir(parents=True)
     Image.fromarray(masks[query]).save(target / "café.png")
     row = {"method": "My method!", "protocol": "slgaussian@2", "scene": own.scene}
-    safe = mask_place({**row, "frame": "left/view_01.jpg", "query": "a?b"})
+    safe = mask_path({**row, "frame": "left/view_01.jpg", "query": "a?b"})
     (tmp_path / "p" / "My method!" / safe.relative_to(safe.parts[0])).parent.mkdir(parents=True)
     Image.fromarray(masks[other]).save(
         tmp_path / "p" / "My method!" / safe.relative_to(safe.parts[0])

@@ -9,7 +9,7 @@ from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.outputs import (
     clear_predictions,
     file_name,
-    mask_place,
+    mask_path,
     write_predictions,
     write_samples,
 )
@@ -44,7 +44,7 @@ def test_predicted_masks_can_be_read_by_any_tool(tmp_path, result):
         folder = tmp_path / "slgaussian" / protocol.removesuffix("@2") / result.scene / frame
         path = folder / f"{query}.png"
         asked = {"protocol": protocol, "frame": frame, "query": query}
-        assert tmp_path / mask_place({**result.rows[0], **asked}) == path
+        assert tmp_path / mask_path({**result.rows[0], **asked}) == path
         assert np.array_equal(np.asarray(Image.open(path).convert("L")) == 255, mask)
 
 
@@ -62,7 +62,7 @@ def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
     few = [row for row in result.rows if row["query"] == result.rows[0]["query"]]
     clear_predictions(few, tmp_path)
     left = set(tmp_path.rglob("*.png")) - {foreign}
-    assert left == {tmp_path / "predictions" / mask_place(row) for row in few} & before
+    assert left == {tmp_path / "predictions" / mask_path(row) for row in few} & before
     assert left and kept.read_text() == "mine" and foreign.exists()
     assert not (tmp_path / "predictions" / "other" / "slgaussian").exists()
     # Again, or without a table of samples, nothing happens.

@@ -50,9 +50,9 @@ def test_without_its_data_there_is_no_number():
     assert len(tables) == 4
     for table in tables:
         numbers = {cell.below for line in table.lines for cell in line.cells[1:]}
-        assert numbers <= {ABSENT, "under the times"}
+        assert numbers <= {ABSENT, "see Speed"}
     (note,) = by_title(tables, "Table 1").notes
-    assert note.startswith("teatime: called teatime, but not the published scene (found labelled")
+    assert note.startswith("teatime: named teatime, but not the published scene (found labelled")
 
 
 def test_what_could_not_be_checked_says_so_beside_its_number():
@@ -109,7 +109,7 @@ def test_the_overall_is_the_mean_of_all_scenes_each_counting_once():
     table = by_title(tables, "Table 4")
     assert cells(table, "SLGaussian")[0][1].startswith("30.00 (")
     assert cells(table, "2D Query")[0][1].startswith("30.00 (")
-    assert cells(table, "SLGaussian")[2] == ("0.011", "under the times")
+    assert cells(table, "SLGaussian")[2] == ("0.011", "see Speed")
 
 
 def test_closed_set_numbers_are_those_of_their_protocol():

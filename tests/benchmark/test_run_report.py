@@ -10,9 +10,9 @@ from pages import Page, check_alone, tables_of
 from slgaussian.benchmark.costs import Cost, Times
 from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.reports import run_report
-from slgaussian.benchmark.reports.look import (
+from slgaussian.benchmark.reports.examples import (
     Scene,
-    choose_scenes,
+    choose_examples,
     limit_per_scene,
     sort_worst_first,
 )
@@ -82,20 +82,20 @@ def test_both_forms_have_the_numbers_and_their_conditions(both, page, result):
     scores = {s["metric"]: s for s in score_table(leading(result)).to_pylist()}
     iou, samples = scores["iou"]["value"], scores["iou"]["samples"]
     table = next(t for t in tables_of(both.as_markdown()) if t[0][0] == "Method")
-    assert table[0][1] == f"IoU / n {samples}" and table[0][-1] == "slgaussian minus it"
+    assert table[0][1] == f"IoU / n {samples}" and table[0][-1] == "slgaussian minus method"
     assert [row[:2] for row in table[1:]] == [
         ["slgaussian", f"**{iou:.3f}**"], ["query-2d", f"{iou / 2:.3f}"]
     ]  # fmt: skip
-    assert [row[-1] for row in table[1:]] == ["–", f"{iou / 2:+.3f} (too few places to tell)"]
+    assert [row[-1] for row in table[1:]] == ["–", f"{iou / 2:+.3f} (too few places for a test)"]
     for number in re.findall(r"[\d.]+", " ".join(table[1] + table[2])):
         assert number in page.text
     assert f"slgaussian@2: near-best, share {NEAR_BEST}, temperature 10" in page.text
     for key, digits in (("psnr", 1), ("abs_rel", 3)):
         assert f"{result.scene_metrics[key]:.{digits}f}" in page.text
-    lines, _, _ = page.text.partition("What these numbers mean")
-    assert f"It was asked for {samples} things" in lines and "1 other method" in lines
-    assert f"IoU, 0 to 1 {iou:.2f} best other: {iou / 2:.2f}, query-2d" in lines
-    assert f"{samples} scored queries" in lines and "1 not understood" in lines
+    summary, _, _ = page.text.partition("Scores by")
+    assert f"{samples} queries scored" in summary and "1 baseline" in summary
+    assert f"{iou:.3f} best baseline: {iou / 2:.3f}, query-2d" in summary
+    assert "does not understand (IoU 0): 1" in summary
 
 
 def test_the_papers_tables_stand_only_where_one_of_its_scenes_ran(both, result, truth):
@@ -111,7 +111,7 @@ def test_seconds_are_filled_in_afterwards_and_nothing_else(both, result):
     pages = {"html": both.as_html(), "markdown": both.as_markdown()}
     cost = Cost(result.dataset, "slgaussian", view_query=0.1234, build=12.3)
     complete = with_times(pages, Times({}, {"machine": "a machine"}, costs=[cost]))
-    for text in ("<b>0.12 s</b>", "<b>12 s</b>", "a machine"):
+    for text in (">0.12 s<", ">12 s<", "a machine"):
         assert text in complete["html"]
     for form, page in complete.items():
         before, after = pages[form].replace(COSTS, "").split(run_report.TIMES)
@@ -127,7 +127,7 @@ def test_the_stage_that_lost_a_query_is_named_beside_it(result, truth):
     row = {**question, **dict.fromkeys(ious, 0.25), "lost": "language"}
     report = run_report.run_report([scene_of(result, truth)], MANIFEST, (), [row])
     assert "lost by language" in Page(report.as_html()).text
-    table = next(t for t in tables_of(report.as_markdown()) if t[0][0] == "lost by")
+    table = next(t for t in tables_of(report.as_markdown()) if t[0][0] == "Responsible stage")
     assert [line[:3] for line in table[1:]] == [["language", "1", "0.250"], ["all", "1", "0.250"]]
 
 
@@ -153,12 +153,12 @@ def test_without_labels_there_are_pictures_and_no_scores(result, truth):
     rows = [row for row in result.rows if row["frame"] == "halfway"]
     bare = replace(result, rows=rows, scene_metrics={"near": 1.0, "far": 2.0})
     page = Page(run_report.run_report([scene_of(bare, truth)], MANIFEST).as_html())
-    assert "without labels nothing is scored" in page.text
-    assert "1 asked without truth" in page.text
-    for words in ("How good", "The paper's tables", "overlap with the truth", "Answered worst"):
+    assert "0 queries scored" in page.text
+    assert "without ground truth: 1" in page.text
+    for words in ("Scores", "The paper's tables", "best baseline", "Lowest scores"):
         assert words not in page.text
     alts = [image["alt"] for image in page.images]
-    assert alts[0].startswith("everything found in halfway")
+    assert alts[0] == "predicted masks in halfway"
     assert any(alt.startswith("relevancy of") for alt in alts)
 
 
@@ -181,8 +181,8 @@ def test_the_worst_answers_are_few_of_a_scene_and_a_query_is_one_of_them_once():
 def test_the_scene_at_the_top_of_the_page_is_the_middle_one():
     scenes = [(f"s{k}", "a", {"iou": iou}) for k, iou in enumerate((0.9, 0.1, 0.5))]
     scenes += [("t0", "b", {}), ("t1", "b", {}), ("u", "c", {"iou": 1.0})]
-    assert choose_scenes(scenes) == {
-        "s2": "in the middle by IoU of the 3 scenes of a",
-        "t0": "the first of the 2 scenes of b",
+    assert choose_examples(scenes) == {
+        "s2": "median IoU of 3 scenes of a",
+        "t0": "first of 2 scenes of b",
         "u": "",
     }

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rows import sample
 
+from slgaussian.benchmark.reports.model import count_text
 from slgaussian.benchmark.reports.score_tables import (
-    SCORES,
+    IOU,
     comparison_cell,
     conditions,
     difference_tables,
@@ -62,7 +63,7 @@ def test_data_sets_and_protocols_are_apart():
     rows = rows_of("a", None, **other) + rows_of("a", 0.5) + rows_of("a", 0.7, dataset="e")
     tables = tables_of(rows)
     assert [table.title for table in tables] == [
-        "d by slgaussian@2", "e by slgaussian@2", "d by 3d-ovs@2"
+        "d, protocol slgaussian@2", "e, protocol slgaussian@2", "d, protocol 3d-ovs@2"
     ]  # fmt: skip
     assert [[c.title for c in table.columns] for table in tables] == [
         ["Method", "IoU"], ["Method", "IoU"], ["Method", "Accuracy"]
@@ -80,7 +81,7 @@ def test_a_difference_is_beyond_noise_or_not(scenes, gain, mark):
     cell = table.lines[0].cells[1]
     assert (cell.value, cell.mark) == (f"{gain:+.3f}", mark)
     assert (cell.below == "") == (scenes == 1)
-    assert f"{scenes} samples of {scenes} scene" in cell.note
+    assert cell.note == f"{count_text(scenes, 'sample')} of {count_text(scenes, 'scene')}"
 
 
 def test_a_difference_is_judged_as_it_is_printed():
@@ -99,7 +100,7 @@ def claim(ours, theirs, places=None):
         for row, place in zip(method_rows, places or [None] * len(method_rows), strict=True):
             row["place"] = place
     (difference,) = differences(*rows)
-    cell = gain_cell(difference, SCORES[0], is_worded=True)
+    cell = gain_cell(difference, IOU, is_worded=True)
     return cell.text, cell.mark
 
 
@@ -110,7 +111,7 @@ def test_scenes_are_compared_in_pairs_and_of_few_places_nothing_is_claimed():
     """Methods whose own intervals overlap by far, one always a little better."""
     theirs = np.linspace(0.1, 0.9, 8)
     assert claim(theirs + 0.02 + STEADY / 4, theirs)[1] == "better"
-    text = "too few places to tell"
+    text = "too few places for a test"
     pair = [0.6] * 8, [0.5] * 8
     assert claim(*pair, list("aabbccdd")) == (f"+0.100 (+0.100 to +0.100, {text})", "few")
     assert claim(*pair, list("aaaaaaaa")) == (f"+0.100 ({text})", "few")
@@ -124,5 +125,5 @@ def test_only_an_interval_that_excludes_0_puts_one_ahead(pairs):
     sentence, mark = claim(ours, theirs)
     sure = len(pairs) >= LEAST and (round(gain.low, 3) > 0 or round(gain.high, 3) < 0)
     assert (mark in ("better", "worse")) == sure
-    assert ("ahead" in sentence) == (sure and gain.low > 0)
-    assert ("behind" in sentence) == (sure and gain.high < 0)
+    assert ("significant gain" in sentence) == (sure and gain.low > 0)
+    assert ("significant loss" in sentence) == (sure and gain.high < 0)

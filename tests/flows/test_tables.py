@@ -17,7 +17,7 @@ def result_of(scene, *ious, method="m", dataset="d"):
 def test_the_mean_has_an_interval_and_says_by_what():
     lines = scenes_text([result_of("a", 0.2, 0.4), result_of("b", 0.9)]).splitlines()
     assert [line.split() for line in lines[:-1]] == [
-        ["scene", "IoU", "PSNR"],
+        ["Scene", "IoU", "PSNR"],
         ["a", "0.300", "20.0"],
         ["b", "0.900", "20.0"],
         ["mean", "0.600", "(0.300–0.900)", "20.0"],

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from slgaussian.benchmark.costs import Cost, costs_of
 from slgaussian.benchmark.documents import read_json
-from slgaussian.benchmark.outputs import mask_place
+from slgaussian.benchmark.outputs import mask_path
 from slgaussian.benchmark.reports.model import (
     NO_VALUE,
     Block,
@@ -44,18 +44,18 @@ CHANGED = 8
 """Number of listed queries, those with the largest change of IoU."""
 
 COSTS = {
-    "prepare": ("to prepare a scene, s", 1.0, 4),
-    "view_query": ("a query in a new view, s", 1.0, 4),
+    "prepare": ("preparation of a scene, s", 1.0, 4),
+    "view_query": ("query in a new view, s", 1.0, 4),
     "grown": ("memory, MB", 1e6, 0),
 }
 """Compared fields of :class:`Cost`: description, unit and digits."""
 
-SCENES = 3
-"""Largest number of scenes with differing data that are listed separately."""
+LISTED = 3
+"""Largest number of scenes with differing data that are listed by name."""
 
-INTRODUCTION = (
-    "Only what was asked the same is compared. Intervals hold 95% of the means if scenes are drawn "
-    "anew."
+SUMMARY = (
+    "Only common samples are compared: the same query in the same frame of the same scene, by the "
+    "same protocol at the same size."
 )
 
 
@@ -124,40 +124,41 @@ def compare_runs(runs: Sequence[Run]) -> Report:
             f"compare: found {len(runs)} run{'s' if runs[1:] else ''}, expected 2 to "
             f"{len(ascii_uppercase)}"
         )
-    for place, run in enumerate(runs):
-        if run.folder.resolve() in [earlier.folder.resolve() for earlier in runs[:place]]:
+    folders = [run.folder.resolve() for run in runs]
+    for run, folder in zip(runs, folders, strict=True):
+        if folders.count(folder) > 1:
             raise InputError(f"compare: {run.folder} is given twice; give each folder once")
     named = dict(zip(ascii_uppercase, runs, strict=False))
-    sections = [Section("What is compared", [_runs_table(named)])]
+    sections = [Section("Runs", [_runs_table(named)])]
     manifests = {letter: run.manifest for letter, run in named.items() if run.manifest}
-    block: Block = Prose("No setting, version or data is known to differ.")
+    block: Block = Prose("No known difference in settings, versions or data.")
     if settings := differing_settings(list(manifests.values())):
-        block = Table.of([Column(n, is_text=True) for n in ("what differs", *manifests)], settings)
-    sections.append(Section("How they were made", [block]))
+        block = Table.of([Column(n, is_text=True) for n in ("Setting", *manifests)], settings)
+    sections.append(Section("Configuration", [block]))
     if tables := rank_methods(named):
-        sections.append(Section("Methods ranked", _fold_protocols(tables)))
+        sections.append(Section("Scores", _fold_protocols(tables)))
     (base, first), *later = named.items()
     pairs = {
         f"{name}, {letter}" if later[1:] else name: (rows, baseline)
         for letter, run in later
         for name, baseline, rows in _pair_methods(first, run)
     }
-    if tables := difference_tables(pairs, "Method"):
-        title = f"{'Each' if later[1:] else later[0][0]} minus {base}"
+    if tables := difference_tables(pairs):
+        title = f"Differences: {'each run' if later[1:] else later[0][0]} minus {base}"
         sections.append(Section(title, _fold_protocols(tables)))
     if all(run.times for run in runs):
-        sections.append(Section("What they cost", [_costs_table(runs)]))
+        sections.append(Section("Costs", [_costs_table(runs)]))
     if len(runs) == 2 and (changes := _changes_table(*runs)):
-        sections.append(Section("IoU that changed most", [changes]))
-    return Report("Runs compared", [Prose(INTRODUCTION)], sections)
+        sections.append(Section("Largest changes of IoU", [changes]))
+    return Report("Comparison of runs", [Prose(SUMMARY)], sections)
 
 
 def _fold_protocols(tables: Sequence[Table]) -> list[Block]:
-    """Return the tables of the first protocol, and those of others folded."""
-    protocol = tables[0].title.rpartition(" by ")[2]
-    first = [table for table in tables if table.title.endswith(f" by {protocol}")]
+    """Return the tables of the first protocol, and collapse those of others."""
+    protocol = tables[0].title.rpartition(", ")[2]
+    first = [table for table in tables if table.title.endswith(f", {protocol}")]
     rest = [table for table in tables if table not in first]
-    return [*first, *([Fold("By other protocols", rest)] if rest else [])]
+    return [*first, *([Fold("Other protocols", rest)] if rest else [])]
 
 
 def _runs_table(named: Mapping[str, Run]) -> Table:
@@ -168,11 +169,12 @@ def _runs_table(named: Mapping[str, Run]) -> Table:
         pairs = [
             pair for _, mine, theirs in _pair_methods(first, run) for pair in _align(mine, theirs)
         ]
-        same = sum({**a, "method": ""} == {**b, "method": ""} for a, b in pairs)
+        changed = sum({**a, "method": ""} != {**b, "method": ""} for a, b in pairs)
         scenes = len({row["scene"] for row in run.rows})
-        counts = (scenes, len(run.by_method), len(run.rows), len(pairs), len(pairs) - same)
+        counts = (scenes, len(run.by_method), len(run.rows), len(pairs), changed)
         rows.append([letter, str(run.folder), *map(str, counts)])
-    heads = ["", Column("Run", is_text=True), "Scenes", "Methods", "Samples", "As in A", "Changed"]
+    heads = ["", Column("Folder", is_text=True), "Scenes", "Methods", "Samples",
+             "Common with A", "Changed"]  # fmt: skip
     return Table.of(heads, rows)
 
 
@@ -196,29 +198,25 @@ def _align(rows: Sequence[Row], baseline: Sequence[Row]) -> list[tuple[Row, Row]
 def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     """List the differing leaves of manifests: the name, and the value in each.
 
-    If the data of more than :data:`SCENES` scenes differ equally, the first ones are listed.
+    Data are listed in one line: the scenes that are missing or differ in a manifest from the
+    first manifest that contains them.
     """
     flat = [dict(flatten({k: v for k, v in m.items() if k != "data"})) for m in manifests]
-    lines = _differing(flat)
+    names = dict.fromkeys(name for values in flat for name in values)
+    lines = [[name, *(values.get(name, NO_VALUE) for values in flat)] for name in names]
     data = [manifest.get("data", {}) for manifest in manifests]
-    by_leaf: dict[str, list[list[str]]] = {}
-    for scene in dict.fromkeys(name for scenes in data for name in scenes):
-        if all(scene in scenes for scenes in data):
-            leaves = [{f".{k}": v for k, v in flatten(scenes[scene])} for scenes in data]
-        else:
-            leaves = [{"": "present"} if scene in scenes else {} for scenes in data]
-        for leaf, *values in _differing(leaves):
-            by_leaf.setdefault(leaf, []).append([f"data.{scene}{leaf}", *values])
-    for leaf, scene_lines in by_leaf.items():
-        lines += scene_lines[:SCENES]
-        if rest := len(scene_lines[SCENES:]):
-            lines.append([f"data of {rest} more scenes{leaf}", *["differs"] * len(manifests)])
-    return lines
-
-
-def _differing(leaves: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    names = dict.fromkeys(name for values in leaves for name in values)
-    lines = ([name, *(values.get(name, NO_VALUE) for values in leaves)] for name in names)
+    first: dict[str, Any] = {}
+    for by_scene in data:
+        first = by_scene | first
+    differing = [
+        [scene for scene, content in first.items() if by_scene.get(scene) != content]
+        for by_scene in data
+    ]
+    texts = [
+        ", ".join(scenes[:LISTED]) + (f" and {rest} more" if (rest := len(scenes[LISTED:])) else "")
+        for scenes in differing
+    ]
+    lines.append(["data: missing or different scenes", *(text or "none" for text in texts)])
     return [line for line in lines if len(set(line[1:])) > 1]
 
 
@@ -263,14 +261,14 @@ def _costs_table(runs: Sequence[Run]) -> Table:
     stages = [run.times.get("seconds_by_stage", {}) for run in runs]
     for stage in (name for name in stages[0] if all(name in seconds for seconds in stages)):
         seconds = (number(by_stage[stage], 2) for by_stage in stages)
-        rows.append([f"{stage} of all scenes, s", *seconds])
+        rows.append([f"stage {stage}, all scenes, s", *seconds])
     for name in ("machine", "processor", "workers"):
         rows.append([name, *(run.times.get("host", {}).get(name) for run in runs)])
     note = (
-        "Medians over scenes, each of when it was made. On two machines, or beside other work, "
-        "they do not compare."
+        "Medians over scenes, measured when each result was computed. Times of different machines, "
+        "or of machines under load, are not comparable."
     )
-    return Table.of(["", *ascii_uppercase[: len(runs)]], rows, notes=[note])
+    return Table.of(["Cost", *ascii_uppercase[: len(runs)]], rows, notes=[note])
 
 
 def _changes_table(first: Run, second: Run) -> Table | None:
@@ -290,10 +288,10 @@ def _changes_table(first: Run, second: Run) -> Table | None:
             f"{row['scene']}, {row['frame']}",
             number(row["iou"], 3),
             number(after, 3),
-            mask_place(row).as_posix(),
+            mask_path(row).as_posix(),
         ]
         for _, row, after in sorted(largest, key=lambda change: change[0])
     ]
     place, mask = (Column(n, is_text=True) for n in ("Scene and frame", "Mask, in predictions/"))
-    note = f"By {escape(name)}, {escape(earlier[0]['protocol'])}."
+    note = f"Method {escape(name)}, protocol {escape(earlier[0]['protocol'])}."
     return Table.of(["Query", place, "IoU of A", "IoU of B", mask], rows, notes=[note])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import groupby
@@ -27,28 +27,19 @@ from rich.text import Text as RichText
 
 NO_VALUE = "–"
 
-WIDE = 100
-"""Width of a terminal line in characters."""
+TERMINAL_WIDTH = 100
+"""Largest width of a table in a terminal, characters."""
 
-QUALITY = 75
-"""Quality of WebP: a third of the size of a JPEG with equally clear thin outlines."""
+WEBP_QUALITY = 75
+"""Quality of pictures: a third of the size of a JPEG with equally clear thin outlines."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table.
+    """A column of a table: numbers are aligned right, text is aligned left.
 
-    Attributes
-    ----------
-    title : str
-    help : str
-        Description in a line.
-    group : str
-        Heading that neighbouring columns share.
-    note : str
-        Printed below the title.
-    is_text : bool
-        Whether it is aligned left; numbers are aligned right.
+    ``help`` describes it, ``group`` is a heading shared by neighbouring columns, and ``note`` is
+    printed below the title.
     """
 
     title: str
@@ -62,18 +53,9 @@ class Column:
 class Cell:
     """A cell of a table.
 
-    Attributes
-    ----------
-    value : str
-    below : str
-        Small print: an interval, or a second number.
-    mark : str
-        ``best`` (bold); ``better``, ``worse``, ``noise`` or ``few`` of a difference; ``yes`` or
-        ``no``.
-    note : str
-        Tooltip.
-    link : str
-        Id of the linked part of the page.
+    ``below`` is small print, such as an interval. ``mark`` is ``best`` (bold), ``better``,
+    ``worse``, ``noise`` or ``few`` for a difference, ``yes`` or ``no``. ``note`` is a tooltip, and
+    ``link`` the id of a section.
     """
 
     value: str
@@ -96,35 +78,49 @@ class Line:
     description: str = ""
     style: str = ""
 
+    @staticmethod
+    def of(cells: Sequence[Cell | str | None], description: str = "", style: str = "") -> Line:
+        """Return a line of plain values; None gives an empty cell."""
+        values = (NO_VALUE if cell is None else cell for cell in cells)
+        converted = (v if isinstance(v, Cell) else Cell(v) for v in values)
+        return Line(tuple(converted), description, style)
+
 
 @dataclass(frozen=True)
 class Table:
-    """A table; ``notes`` are prose below it."""
+    """A table; ``notes`` are prose below it, ``style`` is a class of the style sheet."""
 
     columns: tuple[Column, ...]
     lines: tuple[Line, ...]
     title: str = ""
     notes: tuple[str, ...] = ()
+    style: str = ""
     kind: ClassVar[str] = "table"
 
     @staticmethod
     def of(
         columns: Sequence[Any],
-        rows: Sequence[Any],
+        rows: Iterable[Any],
         title: str = "",
         notes: Sequence[str] = (),
+        style: str = "",
     ) -> Table:
         """Return a table of plain values; the first column is text.
 
-        ``columns`` are strings or :class:`Column`; rows are :class:`Line` or sequences of strings,
+        Columns are strings or :class:`Column`; rows are :class:`Line` or sequences of strings,
         :class:`Cell`, or None for an empty cell.
         """
-        heads = [
-            column if isinstance(column, Column) else Column(column, is_text=k == 0)
-            for k, column in enumerate(columns)
-        ]
-        lines = (row if isinstance(row, Line) else line_of(row) for row in rows)
-        return Table(tuple(heads), tuple(lines), title, tuple(notes))
+        heads = tuple(
+            column if isinstance(column, Column) else Column(column, is_text=place == 0)
+            for place, column in enumerate(columns)
+        )
+        lines = tuple(row if isinstance(row, Line) else Line.of(row) for row in rows)
+        return Table(heads, lines, title, tuple(notes), style)
+
+    @staticmethod
+    def of_values(tree: Mapping[str, Any], title: str = "") -> Table:
+        """Return a table of two columns without headings: the leaves of nested mappings."""
+        return Table.of(["", Column("", is_text=True)], flatten(tree), title)
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -141,19 +137,18 @@ class Table:
         """
         titles = [column.title for column in self.columns]
         rows = [titles, *([cell.text for cell in line.cells] for line in self.lines)]
-        sides: list[Any] = ["left" if column.is_text else "right" for column in self.columns]
-        text = _draw(rows, sides)
-        if len(text.partition("\n")[0]) > WIDE and len(self.lines) < len(self.columns):
-            columns = [list(column) for column in zip(*rows, strict=True)]
-            return _draw(columns, ["left", *["right"] * len(self.lines)])
+        text = _align(rows, [column.is_text for column in self.columns])
+        if len(text.partition("\n")[0]) > TERMINAL_WIDTH and len(self.lines) < len(self.columns):
+            transposed = [list(column) for column in zip(*rows, strict=True)]
+            return _align(transposed, [True, *[False] * len(self.lines)])
         return text
 
 
-def _draw(rows: Sequence[Sequence[str]], sides: Sequence[Any]) -> str:
+def _align(rows: Sequence[Sequence[str]], is_left: Sequence[bool]) -> str:
     """Format rows of cells, the first of which is the header, in aligned columns."""
     table = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for title, side in zip(rows[0], sides, strict=True):
-        table.add_column(RichText(title), justify=side, no_wrap=True)
+    for title, left in zip(rows[0], is_left, strict=True):
+        table.add_column(RichText(title), justify="left" if left else "right", no_wrap=True)
     for row in rows[1:]:
         table.add_row(*map(RichText, row))
     out = io.StringIO()
@@ -161,15 +156,14 @@ def _draw(rows: Sequence[Sequence[str]], sides: Sequence[Any]) -> str:
     return "\n".join(row.rstrip() for row in out.getvalue().splitlines())
 
 
-def line_of(cells: Sequence[Cell | str | None], style: str = "") -> Line:
-    """Return a line of plain values; None gives an empty cell."""
-    values = (NO_VALUE if cell is None else cell for cell in cells)
-    return Line(tuple(v if isinstance(v, Cell) else Cell(v) for v in values), style=style)
-
-
 def number(value: float | None, digits: int, unit: float = 1) -> str | None:
     """Format a number divided by ``unit``; None for None."""
     return None if value is None else f"{value / unit:,.{digits}f}"
+
+
+def count_text(count: int, unit: str, plural: str = "") -> str:
+    """Return a number with its unit; ``plural`` is the unit with ``s`` by default."""
+    return f"{count} {unit if count == 1 else plural or f'{unit}s'}"
 
 
 @dataclass(frozen=True)
@@ -205,7 +199,7 @@ class Picture:
             height = round(image.shape[0] * width / image.shape[1])
             image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
         out = io.BytesIO()
-        Image.fromarray(image).save(out, "WEBP", quality=QUALITY)
+        Image.fromarray(image).save(out, "WEBP", quality=WEBP_QUALITY)
         return Picture(data_uri(out.getvalue(), "webp"), caption, alt or caption)
 
 
@@ -216,7 +210,7 @@ def data_uri(data: bytes, kind: str) -> str:
 
 @dataclass(frozen=True)
 class Gallery:
-    """Pictures side by side; ``layout`` is a class of the style sheet, ``walk`` the slider's."""
+    """Pictures side by side; ``layout`` is a class of the style sheet, ``walk`` is the slider."""
 
     pictures: Sequence[Picture]
     layout: str
@@ -225,7 +219,7 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Card:
-    """An answer: its text, chips (text, class), pictures, and a note."""
+    """An answer: the query, chips (text, class of the style sheet), pictures, and a note."""
 
     title: str
     chips: Sequence[tuple[str, str]]
@@ -238,7 +232,6 @@ class Cards:
     """Answers side by side."""
 
     cards: Sequence[Card]
-    layout: str = "cards"
     kind: ClassVar[str] = "cards"
 
 
@@ -252,24 +245,11 @@ class Columns:
 
 @dataclass(frozen=True)
 class Fold:
-    """Blocks folded below a line of text."""
+    """Blocks that are collapsed below a line of text."""
 
     summary: str
     blocks: Sequence[Block]
-    is_open: bool = False
     kind: ClassVar[str] = "fold"
-
-
-@dataclass(frozen=True)
-class Numbers:
-    """Key numbers by title: lines of data set, value, interval and value of another method.
-
-    ``slot`` is a placeholder for more of them, see :class:`Slot`.
-    """
-
-    numbers: Mapping[str, Sequence[tuple[str, str, str, str]]]
-    slot: str = ""
-    kind: ClassVar[str] = "numbers"
 
 
 @dataclass(frozen=True)
@@ -280,28 +260,16 @@ class Slot:
     kind: ClassVar[str] = "slot"
 
 
-Block = Table | Prose | Terms | Gallery | Cards | Columns | Fold | Numbers | Slot
+Block = Table | Prose | Terms | Gallery | Cards | Columns | Fold | Slot
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a report.
+    """A section of a report.
 
-    Attributes
-    ----------
-    title : str
-    blocks : sequence of Block
-    id : str
-        Anchor for links.
-    note : str
-        Printed beside the title.
-    link : str
-        Text in the list of links at the top; empty for no link.
-    style : str
-        A class of the style sheet: ``failed`` or ``look``.
-    is_folded : bool
-    only_html : bool
-        Whether it contains only pictures and is left out of the Markdown.
+    ``id`` is its anchor, ``note`` is printed beside the title, and ``link`` is its text in the
+    list of links at the top. ``style`` is a class of the style sheet: ``failed`` or ``example``. A
+    section ``only_html`` contains only pictures and is left out of the Markdown.
     """
 
     title: str
@@ -344,9 +312,8 @@ class Report:
 def blocks_as(form: str, blocks: Sequence[Block]) -> str:
     """Render blocks of a section, as ``html`` or ``md``."""
     template: Any = _template(f"page.{form}.j2").make_module({"report": None})
-    if form == "html":
-        return str(template.show(blocks))
-    return _compact(str(template.show(blocks, 3)))
+    text = str(template.show(blocks))
+    return text if form == "html" else _compact(text)
 
 
 def _compact(markdown: str) -> str:
@@ -356,10 +323,7 @@ def _compact(markdown: str) -> str:
 
 def escape(text: Any) -> str:
     """Escape a text as one line of Markdown without markup."""
-    flat = " ".join(str(text).split())
-    for mark in "\\`*_<>|[]&":
-        flat = flat.replace(mark, f"\\{mark}")
-    return flat
+    return re.sub(r"([\\`*_<>|\[\]&])", r"\\\1", " ".join(str(text).split()))
 
 
 def plain(text: str) -> str:

@@ -1,10 +1,10 @@
 """The paper's tables (arXiv 2412.08331) with its printed numbers and those of a run.
 
-A number of the run is given only if the paper's scene was run: a scene of LERF-OVS or 3D-OVS,
+A cell has a number of the run only if the paper's scene was run: a scene of LERF-OVS or 3D-OVS,
 identified by its content (:mod:`slgaussian.datasets.published`), not by its folder name. Other
-scenes of these names are listed below the table. An overall mean is given only if all scenes of the
-table were run. The paper's numbers were measured with its networks and with unpublished pairs of
-views, so numbers for other pairs of the same scene are not directly comparable.
+scenes of these names are listed below the table. An overall mean requires all scenes of the table.
+The paper used its own networks and unpublished pairs of views, so numbers for other pairs of the
+same scene are not directly comparable.
 """
 
 from __future__ import annotations
@@ -14,7 +14,16 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from slgaussian.benchmark.reports.model import Cell, Column, Line, Prose, Section, Table, escape
+from slgaussian.benchmark.reports.model import (
+    Block,
+    Cell,
+    Column,
+    Line,
+    Prose,
+    Section,
+    Table,
+    escape,
+)
 from slgaussian.benchmark.reports.score_tables import conditions
 from slgaussian.benchmark.scores import score_table
 from slgaussian.datasets.published import ANOTHER, UNVERIFIED, Standing
@@ -26,15 +35,15 @@ PROTOCOLS = ("slgaussian", "langsplat")
 """Protocols for the run's numbers; the paper does not name its protocol."""
 
 ABOUT = (
-    "Of each cell the paper's number (arXiv 2412.08331) is first, as it is printed there, under "
-    "the name of its method; this run's is below it, and so is the name of what ran here. What is "
-    "called “like” is not the original. The paper's pairs of views were never published, and its "
-    "networks are others: its numbers are no target for this run's pairs."
+    "Each cell has the number printed in the paper (arXiv 2412.08331), and below it the number of "
+    "this run. Columns and rows have the paper's method names, and below them the names of the "
+    "methods here. Methods called “like” are not the original programs. The paper used other "
+    "networks and unpublished pairs of views, so its numbers are not directly comparable."
 )
 
 
 def _read_tables() -> list[dict[str, Any]]:
-    """Read the tables; in a table of scenes, each line is a scene, and the last is all scenes."""
+    """Read the tables; in a table of scenes, the last line is the mean over all scenes."""
     tables = tomllib.loads((files(__package__) / "paper_tables.toml").read_text("utf-8"))["table"]
     for table in tables:
         if table["best_of"] == "line":
@@ -68,27 +77,27 @@ def paper_section(
     run = _Run(rows, places, ours)
     scored = [protocol for protocol in PROTOCOLS if run.has_scores(protocol)]
     shown = scored or PROTOCOLS[:1]
+    formats = {table.get("format") for table in TABLES}
     others: dict[tuple[str, str, str], list[str]] = {}
     for name, of in places.items():
-        if of.standing == ANOTHER:
+        if of.standing == ANOTHER and of.format in formats:
             others.setdefault((of.format, of.scene, of.why), []).append(name)
-    blocks: list[Any] = [Prose(ABOUT)]
+    if not scored and not others:
+        return None
+    blocks: list[Block] = [Prose(ABOUT)]
     for protocol in shown:
         for table in TABLES:
             notes = run.notes({c.get("protocol", protocol) for c in table["columns"]})
             if protocol == shown[0] and table["best_of"] == "line":
                 notes += [
                     escape(
-                        f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: called "
-                        f"{scene}, but not the published scene ({reason}); in no cell."
+                        f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: named "
+                        f"{scene}, but not the published scene ({reason}); not in the table."
                     )
                     for (format, scene, reason), names in others.items()
                     if format == table["format"]
                 ]
             blocks.append(_table(table, run, protocol, notes))
-    named = any(format in (t.get("format") for t in TABLES) for format, *_ in others)
-    if not scored and not named:
-        return None
     return Section("The paper's tables", blocks, "paper", link="The paper's tables")
 
 
@@ -97,20 +106,18 @@ def _table(table: Mapping[str, Any], run: _Run, protocol: str, notes: Sequence[s
     lines = []
     for line in table["lines"]:
         cells = [Cell(line["title"].replace("_", " "))]
-        for k, (column, paper) in enumerate(zip(columns, line["numbers"], strict=True)):
+        for k, (column, printed) in enumerate(zip(columns, line["numbers"], strict=True)):
+            rivals = [other["numbers"][k] for other in table["lines"]]
             if table["best_of"] == "line":
-                alike = [
+                rivals = [
                     value
                     for other, value in zip(columns, line["numbers"], strict=True)
                     if other["group"] == column["group"]
                 ]
-            else:
-                alike = [other["numbers"][k] for other in table["lines"]]
-            seconds = column["metric"] == "seconds"
+            is_time = column["metric"] == "seconds"
             below = run.number({"protocol": protocol, **table, **line, **column})
-            best = (min if seconds else max)(alike) == paper
-            text = f"{paper:g}" if seconds else f"{paper:.2f}"
-            cells.append(Cell(text, below, "best" if best else ""))
+            mark = "best" if (min if is_time else max)(rivals) == printed else ""
+            cells.append(Cell(f"{printed:g}" if is_time else f"{printed:.2f}", below, mark))
         name = run.name(line.get("method", ""))
         lines.append(Line(tuple(cells), name, "mean" if line["title"] == "overall" else ""))
     heads = [
@@ -126,20 +133,20 @@ class _Run:
     def __init__(self, rows: Sequence[Row], places: Mapping[str, Standing], ours: str) -> None:
         self.ours = ours
         self.unsure = {(o.format, o.scene) for o in places.values() if o.standing == UNVERIFIED}
-        known = []
+        recognised = []
         for row in rows:
             place = places.get(row["scene"])
             if place is not None and place.standing != ANOTHER:
                 method = "slgaussian" if row["method"] == ours else row["method"]
-                frame = f"{row['scene']}/{row['frame']}"  # two pairs may ask in one frame
+                frame = f"{row['scene']}/{row['frame']}"  # two pairs may share a target frame
                 named = {"dataset": place.format, "scene": place.scene, "method": method}
-                known.append({**row, **named, "frame": frame})
-        self.scenes = {(row["dataset"], row["scene"]) for row in known}
-        self.methods = {row["method"] for row in known}
-        alone = [{**row, "dataset": f"{row['dataset']}/{row['scene']}"} for row in known]
+                recognised.append({**row, **named, "frame": frame})
+        self.scenes = {(row["dataset"], row["scene"]) for row in recognised}
+        self.methods = {row["method"] for row in recognised}
+        single = [{**row, "dataset": f"{row['dataset']}/{row['scene']}"} for row in recognised]
         self.scores = {
             (score["dataset"], score["method"], score["protocol"].partition("@")[0], name): score
-            for of in (known, alone)
+            for of in (recognised, single)
             for score in score_table(of).to_pylist()
             if (name := score["metric"]) in ("iou", "hit_box", "miou")
         }
@@ -153,21 +160,21 @@ class _Run:
         ``cell`` contains data format, scenes, method, protocol and metric.
         """
         if cell["metric"] == "seconds":
-            return "under the times"
+            return "see Speed"
         format, scenes = cell["format"], cell["scenes"]
-        there = [scene for scene in scenes if (format, scene) in self.scenes]
-        if not there:
+        present = sum((format, scene) in self.scenes for scene in scenes)
+        if not present:
             return ABSENT
-        if len(there) < len(scenes):
-            return f"{len(there)} of {len(scenes)} scenes present"
+        if present < len(scenes):
+            return f"{present} of {len(scenes)} scenes present"
         if cell["method"] not in self.methods:
             return "not run"
         dataset = f"{format}/{scenes[0]}" if len(scenes) == 1 else format
         key = dataset, cell["method"], cell["protocol"], cell["metric"]
         if (score := self.scores.get(key)) is None:
             return "not scored"
-        ends = [score["low"], score["high"]]
-        interval = "" if None in ends else f" ({100 * ends[0]:.2f}–{100 * ends[1]:.2f})"
+        bounds = [score["low"], score["high"]]
+        interval = "" if None in bounds else f" ({100 * bounds[0]:.2f}–{100 * bounds[1]:.2f})"
         mark = f", {UNVERIFIED}" if any((format, name) in self.unsure for name in scenes) else ""
         return f"{100 * score['value']:.2f}{interval}, n {score['samples']}{mark}"
 
@@ -176,10 +183,10 @@ class _Run:
         return self.ours if method == "slgaussian" else method
 
     def notes(self, protocols: set[str]) -> list[str]:
-        """Describe the conditions of the numbers of the given protocols."""
-        by = {
+        """Describe the settings of the numbers of the given protocols."""
+        settings = {
             f"{score['protocol']} ({conditions(score)})"
             for (_, _, name, _), score in self.scores.items()
             if name in protocols
         }
-        return [f"This run by {escape('; '.join(sorted(by)))}."] if by else []
+        return [f"This run: {escape('; '.join(sorted(settings)))}."] if settings else []

@@ -46,27 +46,25 @@ def plot(draw: Callable[[], Figure], caption: str) -> Picture:
 
 
 def plot_pareto(
-    points: Sequence[tuple[str, float, float]], ours: str, label: str, score: str = "IoU"
+    points: Sequence[tuple[str, float, float, bool]], ours: str, label: str, score: str
 ) -> Picture:
     """Plot a score over its cost; a line connects the Pareto front.
 
-    ``points`` are (method, score, cost), named by a legend.
+    ``points`` are (method, score, cost, whether it is on the front), named by a legend.
     """
 
     def draw() -> Figure:
-        figure = Figure((5.6, 4.2 + 0.1 * len(points)), layout="constrained")
+        figure = Figure((6.6, 3.4 + 0.1 * len(points)), layout="constrained")
         axes = figure.subplots()
-        front: list[tuple[float, float]] = []
-        for _, value, cost in sorted(points, key=lambda point: (point[2], -point[1])):
-            if not front or value > front[-1][1]:
-                front.append((cost, value))
+        front = sorted((cost, value) for _, value, cost, is_on_front in points if is_on_front)
         axes.plot(*zip(*front, strict=True), color=SOFT, lw=0.8, drawstyle="steps-post", zorder=1)
-        rivals = 0
-        for method, value, cost in points:
+        baselines = 0
+        for method, value, cost, _ in points:
             style = {"marker": "o", "ms": 9, "color": ACCENT}
             if method != ours:
-                rivals += 1
-                style = {"marker": MARKERS[rivals % len(MARKERS)], "ms": 7.5, "color": f"C{rivals}"}
+                baselines += 1
+                marker = MARKERS[baselines % len(MARKERS)]
+                style = {"marker": marker, "ms": 7.5, "color": f"C{baselines}"}
             axes.plot(cost, value, ls="", mec="white", label=method, **style)
         axes.set(xscale="log", xlabel=label, ylabel=score)
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
@@ -77,4 +75,4 @@ def plot_pareto(
         figure.legend(loc="outside lower center", ncols=2, frameon=False)
         return figure
 
-    return plot(draw, f"{score} over {label}; the line is the front")
+    return plot(draw, f"{score} against {label}; the line is the Pareto front")

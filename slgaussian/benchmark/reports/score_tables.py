@@ -1,4 +1,4 @@
-"""Tables of scores with their intervals and conditions."""
+"""Tables of scores with their confidence intervals and evaluation settings."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from slgaussian.benchmark.reports.model import (
     Column,
     Line,
     Table,
+    count_text,
     escape,
-    line_of,
     number,
 )
 from slgaussian.benchmark.scores import Difference, differences, grouped
@@ -28,12 +28,11 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Score:
-    """A score: its protocol without version, its name there, and its format.
+    """A metric in a table: its name in the data, title, format and description.
 
     ``sign`` is -1 if lower is better.
     """
 
-    protocol: str
     metric: str
     title: str
     digits: int
@@ -46,56 +45,54 @@ class Score:
         return Column(self.title + (" ↓" if self.sign < 0 else ""), self.help)
 
 
-SCORES = (
-    Score("slgaussian", "iou", "IoU", 3, "mask against label"),
-    Score("slgaussian", "miou", "mIoU", 3, "all texts compete for each pixel"),
-    Score("slgaussian", "hit_mask", "Point in mask", 2, "one point lies on the object"),
-    Score("slgaussian", "hit_box", "Point in box", 2, "the same, in its box"),
-    Score("slgaussian", "boundary_iou", "Boundary IoU", 3, "their rims"),
-    Score("langsplat", "iou", "IoU", 3, "smoothed, stretched relevancy above 0.4"),
-    Score("langsplat", "boundary_iou", "Boundary IoU", 3, "their rims"),
-    Score("langsplat", "hit_peak", "Peak in box", 2, "any of the most relevant pixels"),
-    Score("langsplat", "hit_box", "Point in box", 2, "the middle one of them"),
-    Score("highest-pixel", "hit_box", "Pixel in box", 2, "the first of the most relevant pixels"),
-    Score("highest-pixel", "hit_peak", "Pixels in box", 2, "any of them"),
-    Score("langsplat-rescaled", "iou", "IoU", 3, "the same, filter scaled to the image"),
-    Score("langsplat-rescaled", "hit_box", "Point in box", 2, "the same"),
-    Score("3d-ovs", "miou", "mIoU", 3, "all texts compete for each pixel"),
-    Score("3d-ovs", "accuracy", "Accuracy", 3, "pixels with the right class and no other"),
-)
-"""Scores in the order of tables and columns; the first score of a protocol ranks the methods."""
+IOU = Score("iou", "IoU", 3, "intersection over union of predicted and labelled mask")
+BOUNDARY_IOU = Score("boundary_iou", "Boundary IoU", 3, "IoU of the masks' boundary regions")
+MIOU = Score("miou", "mIoU", 3, "mean class IoU; all queries compete for each pixel")
+HIT_MASK = Score("hit_mask", "Point in mask", 2, "share of predicted points in the labelled mask")
+HIT_BOX = Score("hit_box", "Point in box", 2, "share of predicted points in the labelled box")
+HIT_PEAK = Score("hit_peak", "Peak in box", 2, "share of queries with a relevancy peak in the box")
+PSNR = Score("psnr", "PSNR", 1, "of rendered held-out views, dB")
 
-SELECTIONS = {"none": "no mask", "given": "masks as given"}
+SCORES = {
+    "slgaussian": (IOU, MIOU, HIT_MASK, HIT_BOX, BOUNDARY_IOU),
+    "langsplat": (IOU, BOUNDARY_IOU, HIT_PEAK, HIT_BOX),
+    "highest-pixel": (HIT_BOX, HIT_PEAK),
+    "langsplat-rescaled": (IOU, HIT_BOX),
+    "3d-ovs": (MIOU, Score("accuracy", "Accuracy", 3, "share of pixels with the correct class")),
+}
+"""Scores by protocol (without version), in the order of tables and columns; the first score of a
+protocol ranks the methods."""
+
+METRICS = (
+    IOU,
+    HIT_MASK,
+    HIT_BOX,
+    HIT_PEAK,
+    MIOU,
+    PSNR,
+    Score("ssim", "SSIM", 3, "of rendered held-out views"),
+    Score("abs_rel", "Depth abs-rel", 3, "relative depth error in the context views", -1),
+    Score("delta125", "δ < 1.25", 3, "share of pixels whose depth is within 25 %"),
+    Score("bad2", "bad-2.0", 3, "share of pixels with a disparity error above 2 px", -1),
+    Score("target_abs_rel", "Novel abs-rel", 3, "depth error in rendered held-out views", -1),
+)
+"""Metrics of a scene by its first protocol, and of its views."""
+
+SELECTIONS = {"none": "no mask", "given": "given masks"}
 """Descriptions of some selections in place of their names."""
 
 VERDICTS = {
-    "better": "ahead",
-    "worse": "behind",
-    "noise": "no difference beyond noise",
-    "few": "too few places to tell",
+    "better": "significant gain",
+    "worse": "significant loss",
+    "noise": "not significant",
+    "few": "too few places for a test",
 }
-"""Words by the mark of a difference, see :func:`gain_cell`."""
+"""Descriptions by the mark of a difference, see :func:`comparison_cell`."""
 
 
-METRICS = (
-    Score("", "iou", "IoU", 3, "mean over queries of one mask each against the labelled mask"),
-    Score("", "hit_mask", "Point in mask", 2, "share of queries whose point lies on the object"),
-    Score("", "hit_box", "Point in box", 2, "the same against the object's box, as LERF counts"),
-    Score("", "hit_peak", "Peak in box", 2, "any of the most relevant pixels, as LangSplat counts"),
-    Score("", "miou", "mIoU", 3, "all queries compete for each pixel; mean class IoU, whole image"),
-    Score("", "psnr", "PSNR", 1, "dB, rendered novel view against the photograph"),
-    Score("", "ssim", "SSIM", 3, "rendered novel view against the photograph"),
-    Score("", "abs_rel", "Depth abs-rel", 3, "context views, all pixels with true depth", -1),
-    Score("", "delta125", "δ < 1.25", 3, "share of pixels whose depth is within 25 %"),
-    Score("", "bad2", "bad-2.0", 3, "rectified pairs: share of pixels over 2 px off", -1),
-    Score("", "target_abs_rel", "Novel abs-rel", 3, "depth rendered at the novel view", -1),
-)
-"""Metrics of a scene by its first protocol, and of its views; they have no protocol here."""
-
-
-def scores_of(protocol: str) -> list[Score]:
+def scores_of(protocol: str) -> tuple[Score, ...]:
     """Return the scores of a protocol, given as ``name`` or ``name@version``."""
-    return [score for score in SCORES if score.protocol == protocol.partition("@")[0]]
+    return SCORES[protocol.partition("@")[0]]
 
 
 def method_tables(
@@ -103,7 +100,7 @@ def method_tables(
 ) -> list[Table]:
     """Return a table for each data set and protocol: a line per method, best first.
 
-    Scores that no method has are left out. A method with other conditions or another number of
+    Scores that no method has are left out. A method with other settings or another number of
     samples than most is marked. With a single method nothing is marked as best.
 
     Parameters
@@ -114,9 +111,9 @@ def method_tables(
     ours : str
         The method whose line is highlighted.
     """
-    order = list(dict.fromkeys(score.protocol for score in SCORES))
-    tables = []
+    order = list(SCORES)
     groups = grouped(scores, "dataset", "protocol")
+    tables = []
     for (dataset, protocol), rows in sorted(
         groups.items(), key=lambda item: order.index(item[0][1].partition("@")[0])
     ):
@@ -127,11 +124,11 @@ def method_tables(
         columns = [s for s in scores_of(protocol) if any(s.metric in r for r in by_method.values())]
         if not columns:
             continue
-        usual = _commonest(conditions(row) for row in rows).split(", ")
+        usual = _most_common(conditions(row) for row in rows).split(", ")
         counts, best = {}, {}
         for score in columns:
             present = [r[score.metric] for r in by_method.values() if score.metric in r]
-            counts[score] = _commonest(row["samples"] for row in present)
+            counts[score] = _most_common(row["samples"] for row in present)
             best[score] = max(score.sign * round(row["value"], score.digits) for row in present)
         lines = []
         for method, by_metric in by_method.items():
@@ -141,11 +138,10 @@ def method_tables(
                 cell = score_cell(row, score.digits)
                 if row is not None:
                     is_best = score.sign * round(row["value"], score.digits) == best[score]
+                    mark = "best" if is_best and len(by_method) > 1 else ""
                     samples = f"n {row['samples']}" if row["samples"] != counts[score] else ""
                     note = "; ".join(filter(None, (row["note"], samples)))
-                    cell = replace(
-                        cell, mark="best" if is_best and len(by_method) > 1 else "", note=note
-                    )
+                    cell = replace(cell, mark=mark, note=note)
                 cells.append(cell)
             if gains:
                 cells.append(gain_cell(gains.get((dataset, method)), columns[0], is_worded=True))
@@ -155,41 +151,27 @@ def method_tables(
                 for part in conditions(row).split(", ")
                 if part not in usual
             )
-            text = "; ".join(filter(None, (describe(method), ", ".join(unusual))))
+            about = ROWS[method].about if method in ROWS else ""
+            text = "; ".join(filter(None, (about, ", ".join(unusual))))
             lines.append(Line(tuple(cells), text, "ours" if method == ours else ""))
         lines.sort(key=lambda line: line.cells[1].value.replace(NO_VALUE, ""), reverse=True)
         heads = [Column("Method", is_text=True)]
         heads += [replace(score.column, note=f"n {counts[score]}") for score in columns]
         if gains:
-            text = f"{columns[0].title}, on the queries and scenes that both have"
-            heads.append(Column(f"{ours} minus it", text))
+            text = f"difference in {columns[0].title} on common queries, paired by scene"
+            heads.append(Column(f"{ours} minus method", text))
         scenes, places = (max(row[unit] for row in rows) for unit in ("scenes", "places"))
         notes = (
             f"{escape(protocol)}: {escape(', '.join(usual))}.",
-            _describe_means(scenes, places),
+            f"Mean over {count_text(scenes, 'scene')} of the scene means; n: number of queries. "
+            f"{_describe_interval(scenes, places)}",
         )
-        tables.append(Table(tuple(heads), tuple(lines), f"{dataset} by {protocol}", notes))
+        tables.append(Table(tuple(heads), tuple(lines), f"{dataset}, protocol {protocol}", notes))
     return tables
 
 
-def _describe_means(scenes: int, places: int) -> str:
-    """Describe the samples of a mean and its interval."""
-    text = f"Mean over {scenes} scene{'s' if scenes > 1 else ''} of each scene's mean"
-    if scenes == 1:
-        text += "; one scene has no interval"
-    elif places == 1:
-        text += "; scenes of one place have no interval"
-    else:
-        units = "scenes"
-        if places < scenes:
-            units = f"{places} places that they show, and of scenes within these,"
-        text += f"; with it where {LEVEL:.0%} of the resamplings of the {units} lie"
-        text += ", rough with so few" if places < LEAST else ""
-    return f"{text}. n are queries, each in one frame."
-
-
 def difference_tables(
-    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]], head: str = "Minus"
+    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]], head: str = "Method"
 ) -> list[Table]:
     """Return a table for each data set and protocol: a line per pair, first minus second.
 
@@ -206,25 +188,28 @@ def difference_tables(
         if not columns:
             continue
         lines = [
-            line_of([name, *(gain_cell(by_metric.get(s.metric), s) for s in columns)])
+            [name, *(gain_cell(by_metric.get(score.metric), score) for score in columns)]
             for name, by_metric in by_name.items()
         ]
         gains = [d.gain for by_metric in by_name.values() for d in by_metric.values()]
         scenes, places = max(g.samples for g in gains), max(g.independent_samples for g in gains)
-        unit = "places that they show" if places < scenes else "scenes"
-        note = (
-            f"On the queries that both were asked, in {scenes} scene{'s' if scenes > 1 else ''}; "
-            f"with it where {LEVEL:.0%} of the resamplings of the {unit}, drawn in pairs, lie. "
-        )
-        note += (
-            f"Of fewer than {LEAST} an interval says little."
-            if places < LEAST
-            else "Green is better beyond noise, red is worse; of so many comparisons one in twenty "
-            "is so by chance."
-        )
+        note = f"Common queries of {count_text(scenes, 'scene')}. "
+        note += _describe_interval(scenes, places)
+        if places >= LEAST:
+            note += " Green: significant gain; red: significant loss; not corrected for multiple "
+            note += "comparisons (1 in 20 is significant by chance)."
         heads = [head, *(score.column for score in columns)]
-        tables.append(Table.of(heads, lines, f"{dataset} by {protocol}", [note]))
+        tables.append(Table.of(heads, lines, f"{dataset}, protocol {protocol}", [note]))
     return tables
+
+
+def _describe_interval(scenes: int, places: int) -> str:
+    """Describe the intervals of means over scenes; the scenes show a number of places."""
+    if places == 1:
+        return f"No interval for one {'scene' if scenes == 1 else 'place'}."
+    unit = "scenes" if places == scenes else f"{places} places, and of scenes within each place"
+    rough = f"; unreliable below {LEAST}" if places < LEAST else ""
+    return f"Intervals: {LEVEL:.0%} bootstrap over {unit}{rough}."
 
 
 def metrics_table(
@@ -247,25 +232,25 @@ def metrics_table(
         Ids of the scenes' sections of the page.
     """
     columns = [m for m in METRICS if any(m.metric in values for values in metrics.values())]
-    lines = [
-        line_of(
-            [
-                Cell(scene, link=(links or {}).get(scene, "")),
-                *(number(values.get(m.metric), m.digits) for m in columns),
-            ]
-        )
-        for scene, values in metrics.items()
-    ]
+    lines = []
+    for scene, values in metrics.items():
+        name = Cell(scene, link=(links or {}).get(scene, ""))
+        lines.append(Line.of([name, *(number(values.get(m.metric), m.digits) for m in columns)]))
+    means = Line.of(["mean", *mean_cells(metrics, scores, columns)], style="mean")
+    return Table.of(["Scene", *(m.column for m in columns)], [*lines, means], title)
+
+
+def mean_cells(
+    metrics: Mapping[str, Mapping[str, float]], scores: Sequence[Row], columns: Sequence[Score]
+) -> list[Cell]:
+    """Return the means of metrics over scenes; arguments as in :func:`metrics_table`."""
     by_metric = {score["metric"]: score for score in scores}
-    means = [Cell("mean")]
+    cells = []
     for m in columns:
-        mean = float(
-            np.mean([values[m.metric] for values in metrics.values() if m.metric in values])
-        )
-        below = score_cell(by_metric.get(m.metric), m.digits).below
-        means.append(Cell(f"{mean:.{m.digits}f}", below))
-    heads = ["scene", *(m.column for m in columns)]
-    return Table.of(heads, [*lines, line_of(means, "mean")], title)
+        values = [by_name[m.metric] for by_name in metrics.values() if m.metric in by_name]
+        mean = f"{np.mean(values):.{m.digits}f}" if values else NO_VALUE
+        cells.append(Cell(mean, score_cell(by_metric.get(m.metric), m.digits).below))
+    return cells
 
 
 def gain_cell(difference: Difference | None, score: Score, is_worded: bool = False) -> Cell:
@@ -274,8 +259,8 @@ def gain_cell(difference: Difference | None, score: Score, is_worded: bool = Fal
         return Cell(NO_VALUE)
     gain = difference.gain
     cell = comparison_cell(gain, score.digits, score.sign)
-    note = f"{difference.samples} samples of {gain.samples} scene{'s' if gain.samples > 1 else ''}"
     below = [cell.below] * (gain.independent_samples > 1) + [VERDICTS[cell.mark]] * is_worded
+    note = f"{count_text(difference.samples, 'sample')} of {count_text(gain.samples, 'scene')}"
     return replace(cell, below=", ".join(below), note=note)
 
 
@@ -286,19 +271,14 @@ def comparison_cell(gain: Comparison, digits: int, sign: int = 1) -> Cell:
     than :data:`LEAST` places no gain is significant.
     """
     value, start, end = (
-        round(end, digits) + 0.0  # and not -0.000
-        for end in (gain.difference, gain.low, gain.high)
+        round(bound, digits) + 0.0  # not -0.000
+        for bound in (gain.difference, gain.low, gain.high)
     )
     low, high = sorted((sign * start, sign * end))
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
     if gain.independent_samples < 2 or (gain.independent_samples < LEAST and mark != "noise"):
         mark = "few"
     return Cell(f"{value:+.{digits}f}", f"{start:+.{digits}f} to {end:+.{digits}f}", mark)
-
-
-def describe(method: str) -> str:
-    """Describe a method, and state if it is not the original; empty if unknown."""
-    return ROWS[method].about if method in ROWS else ""
 
 
 def conditions(score: Row) -> str:
@@ -318,11 +298,11 @@ def score_cell(row: Row | None, digits: int) -> Cell:
     """Format a score with its interval."""
     if row is None:
         return Cell(NO_VALUE)
-    ends = row["low"], row["high"]
-    below = "" if None in ends else "–".join(f"{end:.{digits}f}" for end in ends)
+    bounds = row["low"], row["high"]
+    below = "" if None in bounds else "–".join(f"{bound:.{digits}f}" for bound in bounds)
     return Cell(f"{row['value']:.{digits}f}", below)
 
 
-def _commonest(values: Iterable[Any]) -> Any:
+def _most_common(values: Iterable[Any]) -> Any:
     """Return the most common value, the first in a tie."""
     return Counter(values).most_common(1)[0][0]

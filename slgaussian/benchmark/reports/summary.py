@@ -1,42 +1,31 @@
-"""Summary at the top of a report: a sentence and key numbers."""
+"""Summary at the top of a report: sentences and key numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
-
-import numpy as np
 
 from slgaussian.benchmark.baselines import is_variant
 from slgaussian.benchmark.costs import Cost
 from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
-from slgaussian.benchmark.reports.look import LOOKS, Scene
-from slgaussian.benchmark.reports.model import Block, Fold, Numbers, Prose, Terms, escape
+from slgaussian.benchmark.reports.examples import Scene
+from slgaussian.benchmark.reports.model import (
+    Block,
+    Cell,
+    Column,
+    Prose,
+    Slot,
+    Table,
+    count_text,
+    escape,
+)
+from slgaussian.benchmark.reports.score_tables import HIT_MASK, IOU, PSNR, mean_cells
 
 Row = Mapping[str, Any]
 
 COSTS = "<!-- costs -->"
-"""Placeholder of the seconds, see :func:`cost_numbers`."""
-
-VIEW, QUERY = "a new view against a photograph, PSNR", "a query in a new view"
-BUILD, RANGE = "to build the scene", "small numbers"
-
-TERMS = {
-    "overlap with the truth, IoU, 0 to 1": "the pixels that the answer and the thing have in "
-    "common, as a share of those that are in either: 0 is none, 1 is all. The mean over scenes",
-    "points that are on the thing": "each answer also points at one pixel: the share of points "
-    "that lie on what was asked for",
-    VIEW: "how near a rendered view is to a photograph from "
-    "there that was never shown to the method: 20 dB is a tenth of the range off, 30 dB 3 %",
-    QUERY: "seconds, with rendering a view that was not seen before; the median",
-    BUILD: "seconds from photographs to a scene that answers, all methods share it; the median",
-    RANGE: "where 95% of the means lie if scenes, or the places that they show, are "
-    "drawn anew; methods whose ranges overlap much may be equally good",
-}
-"""Descriptions of the key numbers, by title."""
-
-SCORES = (("iou", "{:.2f}", 1), ("hit_mask", "{:.0f} %", 100))
-"""Scores among the key numbers, in the order of :data:`TERMS`: metric, format, factor."""
+"""Placeholder of the seconds, see :func:`key_costs`."""
 
 
 def summarize(
@@ -47,7 +36,7 @@ def summarize(
     manifest: Mapping[str, Any],
     left_out: int,
 ) -> list[Block]:
-    """Summarise a run in a sentence and key numbers.
+    """Summarise a run in sentences and key numbers.
 
     Parameters
     ----------
@@ -63,99 +52,83 @@ def summarize(
         Number of scenes that are not in the report.
     """
     if not scenes:
-        return [Prose("No scene went through.", "lead"), Prose(f"{left_out} left out.")]
+        return [Prose(f"No scene was completed; {left_out} left out.", "lead")]
     data = list(manifest.get("data", {}).values())
-    sizes = {len(scene["context"]) for scene in data if "context" in scene}
-    ends = dict.fromkeys(map(str, (min(sizes), max(sizes)))) if sizes else {}
-    photographs = " ".join(filter(None, (" to ".join(ends), "photographs")))
-    is_single = len(scenes) == 1
-    names = dict.fromkeys(scene.name if is_single else scene.dataset for scene in scenes)
-    each = "one scene" if is_single else f"each of {len(scenes)} scenes"
-    text = f"From {photographs} of {each} ({', '.join(map(escape, names))}), a 3D scene was built "
-    text += "that answers words. "
+    sizes = sorted({len(scene["context"]) for scene in data if "context" in scene})
+    is_held_out = data and all(
+        {*scene.get("context", ())}.isdisjoint(scene.get("targets", ())) for scene in data
+    )
+    names = dict.fromkeys(s.name if len(scenes) == 1 else s.dataset for s in scenes)
+    text = f"Semantic fields of {count_text(len(scenes), 'scene')} "
+    text += f"({', '.join(map(escape, names))})"
+    if sizes:
+        text += f", built from {' to '.join(map(str, dict.fromkeys((sizes[0], sizes[-1]))))} "
+        text += f"photographs{' each' if len(scenes) > 1 else ''}"
     scored = sum(row["iou"] is not None for row in answers)
-    things = _count(scored or len(answers), "thing")
-    if scored:
-        is_held_out = all({*s.get("context", ())}.isdisjoint(s.get("targets", ())) for s in data)
-        text += f"It was asked for {things}"
-        text += " in views that it had not been shown" if is_held_out else ""
-        variants = sum(map(is_variant, methods[1:]))
-        counts = {"other method": len(methods) - 1 - variants, "variant": variants}
-        rivals = " and ".join(_count(n, kind) for kind, n in counts.items() if n)
-        text += f", as were {rivals}." if rivals else "."
-    elif answers:
-        text += f"It was asked for {things}; without labels nothing is scored."
-    else:
-        text += "Nothing was asked of it."
+    text += f". {count_text(scored, 'query', 'queries')} scored"
+    text += " in held-out views" if is_held_out and scored else ""
+    variants = sum(map(is_variant, methods[1:]))
+    counts = {"baseline": len(methods) - 1 - variants, "variant": variants}
+    if compared := [count_text(n, kind) for kind, n in counts.items() if n]:
+        text += f", compared with {' and '.join(compared)}"
     unknown = sum(row["note"].startswith(NOT_UNDERSTOOD) for row in answers)
-    parts = {
-        _count(len(scenes), "scene"): True,
-        f"[{left_out} left out](#left-out)": left_out,
-        f"{scored} scored quer{'y' if scored == 1 else 'ies'}": answers,
-        f"{len(answers) - scored} asked without truth": len(answers) > scored,
-        f"{unknown} not understood (IoU 0)": unknown,
+    exceptions = {
+        f"[Scenes left out](#left-out): {left_out}.": left_out,
+        f"Queries without ground truth: {len(answers) - scored}.": len(answers) > scored,
+        f"Queries that the encoder does not understand (IoU 0): {unknown}.": unknown,
     }
-    counted = ", ".join(part for part, holds in parts.items() if holds)
-    blocks: list[Block] = [Prose(text, "lead"), Prose(f"{counted}.", "soft fine")]
-    numbers = key_numbers(scenes, scores, next(iter(methods), ""))
-    terms = {title: TERMS[title] for title in (*numbers, QUERY, BUILD, RANGE)}
-    blocks += [Numbers(numbers, COSTS), Fold("What these numbers mean", [Terms(terms)])]
-    return blocks
+    blocks: list[Block] = [Prose(f"{text}.", "lead")]
+    if listed := [part for part, holds in exceptions.items() if holds]:
+        blocks.append(Prose(" ".join(listed), "soft fine"))
+    return [*blocks, *_key_scores(scenes, scores, next(iter(methods), "")), Slot(COSTS)]
 
 
-def _count(count: int, unit: str) -> str:
-    return f"{count} {unit}{'' if count == 1 else 's'}"
+def _key_scores(scenes: Sequence[Scene], scores: Sequence[Row], ours: str) -> list[Table]:
+    """Return the main scores of our method and of the best baseline, a line per data set."""
+    columns = [
+        column
+        for column in (IOU, HIT_MASK, PSNR)
+        if any(column.metric in scene.metrics for scene in scenes)
+    ]
+    if not columns:
+        return []
+    lines = []
+    for dataset in dict.fromkeys(scene.dataset for scene in scenes):
+        metrics = {scene.name: scene.metrics for scene in scenes if scene.dataset == dataset}
+        of_set = [score for score in scores if score["dataset"] == dataset]
+        cells = [Cell(dataset)]
+        our_scores = [score for score in of_set if score["method"] == ours]
+        means = mean_cells(metrics, our_scores, columns)
+        for column, cell in zip(columns, means, strict=True):
+            baselines = [
+                (score["value"], score["method"])
+                for score in of_set
+                if score["metric"] == column.metric
+                and score["method"] != ours
+                and not is_variant(score["method"])
+            ]
+            parts = [cell.below] if cell.below else []
+            if baselines:
+                value, method = max(baselines)
+                parts.append(f"best baseline: {value:.{column.digits}f}, {method}")
+            cells.append(replace(cell, below="; ".join(parts)))
+        lines.append(cells)
+    return [Table.of(["Data set", *(column.column for column in columns)], lines, style="key")]
 
 
-def key_numbers(
-    scenes: Sequence[Scene], scores: Sequence[Row], ours: str
-) -> dict[str, list[tuple[str, str, str, str]]]:
-    """Return the scores of answers and new views in each of the first data sets.
-
-    ``scores`` are those of the first protocol. Our method is listed with the best other method that
-    is not a variant of it.
-    """
-    numbers: dict[str, list[tuple[str, str, str, str]]] = {}
-    sets = list(dict.fromkeys(scene.dataset for scene in scenes))
-    for dataset in sets[:LOOKS]:
-        name = dataset if len(sets) > 1 else ""
-        for (metric, form, factor), title in zip(SCORES, TERMS, strict=False):
-            by_method = {
-                score["method"]: score
-                for score in scores
-                if (score["metric"], score["dataset"]) == (metric, dataset)
-            }
-            score = by_method.pop(ours, None)
-            if score is None:
-                continue
-            interval = rival = ""
-            if score["low"] is not None:
-                low, high = (form.format(factor * score[end]) for end in ("low", "high"))
-                interval = f"{low.removesuffix(' %')} to {high}"
-            rivals = [by_method[method] for method in by_method if not is_variant(method)]
-            if rivals:
-                best = max(rivals, key=lambda rival: rival["value"])
-                rival = f"best other: {form.format(factor * best['value'])}, {best['method']}"
-            value = form.format(factor * score["value"])
-            numbers.setdefault(title, []).append((name, value, interval, rival))
-        psnr = [s.metrics["psnr"] for s in scenes if s.dataset == dataset and "psnr" in s.metrics]
-        if psnr:
-            numbers.setdefault(VIEW, []).append((name, f"{float(np.mean(psnr)):.1f} dB", "", ""))
-    return numbers
-
-
-def cost_numbers(costs: Sequence[Cost]) -> Numbers:
-    """Return the speed of our method on each of the first data sets.
-
-    The first method of ``costs`` for each data set is ours.
-    """
+def key_costs(costs: Sequence[Cost]) -> Table:
+    """Return the seconds of our method on each data set, the first method of ``costs`` in it."""
     ours = {cost.dataset: cost for cost in reversed(costs)}
-    names = list(dict.fromkeys(cost.dataset for cost in costs))
-    numbers: dict[str, list[tuple[str, str, str, str]]] = {QUERY: [], BUILD: []}
-    for dataset in names[:LOOKS]:
-        name = dataset if len(names) > 1 else ""
-        for title, seconds in ((QUERY, ours[dataset].view_query), (BUILD, ours[dataset].build)):
-            if seconds is not None:
-                text = f"{seconds:,.0f} s" if seconds >= 10 else f"{seconds:.2g} s"
-                numbers[title].append((name, text, "", ""))
-    return Numbers({title: lines for title, lines in numbers.items() if lines})
+    lines = []
+    for dataset in dict.fromkeys(cost.dataset for cost in costs):
+        seconds = ours[dataset].view_query, ours[dataset].build
+        lines.append([dataset, *map(_seconds_text, seconds)])
+    heads = ["Data set", Column("Query in a new view", "median, including rendering"),
+             Column("Build a scene", "median, from photographs to a field")]  # fmt: skip
+    return Table.of(heads, lines, style="key")
+
+
+def _seconds_text(seconds: float | None) -> str | None:
+    if seconds is None:
+        return None
+    return f"{seconds:,.0f} s" if seconds >= 10 else f"{seconds:.2g} s"

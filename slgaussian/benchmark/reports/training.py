@@ -23,7 +23,6 @@ from slgaussian.benchmark.reports.model import (
     Table,
     data_uri,
     escape,
-    flatten,
 )
 from slgaussian.benchmark.reports.plots import plot
 from slgaussian.benchmark.reports.score_tables import comparison_cell
@@ -32,9 +31,9 @@ from slgaussian.benchmark.statistics import LEAST, LEVEL
 
 ABOUT = {
     "hard": "each Gaussian has the object of its own pixel; no network",
-    "filled": "the same, after pixels without an object took one from other views; no network",
-    "branch": "the branch that was trained",
-    "before": "the weights that training began from, or that are in use",
+    "filled": "as hard, after pixels without an object took one from other views; no network",
+    "branch": "the trained branch",
+    "before": "the initial weights, or the weights in use",
 }
 """Descriptions of the liftings."""
 
@@ -44,7 +43,7 @@ SMOOTH = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """One target view of a held-out lesson, all pictures int32 [H, W] object ids.
+    """One target view of a held-out lesson; all pictures are object ids int32 [H, W].
 
     ``context`` is the first context view as input of the liftings, ``truth`` the target labels, and
     ``predicted`` the result of each lifting, with the IoU of the lesson in ``ious``.
@@ -73,28 +72,28 @@ def training_report(
     manifest : mapping
         Number of lessons and settings, nested mappings allowed.
     """
-    course = "Loss of every step and its running mean; grey: learning rate"
+    caption = "Loss of every step and its running mean; grey: learning rate"
+    curve = plot(lambda: _loss_curve(metrics), caption)
     sections = [
         Section("Scores", [scores_table(judgements)]),
-        Section("Course", [Gallery([plot(lambda: _loss_curve(metrics), course)], "grid plots")]),
+        Section("Loss", [Gallery([curve], "grid plots")]),
     ]
     if examples:
         note = (
-            "Where the branch gains most, in the middle, and where it gains least, labels "
-            "corrupted. IoU is of all target views of the lesson."
+            "Corrupted labels; the largest, median and smallest gain of the branch. IoU: mean over "
+            "all target views of the lesson."
         )
         blocks: list[Block] = [Prose(note)]
         for example in examples:
             blocks += [Prose(escape(example.sample)), Gallery(_pictures(example), "labels")]
         sections.append(Section("Held-out lessons", blocks))
-    manifest_table = Table.of(["", Column("", is_text=True)], flatten(manifest))
-    sections.append(Section("What ran", [manifest_table]))
-    summary = "Judged by the objects seen in new views of clips that it was not trained on."
+    sections.append(Section("Configuration", [Table.of_values(manifest)]))
+    summary = "Evaluated by the objects in target views of clips that are not in the training set."
     return Report("Training of the semantic branch", [Prose(summary)], sections)
 
 
 def scores_table(judgements: pa.Table) -> Table:
-    """Return the mean IoU of each lifting by kind of labels, and the branch's gain over it."""
+    """Return the mean IoU of each lifting by kind of labels, and the gain of the branch over it."""
     kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
     scores = {kind: clip_scores(judgements, kind) for kind in kinds}
     rows = []
@@ -104,12 +103,9 @@ def scores_table(judgements: pa.Table) -> Table:
             cell = comparison_cell(gain(judgements, name, kind), 4)
             row += [f"{np.mean(scores[kind][name]):.4f}", None if name == "branch" else cell]
         rows.append([*row, ABOUT[name]])
-    heads = [head for kind in kinds for head in (f"IoU, labels {kind}", "branch minus it")]
-    note = (
-        f"With a difference: where it lies in {LEVEL:.0%} of the resamplings of a paired bootstrap "
-        f"over clips; of fewer than {LEAST} it says little."
-    )
-    return Table.of(["lifting", *heads, Column("", is_text=True)], rows, notes=[note])
+    heads = [head for kind in kinds for head in (f"IoU, labels {kind}", "Branch minus lifting")]
+    note = f"Intervals: {LEVEL:.0%} paired bootstrap over clips; unreliable below {LEAST} clips."
+    return Table.of(["Lifting", *heads, Column("", is_text=True)], rows, notes=[note])
 
 
 def _loss_curve(metrics: pa.Table) -> Figure:
@@ -137,8 +133,8 @@ def _loss_curve(metrics: pa.Table) -> Figure:
 
 def _pictures(example: Example) -> list[Picture]:
     images = {
-        f"a context view, labels {example.labels}": example.context,
-        "a target view": example.truth,
+        f"context view, labels {example.labels}": example.context,
+        "target view": example.truth,
     }
     images |= {
         f"{name}, IoU {example.ious[name]:.3f}": ids for name, ids in example.predicted.items()
