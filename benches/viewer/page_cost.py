@@ -38,7 +38,7 @@ RENDERER = """(() => { const gl = slgaussian.drawing.gl;
 def measured(name: str, field: SemanticField, folder: Path) -> dict:
     start = time.perf_counter()
     html = scene_page(field)
-    made = time.perf_counter() - start
+    write_seconds = time.perf_counter() - start
     file = folder / "scene.html"
     file.write_text(html, "utf-8")
     with Browser() as browser, browser.open("about:blank", *WINDOW) as blank:
@@ -57,7 +57,7 @@ def measured(name: str, field: SemanticField, folder: Path) -> dict:
                 **_served(browser, field, folder / name),
                 "name": name,
                 "gaussians": len(field.gaussians),
-                "made": made,
+                "made": write_seconds,
                 "megabytes": len(html.encode()) / 1e6,
                 "unpacked": marks["unpacked"],
                 "shown": marks["shown"],
@@ -67,7 +67,7 @@ def measured(name: str, field: SemanticField, folder: Path) -> dict:
                 "heap": tab.evaluate("performance.memory.usedJSHeapSize") / 2**20,
                 "sort": tab.evaluate(
                     "(() => { const start = performance.now();"
-                    "slgaussian.drawing.order.of(slgaussian.eye, 0.01);"
+                    "slgaussian.drawing.order.sort(slgaussian.eye, 0.01);"
                     "return performance.now() - start; })()"
                 ),
                 "load": os.getloadavg()[0],
@@ -87,8 +87,10 @@ def _served(browser: Browser, field: SemanticField, folder: Path) -> dict:
         ready = time.perf_counter() - start
         with browser.open(address, *WINDOW) as tab:
             tab.wait("globalThis.slgaussian !== undefined", PATIENCE)
-            shown = tab.evaluate("performance.getEntriesByName('shown')[0].startTime / 1000")
-            return {"address": ready, "served": shown, "served_light": _asked(tab)}
+            first_picture = tab.evaluate(
+                "performance.getEntriesByName('shown')[0].startTime / 1000"
+            )
+            return {"address": ready, "served": first_picture, "served_light": _asked(tab)}
     finally:
         server.terminate()
         server.wait(60)
@@ -97,8 +99,8 @@ def _served(browser: Browser, field: SemanticField, folder: Path) -> dict:
 def _frame(tab: Tab) -> float:
     """Measure the seconds of a frame after a small rotation."""
     return tab.evaluate(
-        "(async () => { slgaussian.stand.turn(0.02, 0); await slgaussian.wish();"
-        "return slgaussian.took / 1000; })()"
+        "(async () => { slgaussian.viewpoint.turn(0.02, 0); await slgaussian.requestFrame();"
+        "return slgaussian.frameMilliseconds / 1000; })()"
     )
 
 

@@ -1,1 +1,1 @@
-"""Look at a scene: live in the browser, asked by word and by click."""
+"""Viewer of a scene in the browser, which answers texts and clicks."""

@@ -1,7 +1,7 @@
 """Access control of the viewer: its address, access token, and checks of requests.
 
-The web server alone would check no token and would answer requests from pages of other sites, so
-the socket is bound here, and every request passes :class:`Guard` first.
+The web server itself checks no token, and answers requests that pages of other sites send. So this
+module binds the socket, and every request passes :class:`Guard` first.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 @dataclass(frozen=True)
 class Access:
-    """A socket that listens, and the rule for requests to it.
+    """A listening socket, and the rule by which requests to it are refused.
 
     Attributes
     ----------
     host : str
-        As the user gave it.
+        Name or address from the command line.
     listener : socket
     token : str or None
-        First part of the path of every request; None on loopback.
+        First part of the path of every valid request; None on loopback.
     """
 
     host: str
@@ -42,12 +42,12 @@ class Access:
 
     @property
     def port(self) -> int:
-        """The port that it listens on."""
+        """Port of the socket."""
         return int(self.listener.getsockname()[1])
 
     @property
     def address(self) -> str:
-        """URL to open in a browser; the name of the machine stands for "all its addresses"."""
+        """URL to open in a browser, with the machine's name if the host is a wildcard address."""
         host = socket.gethostname() if self.host in ("0.0.0.0", "::") else self.host
         host = f"[{host}]" if ":" in host else host
         return f"http://{host}:{self.port}/" + (f"{self.token}/" if self.token else "")
@@ -58,16 +58,17 @@ class Access:
         Parameters
         ----------
         path : str
-            As the request has it.
+            Path of the request, with the token.
         host, origin : str or None
-            The headers of the request. A page of another site may send a browser here, with that
-            site as its origin, or under a name of its own that it has made lead to this machine.
+            Headers of the request. A page of another site can make a browser send requests here:
+            with that site as origin, or by a host name that resolves to this machine (DNS
+            rebinding).
         """
         try:
             hostname = urlsplit(f"//{host}").hostname if host else None
             if origin is not None and urlsplit(origin).netloc != host:
                 return None
-        except ValueError:  # no address at all, as "["
+        except ValueError:  # not an address, such as "["
             return None
         if self.token is None:
             return path if hostname in LOOPBACK else None
@@ -78,22 +79,22 @@ class Access:
 
 
 def listen(host: str = LOOPBACK[0], port: int | None = None) -> Access:
-    """Listen at ``host``: on ``port``, or on :data:`PORT`, or where that is in use on a free one.
+    """Listen at ``host`` on ``port``; by default on :data:`PORT`, or a free port if it is in use.
 
     Raises
     ------
     InputError
-        If the port that is given is in use or may not be taken, or this machine has no such host.
+        If the given port is in use or not permitted, or ``host`` is no address of this machine.
     """
     token = None if host in LOOPBACK else secrets.token_urlsafe(24)
-    for tried in (PORT, 0) if port is None else (port,):
+    for candidate in (PORT, 0) if port is None else (port,):
         try:
             family, kind, protocol, _, sockaddr = socket.getaddrinfo(
-                host, tried, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+                host, candidate, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
             )[0]
         except (OSError, UnicodeError):
             raise InputError(
-                f"--host: found {host!r}, expected a name or an address of this machine, as "
+                f"--host: found {host!r}, expected a name or an address of this machine, such as "
                 "127.0.0.1"
             ) from None
         listener = socket.socket(family, kind, protocol)
@@ -106,27 +107,27 @@ def listen(host: str = LOOPBACK[0], port: int | None = None) -> Access:
             listener.close()
             if error.errno == errno.EADDRNOTAVAIL:
                 raise InputError(
-                    f"--host: {host} is no address of this machine; leave it out to look from "
-                    "this machine alone"
+                    f"--host: {host} is no address of this machine; omit --host to open the "
+                    "viewer on this machine only"
                 ) from None
             if port is not None:
-                why = "is in use by another program"
+                reason = "is in use by another program"
                 if error.errno != errno.EADDRINUSE:
-                    why = f"cannot be taken ({error.strerror})"
+                    reason = f"cannot be used ({error.strerror})"
                 raise InputError(
-                    f"--port: {port} {why}; give another, or leave it out for a free one"
+                    f"--port: {port} {reason}; give another port, or omit --port for a free one"
                 ) from None
-    raise SLGaussianError(f"no free port at {host}; end a program that listens there")
+    raise SLGaussianError(f"no free port at {host}; stop a program that listens there")
 
 
 class Guard:
-    """ASGI middleware that refuses, with 403, what :meth:`Access.path_within` refuses."""
+    """ASGI middleware that answers 403 to requests that :meth:`Access.path_within` refuses."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self.app, self.access = app, access
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, with its path below the token."""
+        """Pass a request on to the application, with the token removed from its path."""
         hosts, origins = (
             [value.decode("latin-1") for key, value in scope["headers"] if key == name]
             for name in (b"host", b"origin")

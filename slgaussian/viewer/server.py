@@ -1,7 +1,7 @@
-"""The page of a field, served: it asks the field for words, and changes it.
+"""HTTP server of a field's page: answers texts and changes the field.
 
-Whoever opens the address joins one field with one history of changes; each page moves by itself.
-Nothing is read but what was loaded at the start, and nothing is written but by ``save``.
+All browsers that open the address share one field and one history of changes; each has its own
+camera. The server reads no file after the start, and only ``save`` writes one.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from slgaussian.viewer.auth import Access, Guard
 from slgaussian.viewer.page.packed import morton_order
 
 MOST_BYTES = 2**16
-"""Of a request."""
+"""Largest body of a request."""
 
 HEADERS = {
     "Cache-Control": "no-store",
-    # The address of the page may hold the token; and no other site may frame it for clicks.
+    # The URL may contain the token, so no referrer; and no site may frame the page (clickjacking).
     "Referrer-Policy": "no-referrer",
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
@@ -43,20 +43,20 @@ HEADERS = {
 
 
 class LiveField:
-    """A field that pages ask and change, with what undoes each change; one caller at a time.
+    """A field that pages query and change, with its earlier versions for undo; not thread-safe.
 
     Parameters
     ----------
     field : SemanticField
     folder : path
-        Where :meth:`save` writes changes.
+        Folder of the field, into which :meth:`save` writes changes.
 
     Attributes
     ----------
     field : SemanticField
-        As it is now.
+        The field with all changes so far.
     ids : list of int
-        The objects that have Gaussians, ascending, removed ones among them: the order of a page.
+        Objects that have Gaussians, ascending, removed ones included: their order in a page.
     """
 
     def __init__(self, field: SemanticField, folder: Path) -> None:
@@ -73,12 +73,12 @@ class LiveField:
         return self.field is not self._saved
 
     def state(self) -> dict[str, Any]:
-        """Return all that a change can change.
+        """Return everything that a change can alter.
 
-        Of each of :attr:`ids` ``names``, and ``words`` [[text, relevancy], ...], best first; ids
-        ``removed``; ``gone``: a bit for each Gaussian that is not drawn, in the order of a page,
-        least bit first, in base64, empty if all are drawn; words ``taught``; whether something
-        is ``unsaved`` and there is a change to ``undo``.
+        For each of :attr:`ids`: ``names``, and ``words`` [[text, relevancy], ...], best first;
+        ``removed``: ids; ``gone``: in base64, one bit for each Gaussian in the order of a page, 1
+        if it is not drawn, least significant bit first, empty if all are drawn; ``taught``:
+        words; ``unsaved`` and ``undo``: whether there are unsaved changes and changes to undo.
         """
         field = self.field
         words = field.best_words()
@@ -94,38 +94,38 @@ class LiveField:
         }
 
     def query(self, texts: list[str]) -> dict[str, Any]:
-        """Answer texts, as ``words.js`` takes it: ``gaps`` of each object, and
-        whether it is ``taken``, or ``refused``.
+        """Answer texts in the form that ``words.js`` reads: for each object the relevancy gap
+        (``gaps``) and whether the answer selects it (``taken``), or an error (``refused``).
 
-        A gap of None stands for an object that cannot be meant: no view holds it, or it is removed.
+        The gap is None for an object that no view shows, or that is removed.
         """
         return {"answers": [self._answer(text) for text in texts]}
 
     def _answer(self, text: str) -> dict[str, Any]:
         reader = self.field.reader
         try:
-            read = reader.understood(text)
-            every = reader.gaps([text], Rules())[0]
+            understood = reader.understood(text)
+            all_gaps = reader.gaps([text], Rules())[0]
         except InputError as error:
             return {"text": text, "refused": str(error)}
-        gaps, present = every[self._rows], ~np.isin(self.ids, list(self.field.removed))
-        areas = np.zeros(len(every), int)
+        gaps, present = all_gaps[self._rows], ~np.isin(self.ids, list(self.field.removed))
+        areas = np.zeros(len(all_gaps), int)
         areas[self._rows[present]] = LEAST_PIXELS
-        selected = reader.chosen([text], every[None], areas, Rules())[0, self._rows] & present
+        selected = reader.chosen([text], all_gaps[None], areas, Rules())[0, self._rows] & present
         answerable = np.isfinite(gaps) & present
         return {
             "text": text,
-            "kind": read.kind,
+            "kind": understood.kind,
             "gaps": [
                 round(gap, 6) if present else None
                 for gap, present in zip(gaps.tolist(), answerable, strict=True)
             ],
             "taken": selected.tolist(),
-            "measurements": read.measurements,
-            "named": read.named,
-            "alone": read.alone,
-            "untold": read.untold,
-            "unknown": list(read.unknown),
+            "measurements": understood.measurements,
+            "named": understood.named,
+            "alone": understood.alone,
+            "untold": understood.untold,
+            "unknown": list(understood.unknown),
         }
 
     def change(self, changed: SemanticField) -> dict[str, Any]:
@@ -141,16 +141,16 @@ class LiveField:
         return self.state()
 
     def save(self) -> dict[str, Any]:
-        """Write all changes into the folder; return the state. InputError if that fails."""
+        """Write all changes into the folder; return the state. Raise InputError if this fails."""
         self.field.save_edits(self.folder)
         self._saved = self.field
         return self.state()
 
 
 def app(page: str, access: Access, live: LiveField) -> Starlette:
-    """The application that shows a page at ``/``, and answers it at ``POST /api/...``.
+    """Build the application that serves ``page`` at ``/`` and its calls at ``POST /api/...``.
 
-    Bodies and answers are JSON; what cannot be done has status 400 and ``{"error": sentence}``.
+    Bodies and answers are JSON; a call that fails has status 400 and ``{"error": sentence}``.
     """
 
     async def show(request: Request) -> Response:
@@ -167,7 +167,7 @@ Call = Callable[[Mapping[str, Any]], dict[str, Any]]
 
 
 def _calls(live: LiveField) -> dict[str, Call]:
-    """Return the calls of ``POST /api/NAME``, by name."""
+    """Return the functions behind ``POST /api/NAME``, by name."""
     return {
         "state": lambda body: live.state(),
         "query": lambda body: live.query(_value(body, "texts", list)),
@@ -187,7 +187,7 @@ def _route(name: str, call: Call, lock: threading.Lock) -> Route:
         except ValueError:
             values = None
         if not isinstance(values, dict):
-            raise InputError("found no JSON object, expected one")
+            raise InputError("the body of the request is not a JSON object, expected one")
         with lock:
             return call(values)
 
@@ -211,8 +211,8 @@ def _word_of(body: Mapping[str, Any]) -> tuple[str, int]:
 
 def _value(body: Mapping[str, Any], name: str, kind: type) -> Any:
     value = body.get(name)
-    strange = kind is list and not all(isinstance(one, str) for one in value or [])
-    if type(value) is not kind or strange:
+    mixed = kind is list and not all(isinstance(item, str) for item in value or [])
+    if type(value) is not kind or mixed:
         raise InputError(f"{name}: found {value!r}, expected {EXPECTED[kind]}")
     return value
 
@@ -221,7 +221,7 @@ EXPECTED = {str: "a text", int: "the id of an object", list: "a list of texts"}
 
 
 def serve(application: Starlette, access: Access) -> None:
-    """Answer until SIGINT or SIGTERM, which then reaches the handler that was there before."""
+    """Serve until SIGINT or SIGTERM, which is then passed to the handler installed before."""
     config = uvicorn.Config(
         application,
         log_config=None,
@@ -232,7 +232,7 @@ def serve(application: Starlette, access: Access) -> None:
         server_header=False,
         timeout_graceful_shutdown=1,
     )
-    # A page that was not read to its end is no error of whoever ends the viewer.
+    # A response still being sent when the user stops the viewer is no error to report.
     logger = logging.getLogger("uvicorn.error")
     logger.addFilter(lambda record: "graceful shutdown" not in record.getMessage())
     uvicorn.Server(config).run(sockets=[access.listener])

@@ -22,7 +22,7 @@ from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.labels import LabelMaps
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Sample
-from slgaussian.viewer.page.answers import answers_of
+from slgaussian.viewer.page.answers import compute_answers
 from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser, Tab
 from tests.known import known_field
@@ -136,12 +136,12 @@ def test_a_word_lights_up_the_pixels_that_a_query_takes(page, field):
 def test_every_text_takes_what_a_query_takes(field):
     """In all views together, and so in one that shows every object."""
     ids = [thing.id for thing in field.inventory()]
-    answers = answers_of(field, ids)
+    answers = compute_answers(field, ids)
     assert answers.pairs and len(answers.texts) > 1000
     seen = field.render(next(iter(field.cameras.values())))
     assert set(ids) == set(np.unique(seen.ids)) - {0}, "every object is in view, so both are asked"
     for row in range(0, len(answers.texts), 37):
-        chosen = {i for i, takes in zip(ids, answers.taken[row], strict=True) if takes}
+        chosen = {i for i, takes in zip(ids, answers.selected[row], strict=True) if takes}
         assert chosen == {id_ for id_, _ in seen.query(answers.texts[row]).objects}
 
 
@@ -151,9 +151,9 @@ def test_the_page_is_as_sure_as_a_query(page, field):
     asked = f"{json.dumps(texts)}.map((text) => slgaussian.words.ask(text))"
     verdicts = set()
     for text, answer in zip(texts, page.evaluate(asked), strict=True):
-        hit, sure = seen.query(text), answer["sure"]
-        assert sure["mask"] == pytest.approx(hit.confidence.mask, abs=1e-5)
-        assert sure["point"] == pytest.approx(hit.confidence.point, abs=1e-5)
+        hit, confidence = seen.query(text), answer["confidence"]
+        assert confidence["mask"] == pytest.approx(hit.confidence.mask, abs=1e-5)
+        assert confidence["point"] == pytest.approx(hit.confidence.point, abs=1e-5)
         assert (answer["verdict"], answer["summary"]) == (hit.verdict, hit.summary)
         verdicts.add(hit.summary.split(":")[0])
     assert verdicts == {"found", "not sure", "probably not here"}
@@ -184,7 +184,7 @@ def test_texts_are_read_as_the_lexicon_reads_them(page, field, typed, read):
         a, b = field.reader.gaps([typed.split(",")[0], read], Rules())
         np.testing.assert_allclose(a, b, atol=1e-12)
     else:
-        assert found["why"]
+        assert found["reason"]
 
 
 def test_taught_words_and_names_are_answered(browser, field, tmp_path):
@@ -198,7 +198,7 @@ def test_taught_words_and_names_are_answered(browser, field, tmp_path):
         assert taken(tab) == {id_ for id_, _ in taught.find("gizmo of mine")}
         assert cone in taken(tab)
         said = ask(tab, "anna's  BALL")
-        assert "(a name that was given)" in said and taken(tab) == {ball}
+        assert "(the name of an object)" in said and taken(tab) == {ball}
         assert "right" not in said, "of a name nothing is to be doubted"
 
 

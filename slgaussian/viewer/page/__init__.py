@@ -1,1 +1,1 @@
-"""One page to send: a scene in a single HTML file that opens from disk, without a network."""
+"""A scene as a single HTML file, which opens from disk without a network."""

@@ -1,10 +1,10 @@
-"""Texts that a page can be asked, with the answer of every object computed beforehand.
+"""Texts that a page can answer, with their answers, computed when the page is written.
 
-A page holds no encoder. Of the lexicon it knows every word, every colour with every thing ("red
-car") and every describing word with every common thing ("striped chair"); of another encoder some
-common things. What a user taught, and the names that he gave, it knows too. The answers are
-relevancy gaps (:mod:`slgaussian.language.relevancy`), by which the page says how sure it is
-(:mod:`slgaussian.language.confidence`), and what an answer takes of all that it shows.
+A page contains no encoder. With the lexicon it answers every word, every colour with every noun
+("red car"), and every other describing word with every common noun ("striped chair"); with another
+encoder, some common nouns; and with both the words and names that the user added. An answer is a
+relevancy gap for each object (:mod:`slgaussian.language.relevancy`), from which the page computes
+its confidence (:mod:`slgaussian.language.confidence`), and the objects that it selects.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from slgaussian.language.vocabulary import NOUNS, load_vocabulary
 from slgaussian.language.wholes import LEAST_PIXELS
 from slgaussian.objects import words_for
 
-MOST = 2**20
-"""Numbers that answers to pairs of words may take; without room for all pairs there are none."""
+MOST_PAIR_ANSWERS = 2**20
+"""Largest number of pairs of words times objects; if there are more, the page answers no pairs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,35 +34,34 @@ class Answers:
     Attributes
     ----------
     texts : tuple of str
-        What was asked, in lower case.
+        In lower case.
     gaps : float32 [texts, things]
-        -inf for a thing that no view holds.
-    taken : bool [texts, things]
-        What each answer takes.
+        Relevancy gaps; -inf for an object that no view shows.
+    selected : bool [texts, things]
+        True for objects that the answer selects.
     kinds : {word: kind}
-        Of the texts that are single words or whole phrases: ``thing``, ``describing``, ``taught``,
+        Kind of each text that is not a pair: ``thing`` (noun), ``describing``, ``taught``,
         ``named`` or ``text``.
     spellings : {spelling: word}
-        Other ways to write words.
+        Word of each accepted spelling.
     skipped : tuple of str
         Words that carry no meaning.
     pairs : bool
-        Whether a colour and a thing, or a describing word and a common thing, are answered
-        together.
+        Whether pairs of a describing word and a noun are answered.
     measurements : tuple of int
-        How many each text asks for.
+        Number of measurements (properties of an object) that each text asks for.
     named : tuple of float
-        By how much the classifier names some thing so, as
-        :class:`slgaussian.language.confidence.Signs` has it.
+        Evidence of the classifier for the noun of each text: ``named`` of
+        :class:`slgaussian.language.confidence.Signs`.
     calibration : Calibration or None
-        Of the encoder.
+        Calibration of the encoder's confidence.
     uncalibrated : str
-        For what there is none, such as ``the encoder clip``.
+        The part without a calibration, such as ``the encoder clip``.
     """
 
     texts: tuple[str, ...]
     gaps: np.ndarray
-    taken: np.ndarray
+    selected: np.ndarray
     kinds: Mapping[str, str]
     spellings: Mapping[str, str]
     skipped: tuple[str, ...]
@@ -73,13 +72,13 @@ class Answers:
     uncalibrated: str = ""
 
 
-def answers_of(
-    field: SemanticField, ids: Sequence[int], more: Sequence[str] = (), live: bool = False
+def compute_answers(
+    field: SemanticField, ids: Sequence[int], extra: Sequence[str] = (), live: bool = False
 ) -> Answers:
-    """Compute the answers of the objects ``ids`` to all that a page can be asked, and to ``more``.
+    """Compute the answers of the objects ``ids`` to all texts of a page and to ``extra`` texts.
 
-    A ``live`` page asks its server: of texts it has only the words of a lexicon, to offer them.
-    InputError if the encoder cannot use one of these, knows nothing of it, or is not there.
+    A ``live`` page asks its server: it has no answers, only the encoder's words as suggestions.
+    Raise InputError if the encoder is not installed, or cannot use a text or knows none of it.
     """
     kinds: dict[str, str] = {}
     spellings: dict[str, str] = {}
@@ -88,11 +87,11 @@ def answers_of(
     if isinstance(field.encoder, Lexicon):
         vocabulary = load_vocabulary()
         skipped = tuple(sorted({*vocabulary.stop, *vocabulary.unseen}))
-        every = {
+        entries = {
             **vocabulary.words,
             **{" ".join(p): word for p, word in vocabulary.phrases.items()},
         }
-        for spelling, word in sorted(every.items()):
+        for spelling, word in sorted(entries.items()):
             if word.weights:
                 kinds[word.name] = "thing" if word.family in NOUNS else "describing"
                 spellings[spelling] = word.name
@@ -104,19 +103,19 @@ def answers_of(
             for word in describing
             for noun in (things if word in vocabulary.colours else vocabulary.naming)
         ]
-        if len(pairs) * len(ids) > MOST:
+        if len(pairs) * len(ids) > MOST_PAIR_ANSWERS:
             pairs = []
     else:
         kinds |= dict.fromkeys(words_for(field.encoder), "text")
-    calibration, doubt = field.encoder.calibration, unmeasured(field.encoder, Rules())
+    calibration, uncalibrated = field.encoder.calibration, unmeasured(field.encoder, Rules())
     if live:
-        nothing = np.zeros((0, len(ids)), np.float32)
-        offered = Answers((), nothing, nothing > 0, kinds, {}, (), bool(pairs))
-        return replace(offered, calibration=calibration, uncalibrated=doubt)
-    for text in more:
+        empty = np.zeros((0, len(ids)), np.float32)
+        suggestions = Answers((), empty, empty > 0, kinds, {}, (), bool(pairs))
+        return replace(suggestions, calibration=calibration, uncalibrated=uncalibrated)
+    for text in extra:
         if untold := field.reader.understood(text).untold:
             raise InputError(f"text {text!r}: {untold}")
-    kinds |= {_plain(text): "text" for text in more if _plain(text) not in kinds}
+    kinds |= {_plain(text): "text" for text in extra if _plain(text) not in kinds}
     kinds |= {_plain(word): "taught" for word in field.taught}
     kinds |= {_plain(field.names[id_]): "named" for id_ in ids if id_ in field.names}
     texts = tuple(dict.fromkeys([*kinds, *pairs]))
@@ -128,11 +127,11 @@ def answers_of(
         gaps = reader.gaps(texts, Rules())
         selected = reader.chosen(texts, gaps, areas, Rules())[:, rows]
         gaps = gaps[:, rows]
-    known_as = texts, gaps.astype(np.float32), selected > 0, kinds, spellings, skipped
-    read = [field.reader.understood(text) for text in texts]
-    measurements = tuple(reading.measurements for reading in read)
-    named = tuple(reading.named for reading in read)
-    return Answers(*known_as, bool(pairs), measurements, named, calibration, doubt)
+    stored = texts, gaps.astype(np.float32), selected > 0, kinds, spellings, skipped
+    readings = [field.reader.understood(text) for text in texts]
+    measurements = tuple(reading.measurements for reading in readings)
+    named = tuple(reading.named for reading in readings)
+    return Answers(*stored, bool(pairs), measurements, named, calibration, uncalibrated)
 
 
 def _plain(text: str) -> str:

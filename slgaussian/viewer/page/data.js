@@ -1,9 +1,9 @@
-// What the file holds: about (JSON), and packed arrays, gzipped and in base64.
+// Content of the page: `about` (JSON), and arrays in gzip and base64.
 
 const about = JSON.parse(document.getElementById("about").textContent);
 
-/** The bytes of a packed element of the page, which is removed. */
-async function unpacked(id) {
+/** Unpack the bytes of an element of the page, and remove the element. */
+async function unpack(id) {
   const element = document.getElementById(id);
   const coded = atob(element.textContent.trim());
   element.remove();
@@ -13,28 +13,31 @@ async function unpacked(id) {
   return new Response(stream).arrayBuffer();
 }
 
-const KINDS = { u1: Uint8Array, u4: Uint32Array, f4: Float32Array };
+const ARRAY_TYPES = { u1: Uint8Array, u4: Uint32Array, f4: Float32Array };
 
-/** Arrays of `buffer` by name, as `layout` {name: [kind, offset, count]} tells. */
+/** Return the arrays of `buffer` by name, from `layout` {name: [type, offset, length]}. */
 function arraysOf(buffer, layout) {
-  return Object.fromEntries(Object.entries(layout).map(([name, [kind, offset, count]]) =>
-    [name, new KINDS[kind](buffer, offset, count)]));
+  return Object.fromEntries(Object.entries(layout).map(([name, [type, offset, length]]) =>
+    [name, new ARRAY_TYPES[type](buffer, offset, length)]));
 }
 
-/** Centres Float32 [3 N], and what the GPU reads: Uint32 [8] a Gaussian, in whole rows of WIDE. */
+/**
+ * Decode Gaussians: centres Float32 [3 N], and the texture of the GPU: 8 Uint32 a Gaussian, padded
+ * to whole rows of WIDE Gaussians.
+ */
 function gaussiansOf(arrays) {
   const n = arrays.opacity.length, block = about.block;
   const centres = new Float32Array(3 * n);
   const store = new Uint32Array(8 * WIDE * Math.max(1, Math.ceil(n / WIDE)));
   const floats = new Float32Array(store.buffer);
-  const { low, step, high_byte: high, low_byte: less, rotation, scales } = arrays;
+  const { low, step, high_byte: high, low_byte: lower, rotation, scales } = arrays;
   const { red, green, blue, opacity, thing } = arrays;
   for (let i = 0; i < n; i++) {
     const b = 3 * Math.floor(i / block);
     for (let k = 0; k < 3; k++) {
       const at = k * n + i;
       centres[3 * i + k] = floats[8 * i + k] =
-        low[b + k] + step[b + k] * (256 * high[at] + less[at]);
+        low[b + k] + step[b + k] * (256 * high[at] + lower[at]);
     }
     store[8 * i + 3] = red[i] | green[i] << 8 | blue[i] << 16 | opacity[i] << 24;
     store[8 * i + 4] = rotation[i];

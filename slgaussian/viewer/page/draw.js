@@ -1,9 +1,10 @@
-// Draws Gaussians with WebGL 2 as slgaussian/rasterize/project.py does: the affine approximation of
-// perspective, held to 0.3 of half a picture outside it, and a low-pass filter of 0.3 px^2.
+// Drawing with WebGL 2. Gaussians are projected as in slgaussian/rasterize/project.py: by the affine
+// approximation of perspective, taken at most 0.3 of half an image outside it, and with a low-pass
+// filter of 0.3 px^2.
 
 const NEAR = 0.01, LOW_PASS = 0.3, MARGIN = 0.3, CUT = 1 / 1024, VISIBLE = 0.5;
 const WIDE = 1024; // Gaussians in a row of the texture, two texels each
-// Gaussians of an instance. Drawing in software begins each instance anew, at some 10 us.
+// Gaussians an instance. In software rendering each instance costs some 10 us.
 const BATCH = 256;
 
 const SPLAT_VERTEX = `#version 300 es
@@ -14,7 +15,7 @@ uniform mat3 R; uniform vec3 centre; uniform vec4 lens; uniform vec2 size; unifo
 uniform vec2 logs; uniform int mode; uniform int count;
 flat out vec4 colour; flat out vec4 mark; out vec2 local;
 
-vec4 unpacked(uint code) {
+vec4 unpack_quaternion(uint code) {
   uint largest = code >> 30;
   vec4 q = vec4(0.0);
   float left = 1.0;
@@ -34,44 +35,44 @@ void main() {
   gl_Position = vec4(0.0, 0.0, 2.0, 1.0);
   int place = gl_InstanceID * ${BATCH} + (gl_VertexID >> 2);
   if (place >= count) return;
-  uint which = texelFetch(order, ivec2(place % ${WIDE}, place / ${WIDE}), 0).r;
-  ivec2 at = ivec2(int(which % ${WIDE}u) * 2, int(which / ${WIDE}u));
+  uint index = texelFetch(order, ivec2(place % ${WIDE}, place / ${WIDE}), 0).r;
+  ivec2 at = ivec2(int(index % ${WIDE}u) * 2, int(index / ${WIDE}u));
   uvec4 a = texelFetch(store, at, 0), b = texelFetch(store, at + ivec2(1, 0), 0);
   vec3 p = R * (uintBitsToFloat(a.xyz) - centre);
-  ivec2 own = ivec2(int(b.z % ${WIDE}u) * 2, int(b.z / ${WIDE}u));
-  vec4 paint = texelFetch(palette, own, 0), state = texelFetch(palette, own + ivec2(1, 0), 0);
+  ivec2 entry = ivec2(int(b.z % ${WIDE}u) * 2, int(b.z / ${WIDE}u));
+  vec4 tint = texelFetch(palette, entry, 0), state = texelFetch(palette, entry + ivec2(1, 0), 0);
   if (p.z <= ${NEAR}) return;
   vec4 rgba = vec4(uvec4(a.w, a.w >> 8, a.w >> 16, a.w >> 24) & 255u) / 255.0;
   float inverse = 1.0 / p.z;
-  vec2 flat_ = p.xy * inverse, held = clamp(flat_, edges.xz, edges.yw);
-  // Rows: how image x and y change with the position in the camera.
-  vec3 ax = vec3(lens.x, 0.0, -lens.x * held.x) * inverse;
-  vec3 ay = vec3(0.0, lens.y, -lens.y * held.y) * inverse;
-  vec4 q = unpacked(b.x);
+  vec2 flat_ = p.xy * inverse, clamped = clamp(flat_, edges.xz, edges.yw);
+  // Rows of the Jacobian of image x and y by the position in camera axes.
+  vec3 ax = vec3(lens.x, 0.0, -lens.x * clamped.x) * inverse;
+  vec3 ay = vec3(0.0, lens.y, -lens.y * clamped.y) * inverse;
+  vec4 q = unpack_quaternion(b.x);
   float x = q.x, y = q.y, z = q.z, w = q.w;
-  mat3 turn = mat3(
+  mat3 rotation = mat3(
     1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y),
     2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x),
     2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y));
   vec3 s = exp(logs.x + logs.y * vec3(uvec3(b.y, b.y >> 10, b.y >> 20) & 1023u));
-  mat3 M = R * turn;
+  mat3 M = R * rotation;
   vec3 px = vec3(dot(ax, M[0]), dot(ax, M[1]), dot(ax, M[2])) * s;
   vec3 py = vec3(dot(ay, M[0]), dot(ay, M[1]), dot(ay, M[2])) * s;
   float xx = dot(px, px) + ${LOW_PASS}, xy = dot(px, py), yy = dot(py, py) + ${LOW_PASS};
-  float middle = 0.5 * (xx + yy), off = length(vec2(0.5 * (xx - yy), xy));
-  float first = middle + off, second = max(middle - off, 0.5 * ${LOW_PASS});
-  vec2 axis = abs(xy) > 1e-6 * middle ? normalize(vec2(xy, first - xx))
+  float mean = 0.5 * (xx + yy), radius = length(vec2(0.5 * (xx - yy), xy));
+  float major = mean + radius, minor = max(mean - radius, 0.5 * ${LOW_PASS});
+  vec2 axis = abs(xy) > 1e-6 * mean ? normalize(vec2(xy, major - xx))
     : (xx >= yy ? vec2(1.0, 0.0) : vec2(0.0, 1.0));
   if (rgba.a <= ${CUT}) return;
-  float reach = sqrt(2.0 * log(rgba.a / ${CUT}));
+  float extent = sqrt(2.0 * log(rgba.a / ${CUT}));
   vec2 corner = vec2((gl_VertexID & 1) == 0 ? -1.0 : 1.0, (gl_VertexID & 2) == 0 ? -1.0 : 1.0);
-  local = reach * corner;
-  vec2 pixel = lens.xy * flat_ + lens.zw + local.x * sqrt(first) * axis
-    + local.y * sqrt(second) * vec2(-axis.y, axis.x);
+  local = extent * corner;
+  vec2 pixel = lens.xy * flat_ + lens.zw + local.x * sqrt(major) * axis
+    + local.y * sqrt(minor) * vec2(-axis.y, axis.x);
   gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
   float grey = dot(rgba.rgb, vec3(0.299, 0.587, 0.114));
   vec3 shown = rgba.rgb;
-  if (mode == 2) shown = mix(vec3(grey), paint.rgb, paint.a);
+  if (mode == 2) shown = mix(vec3(grey), tint.rgb, tint.a);
   if (mode == 4) shown = mix(vec3(0.6 * grey), vec3(0.95, 0.45, 0.1), b.w != 0u ? 0.75 : 0.0);
   colour = vec4(shown, rgba.a);
   mark = vec4(mode == 1 ? p.z : state.r, state.g, state.b, 0.0);
@@ -140,7 +141,7 @@ void main() {
   shown = vec4(rgb, 1.0);
 }`;
 
-/** Throws with a sentence if this browser cannot draw. */
+/** Renderer of the scene. The constructor throws an Error if this browser cannot draw it. */
 class Drawing {
   constructor(canvas, gaussians, things, colourMaps) {
     const gl = canvas.getContext("webgl2", {
@@ -156,7 +157,7 @@ class Drawing {
     this.page = this.program(PAGE_VERTEX, PAGE_FRAGMENT);
     const rows = this.rows = gaussians.store.length / (8 * WIDE);
     if (rows > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
-      throw new Error("There are more Gaussians than this graphics processor holds.");
+      throw new Error("The scene has more Gaussians than this GPU can hold.");
     }
     this.store = this.texture(gl.RGBA32UI, 2 * WIDE, rows, gl.RGBA_INTEGER, gl.UNSIGNED_INT,
       gaussians.store);
@@ -172,7 +173,7 @@ class Drawing {
     const corners = Array.from({ length: BATCH }, (_, k) => [0, 1, 2, 2, 1, 3].map((c) => 4 * k + c));
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint16Array(corners.flat()), gl.STATIC_DRAW);
     this.empty = gl.createVertexArray();
-    this.seen = "";
+    this.sortedFor = "";
   }
 
   program(vertex, fragment) {
@@ -183,7 +184,7 @@ class Drawing {
       gl.compileShader(shader);
       gl.attachShader(program, shader);
       if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) {
-        throw new Error(`The graphics processor refuses a program: ${gl.getShaderInfoLog(shader)}`);
+        throw new Error(`The GPU driver rejects a shader: ${gl.getShaderInfoLog(shader)}`);
       }
     }
     gl.linkProgram(program);
@@ -209,10 +210,10 @@ class Drawing {
     return texture;
   }
 
-  /** What is known of each thing, from 1: {paint: [r, g, b, share], relevancy, taken, picked}. */
-  paint(known) {
+  /** Set the look of each object, in order: {paint: [r, g, b, opacity], relevancy, taken, picked}. */
+  paint(looks) {
     const { gl, state } = this;
-    known.forEach(({ paint, relevancy, taken, picked }, k) => {
+    looks.forEach(({ paint, relevancy, taken, picked }, k) => {
       state.set([...paint, 255 * relevancy, 255 * taken, 255 * picked, 255], 8 * (k + 1));
     });
     gl.bindTexture(gl.TEXTURE_2D, this.palette);
@@ -220,7 +221,7 @@ class Drawing {
       gl.UNSIGNED_BYTE, state);
   }
 
-  /** Draw Gaussians but those whose bit is set, least bit first; none of them by no bits. */
+  /** Hide Gaussians whose bit is set, least significant bit first; without bits, hide none. */
   hide(bits) {
     const { gl, gaussians: { n, store, opacity } } = this;
     for (let i = 0; i < n; i++) {
@@ -232,7 +233,7 @@ class Drawing {
       gl.UNSIGNED_INT, store);
   }
 
-  /** Give the canvas and what is drawn on before it this size in pixels. */
+  /** Resize the canvas and its render targets, in pixels. */
   resize(width, height) {
     const { gl, canvas } = this;
     if (this.frame && canvas.width === width && canvas.height === height) return;
@@ -250,14 +251,14 @@ class Drawing {
       gl.COLOR_ATTACHMENT0 + k, gl.TEXTURE_2D, target, 0));
   }
 
-  /** Draw as `eye` sees it. `look`: {mode, depths, stripes, outline, dashes}. */
+  /** Draw the view of the camera `eye`. `look`: {mode, depths, stripes, outline, dashes}. */
   draw(eye, look) {
     const { gl, splats, page } = this, { width, height, fx, fy, cx, cy } = eye;
     this.resize(width, height);
-    const seen = [...eye.R, ...eye.centre, fx, fy, cx, cy, width, height].join();
-    if (seen !== this.seen) {
-      this.sorted = this.order.of(eye, NEAR);
-      this.seen = seen;
+    const view = [...eye.R, ...eye.centre, fx, fy, cx, cy, width, height].join();
+    if (view !== this.sortedFor) {
+      this.sorted = this.order.sort(eye, NEAR);
+      this.sortedFor = view;
       gl.bindTexture(gl.TEXTURE_2D, this.sequence);
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, WIDE, Math.ceil(this.sorted.length / WIDE),
         gl.RED_INTEGER, gl.UNSIGNED_INT, this.order.order);
@@ -267,7 +268,7 @@ class Drawing {
     gl.drawBuffers([gl.COLOR_ATTACHMENT0, gl.COLOR_ATTACHMENT1]);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    // Marks cost as much as colours do; without anything marked they are left out.
+    // Marks (depth, relevancy, selection) cost as much as colours, so draw them only where used.
     const marked = look.outline > 0 || look.mode === 1 || look.mode === 3;
     gl.drawBuffers([gl.COLOR_ATTACHMENT0, marked ? gl.COLOR_ATTACHMENT1 : gl.NONE]);
     gl.useProgram(splats.program);
@@ -310,7 +311,7 @@ class Drawing {
     gl.activeTexture(gl.TEXTURE0);
   }
 
-  /** Whether the graphics processor has drawn what it was told. */
+  /** Wait until the GPU has finished drawing. */
   async finished() {
     const { gl } = this, fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
     gl.flush();

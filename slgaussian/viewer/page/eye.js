@@ -1,4 +1,4 @@
-// Where one stands: a camera of the field, or anywhere. OpenCV axes: x right, y down, z forward.
+// The camera of the page. OpenCV axes: x right, y down, z forward.
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const plus = (a, b, s = 1) => [a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]];
@@ -8,15 +8,15 @@ const unit = (a) => {
   const length = Math.hypot(...a) || 1;
   return a.map((x) => x / length);
 };
-/** `v` turned by `angle` about the unit vector `axis` (Rodrigues). */
-const turned = (v, axis, angle) => {
+/** Rotate `v` by `angle` about the unit vector `axis` (Rodrigues' formula). */
+const rotated = (v, axis, angle) => {
   const c = Math.cos(angle), s = Math.sin(angle);
   const across = cross(axis, v), along = dot(axis, v) * (1 - c);
   return v.map((x, k) => x * c + across[k] * s + axis[k] * along);
 };
 
-/** A standpoint: axes, centre, lens, and what one turns about. */
-class Standpoint {
+/** A movable camera: axes, centre, intrinsics (`lens`), and distance of the point it orbits. */
+class Viewpoint {
   constructor(camera, distance, up) {
     this.up = up;
     this.goTo(camera, distance);
@@ -34,33 +34,34 @@ class Standpoint {
 
   get target() { return plus(this.centre, this.forward, this.distance); }
 
-  /** Turn about `target` (or on the spot) by angles to the right and down. */
+  /** Rotate about `target`, or about the camera (`onTheSpot`), by angles in radians. */
   turn(yaw, pitch, onTheSpot = false) {
     const target = this.target;
-    const lean = Math.asin(Math.max(-1, Math.min(1, dot(this.forward, this.up))));
-    const most = 1.45;
-    const by = Math.max(-most - lean, Math.min(most - lean, pitch));
-    this.right = unit(turned(this.right, this.up, yaw));
-    this.forward = unit(turned(turned(this.forward, this.up, yaw), this.right, by));
+    const elevation = Math.asin(Math.max(-1, Math.min(1, dot(this.forward, this.up))));
+    const limit = 1.45;
+    const angle = Math.max(-limit - elevation, Math.min(limit - elevation, pitch));
+    this.right = unit(rotated(this.right, this.up, yaw));
+    this.forward = unit(rotated(rotated(this.forward, this.up, yaw), this.right, angle));
     this.down = unit(cross(this.forward, this.right));
     if (!onTheSpot) this.centre = plus(target, this.forward, -this.distance);
   }
 
-  /** Move by shares of the distance to what is looked at. */
+  /** Move by fractions of the distance to `target`. */
   move(right, down, forward) {
-    const by = this.distance;
-    this.centre = plus(plus(plus(this.centre, this.right, right * by), this.down, down * by),
-      this.forward, forward * by);
+    const unitLength = this.distance;
+    this.centre = plus(plus(plus(this.centre, this.right, right * unitLength), this.down,
+      down * unitLength),
+      this.forward, forward * unitLength);
   }
 
-  /** Come closer to what is looked at, by a factor of the distance. */
+  /** Multiply the distance to `target` by a factor. */
   approach(factor) {
     const target = this.target;
     this.distance = Math.max(1e-3, this.distance * factor);
     this.centre = plus(target, this.forward, -this.distance);
   }
 
-  /** As the drawing takes it: the whole of the lens' picture within `free` of a canvas. */
+  /** Return the camera for drawing, whose image fits into the rectangle `free` of a canvas. */
   eye(width, height, free) {
     const { lens } = this;
     const scale = Math.min(free.width / lens.width, free.height / lens.height);
@@ -74,7 +75,7 @@ class Standpoint {
   }
 }
 
-/** Where a point is in the picture: [x, y, z]. */
+/** Project a point: [x, y] in pixels, and depth z. */
 function projected(eye, point) {
   const p = plus(point, eye.centre, -1), { R } = eye;
   const [x, y, z] = [0, 3, 6].map((k) => R[k] * p[0] + R[k + 1] * p[1] + R[k + 2] * p[2]);

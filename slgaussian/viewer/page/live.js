@@ -1,14 +1,14 @@
-// A page that is served: its server answers words and changes the field (slgaussian/viewer/server.py).
+// The live page: its server (slgaussian/viewer/server.py) answers texts and changes the field.
 
-const PAUSE = 400; // milliseconds without a key after which what was typed is asked
+const PAUSE = 400; // milliseconds from the last key until the typed text is sent
 
-/** The server's answer to a POST; an Error with its sentence if it could not do it. */
+/** Send a POST and return the answer; throw an Error with the server's message if it fails. */
 async function post(name, body = {}) {
   const base = location.pathname.replace(/\/?$/, "/");
   const response = await fetch(`${base}api/${name}`, {
     method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body),
   }).catch(() => {
-    throw new Error("The viewer was stopped; start `slgaussian view` again and load this page anew.");
+    throw new Error("The viewer has stopped; start `slgaussian view` again and reload this page.");
   });
   if (response.ok) return response.json();
   const { error } = await response.json().catch(() => ({ error: response.statusText }));
@@ -19,13 +19,13 @@ class Live {
   constructor(page) {
     this.page = page;
     const word = () => $("word").value, object = () => about.things[page.picked - 1].id;
-    const waiting = () => clearTimeout(this.timer);
+    const cancel = () => clearTimeout(this.timer);
     $("words").addEventListener("input", () => {
-      waiting();
+      cancel();
       this.timer = setTimeout(() => page.search(), PAUSE);
     });
-    $("search").addEventListener("submit", waiting);
-    $("clear").addEventListener("click", waiting);
+    $("search").addEventListener("submit", cancel);
+    $("clear").addEventListener("click", cancel);
     $("edit").addEventListener("submit", (event) => {
       event.preventDefault();
       this.change("name", { object: object(), word: word() });
@@ -38,18 +38,18 @@ class Live {
     $("keep").addEventListener("click", () => this.change("save"));
   }
 
-  /** Answers to texts, as Words.baked gives them. */
+  /** Return answers to texts, in the form of Words.stored. */
   async query(texts) {
     try {
       const { answers } = await post("query", { texts });
-      answers.forEach((one) => { one.gaps = one.gaps?.map((gap) => gap ?? -Infinity); });
+      answers.forEach((answer) => { answer.gaps = answer.gaps?.map((gap) => gap ?? -Infinity); });
       return answers;
     } catch (error) {
       return [{ refused: error.message }];
     }
   }
 
-  /** Have the field changed, and show what it is then. */
+  /** Ask the server to change the field, and show the new state. */
   async change(name, body) {
     $("status").textContent = "";
     try {
@@ -72,7 +72,7 @@ class Live {
       page.drawing.hide(Uint8Array.from(atob(gone), (c) => c.charCodeAt(0)));
       this.gone = gone;
     }
-    page.offer([...Object.keys(about.words), ...taught, ...names.filter(Boolean)]);
+    page.suggest([...Object.keys(about.words), ...taught, ...names.filter(Boolean)]);
     page.list();
     page.choose(page.picked);
     $("undo").disabled = !undo;
@@ -81,7 +81,7 @@ class Live {
     if (page.typed) page.ask(page.typed, page.mode);
   }
 
-  /** Fit the controls to the object that is chosen, a number from 1, or 0 for none. */
+  /** Update the controls for the selected object, a number from 1, or 0 for none. */
   chosen(thing) {
     $("edit").hidden = !thing;
     if (thing) $("remove").textContent = about.things[thing - 1].removed ? "Bring back" : "Remove";

@@ -1,33 +1,34 @@
-// The order in which Gaussians are drawn: far ones first, as by float32 z.
+// Drawing order of Gaussians: by depth (float32 z), farthest first.
 
-/** Sorts by z; its arrays are kept between calls. `room` numbers are in its `order`, at least n. */
+/** Sorter by depth, which reuses its arrays. `capacity` is the length of `order`, at least n. */
 class Order {
-  constructor(centres, room) {
+  constructor(centres, capacity) {
     this.centres = centres;
     const n = centres.length / 3;
     this.z = new Float32Array(n);
     this.bits = new Uint32Array(this.z.buffer);
+    this.indices = new Uint32Array(n);
     this.keys = new Uint32Array(n);
-    this.other = new Uint32Array(n);
-    this.between = new Uint32Array(n);
-    this.order = new Uint32Array(room);
+    this.byLowDigit = new Uint32Array(n);
+    this.order = new Uint32Array(capacity);
     this.counts = [new Uint32Array(2049), new Uint32Array(2049)];
   }
 
   /**
-   * Numbers of those past `near` that may be in the picture, far ones first: Uint32 [count].
+   * Return the indices of Gaussians beyond `near` that the image may show, farthest first: Uint32
+   * [count].
    *
-   * z > 0, so its bits are in the order of z. Two passes of 11 bits sort what is left of them once
-   * the least was taken off: to 8 digits in a room.
+   * The bits of a positive float32 sort as the number does. A radix sort of two passes of 11 bits
+   * sorts their differences from the smallest; in a room this is exact to 8 digits.
    */
-  of(eye, near) {
-    const { centres, bits, z, keys, between, order } = this;
+  sort(eye, near) {
+    const { centres, bits, z, indices, byLowDigit, order } = this;
     const { R, centre } = eye, [a, b, c] = [R[6], R[7], R[8]];
-    // Cones about the picture, wider by half of it on each side, for what reaches into it.
+    // The view frustum, wider by half an image on each side for Gaussians that reach into it.
     const { fx, fy, cx, cy, width, height } = eye;
     const left = -(cx + width / 2) / fx, right = (1.5 * width - cx) / fx;
     const top = -(cy + height / 2) / fy, bottom = (1.5 * height - cy) / fy;
-    let count = 0, least = 0xffffffff, most = 0;
+    let count = 0, smallest = 0xffffffff, largest = 0;
     for (let i = 0, j = 0; j < centres.length; i++, j += 3) {
       const x = centres[j] - centre[0], y = centres[j + 1] - centre[1];
       const w = centres[j + 2] - centre[2], depth = a * x + b * y + c * w;
@@ -35,19 +36,19 @@ class Order {
       const u = R[0] * x + R[1] * y + R[2] * w, v = R[3] * x + R[4] * y + R[5] * w;
       if (u < left * depth || u > right * depth || v < top * depth || v > bottom * depth) continue;
       z[i] = depth;
-      keys[count++] = i;
-      if (bits[i] < least) least = bits[i];
-      if (bits[i] > most) most = bits[i];
+      indices[count++] = i;
+      if (bits[i] < smallest) smallest = bits[i];
+      if (bits[i] > largest) largest = bits[i];
     }
-    const shift = Math.max(0, 32 - Math.clz32(Math.max(most - least, 1)) - 22);
+    const shift = Math.max(0, 32 - Math.clz32(Math.max(largest - smallest, 1)) - 22);
     const [low, high] = this.counts;
     low.fill(0);
     high.fill(0);
-    // Turned round: what is far comes first.
+    // Inverted keys: the farthest comes first.
     const top22 = (1 << 22) - 1;
     for (let k = 0; k < count; k++) {
-      const key = top22 - ((bits[keys[k]] - least) >>> shift);
-      this.other[keys[k]] = key;
+      const key = top22 - ((bits[indices[k]] - smallest) >>> shift);
+      this.keys[indices[k]] = key;
       low[(key & 2047) + 1]++;
       high[(key >>> 11) + 1]++;
     }
@@ -55,8 +56,8 @@ class Order {
       low[k] += low[k - 1];
       high[k] += high[k - 1];
     }
-    for (let k = 0; k < count; k++) between[low[this.other[keys[k]] & 2047]++] = keys[k];
-    for (let k = 0; k < count; k++) order[high[this.other[between[k]] >>> 11]++] = between[k];
+    for (let k = 0; k < count; k++) byLowDigit[low[this.keys[indices[k]] & 2047]++] = indices[k];
+    for (let k = 0; k < count; k++) order[high[this.keys[byLowDigit[k]] >>> 11]++] = byLowDigit[k];
     return order.subarray(0, count);
   }
 }

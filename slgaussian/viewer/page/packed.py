@@ -1,8 +1,9 @@
-"""Gaussians in 21 bytes each, before gzip, as the page unpacks them (``data.js``).
+"""Compression of Gaussians to 21 bytes each, before gzip; ``data.js`` unpacks them in the page.
 
-Neighbours in space follow each other (Morton order), in blocks whose means are 16 bits an axis
-within the block's box. Scales are 10 bits each, in equal steps of their logarithm; rotations 32
-bits (:func:`slgaussian.formats.spz.pack_quats`); colours of degree 0 and opacities 8 bits.
+Gaussians are in Morton order, so that neighbours in space are neighbours in memory, and in blocks:
+means have 16 bits an axis within the bounding box of their block. Scales have 10 bits each, in
+equal steps of their logarithm; rotations 32 bits (:func:`slgaussian.formats.spz.pack_quats`);
+colours (spherical harmonics of degree 0) and opacities 8 bits.
 """
 
 from __future__ import annotations
@@ -17,27 +18,27 @@ from slgaussian.formats.spz import pack_quats
 from slgaussian.gaussians import SH_C0, Gaussians
 
 BLOCK = 256
-"""Gaussians whose means share a box."""
+"""Number of Gaussians whose means share a bounding box."""
 
 MOST_THINGS = 2**16 - 1
-SMALLEST = 1e-7
-"""The least scale that is kept, as a part of the greatest."""
+SMALLEST_SCALE = 1e-7
+"""Smallest scale that is stored, as a fraction of the largest; smaller ones are raised to it."""
 
 Layout = dict[str, tuple[str, int, int]]
-"""Of each array by name: its kind (u1, u4, f4), offset in bytes, and count."""
+"""Data type (u1, u4, f4), offset in bytes, and length of each array, by name."""
 
 
 @dataclass(frozen=True, eq=False)
-class Packed:
-    """Bytes that the page unpacks.
+class PackedGaussians:
+    """Compressed Gaussians.
 
     Attributes
     ----------
     data : bytes
-        Gzipped.
+        All arrays, in gzip format.
     layout : Layout
     scale_logs : (float, float)
-        Logarithm of the scale that code 0 stands for, and the step from code to code.
+        Logarithm of the scale with code 0, and the step between codes.
     """
 
     data: bytes
@@ -45,15 +46,15 @@ class Packed:
     scale_logs: tuple[float, float]
 
 
-def packed(gaussians: Gaussians, things: np.ndarray, level: int = 9) -> Packed:
-    """Pack Gaussians that belong to ``things`` int [N]: from 1, 0 for none.
+def pack_gaussians(gaussians: Gaussians, things: np.ndarray, level: int = 9) -> PackedGaussians:
+    """Compress Gaussians, each with the number of its object: ``things`` int [N], 0 for none.
 
-    ``level`` is that of gzip: 1 takes a tenth of the time of 9, for some 5% more bytes.
+    ``level`` is the level of gzip: 1 takes a tenth of the time of 9, for some 5% more bytes.
 
     Raises
     ------
     InputError
-        If there are no Gaussians, one of them makes no sense, or there are too many things.
+        If there are no Gaussians, one of them is invalid, or there are too many objects.
     """
     if not len(gaussians):
         raise InputError("there are no Gaussians to show, expected at least one")
@@ -62,14 +63,14 @@ def packed(gaussians: Gaussians, things: np.ndarray, level: int = 9) -> Packed:
         raise InputError(f"found {things.max()} objects, expected at most {MOST_THINGS}")
     arrays = gaussians.to_arrays()
     order = morton_order(arrays["means"])
-    low, step, codes = _in_blocks(arrays["means"][order])
+    low, step, codes = _quantize_means(arrays["means"][order])
     scales = arrays["scales"][order]
-    logs = np.log(np.maximum(scales, max(SMALLEST * float(scales.max()), 1e-30)))
+    logs = np.log(np.maximum(scales, max(SMALLEST_SCALE * float(scales.max()), 1e-30)))
     first, span = float(logs.min()), float(logs.max() - logs.min())
     scale_codes = np.rint((logs - first) / max(span, 1e-12) * 1023).astype(np.uint32)
     rgb = (arrays["sh"][order, 0] * np.float32(SH_C0) + np.float32(0.5)).clip(0, 1)
     red, green, blue = np.rint(rgb * 255).astype(np.uint8).T
-    mine = things[order].astype(np.uint32)
+    numbers = things[order].astype(np.uint32)
     guessed = arrays.get("guessed", np.zeros(len(order), bool))[order]
     columns = {
         "low": low.astype("<f4"),
@@ -82,7 +83,7 @@ def packed(gaussians: Gaussians, things: np.ndarray, level: int = 9) -> Packed:
         "green": green,
         "blue": blue,
         "opacity": np.rint(arrays["opacities"][order] * 255).astype(np.uint8),
-        "thing": np.stack([mine & 255, mine >> 8]).astype(np.uint8),
+        "thing": np.stack([numbers & 255, numbers >> 8]).astype(np.uint8),
         "guessed": guessed.astype(np.uint8),
     }
     layout: Layout = {}
@@ -92,14 +93,14 @@ def packed(gaussians: Gaussians, things: np.ndarray, level: int = 9) -> Packed:
         parts.append(column.tobytes())
         offset += column.nbytes
     data = gzip.compress(b"".join(parts), level, mtime=0)
-    return Packed(data, layout, (first, span / 1023))
+    return PackedGaussians(data, layout, (first, span / 1023))
 
 
 def morton_order(means: np.ndarray) -> np.ndarray:
-    """Places of means [N, 3] along a curve that fills space, so that neighbours are near."""
+    """Return the order [N] of means [N, 3] along a Morton curve, which keeps neighbours close."""
     low, high = np.percentile(means, [1, 99], axis=0)
-    share = ((means - low) / np.maximum(high - low, 1e-12)).clip(0, 1)
-    cell = (share * 1023).astype(np.uint64)
+    position = ((means - low) / np.maximum(high - low, 1e-12)).clip(0, 1)
+    cell = (position * 1023).astype(np.uint64)
     key = np.zeros(len(means), np.uint64)
     for bit in range(10):
         for axis in range(3):
@@ -108,8 +109,8 @@ def morton_order(means: np.ndarray) -> np.ndarray:
     return np.argsort(key, kind="stable")
 
 
-def _in_blocks(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Corner [B, 3] and step [B, 3] of each block's box, and codes of 16 bits [N, 3]."""
+def _quantize_means(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return corner [B, 3] and step [B, 3] of each block's box, and 16-bit codes [N, 3]."""
     starts = np.arange(0, len(means), BLOCK)
     low = np.minimum.reduceat(means, starts)
     step = (np.maximum.reduceat(means, starts) - low) / np.float32(65535)

@@ -1,4 +1,4 @@
-// The page: what is asked and shown, and what the mouse, the keys and fingers do.
+// The page: queries and their display, the panel, and input by mouse, keys and touch.
 
 const $ = (id) => document.getElementById(id);
 const MODES = ["colour", "depth", "objects", "relevancy", "guesses"];
@@ -6,37 +6,38 @@ const HUES = [[242, 184, 75], [86, 180, 233], [0, 178, 130], [230, 110, 60], [20
   [240, 228, 66], [120, 130, 255], [170, 170, 170]];
 
 const MOST_PIXELS = 2.5e6;
-const SLOW = 90, REST = 250; // milliseconds: of a frame that is slow, and without input
+const SLOW = 90, REST = 250; // milliseconds: a slow frame; pause of input that ends a movement
 const later = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 
-/** An element with text, never markup, in it. */
+/** Create an element with a text, which is never markup. */
 function element(tag, text = "", values = {}) {
-  const made = Object.assign(document.createElement(tag), values);
-  made.textContent = text;
-  return made;
+  const created = Object.assign(document.createElement(tag), values);
+  created.textContent = text;
+  return created;
 }
 
+const BASELINE = "0.5 means no better than a neutral phrase";
 const css = ([r, g, b]) => `rgb(${r}, ${g}, ${b})`;
 const percent = (share) => `${Math.round(100 * share)}%`;
 
-/** How sure an answer is, in a word or two, for a legend. */
-function brief({ taken, sure, verdict, summary }) {
-  if (!sure || !taken.includes(true) || verdict === "cannot tell") return summary.split(":")[0];
-  return verdict === "not here" ? `probably ${verdict} ${sure.point.toFixed(2)}`
-    : `${verdict} ${sure.mask.toFixed(2)}`;
+/** Return the verdict and confidence of an answer, for the legend. */
+function brief({ taken, confidence, verdict, summary }) {
+  if (!confidence || !taken.includes(true) || verdict === "cannot tell") return summary.split(":")[0];
+  return verdict === "not here" ? `probably ${verdict} ${confidence.point.toFixed(2)}`
+    : `${verdict} ${confidence.mask.toFixed(2)}`;
 }
 
 class Page {
   constructor(gaussians, words, drawing) {
     Object.assign(this, { gaussians, words, drawing });
-    this.stand = new Standpoint(about.views[0], about.views[0].distance, about.up);
+    this.viewpoint = new Viewpoint(about.views[0], about.views[0].distance, about.up);
     this.mode = 0;
     this.picked = 0;
-    this.asked = []; // of {text, hue} and what Words.ask gives
-    this.answers = []; // as Words.answer gives them
+    this.asked = []; // {text, hue} and the result of Words.judge for each answered text
+    this.answers = []; // results of Words.answer
     this.question = 0;
     this.typed = "";
-    this.held = new Set();
+    this.pressed = new Set();
     this.moved = -Infinity;
     this.frame = 0;
     this.slow = false;
@@ -45,9 +46,9 @@ class Page {
     this.repaint();
   }
 
-  // --- What is drawn ------------------------------------------------------------------------
+  // --- Drawing ------------------------------------------------------------------------------
 
-  /** The part of the window that the panel leaves free, and the size of the canvas, in pixels. */
+  /** Return the size of the canvas, and its rectangle that the panel leaves free, in pixels. */
   place(scale) {
     const width = innerWidth, height = innerHeight;
     const box = $("panel").getBoundingClientRect();
@@ -60,14 +61,14 @@ class Page {
     return { width: Math.round(width * scale), height: Math.round(height * scale), free };
   }
 
-  /** Pixels of the canvas a CSS pixel, at rest; while something moves, a slow page draws fewer. */
-  fine() {
+  /** Return canvas pixels per CSS pixel at rest; during a movement, a slow page draws fewer. */
+  fullScale() {
     return Math.min(devicePixelRatio || 1, Math.sqrt(MOST_PIXELS / (innerWidth * innerHeight)));
   }
 
   scale() {
     const moving = performance.now() - this.moved < REST;
-    return this.slow && moving ? 0.5 * this.fine() : this.fine();
+    return this.slow && moving ? 0.5 * this.fullScale() : this.fullScale();
   }
 
   look() {
@@ -78,8 +79,8 @@ class Page {
     };
   }
 
-  /** Draw soon; many wishes within a frame are one. */
-  wish() {
+  /** Request a frame; several requests before it is drawn are one. */
+  requestFrame() {
     this.stale = true;
     if (!this.busy) this.busy = this.frames().finally(() => { this.busy = null; });
     return this.busy;
@@ -91,41 +92,41 @@ class Page {
       this.stale = false;
       const start = performance.now(), scale = this.scale();
       const { width, height, free } = this.place(scale);
-      this.eye = this.stand.eye(width, height, free);
+      this.eye = this.viewpoint.eye(width, height, free);
       this.drawing.draw(this.eye, this.look());
       this.overlay(scale);
       await this.drawing.finished();
-      this.took = performance.now() - start;
+      this.frameMilliseconds = performance.now() - start;
       this.frame += 1;
-      this.slow = this.took > SLOW;
+      this.slow = this.frameMilliseconds > SLOW;
       if (this.step()) this.stale = true;
-      else if (this.slow && scale < this.fine()) {
-        // Once nothing moves any more, the whole picture.
+      else if (this.slow && scale < this.fullScale()) {
+        // After the movement, draw at full resolution.
         while (!this.stale && performance.now() - this.moved < REST) await later(20);
         this.stale = true;
       }
     }
   }
 
-  /** The picture at a view of the field, in that view's own size: a PNG as data URL. */
+  /** Render a view of the field at its size; return a PNG as data URL. */
   async snapshot(view) {
     if (this.busy) await this.busy;
     const camera = about.views[view], { width, height } = camera;
-    const stand = new Standpoint(camera, camera.distance, about.up);
-    const eye = stand.eye(width, height, { left: 0, top: 0, width, height });
+    const viewpoint = new Viewpoint(camera, camera.distance, about.up);
+    const eye = viewpoint.eye(width, height, { left: 0, top: 0, width, height });
     this.drawing.draw(eye, { ...this.look(), outline: 0 });
     const url = this.drawing.canvas.toDataURL("image/png");
-    await this.wish();
+    await this.requestFrame();
     return url;
   }
 
-  /** Give things their colours and marks. */
+  /** Update the colours and marks of objects. */
   repaint() {
     const single = this.asked.length === 1 ? this.asked[0] : null;
     const winners = about.things.map((_, k) => {
-      const scores = this.asked.map((one) => one.scores[k]);
-      const most = Math.max(0.5, ...scores);
-      return scores.findIndex((score) => score === most && score > 0.5);
+      const scores = this.asked.map((answer) => answer.scores[k]);
+      const highest = Math.max(0.5, ...scores);
+      return scores.findIndex((score) => score === highest && score > 0.5);
     });
     const several = this.asked.length > 1;
     this.drawing.paint(about.things.map((thing, k) => ({
@@ -136,17 +137,17 @@ class Page {
       taken: single && single.taken[k] && single.shown ? 1 : 0,
       picked: this.picked === k + 1 ? 1 : 0,
     })));
-    this.wish();
+    this.requestFrame();
   }
 
   setMode(mode) {
     this.mode = mode;
     $("modes").querySelectorAll("button").forEach((button, k) =>
       button.setAttribute("aria-pressed", String(k === mode)));
-    this.wish();
+    this.requestFrame();
   }
 
-  /** Frusta of the cameras of the photographs. */
+  /** Draw the frusta of the photographs' cameras. */
   overlay(scale) {
     const canvas = $("lines"), { width, height } = this.eye;
     canvas.width = width;
@@ -162,12 +163,12 @@ class Page {
         size * (i * view.width - view.cx) / view.fx, size * (j * view.height - view.cy) / view.fy,
         size));
       const apex = projected(this.eye, at(0, 0, 0));
-      const seen = corners.map((corner) => projected(this.eye, corner));
-      if (apex[2] < 0.02 * view.distance || seen.some((p) => p[2] < NEAR)) return;
+      const outer = corners.map((corner) => projected(this.eye, corner));
+      if (apex[2] < 0.02 * view.distance || outer.some((p) => p[2] < NEAR)) return;
       pen.strokeStyle = pen.fillStyle = "#f2b84bcc";
       pen.beginPath();
-      seen.forEach((p, i) => {
-        const next = seen[(i + 1) % 4];
+      outer.forEach((p, i) => {
+        const next = outer[(i + 1) % 4];
         pen.moveTo(apex[0], apex[1]);
         pen.lineTo(p[0], p[1]);
         pen.lineTo(next[0], next[1]);
@@ -177,15 +178,15 @@ class Page {
     });
   }
 
-  // --- What is asked ------------------------------------------------------------------------
+  // --- Queries ------------------------------------------------------------------------------
 
-  /** Ask what stands in the search box; a server only what it did not answer last. */
+  /** Ask the text of the search box; a server is not asked again for the text it answered last. */
   search() {
-    const typed = $("words").value, refused = this.answers.some((one) => one.refused);
+    const typed = $("words").value, refused = this.answers.some((answer) => answer.refused);
     if (!this.live || typed !== this.typed || refused) this.ask(typed);
   }
 
-  /** Ask texts with commas between them, and show the answers in `mode`, or in that of answers. */
+  /** Ask texts, separated by commas, and show the answers in `mode` (default: that of answers). */
   ask(typed, mode) {
     this.typed = typed;
     const parts = typed.split(",").map((part) => part.trim()).filter(Boolean);
@@ -202,75 +203,76 @@ class Page {
 
   show(answers, mode) {
     this.answers = answers;
-    const answer = $("answer"), said = [];
+    const sentences = [];
     $("legend").replaceChildren();
     this.asked = [];
-    answers.forEach((one, k) => {
-      if (one.refused) said.push(one.refused);
-      else this.asked.push({ ...one, ...this.words.judged(one), hue: HUES[k % HUES.length] });
+    answers.forEach((answer, k) => {
+      if (answer.refused) sentences.push(answer.refused);
+      else this.asked.push({ ...answer, ...this.words.judge(answer), hue: HUES[k % HUES.length] });
     });
     if (!this.asked.length && this.mode === 3) this.setMode(0);
     if (this.asked.length === 1) {
-      said.push(this.said(this.asked[0]));
+      sentences.push(this.describe(this.asked[0]));
       this.setMode(mode ?? 3);
     } else if (this.asked.length) {
-      this.asked.forEach((one) => {
+      this.asked.forEach((answer) => {
         const item = element("li");
         const swatch = element("span", "", { className: "swatch" });
-        swatch.style.background = css(one.hue);
-        item.append(swatch, element("span", one.text, { className: "grow" }),
-          element("span", brief(one), { className: "number" }));
+        swatch.style.background = css(answer.hue);
+        item.append(swatch, element("span", answer.text, { className: "grow" }),
+          element("span", brief(answer), { className: "number" }));
         $("legend").append(item);
       });
-      said.push("Each object has the colour of the word that fits it best, above 0.5.");
+      sentences.push("Each object has the colour of its best text, if that scores above 0.5.");
       this.setMode(mode ?? 2);
     }
-    answer.textContent = said.join(" ");
+    $("answer").textContent = sentences.join(" ");
     this.repaint();
   }
 
-  /** What one text found, in a sentence. */
-  said({ text, kind, unknown, scores, taken, best, verdict, shown, summary }) {
+  /** Describe the answer to one text in a sentence. */
+  describe({ text, kind, unknown, scores, taken, best, verdict, shown, summary }) {
     if (best < 0) return "There are no objects in this file.";
-    const kinds = { taught: " (taught by example)", named: " (a name that was given)" };
+    const kinds = { taught: " (taught by example)", named: " (the name of an object)" };
     const asked = `“${text}”${kinds[kind] || ""}`;
-    const rest = unknown?.length ? ` Not known and left out: ${unknown.join(", ")}.` : "";
-    const found = taken.flatMap((own, k) => (own ? [k] : [])).sort((a, b) => scores[b] - scores[a]);
+    const ignored = unknown?.length ? ` Ignored unknown words: ${unknown.join(", ")}.` : "";
+    const selected = taken.flatMap((yes, k) => (yes ? [k] : []))
+      .sort((a, b) => scores[b] - scores[a]);
     if (verdict === "cannot tell") return `${asked}: ${summary}.`;
-    if (!found.length) return `${asked}: ${summary} (0.5 is as good as any phrase).${rest}`;
-    const objects = `${found.length === 1 ? "object" : "objects"} `
-      + found.map((k) => this.called(k + 1)).join(", ");
-    const score = `${scores[best].toFixed(3)} (0.5 is as good as any phrase)`;
-    const like = shown ? ", " : "; most like it: ";
-    return `${asked}: ${summary}; score ${score}${like}${objects}.${rest}`;
+    if (!selected.length) return `${asked}: ${summary} (${BASELINE}).${ignored}`;
+    const objects = `${selected.length === 1 ? "object" : "objects"} `
+      + selected.map((k) => this.label(k + 1)).join(", ");
+    const score = `${scores[best].toFixed(3)} (${BASELINE})`;
+    const link = shown ? ", " : "; most similar: ";
+    return `${asked}: ${summary}; score ${score}${link}${objects}.${ignored}`;
   }
 
-  called(thing) {
+  label(thing) {
     const { id, name, words } = about.things[thing - 1];
     return `${id} ${name || (words.length && words[0][1] > 0.5 ? words[0][0] : "")}`.trim();
   }
 
-  /** Pick a thing by its place among about.things from 1; 0 for none. */
+  /** Select an object by its number in about.things, from 1; 0 for none. */
   choose(thing) {
     this.picked = thing;
     const card = $("card");
     card.replaceChildren();
     card.hidden = !thing;
     if (thing) {
-      const known = about.things[thing - 1];
-      const words = known.words.map(([word, score]) => `${word} ${score.toFixed(2)}`).join(", ");
+      const selected = about.things[thing - 1];
+      const words = selected.words.map(([word, score]) => `${word} ${score.toFixed(2)}`).join(", ");
       card.append(
-        element("h3", `Object ${known.id}${known.name ? `: ${known.name}` : ""}`),
-        element("p", words ? `Looks most like: ${words}` : "No word of this file was asked of it."),
-        element("p", `Confidence ${percent(known.confidence)}: how clearly its pixels are its own.`,
+        element("h3", `Object ${selected.id}${selected.name ? `: ${selected.name}` : ""}`),
+        element("p", words ? `Best words: ${words}` : "No word was compared with it."),
+        element("p", `Confidence ${percent(selected.confidence)}: how clearly pixels belong to it.`,
           { className: "small" }),
-        ...(known.size.length ? [element("p", `Size ${known.size.join(" × ")} `
-          + (known.metres ? "scene units" : "scene units, which are no metres"),
+        ...(selected.size.length ? [element("p", `Size ${selected.size.join(" × ")} `
+          + (selected.metres ? "scene units" : "scene units, not metres"),
         { className: "small" })] : []),
-        element("p", `${known.gaussians.toLocaleString("en")} Gaussians`
-          + (known.guessed > 0.005 ? `, ${percent(known.guessed)} of them of a guessed depth` : "")
-          + "; in the photographs "
-          + (known.views.map((view) => about.views[view].name).join(", ") || "of none"),
+        element("p", `${selected.gaussians.toLocaleString("en")} Gaussians`
+          + (selected.guessed > 0.005 ? `, ${percent(selected.guessed)} with a guessed depth` : "")
+          + "; visible in "
+          + (selected.views.map((view) => about.views[view].name).join(", ") || "no photograph"),
         { className: "small" }),
       );
     }
@@ -280,23 +282,23 @@ class Page {
     this.repaint();
   }
 
-  /** Say what is under (x, y) of the window, and turn about it from then on. */
+  /** Select the object at (x, y) of the window, and orbit that point from then on. */
   clicked(x, y) {
     const scale = this.eye.width / innerWidth;
     const { thing, depth } = pick(this.gaussians, this.drawing.sorted, this.eye, x * scale, y * scale);
-    if (depth) this.stand.distance = depth;
+    if (depth) this.viewpoint.distance = depth;
     this.choose(thing);
     if (!thing) {
       $("card").hidden = false;
-      $("card").append(element("p", depth ? "Here is no object that was told apart."
-        : "No photograph shows what is here: it is open."));
+      $("card").append(element("p", depth ? "This point belongs to no object."
+        : "No photograph shows this area."));
     }
     return thing;
   }
 
   goTo(view) {
-    this.stand.goTo(about.views[view], about.views[view].distance);
-    this.wish();
+    this.viewpoint.goTo(about.views[view], about.views[view].distance);
+    this.requestFrame();
   }
 
   // --- The panel ----------------------------------------------------------------------------
@@ -310,7 +312,7 @@ class Page {
       button.addEventListener("click", () => this.setMode(k));
       $("modes").append(button);
     });
-    this.offer(Object.keys(about.words));
+    this.suggest(Object.keys(about.words));
     about.views.forEach((view, k) => {
       const button = element("button", "", { type: "button", title: `${k}: ${view.caption}` });
       if (view.picture) button.append(element("img", "", { src: view.picture, alt: view.caption }));
@@ -322,18 +324,18 @@ class Page {
     for (const id of ["search", "things", "vocabulary"]) {
       $(id).hidden = !about.things.length || !Object.keys(about.words).length;
     }
-    $("listed").textContent = about.said_words;
-    $("honest").textContent = about.honest;
+    $("words-note").textContent = about.words_note;
+    $("scene-note").textContent = about.scene_note;
     if (innerWidth <= 640) $("help").open = false;
   }
 
-  /** Words to choose from where one types. */
-  offer(words) {
-    $("known").replaceChildren(...[...new Set(words)].sort().map((word) =>
+  /** Set the suggestions of the search box. */
+  suggest(words) {
+    $("suggestions").replaceChildren(...[...new Set(words)].sort().map((word) =>
       element("option", "", { value: word })));
   }
 
-  /** The objects, each to choose. */
+  /** Fill the list of objects. */
   list() {
     $("objects").replaceChildren(...about.things.map((thing, k) => {
       const button = element("button", "", {
@@ -344,7 +346,7 @@ class Page {
       const swatch = element("span", "", { className: "swatch" });
       swatch.style.background = css(thing.colour);
       const score = thing.words.length ? thing.words[0][1].toFixed(2) : "";
-      button.append(swatch, element("span", this.called(k + 1), { className: "grow" }),
+      button.append(swatch, element("span", this.label(k + 1), { className: "grow" }),
         element("span", score, { className: "number" }));
       button.addEventListener("click", () => this.choose(k + 1));
       const item = element("li");
@@ -356,9 +358,9 @@ class Page {
   listen() {
     const canvas = $("picture"), pointers = new Map();
     let start = null, last = null;
-    addEventListener("resize", () => this.wish());
-    $("fold").addEventListener("toggle", () => this.wish());
-    $("cameras").addEventListener("change", () => this.wish());
+    addEventListener("resize", () => this.requestFrame());
+    $("fold").addEventListener("toggle", () => this.requestFrame());
+    $("cameras").addEventListener("change", () => this.requestFrame());
     $("search").addEventListener("submit", (event) => {
       event.preventDefault();
       this.search();
@@ -380,8 +382,10 @@ class Page {
       const dx = (now.x - last.x) / innerHeight, dy = (now.y - last.y) / innerHeight;
       const sliding = pointers.size > 1 || event.buttons & 2 || event.shiftKey;
       if (sliding) this.slide(dx, dy);
-      else this.stand.turn(-3 * dx, -3 * dy);
-      if (pointers.size > 1 && now.apart && last.apart) this.stand.approach(last.apart / now.apart);
+      else this.viewpoint.turn(-3 * dx, -3 * dy);
+      if (pointers.size > 1 && now.spread && last.spread) {
+        this.viewpoint.approach(last.spread / now.spread);
+      }
       last = now;
       this.touched();
     });
@@ -399,26 +403,26 @@ class Page {
     canvas.addEventListener("wheel", (event) => {
       event.preventDefault();
       const lines = event.deltaMode === 1 ? 30 : 1;
-      this.stand.approach(Math.exp(Math.max(-200, Math.min(200, event.deltaY * lines)) / 700));
+      this.viewpoint.approach(Math.exp(Math.max(-200, Math.min(200, event.deltaY * lines)) / 700));
       this.touched();
     }, { passive: false });
     addEventListener("keydown", (event) => this.key(event));
-    addEventListener("keyup", (event) => this.held.delete(event.key.toLowerCase()));
-    addEventListener("blur", () => this.held.clear());
+    addEventListener("keyup", (event) => this.pressed.delete(event.key.toLowerCase()));
+    addEventListener("blur", () => this.pressed.clear());
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
-      $("waiting").textContent = "The graphics processor gave up; load the page again.";
+      $("waiting").textContent = "The browser lost its connection to the GPU; reload the page.";
     });
   }
 
   slide(dx, dy) {
-    const { lens } = this.stand, tall = lens.height / lens.fy;
-    this.stand.move(-dx * tall, -dy * tall, 0);
+    const { lens } = this.viewpoint, tall = lens.height / lens.fy;
+    this.viewpoint.move(-dx * tall, -dy * tall, 0);
   }
 
   touched() {
     this.moved = performance.now();
-    this.wish();
+    this.requestFrame();
   }
 
   key(event) {
@@ -438,20 +442,20 @@ class Page {
       if (event.target.tagName !== "CANVAS" && event.target !== document.body) return;
       event.preventDefault();
       if (event.repeat) return;
-      // A tap moves a little; what is held goes on (step).
-      MOVES[event.key.toLowerCase()](this.stand, 0.05);
-      this.held.add(event.key.toLowerCase());
+      // A tap moves a little; `step` continues while a key is pressed.
+      MOVES[event.key.toLowerCase()](this.viewpoint, 0.05);
+      this.pressed.add(event.key.toLowerCase());
       this.stepped = performance.now();
       this.touched();
     }
   }
 
-  /** Go on as the keys that are held say; whether any is. */
+  /** Continue the movement of the pressed keys; return whether there are any. */
   step() {
-    if (!this.held.size) return false;
+    if (!this.pressed.size) return false;
     const now = performance.now(), seconds = Math.min(0.1, (now - this.stepped) / 1000);
     this.stepped = now;
-    for (const key of this.held) MOVES[key](this.stand, seconds);
+    for (const key of this.pressed) MOVES[key](this.viewpoint, seconds);
     this.moved = now;
     return true;
   }
@@ -476,29 +480,31 @@ class Page {
 }
 
 const MOVES = {
-  w: (stand, s) => stand.move(0, 0, 0.6 * s), s: (stand, s) => stand.move(0, 0, -0.6 * s),
-  a: (stand, s) => stand.move(-0.6 * s, 0, 0), d: (stand, s) => stand.move(0.6 * s, 0, 0),
-  q: (stand, s) => stand.move(0, 0.6 * s, 0), e: (stand, s) => stand.move(0, -0.6 * s, 0),
-  arrowleft: (stand, s) => stand.turn(s, 0, true), arrowright: (stand, s) => stand.turn(-s, 0, true),
-  arrowup: (stand, s) => stand.turn(0, s, true), arrowdown: (stand, s) => stand.turn(0, -s, true),
+  w: (camera, s) => camera.move(0, 0, 0.6 * s), s: (camera, s) => camera.move(0, 0, -0.6 * s),
+  a: (camera, s) => camera.move(-0.6 * s, 0, 0), d: (camera, s) => camera.move(0.6 * s, 0, 0),
+  q: (camera, s) => camera.move(0, 0.6 * s, 0), e: (camera, s) => camera.move(0, -0.6 * s, 0),
+  arrowleft: (camera, s) => camera.turn(s, 0, true),
+  arrowright: (camera, s) => camera.turn(-s, 0, true),
+  arrowup: (camera, s) => camera.turn(0, s, true),
+  arrowdown: (camera, s) => camera.turn(0, -s, true),
 };
 
-/** The middle of the fingers, and how far they are apart. */
+/** Return the centre of the pointers, and the distance between the first two (`spread`). */
 function gesture(pointers) {
   const all = [...pointers.values()];
   const x = all.reduce((sum, p) => sum + p[0], 0) / all.length;
   const y = all.reduce((sum, p) => sum + p[1], 0) / all.length;
-  const apart = all.length > 1 ? Math.hypot(all[0][0] - all[1][0], all[0][1] - all[1][1]) : 0;
-  return { x, y, apart };
+  const spread = all.length > 1 ? Math.hypot(all[0][0] - all[1][0], all[0][1] - all[1][1]) : 0;
+  return { x, y, spread };
 }
 
 async function open() {
   if (typeof DecompressionStream === "undefined") {
-    throw new Error("This browser is too old to unpack the scene; take one of 2023 or later.");
+    throw new Error("This browser is too old to unpack the scene; use a version from 2023 or later.");
   }
-  const gaussians = gaussiansOf(arraysOf(await unpacked("gaussians"), about.layout));
+  const gaussians = gaussiansOf(arraysOf(await unpack("gaussians"), about.layout));
   const maps = Uint8Array.from(atob(about.maps), (c) => c.charCodeAt(0));
-  const answers = await unpacked("answers");
+  const answers = await unpack("answers");
   performance.mark("unpacked");
   const drawing = new Drawing($("picture"), gaussians, about.things.length, maps);
   performance.mark("ready");
@@ -508,10 +514,10 @@ async function open() {
     page.live = new Live(page);
     page.live.show(await post("state"));
   }
-  await page.wish();
+  await page.requestFrame();
   performance.mark("shown");
   $("waiting").textContent = "";
-  // For scripts that drive the page: everything it does, it does through this.
+  // For scripts: all functions of the page are methods of this object.
   globalThis.slgaussian = page;
 }
 

@@ -1,14 +1,14 @@
-// What is under a point of the picture: every Gaussian there, front to back, as it is drawn.
+// The object at a point of the image: blends the Gaussians there front to back, as they are drawn.
 
-/** {thing, depth} at (x, y): the thing that has most of the light, 0 for none. */
+/** Return {thing, depth} at (x, y): the object with the largest blending weight (0: none), and z. */
 function pick(gaussians, sorted, eye, x, y) {
   const { store, centres } = gaussians, floats = new Float32Array(store.buffer);
   const { R, centre, fx, fy, cx, cy, width, height } = eye;
   const [first, step] = about.scale_logs;
   const mx = MARGIN * width / (2 * fx), my = MARGIN * height / (2 * fy);
-  const light = new Map();
-  let passing = 1, depth = 0, seen = 0;
-  for (let k = sorted.length - 1; k >= 0 && passing > 1 / 256; k--) {
+  const weights = new Map();
+  let transmittance = 1, depth = 0, accumulated = 0;
+  for (let k = sorted.length - 1; k >= 0 && transmittance > 1 / 256; k--) {
     const i = sorted[k], j = 3 * i;
     const a = centres[j] - centre[0], b = centres[j + 1] - centre[1], c = centres[j + 2] - centre[2];
     const z = R[6] * a + R[7] * b + R[8] * c;
@@ -16,15 +16,15 @@ function pick(gaussians, sorted, eye, x, y) {
     const ex = x - fx * u - cx, ey = y - fy * v - cy;
     const codes = store[8 * i + 5];
     const s = [0, 10, 20].map((shift) => Math.exp(first + step * (codes >>> shift & 1023)));
-    // No axis reaches further than this many pixels.
-    const reach = 5 * (Math.max(...s) * Math.max(fx, fy) * 2 / z + 1);
-    if (Math.abs(ex) > reach || Math.abs(ey) > reach) continue;
+    // Upper bound of the Gaussian's extent in pixels.
+    const radius = 5 * (Math.max(...s) * Math.max(fx, fy) * 2 / z + 1);
+    if (Math.abs(ex) > radius || Math.abs(ey) > radius) continue;
     const q = quaternion(store[8 * i + 4]);
     const hu = Math.min(Math.max(u, -cx / fx - mx), (width - cx) / fx + mx);
     const hv = Math.min(Math.max(v, -cy / fy - my), (height - cy) / fy + my);
     let xx = LOW_PASS, xy = 0, yy = LOW_PASS;
     for (let axis = 0; axis < 3; axis++) {
-      const w = turnedAxis(q, axis);
+      const w = rotationColumn(q, axis);
       const [p0, p1, p2] = [0, 3, 6].map((r) => R[r] * w[0] + R[r + 1] * w[1] + R[r + 2] * w[2]);
       const px = s[axis] * fx * (p0 - hu * p2) / z, py = s[axis] * fy * (p1 - hv * p2) / z;
       xx += px * px;
@@ -36,18 +36,21 @@ function pick(gaussians, sorted, eye, x, y) {
     const alpha = (store[8 * i + 3] >>> 24) / 255 * Math.exp(-power);
     if (alpha < CUT) continue;
     const thing = store[8 * i + 6];
-    light.set(thing, (light.get(thing) || 0) + alpha * passing);
-    depth += z * alpha * passing;
-    seen += alpha * passing;
-    passing *= 1 - alpha;
+    weights.set(thing, (weights.get(thing) || 0) + alpha * transmittance);
+    depth += z * alpha * transmittance;
+    accumulated += alpha * transmittance;
+    transmittance *= 1 - alpha;
   }
-  let best = 0, most = 0, labelled = 0;
-  for (const [thing, share] of light) {
+  let best = 0, largest = 0, labelled = 0;
+  for (const [thing, weight] of weights) {
     if (!thing) continue;
-    labelled += share;
-    if (share > most) [best, most] = [thing, share];
+    labelled += weight;
+    if (weight > largest) [best, largest] = [thing, weight];
   }
-  return { thing: labelled >= VISIBLE ? best : 0, depth: seen >= VISIBLE ? depth / seen : 0 };
+  return {
+    thing: labelled >= VISIBLE ? best : 0,
+    depth: accumulated >= VISIBLE ? depth / accumulated : 0,
+  };
 }
 
 function quaternion(code) {
@@ -64,8 +67,8 @@ function quaternion(code) {
   return q;
 }
 
-/** A column of the rotation of a quaternion xyzw. */
-function turnedAxis([x, y, z, w], axis) {
+/** Return a column of the rotation matrix of a quaternion xyzw. */
+function rotationColumn([x, y, z, w], axis) {
   if (axis === 0) return [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)];
   if (axis === 1) return [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)];
   return [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)];

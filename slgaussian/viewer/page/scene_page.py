@@ -1,10 +1,10 @@
-"""A field as one HTML page: a file that needs no network, or a live page.
+"""A field as one HTML page: a file that needs no network, or the live page of the viewer.
 
-The page (``scene.html`` and the scripts beside it) draws as :mod:`slgaussian.rasterize.project`
-does. It may load nothing: its content security policy names the one script and the one style by
-their digests. A live page may connect to its own server (:mod:`slgaussian.viewer.server`), which
-answers words and changes the field; the attribute ``data-live`` says so. All that comes from a
-field is text to it, never markup or code.
+The page (``scene.html`` and the scripts next to it) projects Gaussians as
+:mod:`slgaussian.rasterize.project` does. Its content security policy permits only its own script
+and style, by their digests, and no other resource. A live page (attribute ``data-live``) may also
+connect to its server (:mod:`slgaussian.viewer.server`), which answers texts and changes the field.
+Names and texts of a field are inserted as text, never as markup or code.
 """
 
 from __future__ import annotations
@@ -40,14 +40,16 @@ from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.rules import Rules
 from slgaussian.objects import SceneObject
 from slgaussian.scene import Camera
-from slgaussian.viewer.page.answers import Answers, answers_of
-from slgaussian.viewer.page.packed import BLOCK, packed
+from slgaussian.viewer.page.answers import Answers, compute_answers
+from slgaussian.viewer.page.packed import BLOCK, pack_gaussians
 
 SCRIPTS = ("data.js", "order.js", "draw.js", "eye.js", "pick.js", "words.js", "panel.js")
-"""In the order in which they become one script; a live page begins with ``live.js``."""
+"""Files that are joined, in this order, to one script; ``live.js`` comes first in a live page."""
 
 THUMB = 360
-"""Width of the pictures of views, in pixels."""
+"""Width of the thumbnails of views, in pixels."""
+
+SEVERAL_TEXTS = "Separate several texts with commas: each object gets the text that fits it best."
 
 
 def scene_page(
@@ -56,30 +58,30 @@ def scene_page(
     texts: Sequence[str] = (),
     live: bool = False,
 ) -> str:
-    """The page of a field, without what was removed from it.
+    """Return the HTML page of a field, without removed objects.
 
     Parameters
     ----------
     field : SemanticField
     photographs : {view: uint8 [H, W, 3]}, optional
-        What is shown of views; of others the field as it is drawn there.
+        Thumbnails of views; other views show the rendered field.
     texts : sequence of str
-        What the page shall answer beside the words that it knows anyway.
+        Texts that the page answers in addition to those of :mod:`slgaussian.viewer.page.answers`.
     live : bool
-        Whether :class:`slgaussian.viewer.server.LiveField` answers the page. It then has what was
-        removed too, so that it can come back, and holds no answers.
+        True for a page that :class:`slgaussian.viewer.server.LiveField` answers. It contains no
+        answers, and contains removed objects too, so that they can be restored.
 
     Raises
     ------
     InputError
-        If there are no Gaussians or no cameras, or the encoder is not there or cannot use one of
-        the texts.
+        If there are no Gaussians or no cameras, the encoder is not installed, or it cannot use
+        one of the texts.
     """
     if live:
         field = field.changed(removed=frozenset())
     looks = {name: field.render(camera) for name, camera in field.cameras.items()}
     if not looks:
-        raise InputError("the field has no cameras, expected at least one to look from")
+        raise InputError("the field has no cameras, expected at least one to start from")
     pictures = dict(photographs or {})
     drawn_views = [name for name in looks if name not in pictures]
     pictures |= {name: looks[name].rgb for name in drawn_views}
@@ -98,9 +100,9 @@ def scene_page(
         _view(name, camera, look.depth, pictures[name], "rendered" if name in drawn_views else "")
         for (name, camera), look in zip(field.cameras.items(), looks.values(), strict=True)
     ]
-    answers = answers_of(field, ids, texts, live)
+    answers = compute_answers(field, ids, texts, live)
     title = str(field.settings.get("scene") or "scene")
-    content = packed(gaussians, numbers, 1 if live else 9)
+    content = pack_gaussians(gaussians, numbers, 1 if live else 9)
     scene_data = {
         "format": 1,
         "made_by": f"slgaussian {__version__}",
@@ -119,7 +121,7 @@ def scene_page(
         "measurements": list(answers.measurements),
         "named": [round(named, 3) for named in answers.named],
         "touching": _touching(next(iter(looks.values())).ids, ids),
-        "said_words": _said_words(answers, live),
+        "words_note": _words_note(answers, live),
         "temperature": Rules().temperature,
         "calibration": _calibration(answers.calibration),
         "uncalibrated": answers.uncalibrated,
@@ -127,7 +129,7 @@ def scene_page(
         "layout": content.layout,
         "scale_logs": list(content.scale_logs),
         "maps": _base64(_colour_maps()),
-        "honest": _honest(field, gaussians, live),
+        "scene_note": _scene_note(field, gaussians, live),
     }
     script, style = _script(live), _read("scene.css")
     connect = "connect-src 'self'; " if live else ""
@@ -138,16 +140,16 @@ def scene_page(
     return _template().render(
         title=title,
         gaussians=f"{len(gaussians):,}",
-        example="red chair" if answers.pairs or live else "a word of the list below",
+        example="red chair" if answers.pairs or live else "a word from the list below",
         live=live,
         policy=policy,
         style=style,
         script=script,
-        about=_harmless(json.dumps(scene_data, ensure_ascii=False, allow_nan=False)),
+        about=_escape_json(json.dumps(scene_data, ensure_ascii=False, allow_nan=False)),
         packed_gaussians=_base64(content.data),
         packed_answers=_base64(
             gzip.compress(
-                answers.gaps.astype("<f4").tobytes() + answers.taken.tobytes(), 9, mtime=0
+                answers.gaps.astype("<f4").tobytes() + answers.selected.tobytes(), 9, mtime=0
             )
         ),
     )
@@ -194,38 +196,39 @@ def _thing(
     }
 
 
-def _honest(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
-    sentences = [f"{len(gaussians):,} Gaussians made of {len(field.cameras)} photographs."]
+def _scene_note(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
+    """Return the sentences below the panel: origin, quality and limits of the scene."""
+    sentences = [f"{len(gaussians):,} Gaussians from {len(field.cameras)} photographs."]
     if "quality" in field.settings:
         quality = Quality(**field.settings["quality"])
         depth = quality.depth[0].upper() + quality.depth[1:]
         sentences.append(f"{depth}, and the depth of the rest is a guess.")
         sentences.append(f"{quality.verdict().sentence().capitalize()}.")
-    sentences.append("What no photograph shows is left open.")
+    sentences.append("Areas that no photograph shows stay empty.")
     if field.removed:
-        sentences.append("Stripes are open too, such as what stood behind what was removed.")
+        sentences.append("Stripes are empty too, such as areas behind removed objects.")
     if any(camera.estimated for camera in field.cameras.values()):
         sentences.append(
-            "The cameras were found from the photographs, so there is no scale in metres."
+            "The cameras were estimated from the photographs, so sizes are not in metres."
         )
         record = field.settings.get("cameras", {})
         warnings = [camera_doubt(record), *record.get("warnings", [])]
         sentences += [f"Warning: {warning}." for warning in warnings if warning]
     if gaussians.sh.shape[1] > 1:
-        sentences.append("Colours do not change with the viewpoint here, as those of the field do.")
-    when = f", as worked out when this file was made with slgaussian {__version__}"
-    sentences.append(f"Words are answered for whole objects{'' if live else when}.")
+        sentences.append("Colours do not change with the viewpoint here, but in the field they do.")
+    when = f", computed by slgaussian {__version__} when it wrote this file"
+    sentences.append(f"Answers are for whole objects{'' if live else when}.")
     return " ".join(sentences)
 
 
 def _touching(ids_map: np.ndarray, ids: Sequence[int]) -> list[list[int]]:
-    """Find the pairs of ``ids`` that touch in a view int32 [H, W], as places in that list."""
+    """Return the pairs of ``ids`` that touch in an id map int32 [H, W], as indices into ``ids``."""
     listed = np.array(ids, np.int32)
     return ObjectMap(np.where(np.isin(ids_map, listed), ids_map, 0), listed).touching.tolist()
 
 
 def _calibration(calibration: Calibration | None) -> dict[str, Any] | None:
-    """Constants by which the page computes confidence, as the module ``confidence`` does."""
+    """Return the constants with which ``words.js`` computes confidence."""
     if calibration is None:
         return None
     curves = {"mask": list(astuple(calibration.mask)), "point": list(astuple(calibration.point))}
@@ -237,14 +240,15 @@ def _calibration(calibration: Calibration | None) -> dict[str, Any] | None:
     }
 
 
-def _said_words(answers: Answers, live: bool) -> str:
+def _words_note(answers: Answers, live: bool) -> str:
+    """Return the sentences that list the texts of the page."""
     if live and not answers.pairs:
-        return "Any. Several, with commas between them, share the scene out among them."
+        return f"Any text. {SEVERAL_TEXTS}"
     kinds: dict[str, list[str]] = {}
     for word, kind in answers.kinds.items():
         kinds.setdefault(kind, []).append(word)
     titles = {"named": "Names", "taught": "Taught", "text": "Texts"}
-    titles |= {"thing": "Things", "describing": "Describing"}
+    titles |= {"thing": "Nouns", "describing": "Describing words"}
     sentences = [
         f"{name}: {', '.join(sorted(kinds[kind]))}."
         for kind, name in titles.items()
@@ -252,15 +256,15 @@ def _said_words(answers: Answers, live: bool) -> str:
     ]
     if answers.pairs:
         sentences.append(
-            "And a colour with a thing, as in “red chair”, or another describing word with a "
-            "common thing."
+            "Pairs: a colour with a noun, such as “red chair”, or another describing word with a "
+            "common noun."
         )
-    sentences.append("Several, with commas between them, share the scene out among them.")
+    sentences.append(SEVERAL_TEXTS)
     return " ".join(sentences)
 
 
-def _harmless(text: str) -> str:
-    """JSON that ends no element of the page and begins no comment, whatever is in it."""
+def _escape_json(text: str) -> str:
+    """Escape JSON so that it cannot end its element of the page or begin a comment."""
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
     return text
@@ -275,7 +279,7 @@ def _digest(text: str) -> str:
 
 
 def _colour_maps() -> bytes:
-    """Turbo, then inferno: 256 colours RGBA each."""
+    """Return the colour maps turbo and inferno, 256 RGBA colours each."""
     ramp = np.arange(256, dtype=np.uint8)[None]
     maps = [cv2.applyColorMap(ramp, name) for name in (cv2.COLORMAP_TURBO, cv2.COLORMAP_INFERNO)]
     return np.concatenate(

@@ -1,8 +1,8 @@
-// Answers to words that were asked when the file was written.
+// Answers to texts, computed when the file was written.
 
 /**
- * Asks them; `packed` are gaps float32 [texts, things], in the order of about.texts, and after them a
- * byte each, whether the answer takes the thing.
+ * The stored answers. `packed`: relevancy gaps float32 [texts, things], in the order of about.texts;
+ * then one byte for each gap, 1 if the answer selects the object.
  */
 class Words {
   constructor(packed) {
@@ -16,38 +16,38 @@ class Words {
     this.skipped = new Set(about.skipped);
   }
 
-  /** The text among those answered that a typed one means: {text} or {why}. */
+  /** Find the stored text that a typed text means: {text}, or {reason} if there is none. */
   read(typed) {
     const plain = typed.normalize("NFKC").toLowerCase().split(/\s+/).filter(Boolean).join(" ");
     if (this.rows.has(plain)) return { text: plain };
-    const left = plain.match(/[\p{L}\p{N}]+(?:['’][\p{L}\p{N}]+)*/gu) || [];
-    const found = [], unknown = [];
-    while (left.length) {
-      const [word, length] = this.first(left);
-      if (word) found.push(word);
-      else if (!this.skipped.has(left[0])) unknown.push(left[0]);
-      left.splice(0, length);
+    const remaining = plain.match(/[\p{L}\p{N}]+(?:['’][\p{L}\p{N}]+)*/gu) || [];
+    const known = [], unknown = [];
+    while (remaining.length) {
+      const [word, length] = this.first(remaining);
+      if (word) known.push(word);
+      else if (!this.skipped.has(remaining[0])) unknown.push(remaining[0]);
+      remaining.splice(0, length);
     }
     if (unknown.length) {
-      return { why: `This file does not know ${unknown.map((w) => `“${w}”`).join(", ")}: it answers `
-        + "only the words that are listed below, as no encoder of words is in it." };
+      return { reason: `This file does not know ${unknown.map((w) => `“${w}”`).join(", ")}: it has no `
+        + "text encoder and answers only the words listed below." };
     }
-    const once = [...new Set(found)];
-    const things = once.filter((word) => this.kinds.get(word) === "thing");
-    const text = [...once.filter((word) => !things.includes(word)), ...things].join(" ");
+    const unique = [...new Set(known)];
+    const things = unique.filter((word) => this.kinds.get(word) === "thing");
+    const text = [...unique.filter((word) => !things.includes(word)), ...things].join(" ");
     if (this.rows.has(text)) return { text };
-    if (!once.length) return { why: "Type one of the words that are listed below." };
-    const asks = about.pairs
-      ? "one word, a colour and a thing, or another describing word and a common thing"
+    if (!unique.length) return { reason: "Type one of the words listed below." };
+    const accepted = about.pairs
+      ? "one word, a colour and a noun, or another describing word and a common noun"
       : "the listed texts";
-    return { why: `This file answers ${asks}; for “${typed.trim()}” ask the field itself with `
+    return { reason: `This file answers ${accepted}; for “${typed.trim()}”, query the field with `
       + "slgaussian query." };
   }
 
-  /** The word that a list of spellings begins with, and how many of them it takes. */
-  first(spelled) {
-    for (let length = Math.min(this.longest, spelled.length); length > 0; length--) {
-      const begin = spelled.slice(0, length - 1), last = spelled[length - 1];
+  /** Return the known word at the start of a list of tokens, and its number of tokens. */
+  first(tokens) {
+    for (let length = Math.min(this.longest, tokens.length); length > 0; length--) {
+      const begin = tokens.slice(0, length - 1), last = tokens[length - 1];
       for (const form of singulars(last)) {
         const word = this.spellings.get([...begin, form].join(" "));
         if (word) return [word, length];
@@ -56,93 +56,95 @@ class Words {
     return [null, 1];
   }
 
-  /** The answer to what was typed: {text, kind, gaps, taken, measurements, named}, or {refused}. */
+  /** Answer a typed text: {text, kind, gaps, taken, measurements, named}, or {refused}. */
   answer(typed) {
-    const { text, why } = this.read(typed);
-    return why ? { refused: why } : this.baked(text);
+    const { text, reason } = this.read(typed);
+    return reason ? { refused: reason } : this.stored(text);
   }
 
-  baked(text) {
+  stored(text) {
     const count = about.things.length, row = this.rows.get(text);
-    const own = [row * count, (row + 1) * count];
+    const range = [row * count, (row + 1) * count];
     return {
       text, kind: this.kinds.get(text), measurements: about.measurements[row],
       named: about.named[row],
-      gaps: Array.from(this.gaps.subarray(...own)),
-      taken: Array.from(this.taken.subarray(...own), Boolean),
+      gaps: Array.from(this.gaps.subarray(...range)),
+      taken: Array.from(this.taken.subarray(...range), Boolean),
     };
   }
 
-  ask(text) { return this.judged(this.baked(text)); }
+  ask(text) { return this.judge(this.stored(text)); }
 
   /**
-   * What an answer says: {scores, taken, best, sure, verdict, shown, summary}; sure as of
-   * confidence(), null where that is not known: of a name, or where it was not measured. The last
-   * three are those of QueryResult (slgaussian/language/query.py).
+   * Judge an answer: {scores, taken, best, confidence, verdict, shown, summary}. The confidence is
+   * that of computeConfidence, or null for a name and without a calibration. The last three are
+   * those of QueryResult (slgaussian/language/query.py).
    */
-  judged({ kind, gaps, taken, measurements, named: seen = 0, alone = "", untold = "" }) {
+  judge({ kind, gaps, taken, measurements, named: evidence = 0, alone = "", untold = "" }) {
     const top = Math.max(-Infinity, ...gaps);
     const named = kind === "named";
-    const doubted = about.calibration && !named && top > -Infinity;
-    const sure = doubted ? confidence(gaps, taken, top, measurements, seen) : null;
+    const calibrated = about.calibration && !named && top > -Infinity;
+    const confidence = calibrated
+      ? computeConfidence(gaps, taken, top, measurements, evidence) : null;
     const scores = gaps.map((gap) => 1 / (1 + Math.exp(-about.temperature * gap)));
     const best = gaps.indexOf(top), any = taken.includes(true);
-    const verdict = untold ? "cannot tell" : any ? verdictOf(sure) : "not here";
+    const verdict = untold ? "cannot tell" : any ? verdictOf(confidence) : "not here";
     let summary = named || !about.uncalibrated ? verdict : `found, uncalibrated for ${about.uncalibrated}`;
     if (untold) summary = `cannot tell: ${untold}`;
     else if (!any) summary = `not here: the best object scores ${(scores[best] || 0).toFixed(3)}`;
     else if (verdict === "not here") {
-      summary = `probably not here: ${sure.point.toFixed(2)} that the best object is it`;
-    } else if (sure) {
-      summary = `${verdict}: ${sure.mask.toFixed(2)} that the mask is right, `
-        + `${sure.point.toFixed(2)} that the point is${alone}`;
+      summary = `probably not here: ${confidence.point.toFixed(2)} that the best object is it`;
+    } else if (confidence) {
+      summary = `${verdict}: ${confidence.mask.toFixed(2)} that the mask is right, `
+        + `${confidence.point.toFixed(2)} that the point is${alone}`;
     }
     const shown = verdict === "found" || verdict === "not sure";
-    return { scores, taken, best, sure, verdict, shown, summary };
+    return { scores, taken, best, confidence, verdict, shown, summary };
   }
 }
 
-/** The verdict of Confidence (slgaussian/language/confidence.py). */
-function verdictOf(sure) {
-  if (!sure) return "found";
-  if (sure.point < about.calibration.absent) return "not here";
-  return sure.mask >= 0.5 ? "found" : "not sure";
+/** Return the verdict, as Confidence does (slgaussian/language/confidence.py). */
+function verdictOf(confidence) {
+  if (!confidence) return "found";
+  if (confidence.point < about.calibration.absent) return "not here";
+  return confidence.mask >= 0.5 ? "found" : "not sure";
 }
 
 /**
- * How likely an answer is right, {mask, point}: slgaussian/language/confidence.py, whose constants
- * are in about.calibration.
+ * Compute the probabilities that an answer's mask and point are right, as
+ * slgaussian/language/confidence.py does, with its constants in about.calibration.
  */
-function confidence(gaps, taken, top, measurements, named) {
+function computeConfidence(gaps, taken, top, measurements, named) {
   const { mask, point, typical, even_out: evenOut } = about.calibration;
   const any = taken.includes(true);
-  const own = [], rest = [];
+  const selected = [], rest = [];
   gaps.forEach((gap, k) => {
-    if (gap > -Infinity) ((any ? taken[k] : gap === top) ? own : rest).push(gap);
+    if (gap > -Infinity) ((any ? taken[k] : gap === top) ? selected : rest).push(gap);
   });
   const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
-  let apart = typical;
+  let standOut = typical;
   if (rest.length > 1) {
-    const middle = mean(rest);
-    const spread = Math.sqrt(mean(rest.map((gap) => (gap - middle) ** 2)));
-    apart = (mean(own) - middle) / (spread + evenOut);
+    const center = mean(rest);
+    const spread = Math.sqrt(mean(rest.map((gap) => (gap - center) ** 2)));
+    standOut = (mean(selected) - center) / (spread + evenOut);
   }
-  const signs = [top * measurements, apart, Math.log(Math.max(parts(taken), 1)), named, 1];
-  const chance = (curve) => 1 / (1 + Math.exp(-curve.reduce((sum, c, k) => sum + c * signs[k], 0)));
-  return { mask: chance(mask), point: chance(point) };
+  const features = [top * measurements, standOut, Math.log(Math.max(parts(taken), 1)), named, 1];
+  const probability = (curve) =>
+    1 / (1 + Math.exp(-curve.reduce((sum, c, k) => sum + c * features[k], 0)));
+  return { mask: probability(mask), point: probability(point) };
 }
 
-/** Of how many groups of things that touch, in the first view, those `taken` are. */
+/** Count the connected groups of the selected objects, which touch in the first view. */
 function parts(taken) {
   const first = taken.map((_, thing) => thing);
   const group = (thing) => (first[thing] === thing ? thing : group(first[thing]));
-  for (const [one, other] of about.touching) {
-    if (taken[one] && taken[other]) first[group(one)] = group(other);
+  for (const [a, b] of about.touching) {
+    if (taken[a] && taken[b]) first[group(a)] = group(b);
   }
-  return first.filter((other, thing) => taken[thing] && other === thing).length;
+  return first.filter((root, thing) => taken[thing] && root === thing).length;
 }
 
-/** A word and what it may be the plural of. */
+/** Return a word and its possible singulars. */
 function singulars(word) {
   const forms = [word];
   for (const [ending, singular] of [["ies", "y"], ["ves", "f"], ["ves", "fe"], ["s", ""], ["es", ""]]) {
