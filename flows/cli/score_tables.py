@@ -28,7 +28,7 @@ def scenes_text(results: Sequence[SceneResult]) -> str:
 
 def methods_text(samples: Sequence[Mapping[str, Any]]) -> str:
     """Tabulate samples: one table per data set and protocol, one line per method."""
-    tables = method_tables(score_table(samples).to_pylist())
+    tables = method_tables(samples)
     texts = ("\n".join([t.title, t.as_text(), *map(plain, t.notes)]) for t in tables)
     return "\n\n".join(texts)
 

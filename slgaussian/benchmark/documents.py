@@ -14,7 +14,7 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_json(path: Path, kind: str) -> Any:
-    """Read a JSON file; InputError, which describes it as a ``kind``, if it cannot be read."""
+    """Read a JSON file; raise an InputError that calls it a ``kind`` if it cannot be read."""
     try:
         return strict_json.parse(path.read_bytes())
     except OSError as error:

@@ -1,6 +1,6 @@
 """Evaluation index: context views and target views of each scene.
 
-It is a small JSON file, so that others can evaluate the same pairs::
+It is a JSON file, so that others can evaluate the same views::
 
     {"version": 2,
      "format": "lerf_ovs",
@@ -11,13 +11,13 @@ It is a small JSON file, so that others can evaluate the same pairs::
          "context": ["frame_00019.jpg", "frame_00031.jpg"], "target": ["frame_00024.jpg"],
          "categories": ["chopsticks", ...],
          "measured": {"overlap": 0.81, ...}}, ...},
-     "left_out": {"ramen-frame_00006": "why"}}
+     "left_out": {"ramen-frame_00006": "reason"}}
 
 ``format`` and ``options`` are arguments of :func:`slgaussian.datasets.load`; ``labels`` is a folder
 relative to the folder of labels, by default that of the data. There may be more than two context
 views. Without ``categories`` all labelled categories are queried; without labels only the images
-are compared. Older files contain only the object of scenes, with context, target and categories.
-The evaluation index published with pixelSplat and MVSplat is read too: RealEstate10K clips by key,
+are compared. Older files contain only ``scenes``, with context, target and categories. The
+evaluation index published with pixelSplat and MVSplat can be read too: RealEstate10K clips by key,
 with frame numbers and without categories. In 575 of its 6,474 clips a target is also a context
 frame; such targets are left out.
 """
@@ -41,7 +41,7 @@ VERSION = 2
 
 @dataclass(frozen=True)
 class ScenePair:
-    """Two or more context views, the held-out target views, and the queries there.
+    """Two or more context views, the held-out target views, and the queries in the targets.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class ScenePair:
     context, targets : tuple of str
         View names, without overlap.
     categories : tuple of str
-        None if not in the index: all labelled categories of the targets.
+        Empty if the index has none: all labelled categories of the targets are queried.
     labels : str
         Folder of the labels, relative to the folder of all labels.
     options : mapping
@@ -107,19 +107,19 @@ def read_index(path: str | Path) -> Index:
         entry is None or (isinstance(entry, dict) and entry.keys() == {"context", "target"})
         for entry in content.values()
     ):
-        return _published(path, content)
+        return _read_published(path, content)
     if not isinstance(content.get("version"), int):
         for name, entry in content.items():
             if isinstance(entry, dict) and entry.get("categories") is None:
                 raise InputError(f"{path}: scene {name!r}: categories is missing")
-        return Index(tuple(_pair(path, name, entry) for name, entry in content.items()))
+        return Index(tuple(_parse_pair(path, name, entry) for name, entry in content.items()))
     if content["version"] != VERSION:
         raise InputError(
-            f"{path}: is of version {content['version']}, this program reads up to {VERSION}; make "
-            "it again with `slgaussian benchmark`, or install a newer slgaussian"
+            f"{path}: found version {content['version']}, expected at most {VERSION}; create it "
+            "again with `slgaussian benchmark`, or install a newer slgaussian"
         )
     document = check_document(_Document, content, str(path))
-    pairs = tuple(_pair(path, name, entry) for name, entry in document.scenes.items())
+    pairs = tuple(_parse_pair(path, name, entry) for name, entry in document.scenes.items())
     return Index(pairs, document.format, document.rule, document.left_out)
 
 
@@ -149,7 +149,7 @@ def write_index(path: str | Path, index: Index) -> None:
         raise InputError(f"{path}: cannot write the index ({error.strerror})") from error
 
 
-def _published(path: Path, content: Mapping[str, Any]) -> Index:
+def _read_published(path: Path, content: Mapping[str, Any]) -> Index:
     """Read a published index; targets that are context frames of the same clip are left out."""
     pairs, left_out = [], {}
     for key, entry in content.items():
@@ -162,19 +162,21 @@ def _published(path: Path, content: Mapping[str, Any]) -> Index:
                 left_out[f"{key}/{name}"] = "is both context and target; a target must be held out"
         held_out = tuple(name for name in targets if name not in context)
         if len(set(context)) < 2 or not held_out:
-            left_out[key] = f"context {context} and target {targets} are no two views and a third"
+            left_out[key] = (
+                f"context {context} and target {targets}: expected two views and a third"
+            )
             continue
         pairs.append(ScenePair(key, tuple(context), held_out, labels=key, options={"key": key}))
     return Index(tuple(pairs), "re10k", left_out=left_out)
 
 
-def _different(names: tuple[str, ...]) -> tuple[str, ...]:
+def _check_unique(names: tuple[str, ...]) -> tuple[str, ...]:
     if len(set(names)) < len(names):
         raise ValueError("expected different names")
     return names
 
 
-def _below(folder: str) -> str:
+def _check_relative(folder: str) -> str:
     if PurePosixPath(folder).is_absolute() or ".." in PurePosixPath(folder).parts:
         raise ValueError("expected a folder below the labels")
     return folder
@@ -183,7 +185,7 @@ def _below(folder: str) -> str:
 _Names = Annotated[
     tuple[Annotated[str, Field(pattern=r"\S")], ...],
     Field(min_length=1),
-    AfterValidator(_different),
+    AfterValidator(_check_unique),
 ]
 
 
@@ -193,7 +195,7 @@ class _Scene(BaseModel):
     context: Annotated[_Names, Field(min_length=2)]
     target: _Names
     categories: _Names | None = None
-    labels: Annotated[str, AfterValidator(_below)] = ""
+    labels: Annotated[str, AfterValidator(_check_relative)] = ""
     options: dict[str, Any] = {}
     measured: dict[str, Any] = {}
 
@@ -220,7 +222,7 @@ class _Document(BaseModel):
     left_out: dict[str, str]
 
 
-def _pair(path: Path, scene: str, entry: Any) -> ScenePair:
+def _parse_pair(path: Path, scene: str, entry: Any) -> ScenePair:
     pair = check_document(_Scene, entry, f"{path}: scene {scene!r}")
     return ScenePair(
         scene,

@@ -1,4 +1,4 @@
-"""Output files of a benchmark: tables and masks, which can be scored again.
+"""Output files of a benchmark: tables and masks, which `slgaussian score` can read.
 
 All files depend only on the arguments: same results, same bytes. Costs of answers, which are not
 reproducible, are in a separate table.
@@ -73,7 +73,7 @@ def write_predictions(
 
 
 def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
-    """Delete the masks of an earlier run in folder ``out`` that ``rows`` of this run do not have.
+    """Delete the masks of an earlier run in folder ``out`` that are not in ``rows`` of this run.
 
     They are listed in the earlier ``samples.parquet``; no other file is deleted. Call this before
     :func:`write_samples`. Without a valid table of samples nothing is deleted.
@@ -82,13 +82,13 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
     columns = "method", "protocol", "scene", "frame", "query"
     try:
         earlier = read_table(out / "samples.parquet", columns).to_pylist()
-        left = set(map(mask_path, earlier)) - set(map(mask_path, rows))
+        obsolete = set(map(mask_path, earlier)) - set(map(mask_path, rows))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
         return
     folders: set[Path] = set()
-    for place in left:
-        (out / "predictions" / place).unlink(missing_ok=True)
-        folders.update(list(place.parents)[:-1])
+    for path in obsolete:
+        (out / "predictions" / path).unlink(missing_ok=True)
+        folders.update(list(path.parents)[:-1])
     for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
         with suppress(OSError):  # not empty, or missing
             (out / "predictions" / folder).rmdir()

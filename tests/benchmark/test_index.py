@@ -91,7 +91,7 @@ def test_an_index_of_llff_may_have_more_context_views_and_ask_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 3}, "is of version 3, this program reads up to 2"),
+        ({"version": 3}, "found version 3, expected at most 2"),
         ({"format": None}, "format is None;"),
         ({"target": ["a.jpg"]}, "'a.jpg' is both context and target"),
         ({"labels": "/etc"}, "labels is '/etc'; expected a folder below the labels"),

@@ -16,7 +16,7 @@ from slgaussian.benchmark.reports.examples import (
     limit_per_scene,
     sort_worst_first,
 )
-from slgaussian.benchmark.reports.model import Report
+from slgaussian.benchmark.reports.model import Report, plain
 from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.benchmark.reports.summary import COSTS
 from slgaussian.benchmark.scores import score_table
@@ -145,8 +145,8 @@ def test_names_are_text_and_never_markup(result):
     page = Page(report.as_html())
     assert page.tags.count("script") == 1 and "const large" in page.script
     assert "<script>x</script>" in page.text and odd in page.text
-    table = next(t for t in tables_of(report.as_markdown()) if t[0][0] == "Query")
-    assert table[1][:2] == [odd, "<script>x</script>, view_01"]
+    (line,) = [line for line in report.as_markdown().splitlines() if "point ✓" in line]
+    assert plain(line) == f"- **{odd}** (<script>x</script>, view_01): IoU 0.10, point ✓"
 
 
 def test_without_labels_there_are_pictures_and_no_scores(result, truth):

@@ -21,7 +21,6 @@ from slgaussian.benchmark.reports.model import (
     NO_VALUE,
     Block,
     Column,
-    Fold,
     Prose,
     Report,
     Section,
@@ -30,8 +29,12 @@ from slgaussian.benchmark.reports.model import (
     flatten,
     number,
 )
-from slgaussian.benchmark.reports.score_tables import difference_tables, method_tables
-from slgaussian.benchmark.scores import grouped, of_first_protocol, sample_key, score_table
+from slgaussian.benchmark.reports.score_tables import (
+    difference_tables,
+    fold_protocols,
+    method_tables,
+)
+from slgaussian.benchmark.scores import grouped, of_first_protocol, sample_key
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.tables import read_table
@@ -136,7 +139,7 @@ def compare_runs(runs: Sequence[Run]) -> Report:
         block = Table.of([Column(n, is_text=True) for n in ("Setting", *manifests)], settings)
     sections.append(Section("Configuration", [block]))
     if tables := rank_methods(named):
-        sections.append(Section("Scores", _fold_protocols(tables)))
+        sections.append(Section("Scores", fold_protocols(tables)))
     (base, first), *later = named.items()
     pairs = {
         f"{name}, {letter}" if later[1:] else name: (rows, baseline)
@@ -145,20 +148,12 @@ def compare_runs(runs: Sequence[Run]) -> Report:
     }
     if tables := difference_tables(pairs):
         title = f"Differences: {'each run' if later[1:] else later[0][0]} minus {base}"
-        sections.append(Section(title, _fold_protocols(tables)))
+        sections.append(Section(title, fold_protocols(tables)))
     if all(run.times for run in runs):
         sections.append(Section("Costs", [_costs_table(runs)]))
     if len(runs) == 2 and (changes := _changes_table(*runs)):
         sections.append(Section("Largest changes of IoU", [changes]))
     return Report("Comparison of runs", [Prose(SUMMARY)], sections)
-
-
-def _fold_protocols(tables: Sequence[Table]) -> list[Block]:
-    """Return the tables of the first protocol, and collapse those of others."""
-    protocol = tables[0].title.rpartition(", ")[2]
-    first = [table for table in tables if table.title.endswith(f", {protocol}")]
-    rest = [table for table in tables if table not in first]
-    return [*first, *([Fold("Other protocols", rest)] if rest else [])]
 
 
 def _runs_table(named: Mapping[str, Run]) -> Table:
@@ -245,7 +240,7 @@ def rank_methods(named: Mapping[str, Run]) -> list[Table]:
             for row in run_rows
             if sample_key(row) in shared and len(truths.get(row["scene"], ())) < 2
         ]
-    return method_tables(score_table(rows).to_pylist())
+    return method_tables(rows)
 
 
 def _costs_table(runs: Sequence[Run]) -> Table:

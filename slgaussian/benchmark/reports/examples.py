@@ -18,7 +18,7 @@ from slgaussian.benchmark.reports.model import (
     Cards,
     Cell,
     Column,
-    Columns,
+    Fold,
     Gallery,
     Picture,
     Prose,
@@ -55,6 +55,18 @@ ANSWERS = 4
 FAIR = 0.25
 """Smallest IoU of an answer that is not marked as poor."""
 
+VIEW_PICTURES = {
+    "input": "context view",
+    "labels": "objects",
+    "depth": "depth",
+    "true_depth": "true depth",
+    "depth_error": "depth error",
+    "photo": "held-out view",
+    "render": "rendered",
+    "ids": "objects, rendered",
+}
+"""Captions of the pictures of a view, by kind of picture."""
+
 ANSWER_TERMS = Terms(
     {
         "prediction": "predicted mask, in colour and outlined; the rest is dimmed",
@@ -73,20 +85,11 @@ ANSWER_TERMS = Terms(
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One scene of a report; pictures are read on demand, one scene at a time.
+    """One scene of a report; pictures and masks are read on demand, one scene at a time.
 
-    Attributes
-    ----------
-    name, dataset : str
-    rows : sequence
-        Rows of the spec ``samples``, our method first.
-    metrics : {name: float}
-        ``scene_metrics`` of our result.
-    pictures : function giving {name: uint8 [H, W, 3]}
-        Pictures of our result.
-    truth : function giving {frame: {query: bool [H, W]}}
-    masks : function giving {(protocol, frame, query): bool [H, W]}
-        Our masks.
+    ``rows`` are of the spec ``samples``, our method first; ``metrics``, ``pictures`` (uint8
+    [H, W, 3] by name) and ``masks`` (bool [H, W] by protocol, frame and query) are of our result,
+    and ``truth`` has the labelled masks by frame and query.
     """
 
     name: str
@@ -173,7 +176,7 @@ def example_section(
     answers = _rows_of_best_frame(rows, images)
     frame = answers[0]["frame"] if answers else next(iter(_frames(images, "photo")), "")
     inputs = {name: images[f"input/{name}"] for name in _frames(images, "input")}
-    large: list[Block] = []
+    blocks: list[Block] = []
     small = {f"context view {name}": image for name, image in inputs.items()}
     if f"photo/{frame}" in images:
         small[f"held-out view {frame}, photograph"] = images[f"photo/{frame}"]
@@ -188,7 +191,7 @@ def example_section(
         predicted = {q: masks.get((row["protocol"], frame, q)) for q, row in named.items()}
         caption = f"predicted masks in {frame}" + ", with IoU" * is_scored
         picture = _draw_masks(ground, captions, predicted)
-        large.append(Gallery([Picture.of(picture, LARGE, caption)], "grid"))
+        blocks.append(Gallery([Picture.of(picture, LARGE, caption)], "main"))
         if any(truth[query].any() for query in named if query in truth):
             small["ground truth"] = _draw_masks(ground, {query: query for query in named}, truth)
         best_first = sort_worst_first(answers)[::-1] or answers
@@ -202,8 +205,8 @@ def example_section(
         steps = {f"context view {start}": start_image}
         steps |= {f"rendered, {way}": image for way, image in _between(images).items()}
         steps[f"context view {end}"] = end_image
-        large.append(_gallery(steps, SLIDER, "walk"))
-    blocks: list[Block] = [Columns(large), _gallery(small, ANSWER, "strip-of"), *cards]
+        blocks.append(_gallery(steps, SLIDER, "walk"))
+    blocks += [_gallery(small, ANSWER, "strip-of"), *cards]
     return Section(scene.name, blocks, note=reason, style="example", only_html=True)
 
 
@@ -213,48 +216,31 @@ def _gallery(images: Images, width: int, layout: str) -> Gallery:
     return Gallery(pictures, layout)
 
 
-def scene_section(scene: Scene, id: str, rows: Sequence[Row], images: Images) -> Section:
-    """Return the section of a scene: pictures of all views, and a table of all queries.
-
-    Without ``images`` it contains only the table.
-    """
-    blocks = _view_blocks(images, scene.metrics) if images else []
+def scene_fold(scene: Scene, id: str, rows: Sequence[Row], images: Images) -> Fold:
+    """Return the collapsed pictures of all views of a scene, if any, and a table of all queries."""
+    blocks: list[Block] = []
+    if images:
+        terms = {"objects": "one colour and number per object, as printed by slgaussian objects"}
+        if "near" in scene.metrics:
+            near, far = scene.metrics["near"], scene.metrics["far"]
+            terms["depth"] = f"{near:.3g} (red) to {far:.3g} scene units (blue)"
+        if _frames(images, "depth_error"):
+            terms["depth error"] = f"relative, 0 (black) to {ERROR_TOP} and more (white)"
+        rows_of_pictures = [
+            {
+                f"{title} {name}": images[f"{kind}/{name}"]
+                for kind, title in VIEW_PICTURES.items()
+                if f"{kind}/{name}" in images
+            }
+            for name in (*_frames(images, "input"), *_frames(images, "photo"))
+        ]
+        rows_of_pictures.append(_between(images))
+        blocks = [Terms(terms), *(_gallery(row, SMALL, "grid tiles") for row in rows_of_pictures)]
     if rows:
         blocks.append(_queries_table(rows))
-    note = f"IoU {scene.metrics['iou']:.3f}; " if "iou" in scene.metrics else ""
-    note += count_text(len(rows), "query", "queries")
-    return Section(scene.name, blocks, id, note, is_folded=True, only_html=True)
-
-
-def _view_blocks(images: Images, metrics: Mapping[str, float]) -> list[Block]:
-    """Return a row of pictures for each context and target view, and for the views in between."""
-    terms = {"objects": "one colour and number per object, as in `slgaussian objects`"}
-    if "near" in metrics:
-        terms["depth"] = f"{metrics['near']:.3g} (red) to {metrics['far']:.3g} scene units (blue)"
-    if _frames(images, "depth_error"):
-        terms["depth error"] = f"relative, 0 (black) to {ERROR_TOP} and more (white)"
-    kinds = {
-        "input": "context view",
-        "labels": "objects",
-        "depth": "depth",
-        "true_depth": "true depth",
-        "depth_error": "depth error",
-        "photo": "held-out view",
-        "render": "rendered",
-        "ids": "objects, rendered",
-    }
-    rows = [
-        {
-            f"{title} {name}": images[f"{kind}/{name}"]
-            for kind, title in kinds.items()
-            if f"{kind}/{name}" in images
-        }
-        for name in (*_frames(images, "input"), *_frames(images, "photo"))
-    ]
-    rows.append(_between(images))
-    layouts = ("grid five" if len(row) == 5 else "grid three" for row in rows)
-    galleries = (_gallery(row, SMALL, layout) for row, layout in zip(rows, layouts, strict=True))
-    return [Terms(terms), *galleries]
+    iou = f"IoU {scene.metrics['iou']:.3f}, " if "iou" in scene.metrics else ""
+    summary = f"{scene.name}: {iou}{count_text(len(rows), 'query', 'queries')}"
+    return Fold(summary, blocks, id, only_html=True)
 
 
 def _between(images: Images) -> dict[str, np.ndarray]:
@@ -264,18 +250,11 @@ def _between(images: Images) -> dict[str, np.ndarray]:
 
 def _queries_table(rows: Sequence[Row]) -> Table:
     marks = {None: None, True: Cell("✓", mark="yes"), False: Cell("✗", mark="no")}
-    lines = [
-        [
-            row["query"],
-            row["frame"],
-            number(row["iou"], 3),
-            marks[row["hit_mask"]],
-            marks[row["hit_box"]],
-            number(row["score"], 3),
-            row["note"],
-        ]
-        for row in rows
-    ]
+    lines = []
+    for row in rows:
+        hits = marks[row["hit_mask"]], marks[row["hit_box"]]
+        scores = number(row["iou"], 3), *hits, number(row["score"], 3)
+        lines.append([row["query"], row["frame"], *scores, row["note"]])
     heads = ["Query", Column("Frame", is_text=True), "IoU", "Point in mask", "Point in box",
              "Relevancy", Column("Note", is_text=True)]  # fmt: skip
     return Table.of(heads, lines)

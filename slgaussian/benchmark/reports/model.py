@@ -236,19 +236,16 @@ class Cards:
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Blocks side by side."""
-
-    blocks: Sequence[Block]
-    kind: ClassVar[str] = "columns"
-
-
-@dataclass(frozen=True)
 class Fold:
-    """Blocks that are collapsed below a line of text."""
+    """Blocks that are collapsed below a line of text; ``id`` is an anchor for links.
+
+    A fold ``only_html`` is left out of the Markdown.
+    """
 
     summary: str
     blocks: Sequence[Block]
+    id: str = ""
+    only_html: bool = False
     kind: ClassVar[str] = "fold"
 
 
@@ -260,7 +257,7 @@ class Slot:
     kind: ClassVar[str] = "slot"
 
 
-Block = Table | Prose | Terms | Gallery | Cards | Columns | Fold | Slot
+Block = Table | Prose | Terms | Gallery | Cards | Fold | Slot
 
 
 @dataclass(frozen=True)
@@ -278,7 +275,6 @@ class Section:
     note: str = ""
     link: str = ""
     style: str = ""
-    is_folded: bool = False
     only_html: bool = False
 
 

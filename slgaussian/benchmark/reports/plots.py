@@ -15,17 +15,13 @@ from slgaussian.benchmark.reports.model import Picture, data_uri
 METADATA = ("Date", "Creator", "Format", "Type")
 """Metadata keys of Matplotlib that are removed from a picture."""
 
-INK, SOFT, LINE, ACCENT = "#1d2330", "#667085", "#d5dae2", "#0072B2"
+SOFT, ACCENT = "#667085", "#0072B2"
 
 STYLE = {
     "svg.hashsalt": "slgaussian",
     "svg.fonttype": "path",
     "font.size": 9.5,
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "axes.edgecolor": LINE,
-    "xtick.color": SOFT,
-    "ytick.color": INK,
+    "axes.edgecolor": "#d5dae2",
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.axisbelow": True,

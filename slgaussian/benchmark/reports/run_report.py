@@ -6,7 +6,7 @@ run afterwards: a section, and the seconds among the key numbers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,6 @@ import numpy as np
 
 from slgaussian.benchmark.attribution import STAND_INS
 from slgaussian.benchmark.costs import Times
-from slgaussian.benchmark.outputs import mask_path
 from slgaussian.benchmark.reports import examples
 from slgaussian.benchmark.reports.model import (
     Block,
@@ -36,7 +35,9 @@ from slgaussian.benchmark.reports.model import (
 from slgaussian.benchmark.reports.paper_tables import paper_section
 from slgaussian.benchmark.reports.score_tables import (
     METRICS,
+    SCORES,
     conditions,
+    fold_protocols,
     method_tables,
     metrics_table,
     scores_of,
@@ -45,7 +46,6 @@ from slgaussian.benchmark.reports.speed import speed_blocks
 from slgaussian.benchmark.reports.summary import COSTS, key_costs, summarize
 from slgaussian.benchmark.scores import (
     GOOD,
-    differences,
     grouped,
     key_of,
     of_first_protocol,
@@ -94,9 +94,9 @@ def run_report(
     leading_scores = [s for s in scores if s["protocol"] == leading[0]["protocol"]]
     lost_by = {key_of(row): row["lost"] or "" for row in attribution}
     data = manifest.get("data", {})
-    sections, worst, scene_sections = _picture_sections(scenes, answers, lost_by)
+    sections, worst, scene_folds = _picture_sections(scenes, answers, lost_by)
     if leading_scores:
-        sections += _score_sections(leading, leading_scores, scores, methods)
+        sections.append(_scores_section(rows, methods))
     if failures:
         sections.append(_failures_section(failures))
     sections.append(Section("Speed and accuracy", [Slot(TIMES)], "times", link="Speed"))
@@ -107,14 +107,14 @@ def run_report(
         sections.append(paper)
     if scenes:
         our_scores = [score for score in leading_scores if score["method"] == ours]
-        sections.append(_scenes_section(scenes, our_scores, data))
-    settings: list[Block] = [Table.of_values({**manifest, "data": {}})]
+        blocks = [*_scene_tables(scenes, our_scores, data), *scene_folds]
+        sections.append(Section("Scenes", blocks, "scenes", link="Scenes"))
+    configuration = [
+        Fold("Settings, methods and versions", [Table.of_values({**manifest, "data": {}})])
+    ]
     if data:
-        settings.append(Fold("Data of each scene, with digests", [Table.of_values(data)]))
-    note = "settings, methods, versions and data"
-    manifest_section = Section("Configuration", settings, "configuration", note, "Configuration",
-                               is_folded=True)  # fmt: skip
-    sections += [*scene_sections, manifest_section]
+        configuration.append(Fold("Data of each scene, with digests", [Table.of_values(data)]))
+    sections.append(Section("Configuration", configuration, "configuration", link="Configuration"))
     summary = summarize(scenes, methods, answers, leading_scores, manifest, len(failures))
     return Report("SLGaussian report", summary, sections)
 
@@ -135,18 +135,17 @@ def with_times(
         See :func:`slgaussian.benchmark.reports.speed.speed_blocks`.
     """
     costs, blocks = [key_costs(times.costs)], speed_blocks(times, rows, novel)
-    return {
-        name: pages[name]
-        .replace(COSTS, f"{COSTS}\n{blocks_as(form, costs)}\n{COSTS}")
-        .replace(TIMES, blocks_as(form, blocks))
-        for name, form in (("html", "html"), ("markdown", "md"))
-    }
+    complete = {}
+    for name, form in (("html", "html"), ("markdown", "md")):
+        page = pages[name].replace(TIMES, blocks_as(form, blocks))
+        complete[name] = page.replace(COSTS, f"{COSTS}\n{blocks_as(form, costs)}\n{COSTS}")
+    return complete
 
 
 def _picture_sections(
     scenes: Sequence[examples.Scene], answers: Sequence[Row], lost_by: Mapping[examples.Key, str]
-) -> tuple[list[Section], list[tuple[Row, Card]], list[Section]]:
-    """Make the sections of example scenes, the worst answers, and the sections of all scenes.
+) -> tuple[list[Section], list[Card], list[Fold]]:
+    """Make the sections of example scenes, the worst answers, and the pictures of all scenes.
 
     The pictures of one scene are in memory at a time.
     """
@@ -155,7 +154,7 @@ def _picture_sections(
     reasons = examples.choose_examples((s.name, s.dataset, s.metrics) for s in scenes)
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
     pictured = {scene.name for scene in worst_first[:PICTURED]}
-    example_sections, scene_sections = [], []
+    example_sections, scene_folds = [], []
     for place, scene in enumerate(scenes):
         rows = [row for row in answers if row["scene"] == scene.name]
         chosen = [row for row in worst if row["scene"] == scene.name]
@@ -168,42 +167,26 @@ def _picture_sections(
         for row in chosen:
             cards[key_of(row)] = examples.answer_card(row, images, lost_by.get(key_of(row), ""))
         images = images if scene.name in pictured else {}
-        scene_sections.append(examples.scene_section(scene, f"scene-{place}", rows, images))
+        scene_folds.append(examples.scene_fold(scene, f"scene-{place}", rows, images))
     if example_sections:
         example_sections[0] = replace(example_sections[0], id="example", link="Example")
-    return example_sections, [(row, cards[key_of(row)]) for row in worst], scene_sections
+    return example_sections, [cards[key_of(row)] for row in worst], scene_folds
 
 
-def _score_sections(
-    leading: Sequence[Row],
-    leading_scores: Sequence[Row],
-    scores: Sequence[Row],
-    methods: Sequence[str],
-) -> Iterator[Section]:
-    """Yield a table per data set for the first protocol, and the others in a collapsed section."""
-    ours, *baselines = methods
-    columns = scores_of(leading[0]["protocol"])
-    by_method = {method: rows for (method,), rows in grouped(leading, "method").items()}
-    gains = {
-        (difference.dataset, method): difference
-        for method in baselines
-        for difference in differences(by_method[ours], by_method.get(method, []))
-        if difference.metric == columns[0].metric
-    }
-    tables = method_tables(leading_scores, gains, ours if baselines else "")
-    terms = {score.title: score.help for score in columns} | {
+def _scores_section(rows: Sequence[Row], methods: Sequence[str]) -> Section:
+    """Return the scores of all methods; tables of other protocols than the first are collapsed."""
+    terms = {score.title: score.help for score in scores_of(rows[0]["protocol"])} | {
         "near-best": "selection of all objects whose score above the canonical phrases is at least "
         "the given share of the best object's"
     }
-    blocks: list[Block] = [*tables, Terms(terms)]
-    if baselines:
+    explanations: list[Block] = [Terms(terms)]
+    if methods[1:]:
         note = "Methods are sorted by the first column; the best value of a column is bold. A "
         note += "method called “like” is not the original program: it reimplements the main idea "
         note += "on the same photographs, Gaussians and encoder."
-        blocks.append(Prose(note))
-    yield Section("Scores", blocks, "scores", link="Scores")
-    if rest := [score for score in scores if score["protocol"] != leading[0]["protocol"]]:
-        yield Section("Scores by other protocols", method_tables(rest), is_folded=True)
+        explanations.append(Prose(note))
+    tables = method_tables(rows, methods[0] if methods[1:] else "")
+    return Section("Scores", fold_protocols(tables, explanations), "scores", link="Scores")
 
 
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
@@ -218,7 +201,7 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
 
 
 def _worst_section(
-    answers: Sequence[Row], worst: Sequence[tuple[Row, Card]], attribution: Sequence[Row]
+    answers: Sequence[Row], worst: Sequence[Card], attribution: Sequence[Row]
 ) -> Section:
     """Show the answers with the lowest scores, and the causes of misses."""
     blocks: list[Block] = []
@@ -232,18 +215,7 @@ def _worst_section(
         blocks.append(Prose(text))
     protocol = f"{escape(answers[0]['protocol'])} ({escape(conditions(answers[0]))})"
     blocks.append(Prose(f"The lowest scores, a few per scene, by {protocol}:"))
-    blocks += [examples.ANSWER_TERMS, Cards([card for _, card in worst])]
-    rows = [
-        [
-            row["query"],
-            f"{row['scene']}, {row['frame']}",
-            number(row["iou"], 3),
-            f"predictions/{mask_path(row).as_posix()}",
-        ]
-        for row, _ in worst
-    ]
-    place, mask = (Column(name, is_text=True) for name in ("Scene and frame", "Mask"))
-    blocks.append(Fold("Files of their masks", [Table.of(["Query", place, "IoU", mask], rows)]))
+    blocks += [examples.ANSWER_TERMS, Cards(worst)]
     if attribution:
         blocks += _attribution_blocks(attribution)
     return Section("Lowest scores", blocks, "worst", link="Lowest scores")
@@ -271,9 +243,9 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
     return [*blocks, Prose(text), Terms(terms)]
 
 
-def _scenes_section(
+def _scene_tables(
     scenes: Sequence[examples.Scene], scores: Sequence[Row], data: Mapping[str, Any]
-) -> Section:
+) -> list[Block]:
     """List the metrics of all scenes; ``scores`` are those of our method, first protocol."""
     blocks: list[Block] = []
     links = {scene.name: f"scene-{place}" for place, scene in enumerate(scenes)}
@@ -282,7 +254,8 @@ def _scenes_section(
         of_set = [score for score in scores if score["dataset"] == dataset]
         blocks.append(metrics_table(metrics, of_set, dataset, links))
     present = {name for scene in scenes for name in scene.metrics}
-    blocks.append(Terms({m.title: m.help for m in METRICS if m.metric in present}))
+    shown = [m for m in METRICS if m.metric in present and m not in SCORES["slgaussian"]]
+    blocks.append(Terms({m.title: m.help for m in shown}))
     estimated = []
     for name, of in data.items():
         if (cameras := of.get("cameras", "given")) != "given":
@@ -291,4 +264,4 @@ def _scenes_section(
             estimated.append(f"{escape(name)} ({escape(cameras + note)})")
     if estimated:
         blocks.append(Prose(f"Estimated cameras: {', '.join(estimated)}."))
-    return Section("Scenes", blocks, "scenes", link="Scenes")
+    return blocks

@@ -12,15 +12,17 @@ import numpy as np
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.reports.model import (
     NO_VALUE,
+    Block,
     Cell,
     Column,
+    Fold,
     Line,
     Table,
     count_text,
     escape,
     number,
 )
-from slgaussian.benchmark.scores import Difference, differences, grouped
+from slgaussian.benchmark.scores import Difference, differences, grouped, score_table
 from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison
 
 Row = Mapping[str, Any]
@@ -95,9 +97,7 @@ def scores_of(protocol: str) -> tuple[Score, ...]:
     return SCORES[protocol.partition("@")[0]]
 
 
-def method_tables(
-    scores: Sequence[Row], gains: Mapping[tuple[str, str], Difference] | None = None, ours: str = ""
-) -> list[Table]:
+def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
     """Return a table for each data set and protocol: a line per method, best first.
 
     Scores that no method has are left out. A method with other settings or another number of
@@ -105,14 +105,14 @@ def method_tables(
 
     Parameters
     ----------
-    scores : rows of the spec ``scores``
-    gains : {(data set, method): Difference}, optional
-        Difference of ``ours`` to the method in the first score, for the last column.
-    ours : str
-        The method whose line is highlighted.
+    samples : rows of the spec ``samples``
+    ours : str, optional
+        The method whose line is highlighted. The last column is its difference to each other
+        method in the first score.
     """
     order = list(SCORES)
-    groups = grouped(scores, "dataset", "protocol")
+    groups = grouped(score_table(samples).to_pylist(), "dataset", "protocol")
+    gains = _gains(samples, ours)
     tables = []
     for (dataset, protocol), rows in sorted(
         groups.items(), key=lambda item: order.index(item[0][1].partition("@")[0])
@@ -124,7 +124,7 @@ def method_tables(
         columns = [s for s in scores_of(protocol) if any(s.metric in r for r in by_method.values())]
         if not columns:
             continue
-        usual = _most_common(conditions(row) for row in rows).split(", ")
+        usual = _most_common(conditions(row) for row in rows)
         counts, best = {}, {}
         for score in columns:
             present = [r[score.metric] for r in by_method.values() if score.metric in r]
@@ -139,35 +139,52 @@ def method_tables(
                 if row is not None:
                     is_best = score.sign * round(row["value"], score.digits) == best[score]
                     mark = "best" if is_best and len(by_method) > 1 else ""
-                    samples = f"n {row['samples']}" if row["samples"] != counts[score] else ""
-                    note = "; ".join(filter(None, (row["note"], samples)))
+                    samples_note = f"n {row['samples']}" if row["samples"] != counts[score] else ""
+                    note = "; ".join(filter(None, (row["note"], samples_note)))
                     cell = replace(cell, mark=mark, note=note)
                 cells.append(cell)
-            if gains:
-                cells.append(gain_cell(gains.get((dataset, method)), columns[0], is_worded=True))
-            unusual = dict.fromkeys(
-                part
-                for row in by_metric.values()
-                for part in conditions(row).split(", ")
-                if part not in usual
-            )
+            if ours:
+                gain = gains.get((dataset, protocol, method, columns[0].metric))
+                cells.append(gain_cell(gain, columns[0], is_worded=True))
             about = ROWS[method].about if method in ROWS else ""
-            text = "; ".join(filter(None, (about, ", ".join(unusual))))
-            lines.append(Line(tuple(cells), text, "ours" if method == ours else ""))
+            settings = dict.fromkeys(conditions(row) for row in by_metric.values())
+            unusual = [text for text in settings if text != usual]
+            style = "ours" if method == ours else ""
+            lines.append(Line(tuple(cells), "; ".join(filter(None, (about, *unusual))), style))
         lines.sort(key=lambda line: line.cells[1].value.replace(NO_VALUE, ""), reverse=True)
         heads = [Column("Method", is_text=True)]
         heads += [replace(score.column, note=f"n {counts[score]}") for score in columns]
-        if gains:
+        if ours:
             text = f"difference in {columns[0].title} on common queries, paired by scene"
             heads.append(Column(f"{ours} minus method", text))
         scenes, places = (max(row[unit] for row in rows) for unit in ("scenes", "places"))
         notes = (
-            f"{escape(protocol)}: {escape(', '.join(usual))}.",
+            f"{escape(protocol)}: {escape(usual)}.",
             f"Mean over {count_text(scenes, 'scene')} of the scene means; n: number of queries. "
             f"{_describe_interval(scenes, places)}",
         )
         tables.append(Table(tuple(heads), tuple(lines), f"{dataset}, protocol {protocol}", notes))
     return tables
+
+
+def _gains(samples: Sequence[Row], ours: str) -> dict[tuple[str, ...], Difference]:
+    """Return our differences to each other method by data set, protocol, method and metric."""
+    by_method = {method: rows for (method,), rows in grouped(samples, "method").items()}
+    return {
+        (gain.dataset, gain.protocol, method, gain.metric): gain
+        for method, rows in by_method.items()
+        if ours and method != ours
+        for gain in differences(by_method[ours], rows)
+    }
+
+
+def fold_protocols(tables: Sequence[Table], explanations: Sequence[Block] = ()) -> list[Block]:
+    """Return the tables of the first protocol, explanations, and the other tables collapsed."""
+    protocol = tables[0].title.rpartition(", ")[2]
+    first = [table for table in tables if table.title.endswith(f", {protocol}")]
+    rest = [table for table in tables if table not in first]
+    folded = [Fold("Other protocols", rest)] if rest else []
+    return [*first, *explanations, *folded]
 
 
 def difference_tables(

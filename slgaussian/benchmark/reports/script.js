@@ -34,8 +34,7 @@ for (const walk of document.querySelectorAll(".walk")) {
 }
 for (const link of document.querySelectorAll('a[href^="#"]')) {
   link.addEventListener("click", () => {
-    const there = document.getElementById(link.hash.slice(1));
-    const folded = there?.closest("details") ?? there?.querySelector(":scope > details");
+    const folded = document.getElementById(link.hash.slice(1))?.closest("details");
     if (folded) folded.open = true;
   });
 }

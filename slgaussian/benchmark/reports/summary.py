@@ -38,18 +38,9 @@ def summarize(
 ) -> list[Block]:
     """Summarise a run in sentences and key numbers.
 
-    Parameters
-    ----------
-    scenes : sequence of Scene
-    methods : sequence of str
-        Ours first.
-    answers : rows of the spec ``samples``
-        Rows of our method in the first protocol.
-    scores : rows of the spec ``scores``
-        Scores of all methods in the first protocol.
-    manifest : mapping
-    left_out : int
-        Number of scenes that are not in the report.
+    ``methods`` begin with ours. ``answers`` are rows of the spec ``samples`` of our method, and
+    ``scores`` rows of the spec ``scores`` of all methods, in the first protocol. ``left_out`` is
+    the number of scenes that are not in the report.
     """
     if not scenes:
         return [Prose(f"No scene was completed; {left_out} left out.", "lead")]
