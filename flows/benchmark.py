@@ -141,7 +141,7 @@ def check(config: Settings, store: ArtifactStore) -> None:
         *(variant.settings.built_by for variant in combinations(config)),
     ):
         method.check()
-    Rules(**config.rules())
+    Rules.of(config)
     chosen_baselines(config.against)
     stages_to_refresh(config, REFRESHABLE)
     store.check_writable()

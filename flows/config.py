@@ -9,29 +9,28 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     StringConstraints,
     create_model,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from slgaussian.components.component import Component
-from slgaussian.components.config import ComponentConfig
-from slgaussian.components.method import BANK, KEEP, METHOD_FIELDS, VOTES
+from slgaussian.components.config import ComponentConfig, Config
+from slgaussian.components.method import BuildConfig
 from slgaussian.components.method import Method as BuildMethod
 from slgaussian.components.registry import KINDS, find_config, plugins
 from slgaussian.datasets import FROM_FILES
+from slgaussian.datasets.configs import Bounds, Rule
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.formats.text import read_lines
 from slgaussian.kernels import threads
 from slgaussian.language.configs import ClipConfig, GridConfig, LexiconConfig, SeparatedConfig
+from slgaussian.language.rules import Rules
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
-from slgaussian.semantic.configs import BranchConfig
+from slgaussian.semantic.configs import BranchConfig, TrainingConfig
 
 PRESETS = ("fast", "balanced", "paper")
 """Named settings, each a file in `presets`. The last has the settings of the paper, see
@@ -48,9 +47,8 @@ def _parse_sides(value: Any) -> tuple[int, int]:
     except (TypeError, ValueError):
         height = width = 0
     if height not in SIDES or width not in SIDES:
-        raise PydanticCustomError(
-            "size",
-            f"expected height and width as in 256x256, each from {SIDES[0]} to {SIDES[-1]}",
+        raise ValueError(
+            f"expected height and width as in 256x256, each from {SIDES[0]} to {SIDES[-1]}"
         )
     return height, width
 
@@ -65,9 +63,8 @@ def _parse_size(value: Any) -> tuple[int, int] | str:
     bound = isinstance(value, str) and value.startswith(AT_MOST)
     try:
         sides = _parse_sides(value.removeprefix(AT_MOST) if bound else value)
-    except PydanticCustomError as error:
-        message = f"{error.message()}, 'at most 416x576', 'auto' or 'original'"
-        raise PydanticCustomError("size", message) from None
+    except ValueError as error:
+        raise ValueError(f"{error}, 'at most 416x576', 'auto' or 'original'") from None
     return "{}{}x{}".format(AT_MOST, *sides) if bound else sides
 
 
@@ -90,8 +87,7 @@ def _parse_runner(value: Any) -> str:
         not has_scheme or (host and port.isdecimal())
     ):
         return str(value)
-    raise PydanticCustomError(
-        "runner",
+    raise ValueError(
         "expected threads, processes, or for a cluster that runs dask://host:port or "
         f"ray://host:port{did_you_mean(kind, (*RUNNERS, *CLUSTERS))}",
     )
@@ -100,48 +96,12 @@ def _parse_runner(value: Any) -> str:
 Runner = Annotated[str, BeforeValidator(_parse_runner)]
 
 
-class Config(BaseModel):
-    """Base class of immutable, validated configurations."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
 def table_of(component: str) -> str:
     """Return the name of a component's table, without hyphens as in Python names."""
     return component.replace("-", "_")
 
 
-class QueryRules(Config):
-    """Rules of answering queries."""
-
-    threshold: float | None = Field(
-        None,
-        gt=0,
-        lt=1,
-        description="Accept objects whose relevancy is above this, 0 to 1.",
-    )
-    share: float = Field(
-        0.6,
-        gt=0,
-        le=1,
-        description="Without a threshold: accept objects with this fraction of the best object's "
-        "lead over the canonical phrases.",
-    )
-    temperature: float = Field(10.0, gt=0, description="Temperature of the relevancy.")
-    canonical: str | None = Field(
-        None,
-        description="Phrases that a text competes with, separated by commas, or lerf for LERF's "
-        "four; default: those of the encoder.",
-    )
-    absent: str = Field(
-        "skip",
-        examples=["skip", "zero"],
-        description="Score of a view that does not show an object: skip (none), or zero (as the "
-        "paper).",
-    )
-
-
-RULES = set(QueryRules.model_fields)
+RULES = set(Rules.model_fields)
 """Names of the settings of a query."""
 
 
@@ -149,7 +109,7 @@ def _kind(kind: str) -> Any:
     return Field(KINDS[kind].default, description=KINDS[kind].help)
 
 
-class MethodSettings(QueryRules):
+class MethodSettings(Rules, BuildConfig):
     """Components of the method and their settings, on which results depend."""
 
     size: Size = Field(
@@ -172,26 +132,6 @@ class MethodSettings(QueryRules):
     trust_cameras: bool = Field(
         False,
         description="Continue even if the matches between the photographs contradict the cameras.",
-    )
-    replicas: int = Field(5, ge=1, description="Copies of each view that vote on its labels.")
-    votes: Literal["views", "copies"] = Field(
-        "views",
-        examples=list(VOTES),
-        description="Voters on labels: views (distinct copies of a view, then all views on which "
-        "regions are one object), or copies (all copies of each view, as the paper).",
-    )
-    seed: int = Field(0, ge=0, description="Seed of all random numbers.")
-    keep: Literal["needed", "all"] = Field(
-        "needed",
-        examples=list(KEEP),
-        description="Gaussians of a field: needed (similar neighbours are merged), or all "
-        "predicted ones.",
-    )
-    bank: Literal["groups", "objects"] = Field(
-        "groups",
-        examples=list(BANK),
-        description="Entries that a text is scored on: groups (and objects), or objects alone (as "
-        "the paper).",
     )
     planesweep: PlaneSweepConfig = PlaneSweepConfig()
     mvsplat: MVSplatConfig = MVSplatConfig()
@@ -217,10 +157,6 @@ class MethodSettings(QueryRules):
             if table_of(name) in TABLES
         }
 
-    def rules(self) -> dict[str, Any]:
-        """Return the fields of :class:`slgaussian.language.rules.Rules`."""
-        return self.model_dump(include=RULES)
-
     def part(self, kind: str) -> Component:
         """Return the component of a kind; InputError if its files cannot be read."""
         name = getattr(self, kind)
@@ -230,7 +166,7 @@ class MethodSettings(QueryRules):
     def built_by(self) -> BuildMethod:
         """The method that builds a field; InputError if files cannot be read."""
         parts: dict[str, Any] = {kind: self.part(kind) for kind in KINDS}
-        return BuildMethod(**parts, **self.model_dump(include=set(METHOD_FIELDS)))
+        return BuildMethod(**parts, **dict(BuildConfig.of(self)))
 
     @cached_property
     def identity(self) -> dict[str, Any]:
@@ -272,15 +208,15 @@ class SceneSettings(Config):
     dataset: str = Field("scenes", min_length=1)
     format: str = "nerfstudio"
     path: Path | None = None
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field({})
     context: list[str] = Field(min_length=2)
-    targets: list[str] = []
+    targets: list[str] = Field([])
     size: Size | None = None
     near: float | None = Field(None, gt=0)
     far: float | None = Field(None, gt=0)
     labels: Path | None = None
-    categories: list[Phrase] = []
-    queries: list[Phrase] = []
+    categories: list[Phrase] = Field([])
+    queries: list[Phrase] = Field([])
 
 
 class Engine(Config):
@@ -359,67 +295,13 @@ class PackSettings(Config):
     )
 
 
-class PairSettings(Config):
-    """Requirements on two context views."""
-
-    min_overlap: float = Field(
-        0.6, ge=0, le=1, description="Smallest overlap of context views, as a fraction."
-    )
-    max_overlap: float = Field(
-        1.0, ge=0, le=1, description="Largest overlap of context views, as a fraction."
-    )
-    min_baseline: float = Field(
-        0.08,
-        ge=0,
-        description="Smallest distance of context cameras, as a fraction of the scene's depth.",
-    )
-    max_baseline: float = Field(
-        0.4, ge=0, description="Largest distance of context cameras, likewise."
-    )
-    max_blur: float = Field(
-        0.16,
-        ge=0,
-        description="Largest blur of a view above the median of its clip, 0 to 1.",
-    )
-    max_clipped: float = Field(
-        0.4, ge=0, le=1, description="Largest black or white fraction of a view."
-    )
-
-    @model_validator(mode="after")
-    def _check_bounds(self) -> Self:
-        for name in ("overlap", "baseline"):
-            low, high = getattr(self, f"min_{name}"), getattr(self, f"max_{name}")
-            if low > high:
-                raise InputError(
-                    f"min_{name} {low:g} is above max_{name} {high:g}; no pair can fit"
-                )
-        return self
-
-    def bounds(self) -> dict[str, Any]:
-        """Return the fields of :class:`slgaussian.datasets.pair_selection.Bounds`.
-
-        The class itself is not imported here, as it imports OpenCV.
-        """
-        return self.model_dump(include={*PairSettings.model_fields, "most"})
-
-
-class IndexSettings(PairSettings):
-    """Rule that chooses the context views in the index of a labelled set."""
+class IndexSettings(Rule):
+    """Rule that chooses the context views in the index of a labelled set, and its format."""
 
     format: str = Field(
         "nerfstudio",
         examples=list(FROM_FILES),
         description="Format of the data, such as lerf_ovs or ovs3d.",
-    )
-    min_cover: float = Field(
-        0.9, ge=0, le=1, description="Smallest fraction of a labelled frame in the context views."
-    )
-    max_aside: float = Field(
-        0.3,
-        ge=0,
-        lt=0.5,
-        description="Largest distance of a labelled frame from the midpoint of the context "
-        "cameras, as a fraction of their distance.",
     )
 
 
@@ -445,13 +327,12 @@ class Withdrawal(Config):
         return {line.strip() for line in lines if line.strip()}
 
 
-class CorpusSettings(Withdrawal, PairSettings, Engine, Method):
+class CorpusSettings(Withdrawal, Bounds, Engine, Method):
     """Settings of views, samples and lessons, and their output folder."""
 
     size: Sides = Field(
         (256, 256), description="Height and width of the views of a lesson, as 256x256."
     )
-    most: int = Field(0, ge=0, description="Largest number of samples of a clip; 0 for all.")
     chunks: str = Field(description="Folder or fsspec URL of the chunks.")
     out: Path = Field(description="Folder for the tables.")
 
@@ -461,7 +342,6 @@ class SetSettings(Config):
 
     size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
     targets: int = Field(3, ge=1, description="Number of target views, between the context views.")
-    most: int = Field(0, ge=0, description="Largest number of samples of a clip; 0 for all.")
     max_unlabelled: float = Field(
         1.0, ge=0, le=1, description="Largest fraction of pixels without an object id."
     )
@@ -479,7 +359,7 @@ class SetSettings(Config):
     shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is full.")
 
 
-class DatasetSettings(SetSettings, Withdrawal, PairSettings, Engine, Method):
+class DatasetSettings(SetSettings, Withdrawal, Bounds, Engine, Method):
     """A training set, its sources, and its output folder."""
 
     size: Sides = SetSettings.model_fields["size"]  # type: ignore[assignment]  # not the method's
@@ -494,22 +374,16 @@ def _parse_widths(value: Any) -> tuple[int, ...]:
     except (TypeError, ValueError):
         widths = ()
     if not widths or min(widths) < 1:
-        raise PydanticCustomError("widths", "expected numbers from 1, as 8,16,24,32")
+        raise ValueError("expected numbers from 1, as 8,16,24,32")
     return widths
 
 
 Widths = Annotated[tuple[int, ...], BeforeValidator(_parse_widths)]
 
 
-class Training(Config):
+class Training(TrainingConfig):
     """Hyperparameters of a training, without lessons, codes and seed."""
 
-    steps: int = Field(1500, ge=1, description="Number of training steps.")
-    batch: int = Field(1, ge=1, description="Number of lessons per step.")
-    rate: float = Field(3e-3, gt=0, description="Largest learning rate.")
-    corrupted: float = Field(
-        0.75, ge=0, le=1, description="Fraction of the steps with corrupted labels."
-    )
     held_out: float = Field(
         0.2, gt=0, lt=1, description="Approximate fraction of the clips held out for evaluation."
     )
@@ -520,12 +394,6 @@ class Training(Config):
     )
     hidden: int | None = Field(
         None, ge=1, description="Width of the hidden layer for each pixel; likewise, else 32."
-    )
-    device: str = Field(
-        "cpu", description="PyTorch device of the network; devices other than cpu are untested."
-    )
-    threads: int = Field(
-        1, ge=1, description="Threads of PyTorch; the last bits of results depend on the number."
     )
 
 

@@ -23,7 +23,7 @@ from flows.runners.session import check_folder, completed, run_session, stages_t
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
-from slgaussian.datasets.pair_selection import Bounds
+from slgaussian.datasets.configs import Bounds
 from slgaussian.errors import InputError
 from slgaussian.io import atomic_path
 from slgaussian.storage.provenance import with_provenance
@@ -133,7 +133,7 @@ def _prepare(
     """
     check(config, store)
     chunks, withdrawn = re10k.chunk_names(config.chunks), config.withdrawn_clips()
-    folder, bounds = config.chunks.rstrip("/"), Bounds(**config.bounds())
+    folder, bounds = config.chunks.rstrip("/"), Bounds.of(config)
     tasks = [
         SceneTask(chunk, pipeline, (f"{folder}/{chunk}", bounds, *arguments), first="views")
         for chunk in chunks

@@ -29,6 +29,7 @@ from slgaussian.benchmark.pictures import (
     paint_labels,
 )
 from slgaussian.datasets import licences
+from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.training_set import INDEX, SPECS, SPLITS, TrainingSet
 from slgaussian.io import write_atomic
 from slgaussian.storage.specs import load_spec
@@ -171,7 +172,7 @@ def _asked(settings: DatasetSettings) -> dict[str, Any]:
     fields = {*SetSettings.model_fields, "near", "far", "trust_cameras"}
     values = settings.model_dump(mode="json", include=fields)
     identity = {key: value for key, value in settings.identity.items() if key != "lifting"}
-    return {**values, **settings.bounds(), "method": identity}
+    return {**values, **dict(Bounds.of(settings)), "method": identity}
 
 
 def _sheet(samples: TrainingSet) -> np.ndarray:

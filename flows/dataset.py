@@ -22,7 +22,7 @@ from flows.runners.session import check_folder, completed, run_session, stages_t
 from flows.runners.task_runners import Workers, open_workers
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
-from slgaussian.datasets.pair_selection import Bounds
+from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.scene_grouping import Places
 from slgaussian.datasets.training_set import SPLITS
 from slgaussian.errors import InputError
@@ -156,7 +156,7 @@ def _choose(
     verbose: bool,
 ) -> list[Chosen]:
     """Choose the samples of all sources; add the photographs of all clips to ``places``."""
-    arguments = Bounds(**settings.bounds()), settings.targets
+    arguments = Bounds.of(settings), settings.targets
     files = [source for source in sources if isinstance(source.holds, str)]
     scenes = [source for source in sources if not isinstance(source.holds, str)]
     of_files = [

@@ -12,8 +12,9 @@ from flows.config import IndexSettings
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.index import Index, ScenePair, write_index
+from slgaussian.datasets.configs import Rule
 from slgaussian.datasets.labelled_sets import LABELS
-from slgaussian.datasets.pair_selection import Bounds, Rule, Views, surround
+from slgaussian.datasets.pair_selection import Views, surround
 from slgaussian.datasets.published import SETS
 from slgaussian.datasets.sharpness import blur, exposure, small
 from slgaussian.errors import InputError
@@ -32,7 +33,7 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
     InputError
         If the data cannot be read, nothing is labelled, or no labelled frame has a pair.
     """
-    rule = Rule(Bounds(**settings.bounds()), settings.min_cover, settings.max_aside)
+    rule = Rule.of(settings)
     pairs: list[ScenePair] = []
     left_out: dict[str, str] = {}
     for name, options, place in label_places(data, labels, settings.format):

@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from flows.config import (
     PRESETS,
     TABLES,
     MethodSettings,
     RetrainSettings,
-    SceneSettings,
     Settings,
     TrainSettings,
     table_of,
@@ -43,8 +42,8 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
         values = layered(preset_values(values["preset"], source, of), values)
     try:
         config = model(**values)
-    except ValidationError as error:
-        raise InputError(f"{source}: {_sentence(error, model)}") from error
+    except InputError as error:
+        raise InputError(f"{source}: {error}") from error
     if isinstance(config, MethodSettings):
         for kind, name in config.component_names().items():
             find_config(kind, name)  # InputError for an unknown name
@@ -158,36 +157,6 @@ def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
         return table  # validation reports the error
     places = {key: table[key] for key in keys if isinstance(table.get(key), str | Path)}
     return {**table, **{key: str(folder / place) for key, place in places.items()}}
-
-
-MESSAGES = {
-    "path_type": "expected a path, in quotes",
-    "model_type": "expected a table",
-    "too_short": "expected at least {min_length}",
-    "string_too_short": "expected some text",
-}
-"""Messages for configurations that replace those of Pydantic, by error type."""
-
-
-def _sentence(error: ValidationError, config_type: type[BaseModel]) -> str:
-    # A misspelt key also causes a missing key; report the misspelt one.
-    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    place = [str(part) for part in first["loc"] if not str(part).startswith(("tuple", "literal"))]
-    key = ".".join(place)
-    if first["type"] == "extra_forbidden":
-        model = SceneSettings if place[0] == "scenes" else config_type
-        listed = ", ".join(model.model_fields)
-        near = did_you_mean(place[-1], model.model_fields)
-        return f"unknown key {key!r}{near or f'; the keys are {listed}'}"
-    if isinstance(first.get("ctx", {}).get("error"), InputError):
-        return str(first["ctx"]["error"])  # raised by a component's config
-    if first["type"] == "missing":
-        return f"{key} is missing"
-    if first["type"] in MESSAGES:
-        message = MESSAGES[first["type"]].format(**first.get("ctx", {}))
-    else:
-        message = first["msg"][0].lower() + first["msg"][1:]
-    return f"{key}: found {first['input']!r}; {message}"
 
 
 def refuse_idle(values: dict[str, Any], settings: MethodSettings, source: str) -> None:

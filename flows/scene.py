@@ -139,7 +139,7 @@ def evaluation(settings: Settings, scene: SceneSettings) -> EvaluationSettings:
         dataset=scene.dataset,
         place=None if place is None else str(place),
         queries=tuple(scene.queries),
-        rules=Rules(**settings.rules()),
+        rules=Rules.of(settings),
     )
 
 
@@ -174,7 +174,7 @@ def baseline_tasks(
     for scene in (scene for scene in scenes if scene.name in refs):
         scene_settings = evaluation(settings, scene)
         for name, row in chosen_baselines(settings.against).items():
-            rules = replace(scene_settings.rules, **row.rules)
+            rules = Rules(**{**dict(scene_settings.rules), **row.rules})
             changed = replace(scene_settings, method=name, rules=rules, drawn=False)
             baseline = row.method, dict(row.settings), row.brought_by
             arguments = dict(refs[scene.name]), method, changed, *baseline

@@ -19,6 +19,7 @@ from slgaussian import datasets
 from slgaussian.benchmark.baselines import Row
 from slgaussian.datasets import context_views
 from slgaussian.errors import InputError, did_you_mean
+from slgaussian.language.rules import Rules
 
 VIEWS, PRESET = "views", "preset"
 """Fields besides the method's settings: the number of context views, and the preset."""
@@ -160,4 +161,4 @@ def _combination(settings: Settings, fields: Mapping[str, str]) -> Combination:
 
 def _outcome(settings: Settings) -> tuple[Any, ...]:
     """Return all settings on which answers depend."""
-    return settings.size, repr(settings.identity), sorted(settings.rules().items(), key=str)
+    return settings.size, repr(settings.identity), Rules.of(settings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.io import write_atomic
 from slgaussian.kernels.seeding import held_out
 from slgaussian.semantic.branch import Architecture, load_branch, save_branch
+from slgaussian.semantic.configs import TrainingConfig
 from slgaussian.semantic.training import TrainingSettings, find_device
 from slgaussian.semantic.versions import find_weights
 from slgaussian.storage.encoding import decode_table, encode_table
@@ -202,21 +203,16 @@ def train_on(
     architecture = replace(architecture, **chosen)
     began, before = (_kept(file, store) for file in (start, rival or start))
     settings = TrainingSettings(
+        **dict(TrainingConfig.of(options)),
         architecture=architecture,
-        steps=options.steps,
-        batch=options.batch,
-        rate=options.rate,
-        corrupted=options.corrupted,
         codes=codes,
         seed=seed,
         every=EVERY,
-        device=options.device,
-        threads=options.threads,
     )
     manifest = {
         **lessons.counts(),
         "start": "weights" if began else "seeded",
-        "settings": asdict(settings),
+        "settings": settings.model_dump(),
         "versions": {"slgaussian": __version__, "torch": version("torch")},
     }
     learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())

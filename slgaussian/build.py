@@ -13,7 +13,7 @@ from slgaussian.cameras.check import check_pairs, refuse
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, measure
 from slgaussian.components.component import Component
-from slgaussian.components.method import BANK, VOTES, Method
+from slgaussian.components.method import Method
 from slgaussian.errors import check_type
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
@@ -146,7 +146,7 @@ def label_views(
     proposer: Component,
     tracker: Component,
     replicas: int,
-    votes: str = VOTES[0],
+    votes: str = "views",
 ) -> LabelMaps:
     """Compute consistent object ids of the context views (paper, section 3.2, Mask Association)."""
     maps = associate(geometry.frames, proposer.load(), tracker.load(), replicas, votes)
@@ -161,12 +161,12 @@ def build_memory_bank(
     encoder: Component,
     codes: Component,
     seed: int,
-    entries: str = BANK[0],
+    entries: str = "groups",
 ) -> MemoryBank:
     """Draw an ID code for every object and encode the object in each view (section 3.2).
 
     Groups of objects (:func:`slgaussian.masks.levels.group_objects`) are encoded too, unless
-    ``entries`` is ``objects`` (:data:`slgaussian.components.method.BANK`).
+    ``entries`` is ``objects`` (:class:`slgaussian.components.method.BuildConfig`).
     """
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
     grouped = entries == "groups" and len(label_maps.ids) > 0

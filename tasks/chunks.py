@@ -18,7 +18,8 @@ from fsspec.implementations.local import LocalFileSystem
 
 from slgaussian import datasets
 from slgaussian.datasets import licences, re10k
-from slgaussian.datasets.pair_selection import TARGETS, Bounds, Views, choose
+from slgaussian.datasets.configs import Bounds
+from slgaussian.datasets.pair_selection import TARGETS, Views, choose
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.shards import key_of
 from slgaussian.datasets.sharpness import blur, exposure, glance

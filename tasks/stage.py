@@ -25,6 +25,7 @@ from prefect.utilities.annotations import quote
 
 from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.components.component import Component
+from slgaussian.components.config import Config
 from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
 from slgaussian.kernels import compiling, threads
@@ -53,8 +54,8 @@ def cache_key(stage: str, version: int, arguments: Mapping[str, Any]) -> str:
 def canonical(value: Any, name: str = "value") -> Any:
     """Convert ``value`` to plain JSON data; refs become spec and digest, tuples become lists.
 
-    A dataclass becomes its fields. External data and components of the method have a method
-    ``identity`` that returns such data.
+    A dataclass or config becomes its fields. External data and components of the method have a
+    method ``identity`` that returns such data.
 
     Raises
     ------
@@ -77,6 +78,8 @@ def canonical(value: Any, name: str = "value") -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         values = {field.name: getattr(value, field.name) for field in fields(value)}
         return canonical(values, name)
+    if isinstance(value, Config):
+        return canonical(dict(value), name)
     if isinstance(value, (list, tuple)):
         return [canonical(item, f"{name}[{i}]") for i, item in enumerate(value)]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):

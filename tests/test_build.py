@@ -133,7 +133,7 @@ def test_a_field_keeps_what_it_needs_or_all(pair, field):
     labels[sources] = every.labels()
     assert np.array_equal(few.labels(), labels[few.gaussians.source.numpy()])
     assert set(few.labels()) == set(every.labels())
-    with pytest.raises(InputError, match="keep: found 'al', expected needed or all"):
+    with pytest.raises(InputError, match="keep: found 'al', expected one of needed, all"):
         Method(keep="al")
 
 

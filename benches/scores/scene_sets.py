@@ -127,7 +127,7 @@ def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     unmixed. So all else is done once, with the first seed, and the other ones put other codes on
     the same Gaussians: byte for byte the fields that they would build.
     """
-    method = replace(Settings().built_by, seed=seeds[0])
+    method = Settings().built_by.model_copy(update={"seed": seeds[0]})
     graph = MatchGraph.of(sample.context)
     predicted = predict(sample, graph, method.predictor, method.seed, trust_cameras=True)
     gaussians, geometry, quality, depths = predicted

@@ -10,7 +10,6 @@ pairs to judge by, each PLACE others to learn from beside the rooms, as for othe
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import chain, product
 from pathlib import Path
 
@@ -33,9 +32,9 @@ from slgaussian.semantic.training import Progress, TrainingSettings, train
 
 TRAINED = {
     "paper": TrainingSettings(
-        Architecture("paper", (16, 32, 64, 64), 64), corrupted=0.0, codes="grid"
+        architecture=Architecture("paper", (16, 32, 64, 64), 64), corrupted=0.0, codes="grid"
     ),
-    "several": TrainingSettings(Architecture("several")),
+    "several": TrainingSettings(),
 }
 """The trainings of `train --preset paper` and of `train`, but for their steps."""
 
@@ -64,7 +63,7 @@ def learn(
     liftings: dict[str, list[Lifting]] = {name: [] for name in TRAINED}
     costs = []
     for name, seed in chain(*(product([name], range(seeds[name])) for name in TRAINED)):
-        settings = replace(TRAINED[name], steps=steps, seed=seed)
+        settings = TRAINED[name].model_copy(update={"steps": steps, "seed": seed})
         start, reached = time.process_time(), []
 
         def show(progress: Progress, name: str = name, reached: list[int] = reached) -> None:

@@ -15,21 +15,20 @@ from flows.config import (
     DatasetSettings,
     Engine,
     PackSettings,
-    PairSettings,
     Withdrawal,
 )
 from flows.read_config import checked, make_settings
+from slgaussian.datasets.configs import Bounds
 from slgaussian.errors import InputError
 
 SET_FIELDS = ("size", "targets", "min_confirmed", "held_out")
 """Fields of a training set that are options of `slgaussian dataset`."""
 
 
-class IngestSettings(PackSettings, Withdrawal, PairSettings, Engine):
+class IngestSettings(PackSettings, Withdrawal, Bounds, Engine):
     """Sources, choice of samples, and output folder."""
 
     sources: list[str] = Field(min_length=1)
-    most: int = CorpusSettings.model_fields["most"]  # type: ignore[assignment]
     out: Path
 
 

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
+from slgaussian.components.config import explain
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
 
@@ -31,8 +32,4 @@ def check_document(model: type[Model], content: Any, label: str) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"])) or "it"
-        value = "missing" if first["type"] == "missing" else f"{first['input']!r:.60}"
-        reason = first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{label}: {place} is {value}; {reason}") from None
+        raise InputError(f"{label}: {explain(error, model)}") from None

@@ -240,7 +240,7 @@ class _Recorder:
         self.peak = peak
         rules, self.drawn = settings.rules, settings.drawn
         self._names = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
-        self.rules, self.query_rules = rules, asdict(rules)
+        self.rules, self.query_rules = rules, dict(rules)
         self.protocols = settings.load_protocols()
         self.rows: list[dict[str, Any]] = []
         self.predictions: dict[tuple[str, str, str], np.ndarray] = {}

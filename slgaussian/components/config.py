@@ -1,4 +1,4 @@
-"""Base class of component configs, which declare the fields of a component once.
+"""Base classes of configs, which declare the fields of settings and components once.
 
 Command line, configuration files, JSON schema, cache identity and documentation are derived from
 a config. The modules of configs must not import large packages.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import pkgutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, get_args
+from typing import Any, ClassVar, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -33,8 +33,26 @@ class File:
     digest: Digest
 
 
-class ComponentConfig(BaseModel):
-    """Base class of configs. Class keyword ``title``: name of the component, for messages.
+class Config(BaseModel):
+    """Base class of immutable, validated settings."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    def __init__(self, **values: Any) -> None:
+        """Validate the values; InputError if a field is unknown or a value is invalid."""
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise InputError(explain(error, type(self))) from None
+
+    @classmethod
+    def of(cls, settings: BaseModel) -> Self:
+        """Return the fields of this class out of settings that inherit them."""
+        return cls(**{name: getattr(settings, name) for name in cls.model_fields})
+
+
+class ComponentConfig(Config):
+    """Base class of component configs. Class keyword ``title``: the component, for messages.
 
     Attributes
     ----------
@@ -43,15 +61,7 @@ class ComponentConfig(BaseModel):
         as keyword arguments. A subclass without a target implements the component itself.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     target: ClassVar[str | Callable[..., Any] | None] = None
-
-    def __init__(self, **values: Any) -> None:
-        """Validate the values; InputError if a field is unknown or a value is invalid."""
-        try:
-            super().__init__(**values)
-        except ValidationError as error:
-            raise InputError(_sentence(error, type(self))) from None
 
     @classmethod
     def files(cls) -> dict[str, File]:
@@ -79,19 +89,19 @@ class ComponentConfig(BaseModel):
         return self if self.target is None else self.implementation()(**dict(self))
 
 
-def expected(config: type[ComponentConfig], name: str) -> str:
+def expected(config: type[BaseModel], name: str) -> str:
     """Describe the values that a field accepts: ``"a whole number from 1 to 3 or 'auto'"``."""
     options = _options(config, name)
     is_place = any(option.get("format") == "path" for option in options)
     words = [_words(option, "a name" if is_place else "text") for option in options]
-    return " or ".join(sorted(words, key=lambda word: word == "a name"))
+    return " or ".join(sorted(dict.fromkeys(words), key=lambda word: word == "a name"))
 
 
-def _options(config: type[ComponentConfig], name: str) -> list[dict[str, Any]]:
-    """Return the alternative JSON schemas of a field, without null and types of Python only."""
+def _options(config: type[BaseModel], name: str) -> list[dict[str, Any]]:
+    """Return the alternative JSON schemas of a field, without null."""
     schema = config.model_json_schema()["properties"][name]
     options = schema.get("anyOf", [schema])
-    return [option for option in options if option.get("type") != "null" and "$ref" not in option]
+    return [option for option in options if option.get("type") != "null"]
 
 
 def _words(schema: Mapping[str, Any], text: str) -> str:
@@ -101,26 +111,50 @@ def _words(schema: Mapping[str, Any], text: str) -> str:
         return f"one of {', '.join(schema['enum'])}"
     if schema.get("format") == "path":
         return "a path"
-    kinds = {"integer": "a whole number", "number": "a number", "boolean": "true or false"}
+    if "$ref" in schema:
+        return "a table"
+    kinds = {"integer": "a whole number", "number": "a number", "boolean": "true or false",
+             "array": "a list", "object": "a table"}  # fmt: skip
     bounds = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to",
-              "exclusiveMaximum": "below"}  # fmt: skip
+              "exclusiveMaximum": "below", "minItems": "of at least",
+              "minLength": "of at least"}  # fmt: skip
     limits = [f"{word} {schema[key]:g}" for key, word in bounds.items() if key in schema]
     return " ".join([kinds.get(schema.get("type", ""), text), *limits])
 
 
-def _sentence(error: ValidationError, config: type[ComponentConfig]) -> str:
+def explain(error: ValidationError, model: type[BaseModel]) -> str:
+    """Describe the first error of a validation: the key, the value found, and what is expected."""
     # A misspelt key also causes a missing key; report the misspelt one.
     first = min(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
-    title = config.model_config.get("title") or config.__name__.lower()
-    name = str(first["loc"][0]) if first["loc"] else ""
+    is_config = issubclass(model, Config)
+    title = model.model_config.get("title") or ""
+    if issubclass(model, ComponentConfig):
+        title = title or model.__name__.lower()
+    # In a config, texts after the first part are names of the members of a union.
+    loc = [
+        part
+        for number, part in enumerate(first["loc"])
+        if number == 0 or isinstance(part, int) or not is_config
+    ]
+    key = ".".join(map(str, loc))
     if first["type"] == "extra_forbidden":
-        fields = config.model_fields
-        near = did_you_mean(name, fields) or f"; the keys are {', '.join(fields) or 'none'}"
-        return f"unknown key '{title}.{name}'{near}"
-    if "error" in first.get("ctx", {}):  # by a custom validator
-        return f"{title} {name}: ".replace(" :", ":") + str(first["ctx"]["error"])
+        fields = model.model_fields
+        near = did_you_mean(key, fields) or f"; the keys are {', '.join(fields) or 'none'}"
+        return f"unknown key '{f'{title}.{key}'.lstrip('.')}'{near}"
+    cause = first.get("ctx", {}).get("error")
+    if isinstance(cause, InputError):  # by a config in a field, which names its own field
+        return str(cause) if len(loc) < 2 else f"{key}: {cause}"
+    place = f"{title} {key}".strip()
+    if cause and not loc:  # by a validator of the whole model
+        return f"{place}: {cause}".removeprefix(": ")
+    is_field = is_config and len(loc) == 1
     if first["type"] == "missing":
-        return f"{title} {name}: is missing, expected {expected(config, name)}"
-    choices = [choice for option in _options(config, name) for choice in option.get("enum", ())]
+        return f"{place} is missing" + (f", expected {expected(model, key)}" if is_field else "")
+    value = f"{first['input']!r:.60}"
+    if cause or not is_field:  # by a validator, or in a list
+        message = str(cause or first["msg"])
+        text = f"{place}: found {value}; {message[0].lower()}{message[1:]}"
+        return text.removeprefix(": ")
+    choices = [choice for option in _options(model, key) for choice in option.get("enum", ())]
     near = did_you_mean(first["input"], choices)
-    return f"{title} {name}: found {first['input']!r}, expected {expected(config, name)}{near}"
+    return f"{place}: found {value}, expected {expected(model, key)}{near}"

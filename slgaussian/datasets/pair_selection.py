@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slgaussian.datasets.configs import Bounds, PairBounds, Rule
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
@@ -25,66 +25,6 @@ CANDIDATES = 200
 
 DARK, BRIGHT = 0.08, 0.92
 """Range of the mean grey, as a fraction of white, of a well exposed photograph."""
-
-NAME, VERSION = "around", 1
-"""Name and version of :class:`Rule` in index files; the choice is constant within a version."""
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Bounds on pairs of context views.
-
-    Attributes
-    ----------
-    min_overlap, max_overlap : float
-        Fraction of a context view that projects into the other, the smaller of the two, assuming
-        that all of it lies at the view's typical depth.
-    min_baseline, max_baseline : float
-        Distance between the two cameras over that depth. With a wide baseline, overlapping
-        surfaces may be occluded or visible from another side only.
-    max_blur : float
-        Largest excess of a view's blur over the median of its clip, on the scale of
-        :func:`slgaussian.datasets.sharpness.blur`.
-    max_clipped : float
-        Largest fraction of black or white pixels.
-    most : int
-        Largest number of samples of a clip, 0 for no limit.
-    """
-
-    min_overlap: float = 0.6
-    max_overlap: float = 1.0
-    min_baseline: float = 0.08
-    max_baseline: float = 0.4
-    max_blur: float = 0.16
-    max_clipped: float = 0.4
-    most: int = 0
-
-
-@dataclass(frozen=True)
-class Rule:
-    """Bounds on two context views and the target between them.
-
-    Attributes
-    ----------
-    bounds : Bounds
-        Bounds on the two context views.
-    min_cover : float
-        Smallest fraction of the target that projects into at least one of the two, assuming that
-        all of it lies at the target's typical depth.
-    max_aside : float
-        Largest distance of the target from the midpoint of the two, as a fraction of their
-        distance; below 0.5, so that the target is between them.
-    """
-
-    bounds: Bounds = field(default_factory=Bounds)
-    min_cover: float = 0.9
-    max_aside: float = 0.3
-
-    def described(self) -> dict[str, Any]:
-        """Return name, version and settings of the rule, for an index file."""
-        bounds = {name: value for name, value in asdict(self.bounds).items() if name != "most"}
-        cover = {"min_cover": self.min_cover, "max_aside": self.max_aside}
-        return {"name": NAME, "version": VERSION, **bounds, **cover}
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +46,7 @@ class Views:
     mean: np.ndarray
     clipped: np.ndarray
 
-    def usable(self, bounds: Bounds) -> np.ndarray:
+    def usable(self, bounds: PairBounds) -> np.ndarray:
         """Find the views that are sharp and well exposed, bool [N]."""
         sharp = self.blur <= np.median(self.blur) + bounds.max_blur
         exposed = (self.mean >= DARK) & (self.mean <= BRIGHT)
@@ -124,7 +64,7 @@ class Pair:
     targets : tuple of int
         Ascending.
     overlap, baseline : float
-        As in :class:`Bounds`.
+        As in :class:`slgaussian.datasets.configs.PairBounds`.
     depth : float
         Mean of the typical depths of the context views, scene units.
     score : float
@@ -147,7 +87,7 @@ class Surrounding:
     ----------
     pair : Pair or None
     cover, aside : float
-        As in :class:`Rule`; 0 without a pair.
+        As in :class:`slgaussian.datasets.configs.Rule`; 0 without a pair.
     reason : str
         Empty with a pair.
     """
@@ -220,7 +160,7 @@ def surround(
     any order.
     """
     out = set(targets) | set(barred)
-    usable = [int(i) for i in np.flatnonzero(clip.usable(rule.bounds)) if int(i) not in out]
+    usable = [int(i) for i in np.flatnonzero(clip.usable(rule)) if int(i) not in out]
     if len(usable) < 2:
         too_few = (
             f"{len(usable)} of {len(clip.cameras)} views are sharp, well exposed and not held out"
@@ -232,10 +172,10 @@ def surround(
     count, shown_views = len(usable), [*usable, *targets]
     sights = list(sightings([clip.cameras[i] for i in shown_views], clip.depths[shown_views]))
     overlap_matrix = np.stack([sight[:count].mean(-1) for sight in sights[:count]])
-    shared, baselines, fits = _compare(clip, np.array(usable), overlap_matrix, rule.bounds)
+    shared, baselines, fits = _compare(clip, np.array(usable), overlap_matrix, rule)
     places = np.argwhere(np.triu(fits & (baselines > 0), 1))
     pairs = [
-        _pair(clip, np.array(usable)[[a, b]], shared[a, b], baselines[a, b], rule.bounds)
+        _pair(clip, np.array(usable)[[a, b]], shared[a, b], baselines[a, b], rule)
         for a, b in places
     ]
     a, b = np.array([pair.context for pair in pairs], np.int64).reshape(-1, 2).T
@@ -318,7 +258,7 @@ def schedule(pairs: Sequence[Pair]) -> list[Pair]:
 
 
 def _compare(
-    clip: Views, frames: np.ndarray, overlap_matrix: np.ndarray, bounds: Bounds
+    clip: Views, frames: np.ndarray, overlap_matrix: np.ndarray, bounds: PairBounds
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return overlap, baseline and whether both are within the bounds for all pairs, [N, N].
 
@@ -335,7 +275,7 @@ def _compare(
 
 
 def _pair(
-    clip: Views, context: np.ndarray, overlap: float, baseline: float, bounds: Bounds
+    clip: Views, context: np.ndarray, overlap: float, baseline: float, bounds: PairBounds
 ) -> Pair:
     """Return a pair without targets.
 

@@ -26,6 +26,7 @@ import math
 import numpy as np
 
 from slgaussian.errors import InputError, did_you_mean
+from slgaussian.language.rules import ABSENT
 
 UNIT_TOLERANCE = 1e-3
 """Largest allowed | |L| - 1 |. Rounding to half precision changes a length by at most 2^-11, half
@@ -37,10 +38,6 @@ SOFT = 0.05
 
 LOG_MOST = math.log(np.finfo(np.float64).max)
 """Largest finite argument of exp."""
-
-ABSENT = ("skip", "zero")
-"""Treatment of views that do not show an object. ``skip``: ignored. ``zero``: the paper's zero
-vector, which gives gap 0 and relevancy 0.5 for every text."""
 
 
 class Scorer:
@@ -58,7 +55,7 @@ class Scorer:
     canonical : float [K, C]
         Unit vectors of the phrases that every query competes with, K at least 1.
     absent : str
-        One of :data:`ABSENT`.
+        One of :data:`slgaussian.language.rules.ABSENT`.
     levels : int [L, N], optional
         For each of the N objects, which are the first rows, the row of its group at L levels, or
         its own row. By default all rows are objects, without groups.

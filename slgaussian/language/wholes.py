@@ -18,9 +18,7 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.io import short_repr
-
-NEAR_BEST = 0.6
-"""An object is near-best if its gap is at least this fraction of the best gap."""
+from slgaussian.language.rules import NEAR_BEST
 
 LEAST_SHARE = 3e-4
 """Smallest area of a candidate, as a fraction of the views: small nodes fit by chance."""

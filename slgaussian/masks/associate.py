@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.ndimage import find_objects
 
-from slgaussian.components.method import VOTES
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
@@ -35,7 +34,7 @@ def associate(
     proposer: MaskProposer,
     tracker: MaskTracker,
     replicas: int = 5,
-    votes: str = VOTES[0],
+    votes: str = "views",
 ) -> LabelMaps:
     """Compute label maps of a sequence of views with consistent object ids.
 

@@ -1,4 +1,4 @@
-"""Configs of the liftings."""
+"""Configs of the liftings and of their training."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from slgaussian.components.config import ComponentConfig, File
+from slgaussian.components.config import ComponentConfig, Config, File
 from slgaussian.io import file_digest
 
 
@@ -27,4 +27,21 @@ class BranchConfig(ComponentConfig, title="branch"):
         None,
         description="Weights of the branch: file that `train` wrote, or folder of versions that "
         "`retrain` keeps.",
+    )
+
+
+class TrainingConfig(Config):
+    """Hyperparameters of a training that users choose."""
+
+    steps: int = Field(1500, ge=1, description="Number of training steps.")
+    batch: int = Field(1, ge=1, description="Number of lessons per step.")
+    rate: float = Field(3e-3, gt=0, description="Largest learning rate.")
+    corrupted: float = Field(
+        0.75, ge=0, le=1, description="Fraction of the steps with corrupted labels."
+    )
+    device: str = Field(
+        "cpu", description="PyTorch device of the network; devices other than cpu are untested."
+    )
+    threads: int = Field(
+        1, ge=1, description="Threads of PyTorch; the last bits of results depend on the number."
     )

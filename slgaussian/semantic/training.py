@@ -28,13 +28,14 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import torch
+from pydantic import Field
 
 from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import seed_for
@@ -53,6 +54,7 @@ from slgaussian.semantic.branch import (
     save_branch,
 )
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, table_of
+from slgaussian.semantic.configs import TrainingConfig
 from slgaussian.semantic.hard import code_images
 from slgaussian.semantic.lesson import Lesson
 
@@ -60,69 +62,21 @@ WARM_UP = 0.05
 """Fraction of the steps with a rising learning rate, before its cosine decay to zero."""
 
 
-@dataclass(frozen=True)
-class TrainingSettings:
-    """Hyperparameters of a training.
+class TrainingSettings(TrainingConfig, title="training"):
+    """Hyperparameters of a training."""
 
-    Attributes
-    ----------
-    architecture : Architecture
-    steps : int
-    batch : int
-        Lessons per step; their gradients are averaged.
-    seed : int
-    rate : float
-        Highest learning rate of AdamW.
-    decay : float
-        Weight decay of AdamW.
-    clip : float
-        Largest gradient norm; larger gradients are scaled down to it.
-    targets : int
-        Target views per step, drawn at random if a lesson has more.
-    corrupted : float
-        Fraction of the steps with corrupted context labels.
-    codes : str
-        Name of the code strategy; should be that of the fields that will use the branch.
-    every : int
-        Steps between checkpoints.
-    device : str
-        PyTorch device of the network.
-    threads : int
-        Number of PyTorch threads; affects the last bits of the result.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
-    """
-
-    architecture: Architecture = field(default_factory=Architecture)
-    steps: int = 1500
-    batch: int = 1
+    architecture: Architecture = Architecture()
     seed: int = 0
-    rate: float = 3e-3
-    decay: float = 1e-4
-    clip: float = 1.0
-    targets: int = 2
-    corrupted: float = 0.75
-    codes: str = "separated"
-    every: int = 100
-    device: str = "cpu"
-    threads: int = 1
-
-    def __post_init__(self) -> None:
-        bounds = {
-            **dict.fromkeys(("steps", "batch", "targets", "every", "threads"), (1, math.inf)),
-            **dict.fromkeys(("rate", "clip"), (1e-300, math.inf)),
-            "decay": (0, math.inf),
-            "corrupted": (0, 1),
-        }
-        for name, (low, high) in bounds.items():
-            value = getattr(self, name)
-            if not low <= value <= high or value == math.inf:
-                raise InputError(
-                    f"training {name}: found {value}, expected a number from {low} to {high}"
-                )
+    decay: float = Field(1e-4, ge=0, description="Weight decay of AdamW.")
+    clip: float = Field(1.0, gt=0, description="Largest gradient norm; larger ones are scaled.")
+    targets: int = Field(
+        2, ge=1, description="Target views per step, drawn at random if a lesson has more."
+    )
+    codes: str = Field(
+        "separated",
+        description="Code strategy; should be that of the fields that will use the branch.",
+    )
+    every: int = Field(100, ge=1, description="Steps between checkpoints.")
 
 
 @dataclass(frozen=True)
@@ -189,7 +143,7 @@ def train(
                 f"{settings.architecture}; choose that architecture, or begin without"
             )
         branch.load_state_dict(start.state_dict())
-    run = asdict(settings) | {
+    run = dict(settings) | {
         # In the form in which JSON returns it: tuples become lists.
         "architecture": {**asdict(architecture), "widths": list(architecture.widths)},
         "lessons": len(lessons),

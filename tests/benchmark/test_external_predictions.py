@@ -203,11 +203,11 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged):
     [
         ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is judged at 104x"),
         ({"size": [10**9, 10**9], "counts": [10**18]}, "has 1000000000x1000000000 pixels"),
-        ({"size": [104.0, 144]}, "size.0 is 104.0; "),
+        ({"size": [104.0, 144]}, "size.0: found 104.0; "),
         ({"counts": "0"}, "its counts add up to 0 pixels, expected 14976; write the mask again"),
-        ({"point": [3]}, "point is [3]; "),
-        ({"score": 1.5}, "score is 1.5; "),
-        ({"query": ""}, "query is ''; "),
+        ({"point": [3]}, "point: found [3]; "),
+        ({"score": 1.5}, "score: found 1.5; "),
+        ({"query": ""}, "query: found ''; "),
     ],
 )
 def test_an_entry_that_does_not_fit_is_one_sentence(tmp_path, result, judged, change, said):
@@ -227,7 +227,7 @@ def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, result, judged):
         ("[", "is not valid JSON"),
         ("[]", "found an empty one"),
         ("{}", "found dict"),
-        ("[3]", r"\[0\]: it is 3; "),
+        ("[3]", r"\[0\]: found 3; "),
         (json.dumps([entries[0], entries[0]]), r"\[1\], .* is there twice"),
     ):
         file.write_text(content)

@@ -27,9 +27,9 @@ def write(path, content):
     ("change", "message"),
     [
         ({"target": ["a"]}, "'a' is both context and target"),
-        ({"context": ["a", "a"]}, "context is ['a', 'a']; expected different names"),
-        ({"target": []}, "target is [];"),
-        ({"categories": "sofa"}, "categories is 'sofa';"),
+        ({"context": ["a", "a"]}, "context: found ['a', 'a']; expected different names"),
+        ({"target": []}, "target: found [];"),
+        ({"categories": "sofa"}, "categories: found 'sofa';"),
         ({"categories": None}, "categories is missing"),
     ],
 )
@@ -92,10 +92,10 @@ def test_an_index_of_llff_may_have_more_context_views_and_ask_nothing(tmp_path):
     ("change", "message"),
     [
         ({"version": 3}, "found version 3, expected at most 2"),
-        ({"format": None}, "format is None;"),
+        ({"format": None}, "format: found None;"),
         ({"target": ["a.jpg"]}, "'a.jpg' is both context and target"),
-        ({"labels": "/etc"}, "labels is '/etc'; expected a folder below the labels"),
-        ({"categories": []}, "categories is [];"),
+        ({"labels": "/etc"}, "labels: found '/etc'; expected a folder below the labels"),
+        ({"categories": []}, "categories: found [];"),
     ],
 )
 def test_a_bad_index_is_named_with_what_is_wrong(tmp_path, change, message):
@@ -138,7 +138,7 @@ class TestPublished:
         "entry", [{"context": [-1], "target": [2]}, {"context": [1], "target": ["a"]}]
     )
     def test_what_is_no_frame_number_is_named(self, tmp_path, entry):
-        with pytest.raises(InputError, match=r"clip 'a': (context|target).0 is (-1|'a'); "):
+        with pytest.raises(InputError, match=r"clip 'a': (context|target).0: found (-1|'a'); "):
             self.read(tmp_path, a=entry)
 
     def test_the_whole_index_is_read(self, real_data):

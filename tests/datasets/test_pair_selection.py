@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian.datasets.pair_selection import Bounds, Pair, Views, choose, overlaps, schedule
+from slgaussian.datasets.configs import Bounds
+from slgaussian.datasets.pair_selection import Pair, Views, choose, overlaps, schedule
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, shared_view
 
@@ -57,7 +58,7 @@ def test_samples_of_a_walk_fit_and_share_no_frame():
     for pair in pairs:
         assert_fits(views, pair, bounds)
     assert choose(views, bounds) == pairs
-    assert choose(views, replace(bounds, most=2)) == sorted(
+    assert choose(views, bounds.model_copy(update={"most": 2})) == sorted(
         sorted(pairs, key=lambda pair: -pair.score)[:2], key=lambda pair: pair.context
     )
 

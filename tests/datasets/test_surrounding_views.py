@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.datasets.pair_selection import Rule, Views, surround
+from slgaussian.datasets.configs import Rule
+from slgaussian.datasets.pair_selection import Views, surround
 from slgaussian.scene import Camera, shared_view
 
 DEPTH = 3.0
@@ -38,7 +39,7 @@ def plain(clip: Views, target: int, barred, rule: Rule):
     best = None
     for a in range(len(clip.cameras)):
         for b in range(a + 1, len(clip.cameras)):
-            if {a, b} & {target, *barred} or not clip.usable(rule.bounds)[[a, b]].all():
+            if {a, b} & {target, *barred} or not clip.usable(rule)[[a, b]].all():
                 continue
             one, two, aim = clip.cameras[a], clip.cameras[b], clip.cameras[target]
             shared = min(
@@ -46,10 +47,10 @@ def plain(clip: Views, target: int, barred, rule: Rule):
             )
             apart = float(np.linalg.norm(one.center - two.center))
             baseline = apart / (clip.depths[a] + clip.depths[b]) * 2
-            low, high = rule.bounds.min_overlap, rule.bounds.max_overlap
+            low, high = rule.min_overlap, rule.max_overlap
             if not (low <= shared <= high and apart > 0):
                 continue
-            if not rule.bounds.min_baseline <= baseline <= rule.bounds.max_baseline:
+            if not rule.min_baseline <= baseline <= rule.max_baseline:
                 continue
             aside = float(np.linalg.norm((one.center + two.center) / 2 - aim.center)) / apart
             grid = [(x, y) for y in range(9) for x in range(9)]
@@ -66,7 +67,7 @@ def plain(clip: Views, target: int, barred, rule: Rule):
             if aside > rule.max_aside or cover < rule.min_cover:
                 continue
             central = 1 - 0.5 * abs(shared - (low + high) / 2) / ((high - low) / 2)
-            worst = (max(clip.blur[a], clip.blur[b]) - np.median(clip.blur)) / rule.bounds.max_blur
+            worst = (max(clip.blur[a], clip.blur[b]) - np.median(clip.blur)) / rule.max_blur
             value = central * (1 - 0.5 * min(max(worst, 0), 1)) * cover
             value *= 1 - 0.5 * aside / rule.max_aside
             if best is None or value > best[0] + 1e-12:

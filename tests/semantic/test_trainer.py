@@ -48,7 +48,9 @@ def uninterrupted(tmp_path_factory) -> Path:
 
 
 def test_it_learns_and_its_metrics_say_so(tmp_path):
-    settings = replace(SETTINGS, steps=36, every=36, corrupted=1.0, rate=1e-2)
+    settings = SETTINGS.model_copy(
+        update={"steps": 36, "every": 36, "corrupted": 1.0, "rate": 1e-2}
+    )
     # An untrained branch is the control already and gains nothing in so few steps: begin worse.
     start = make_branch(SETTINGS.architecture, 9)
     state = torch.Generator().manual_seed(0)
@@ -95,7 +97,7 @@ def test_bytes_do_not_depend_on_the_thread_count(tmp_path, uninterrupted):
 
 def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
     """One step of a batch of all lessons is one along the mean of the gradients of each."""
-    settings = replace(SETTINGS, steps=1, batch=len(LESSONS), every=1)
+    settings = SETTINGS.model_copy(update={"steps": 1, "batch": len(LESSONS), "every": 1})
     branch = make_branch(settings.architecture, 4)
     losses = []
     for drawn in draw_batch(LESSONS, settings, 0):
@@ -113,14 +115,14 @@ def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
 @pytest.mark.parametrize("device", ["gpu0", "cuda:99", ""])
 def test_a_device_that_is_not_there_is_one_sentence(tmp_path, device):
     with pytest.raises(InputError, match="training device: found") as refused:
-        train(LESSONS, replace(SETTINGS, device=device), tmp_path / "none")
+        train(LESSONS, SETTINGS.model_copy(update={"device": device}), tmp_path / "none")
     assert str(refused.value).startswith(f"training device: found {device!r}")
     assert not (tmp_path / "none").exists()
 
 
 def test_it_begins_from_given_weights(tmp_path):
     start = make_branch(SETTINGS.architecture, 9)
-    settings = replace(SETTINGS, steps=1, rate=1e-12)
+    settings = SETTINGS.model_copy(update={"steps": 1, "rate": 1e-12})
     trained = train(LESSONS, settings, tmp_path / "a", start)
     for name, weights in start.state_dict().items():
         torch.testing.assert_close(trained.branch.state_dict()[name], weights)
@@ -132,10 +134,10 @@ def test_it_begins_from_given_weights(tmp_path):
 def test_another_training_in_the_folder_is_refused(tmp_path, uninterrupted):
     before = bytes_in(uninterrupted)
     with pytest.raises(InputError, match=r"another training \(rate 0.003 instead of 0.1\)"):
-        train(LESSONS, replace(SETTINGS, rate=0.1), uninterrupted)
+        train(LESSONS, SETTINGS.model_copy(update={"rate": 0.1}), uninterrupted)
     with pytest.raises(InputError, match=r"architecture .* instead of"):
         other = Architecture(widths=(4,), hidden=8)
-        train(LESSONS, replace(SETTINGS, architecture=other), uninterrupted)
+        train(LESSONS, SETTINGS.model_copy(update={"architecture": other}), uninterrupted)
     with pytest.raises(InputError, match="lessons 3 instead of 2"):
         train(LESSONS[:2], SETTINGS, uninterrupted)
     with pytest.raises(InputError, match="start"):

@@ -14,7 +14,7 @@ from slgaussian.semantic.branch import Architecture
 from slgaussian.semantic.training import Progress, TrainingSettings, train
 
 LESSONS = [lesson(seed) for seed in range(3)]
-SETTINGS = TrainingSettings(Architecture(widths=(4, 8), hidden=8), steps=8, every=3)
+SETTINGS = TrainingSettings(architecture=Architecture(widths=(4, 8), hidden=8), steps=8, every=3)
 
 if __name__ == "__main__":
 
