@@ -34,9 +34,12 @@ from slgaussian.storage.specs import load_spec
 
 STAND_INS = {
     "iou": ("as it is", ""),
-    "threshold_iou": ("threshold", "each query cut where it is best for it"),
-    "language_iou": ("language", "whole things named, one for each part of the truth"),
-    "masks_iou": ("masks", "the true masks of the two photographs"),
+    "threshold_iou": ("threshold", "the best threshold for each query"),
+    "language_iou": (
+        "language",
+        "the best objects, one for each connected part of the label",
+    ),
+    "masks_iou": ("masks", "labels of the target, projected into the context views"),
 }
 """Columns of the spec ``attribution``: which stages are replaced by ground truth; short title and
 description. The titles after the first are the stages in the order of replacement."""

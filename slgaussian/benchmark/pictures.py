@@ -129,20 +129,21 @@ def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) 
     size = max(9, round(width / 24))
     font = ImageFont.load_default(size=size)
     texts = f"{low:.2f}", f"{high:.2f}"
-    wide, pad = round(width / 4), max(2, size // 3)
-    ends = [round(font.getlength(text)) for text in texts]
-    box = wide + sum(ends) + 4 * pad, size + 2 * pad
+    bar_width, pad = round(width / 4), max(2, size // 3)
+    text_widths = [round(font.getlength(text)) for text in texts]
+    box = bar_width + sum(text_widths) + 4 * pad, size + 2 * pad
     if box[0] > width or box[1] > height:
         return image
     sheet = Image.fromarray(image)
     draw = ImageDraw.Draw(sheet)
     top = height - box[1]
     draw.rectangle((0, top, box[0], height), fill=(20, 22, 28))
-    bar = cv2.resize(colors, (wide, max(1, size // 2)), interpolation=cv2.INTER_NEAREST)
-    sheet.paste(Image.fromarray(bar), (2 * pad + ends[0], top + (box[1] - len(bar)) // 2))
+    bar = cv2.resize(colors, (bar_width, max(1, size // 2)), interpolation=cv2.INTER_NEAREST)
+    sheet.paste(Image.fromarray(bar), (2 * pad + text_widths[0], top + (box[1] - len(bar)) // 2))
     middle = top + box[1] / 2
     draw.text((pad, middle), texts[0], fill=(255, 255, 255), font=font, anchor="lm")
-    draw.text((3 * pad + ends[0] + wide, middle), texts[1], fill="white", font=font, anchor="lm")
+    right = 3 * pad + text_widths[0] + bar_width
+    draw.text((right, middle), texts[1], fill=(255, 255, 255), font=font, anchor="lm")
     return np.asarray(sheet)
 
 
@@ -329,17 +330,17 @@ def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
 
 def with_legend(image: np.ndarray, entries: Sequence[tuple[np.ndarray, str]]) -> np.ndarray:
     """Return a copy with a legend below: a swatch of each colour uint8 [3] and its meaning."""
-    gap, side, line = 12, 16, 26
+    gap, side, row_height = 12, 16, 26
     font = ImageFont.load_default(size=17)
-    wide = max(font.getlength(text) for _, text in entries) + side + 3 * gap
-    columns = max(1, int((image.shape[1] - gap) // wide))
+    entry_width = max(font.getlength(text) for _, text in entries) + side + 3 * gap
+    columns = max(1, int((image.shape[1] - gap) // entry_width))
     rows = -(-len(entries) // columns)
-    sheet = Image.new("RGB", (image.shape[1], image.shape[0] + rows * line + gap), "white")
+    sheet = Image.new("RGB", (image.shape[1], image.shape[0] + rows * row_height + gap), "white")
     sheet.paste(Image.fromarray(image), (0, 0))
     draw = ImageDraw.Draw(sheet)
     for k, (colour, text) in enumerate(entries):
-        left = gap + int(k % columns * wide)
-        top = image.shape[0] + k // columns * line
+        left = gap + int(k % columns * entry_width)
+        top = image.shape[0] + k // columns * row_height
         draw.rectangle((left, top, left + side, top + side), tuple(map(int, colour)), (40, 44, 52))
         draw.text((left + side + 8, top - 2), text, fill=(40, 44, 52), font=font)
     return np.asarray(sheet)

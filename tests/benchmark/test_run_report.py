@@ -12,7 +12,7 @@ from slgaussian.benchmark.evaluate import SceneResult
 from slgaussian.benchmark.reports import run_report
 from slgaussian.benchmark.reports.examples import (
     Scene,
-    choose_examples,
+    choose_example,
     limit_per_scene,
     sort_worst_first,
 )
@@ -178,11 +178,11 @@ def test_the_worst_answers_are_few_of_a_scene_and_a_query_is_one_of_them_once():
     assert [row["frame"] for row in limit_per_scene(twice, 5)[:2]] == ["g", "f"]
 
 
-def test_the_scene_at_the_top_of_the_page_is_the_middle_one():
-    scenes = [(f"s{k}", "a", {"iou": iou}) for k, iou in enumerate((0.9, 0.1, 0.5))]
-    scenes += [("t0", "b", {}), ("t1", "b", {}), ("u", "c", {"iou": 1.0})]
-    assert choose_examples(scenes) == {
-        "s2": "median IoU of 3 scenes of a",
-        "t0": "first of 2 scenes of b",
-        "u": "",
-    }
+def test_the_example_is_the_scene_of_median_iou(result, truth):
+    ious = {"a": 0.9, "b": 0.1, "c": 0.5, "d": None}
+    scenes = [
+        replace(scene_of(result, truth, name=name), metrics={} if iou is None else {"iou": iou})
+        for name, iou in ious.items()
+    ]
+    assert choose_example(scenes) == (scenes[2], "median IoU of 4 scenes")
+    assert choose_example(scenes[3:]) == (scenes[3], "")

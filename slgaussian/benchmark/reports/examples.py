@@ -34,9 +34,6 @@ Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
 Key = tuple[str, str, str]
 
-EXAMPLES = 3
-"""Number of data sets with an example scene at the top."""
-
 NAMED_OBJECTS = 10
 """Largest number of captions in one picture."""
 
@@ -101,22 +98,15 @@ class Scene:
     masks: Callable[[], Mapping[Key, np.ndarray]]
 
 
-def choose_examples(scenes: Iterable[tuple[str, str, Mapping[str, float]]]) -> dict[str, str]:
-    """Choose an example scene of each of the first data sets; return the reasons by name.
-
-    ``scenes`` are name, data set and metrics. The scene of median IoU is typical; without IoU it is
-    the first scene.
-    """
-    by_dataset: dict[str, list[tuple[str, float | None]]] = {}
-    for name, dataset, metrics in scenes:
-        by_dataset.setdefault(dataset, []).append((name, metrics.get("iou")))
-    chosen = {}
-    for dataset, members in list(by_dataset.items())[:EXAMPLES]:
-        scored = sorted((iou, name) for name, iou in members if iou is not None)
-        name = scored[(len(scored) - 1) // 2][1] if scored else members[0][0]
-        reason = "median IoU" if scored else "first"
-        chosen[name] = f"{reason} of {len(members)} scenes of {dataset}" if members[1:] else ""
-    return chosen
+def choose_example(scenes: Sequence[Scene]) -> tuple[Scene, str]:
+    """Return a typical scene, that of median IoU, and the reason; without IoU the first scene."""
+    scored = sorted(
+        (scene for scene in scenes if "iou" in scene.metrics),
+        key=lambda scene: (scene.metrics["iou"], scene.name),
+    )
+    scene = scored[(len(scored) - 1) // 2] if scored else scenes[0]
+    reason = f"{'median IoU' if scored else 'first'} of {len(scenes)} scenes"
+    return scene, reason if scenes[1:] else ""
 
 
 def sort_worst_first(rows: Iterable[Row]) -> list[Row]:
@@ -207,7 +197,8 @@ def example_section(
         steps[f"context view {end}"] = end_image
         blocks.append(_gallery(steps, SLIDER, "walk"))
     blocks += [_gallery(small, ANSWER, "strip-of"), *cards]
-    return Section(scene.name, blocks, note=reason, style="example", only_html=True)
+    title = f"Example: {scene.name}"
+    return Section(title, blocks, "example", reason, "Example", style="example", only_html=True)
 
 
 def _gallery(images: Images, width: int, layout: str) -> Gallery:

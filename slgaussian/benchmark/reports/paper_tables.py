@@ -46,7 +46,7 @@ def _read_tables() -> list[dict[str, Any]]:
     """Read the tables; in a table of scenes, the last line is the mean over all scenes."""
     tables = tomllib.loads((files(__package__) / "paper_tables.toml").read_text("utf-8"))["table"]
     for table in tables:
-        if table["best_of"] == "line":
+        if table["by_scene"]:
             scenes = [line["title"] for line in table["lines"][:-1]]
             for line in table["lines"]:
                 line["scenes"] = scenes if line["title"] == "overall" else [line["title"]]
@@ -88,7 +88,7 @@ def paper_section(
     for protocol in shown:
         for table in TABLES:
             notes = run.notes({c.get("protocol", protocol) for c in table["columns"]})
-            if protocol == shown[0] and table["best_of"] == "line":
+            if protocol == shown[0] and table["by_scene"]:
                 notes += [
                     escape(
                         f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: named "
@@ -106,18 +106,10 @@ def _table(table: Mapping[str, Any], run: _Run, protocol: str, notes: Sequence[s
     lines = []
     for line in table["lines"]:
         cells = [Cell(line["title"].replace("_", " "))]
-        for k, (column, printed) in enumerate(zip(columns, line["numbers"], strict=True)):
-            rivals = [other["numbers"][k] for other in table["lines"]]
-            if table["best_of"] == "line":
-                rivals = [
-                    value
-                    for other, value in zip(columns, line["numbers"], strict=True)
-                    if other["group"] == column["group"]
-                ]
-            is_time = column["metric"] == "seconds"
+        for column, printed in zip(columns, line["numbers"], strict=True):
+            text = f"{printed:g}" if column["metric"] == "seconds" else f"{printed:.2f}"
             below = run.number({"protocol": protocol, **table, **line, **column})
-            mark = "best" if (min if is_time else max)(rivals) == printed else ""
-            cells.append(Cell(f"{printed:g}" if is_time else f"{printed:.2f}", below, mark))
+            cells.append(Cell(text, below))
         name = run.name(line.get("method", ""))
         lines.append(Line(tuple(cells), name, "mean" if line["title"] == "overall" else ""))
     heads = [

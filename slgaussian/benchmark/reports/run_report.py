@@ -7,7 +7,6 @@ run afterwards: a section, and the seconds among the key numbers.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -127,12 +126,8 @@ def with_times(
 ) -> dict[str, str]:
     """Complete a report of :func:`run_report` with the costs of one run on one machine.
 
-    Parameters
-    ----------
-    pages : {form: text}
-        The forms ``html`` and ``markdown`` of the report.
-    times, rows, novel
-        See :func:`slgaussian.benchmark.reports.speed.speed_blocks`.
+    ``pages`` are its forms ``html`` and ``markdown``; for other arguments see
+    :func:`slgaussian.benchmark.reports.speed.speed_blocks`.
     """
     costs, blocks = [key_costs(times.costs)], speed_blocks(times, rows, novel)
     complete = {}
@@ -145,32 +140,28 @@ def with_times(
 def _picture_sections(
     scenes: Sequence[examples.Scene], answers: Sequence[Row], lost_by: Mapping[examples.Key, str]
 ) -> tuple[list[Section], list[Card], list[Fold]]:
-    """Make the sections of example scenes, the worst answers, and the pictures of all scenes.
+    """Make the section of the example scene, the worst answers, and the pictures of all scenes.
 
     The pictures of one scene are in memory at a time.
     """
     worst = examples.limit_per_scene(examples.sort_worst_first(answers), examples.WORST)
     cards: dict[examples.Key, Card] = {}
-    reasons = examples.choose_examples((s.name, s.dataset, s.metrics) for s in scenes)
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
     pictured = {scene.name for scene in worst_first[:PICTURED]}
-    example_sections, scene_folds = [], []
+    example, reason = examples.choose_example(scenes) if scenes else (None, "")
+    sections, scene_folds = [], []
     for place, scene in enumerate(scenes):
         rows = [row for row in answers if row["scene"] == scene.name]
         chosen = [row for row in worst if row["scene"] == scene.name]
-        has_pictures = scene.name in pictured | reasons.keys() or chosen
+        has_pictures = scene.name in pictured or scene is example or chosen
         images = scene.pictures() if has_pictures else {}
-        if scene.name in reasons:
-            example_sections.append(
-                examples.example_section(scene, reasons[scene.name], rows, images, lost_by)
-            )
+        if scene is example:
+            sections = [examples.example_section(scene, reason, rows, images, lost_by)]
         for row in chosen:
             cards[key_of(row)] = examples.answer_card(row, images, lost_by.get(key_of(row), ""))
         images = images if scene.name in pictured else {}
         scene_folds.append(examples.scene_fold(scene, f"scene-{place}", rows, images))
-    if example_sections:
-        example_sections[0] = replace(example_sections[0], id="example", link="Example")
-    return example_sections, [cards[key_of(row)] for row in worst], scene_folds
+    return sections, [cards[key_of(row)] for row in worst], scene_folds
 
 
 def _scores_section(rows: Sequence[Row], methods: Sequence[str]) -> Section:

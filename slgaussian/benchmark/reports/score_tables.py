@@ -30,21 +30,17 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Score:
-    """A metric in a table: its name in the data, title, format and description.
-
-    ``sign`` is -1 if lower is better.
-    """
+    """A metric in a table: its name in the data, title, number of digits and description."""
 
     metric: str
     title: str
     digits: int
     help: str
-    sign: int = 1
 
     @property
     def column(self) -> Column:
         """Return the column of the score in a table."""
-        return Column(self.title + (" ↓" if self.sign < 0 else ""), self.help)
+        return Column(self.title, self.help)
 
 
 IOU = Score("iou", "IoU", 3, "intersection over union of predicted and labelled mask")
@@ -73,12 +69,12 @@ METRICS = (
     MIOU,
     PSNR,
     Score("ssim", "SSIM", 3, "of rendered held-out views"),
-    Score("abs_rel", "Depth abs-rel", 3, "relative depth error in the context views", -1),
+    Score("abs_rel", "Depth abs-rel ↓", 3, "relative depth error in the context views"),
     Score("delta125", "δ < 1.25", 3, "share of pixels whose depth is within 25 %"),
-    Score("bad2", "bad-2.0", 3, "share of pixels with a disparity error above 2 px", -1),
-    Score("target_abs_rel", "Novel abs-rel", 3, "depth error in rendered held-out views", -1),
+    Score("bad2", "bad-2.0 ↓", 3, "share of pixels with a disparity error above 2 px"),
+    Score("target_abs_rel", "Novel abs-rel ↓", 3, "depth error in rendered held-out views"),
 )
-"""Metrics of a scene by its first protocol, and of its views."""
+"""Metrics of a scene by its first protocol, and of its views; ↓: lower is better."""
 
 SELECTIONS = {"none": "no mask", "given": "given masks"}
 """Descriptions of some selections in place of their names."""
@@ -101,14 +97,9 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
     """Return a table for each data set and protocol: a line per method, best first.
 
     Scores that no method has are left out. A method with other settings or another number of
-    samples than most is marked. With a single method nothing is marked as best.
-
-    Parameters
-    ----------
-    samples : rows of the spec ``samples``
-    ours : str, optional
-        The method whose line is highlighted. The last column is its difference to each other
-        method in the first score.
+    samples than most is marked. With a single method nothing is marked as best. The line of the
+    method ``ours`` is highlighted, and the last column is its difference to each other method in
+    the first score.
     """
     order = list(SCORES)
     groups = grouped(score_table(samples).to_pylist(), "dataset", "protocol")
@@ -129,20 +120,16 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
         for score in columns:
             present = [r[score.metric] for r in by_method.values() if score.metric in r]
             counts[score] = _most_common(row["samples"] for row in present)
-            best[score] = max(score.sign * round(row["value"], score.digits) for row in present)
+            best[score] = score_cell(max(present, key=lambda row: row["value"]), score.digits).value
         lines = []
         for method, by_metric in by_method.items():
             cells = [Cell(method)]
             for score in columns:
                 row = by_metric.get(score.metric)
                 cell = score_cell(row, score.digits)
-                if row is not None:
-                    is_best = score.sign * round(row["value"], score.digits) == best[score]
-                    mark = "best" if is_best and len(by_method) > 1 else ""
-                    samples_note = f"n {row['samples']}" if row["samples"] != counts[score] else ""
-                    note = "; ".join(filter(None, (row["note"], samples_note)))
-                    cell = replace(cell, mark=mark, note=note)
-                cells.append(cell)
+                mark = "best" if len(by_method) > 1 and cell.value == best[score] else ""
+                note = f"n {row['samples']}" if row and row["samples"] != counts[score] else ""
+                cells.append(replace(cell, mark=mark, note=note))
             if ours:
                 gain = gains.get((dataset, protocol, method, columns[0].metric))
                 cells.append(gain_cell(gain, columns[0], is_worded=True))
@@ -187,9 +174,7 @@ def fold_protocols(tables: Sequence[Table], explanations: Sequence[Block] = ()) 
     return [*first, *explanations, *folded]
 
 
-def difference_tables(
-    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]], head: str = "Method"
-) -> list[Table]:
+def difference_tables(pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]]) -> list[Table]:
     """Return a table for each data set and protocol: a line per pair, first minus second.
 
     ``pairs`` are rows of the spec ``samples`` by the name of the line.
@@ -215,7 +200,7 @@ def difference_tables(
         if places >= LEAST:
             note += " Green: significant gain; red: significant loss; not corrected for multiple "
             note += "comparisons (1 in 20 is significant by chance)."
-        heads = [head, *(score.column for score in columns)]
+        heads = ["Method", *(score.column for score in columns)]
         tables.append(Table.of(heads, lines, f"{dataset}, protocol {protocol}", [note]))
     return tables
 
@@ -237,16 +222,9 @@ def metrics_table(
 ) -> Table:
     """Return a table with a line per scene and a line of means with intervals from ``scores``.
 
-    The mean is unweighted over the scenes that have the metric.
-
-    Parameters
-    ----------
-    metrics : {scene: {metric: float}}
-    scores : rows of the spec ``scores``
-        Scores in the protocol of the metrics; other numbers have no interval.
-    title : str
-    links : {scene: str}, optional
-        Ids of the scenes' sections of the page.
+    The mean is unweighted over the scenes that have the metric. ``metrics`` are by scene and name,
+    ``scores`` rows of the spec ``scores`` in their protocol; other metrics have no interval.
+    ``links`` are ids of parts of the page by scene.
     """
     columns = [m for m in METRICS if any(m.metric in values for values in metrics.values())]
     lines = []
@@ -275,27 +253,26 @@ def gain_cell(difference: Difference | None, score: Score, is_worded: bool = Fal
     if difference is None:
         return Cell(NO_VALUE)
     gain = difference.gain
-    cell = comparison_cell(gain, score.digits, score.sign)
+    cell = comparison_cell(gain, score.digits)
     below = [cell.below] * (gain.independent_samples > 1) + [VERDICTS[cell.mark]] * is_worded
     note = f"{count_text(difference.samples, 'sample')} of {count_text(gain.samples, 'scene')}"
     return replace(cell, below=", ".join(below), note=note)
 
 
-def comparison_cell(gain: Comparison, digits: int, sign: int = 1) -> Cell:
-    """Format a gain with its interval and mark; ``sign`` is -1 if lower is better.
+def comparison_cell(gain: Comparison, digits: int) -> Cell:
+    """Format a gain with its interval and mark.
 
     A gain is significant if its printed interval excludes 0, so not if it ends at 0.000. With fewer
     than :data:`LEAST` places no gain is significant.
     """
-    value, start, end = (
+    value, low, high = (
         round(bound, digits) + 0.0  # not -0.000
         for bound in (gain.difference, gain.low, gain.high)
     )
-    low, high = sorted((sign * start, sign * end))
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
     if gain.independent_samples < 2 or (gain.independent_samples < LEAST and mark != "noise"):
         mark = "few"
-    return Cell(f"{value:+.{digits}f}", f"{start:+.{digits}f} to {end:+.{digits}f}", mark)
+    return Cell(f"{value:+.{digits}f}", f"{low:+.{digits}f} to {high:+.{digits}f}", mark)
 
 
 def conditions(score: Row) -> str:

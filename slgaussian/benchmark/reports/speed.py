@@ -44,13 +44,8 @@ def speed_blocks(
 ) -> list[Block]:
     """Return the blocks on the costs of a run.
 
-    Parameters
-    ----------
-    times : Times
-    rows : rows of the spec ``samples``
-        Scores to compare with the times; only the first protocol is used.
-    novel : sequence of (data set, method, float)
-        PSNR of held-out views, dB, one per scene.
+    ``rows`` are of the spec ``samples``; their scores by the first protocol are compared with the
+    times. ``novel`` are (data set, method, PSNR of held-out views in dB), one per scene.
     """
     leading = of_first_protocol(rows)
     ious = {

@@ -65,12 +65,8 @@ def training_report(
 ) -> Report:
     """Make the report of a training.
 
-    Parameters
-    ----------
-    metrics, judgements : tables of these specs
-    examples : sequence of Example
-    manifest : mapping
-        Number of lessons and settings, nested mappings allowed.
+    ``metrics`` and ``judgements`` are tables of these specs; ``manifest`` has the number of lessons
+    and the settings, nested mappings allowed.
     """
     caption = "Loss of every step and its running mean; grey: learning rate"
     curve = plot(lambda: _loss_curve(metrics), caption)
