@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from slgaussian.benchmark.index import Index, ScenePair, write_index
 from slgaussian.datasets.configs import Rule
 from slgaussian.datasets.labelled_sets import LABELS
 from slgaussian.datasets.pair_selection import Views, surround
-from slgaussian.datasets.published import SETS
 from slgaussian.datasets.sharpness import blur, exposure, small
 from slgaussian.errors import InputError
 from slgaussian.predict.distance import typical_depths
@@ -86,8 +85,7 @@ def _surrounded(
     scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, Chosen | str]:
     """Return the pair of every labelled frame, or the reason if there is none, by pair name."""
-    published_frames = SETS["lerf_ovs"][name].frames if name in SETS["lerf_ovs"] else ()
-    views, out = _views_of(scene, frames, published_frames)
+    views, out = _views_of(scene, frames)
     names, clip, unreadable = _look(scene)
     place = {view: i for i, view in enumerate(names)}
     wanted = {}
@@ -108,28 +106,22 @@ def _surrounded(
         measured = {name: round(getattr(owner, name), 4) for name, owner in owners.items()}
         context = tuple(names[i] for i in pair.context)
         out[frame] = context, (views[frame],), frames[frame], measured
-    order = [frame for frame in dict.fromkeys([*frames, *published_frames]) if frame in out]
+    order = [frame for frame in frames if frame in out]
     return {f"{name}-{frame.replace('/', '-')}": out[frame] for frame in order}
 
 
 def _views_of(
-    scene: Scene, frames: Mapping[str, tuple[str, ...]], published_frames: Iterable[str]
+    scene: Scene, frames: Mapping[str, tuple[str, ...]]
 ) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return the views of the labelled frames, and the reasons of unusable frames.
-
-    ``published_frames`` are the labelled frames by the publication of the data set, even if their
-    labels are missing; they may not be context views.
-    """
+    """Return the views of the labelled frames, and the reasons of unusable frames."""
     views, out = {}, {}
-    for frame in dict.fromkeys([*frames, *published_frames]):
+    for frame in frames:
         try:
             views[frame] = scene.find(frame)
         except InputError as error:
             out[frame] = str(error)
             continue
-        if frame not in frames:
-            out[frame] = "is a labelled frame, but its labels are missing"
-        elif not frames[frame]:
+        if not frames[frame]:
             out[frame] = "nothing is labelled in it"
     return views, out
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,12 @@ import pyarrow as pa
 
 from flows.config import TABLES, Method, SceneSettings, Settings
 from flows.runners.batches import Outcome
-from slgaussian import __version__, datasets
+from slgaussian import __version__
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.baselines import Row
 from slgaussian.benchmark.outputs import file_name, write_table
 from slgaussian.benchmark.protocols import PROTOCOLS
-from slgaussian.datasets.photographs import stored_size
-from slgaussian.datasets.published import LabelledFrames, standing
+from slgaussian.datasets.labelled_sets import is_published
 from slgaussian.errors import InputError
 from slgaussian.io import file_sha256, write_atomic
 from slgaussian.kernels import threads
@@ -244,6 +243,11 @@ def _described(row: Row) -> str:
 
 def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, Any]:
     """Describe the data of a scene: views, files, and digests of files and artifacts."""
+    name = scene.options.get("scene", "")
+    try:
+        frames = labelled_frames(scene.labels) if scene.labels else ()
+    except InputError:  # a label file that this run does not use is damaged
+        frames = ()
     # Sorted, as records in the store do not preserve the order.
     files, labels = (
         dict(sorted(refs[stage].meta["settings"][of]["files"].items()))
@@ -252,11 +256,11 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
     return {
         "dataset": scene.dataset,
         "format": scene.format,
-        "scene": scene.options.get("scene", ""),
+        "scene": name,
         "options": {name: str(value) for name, value in scene.options.items()},
         "context": scene.context,
         "targets": scene.targets,
-        "published": published_as(scene),
+        "published": is_published(scene.format, name, frames),
         "cameras": refs["ingest"].meta["cameras"],
         "left_out": refs["ingest"].meta["left_out"],
         "sample": refs["ingest"].digest,
@@ -264,25 +268,3 @@ def _data(scene: SceneSettings, refs: Mapping[str, ArtifactRef]) -> dict[str, An
         "files": files,
         "labels": labels,
     }
-
-
-def published_as(scene: SceneSettings) -> dict[str, str]:
-    """Compare a scene with the published data set: fields of ``Standing``, or empty."""
-    if scene.labels is None or scene.path is None:
-        return {}
-    queries, sizes = {}, {}
-    try:
-        frames = labelled_frames(scene.labels)
-        for target in scene.targets:
-            frame = Path(target).stem
-            nested = Path(target).with_suffix("").as_posix()
-            queries[frame] = frames[nested if nested in frames else frame]
-            files, _ = datasets.inputs(scene.format, scene.path, [target], **scene.options)
-            for file in files:
-                if file.stem == frame and (size := stored_size(file)):
-                    sizes[frame] = size
-    except (InputError, OSError, KeyError):  # the data may be gone, with all results cached
-        return {}
-    name = str(scene.options.get("scene") or scene.labels.name)
-    published = standing(LabelledFrames(scene.format, name, queries, list(frames), sizes))
-    return {} if published is None else asdict(published)

@@ -11,6 +11,7 @@ A scene of 3D-OVS (https://github.com/Kunhao-Liu/3D-OVS#datasets) is a folder wi
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,25 @@ from slgaussian.scene import Scene
 
 LABELS = {"lerf_ovs": "label/{scene}", "ovs3d": "{scene}/segmentations"}
 """Folder of a scene's labels, relative to the folder of the set, by format."""
+
+PUBLISHED = {
+    "lerf_ovs": {
+        "figurines": "00041 00105 00152 00195",
+        "ramen": "00006 00024 00060 00065 00081 00119 00128",
+        "teatime": "00002 00025 00043 00107 00129 00140",
+        "waldo_kitchen": "00053 00066 00089 00140 00154",
+    },
+    "ovs3d": {
+        "bed": "00 04 10 23 30",
+        "bench": "02 05 25 27 32",
+        "blue_sofa": "03 05 13 24 27",
+        "covered_desk": "00 01 11 26 29",
+        "lawn": "01 03 09 13 29",
+    },
+}
+"""Labelled frames of the published scenes, by format and scene; in LERF-OVS after ``frame_``.
+LERF-OVS is evaluated so by OpenGaussian (https://github.com/yanmin-wu/OpenGaussian); of 3D-OVS
+these are the scenes of the paper's table 2, with the views that have masks in other evaluations."""
 
 CAMERAS = {"colmap": colmap, "llff": llff}
 
@@ -67,6 +87,13 @@ def read_ovs3d(path: str | Path, scene: str, cameras: str | None = None) -> Scen
             f"{did_you_mean(cameras, CAMERAS)}"
         )
     return CAMERAS[cameras].read(folder)
+
+
+def is_published(format: str, scene: str, frames: Iterable[str]) -> bool:
+    """Return whether a scene has the name and the labelled frames of a published scene."""
+    published = PUBLISHED.get(format, {}).get(scene, "").split()
+    prefix = "frame_" if format == "lerf_ovs" else ""
+    return bool(published) and set(frames) == {prefix + frame for frame in published}
 
 
 def lerf_ovs_scenes(path: str | Path) -> dict[str, dict[str, Any]]:

@@ -5,15 +5,18 @@ import pytest
 from rows import sample
 
 from slgaussian.benchmark.reports.model import Table
-from slgaussian.benchmark.reports.paper_tables import ABSENT, TABLES, paper_section
+from slgaussian.benchmark.reports.paper_tables import ABSENT, ANOTHER, TABLES, paper_section
 from slgaussian.benchmark.statistics import interval_of_mean
-from slgaussian.datasets.published import ANOTHER, RECOGNISED, UNVERIFIED, Standing
 
 LERF, OVS3D = "lerf_ovs", "ovs3d"
 
 
 def row_of(scene: str, **columns) -> dict:
     return sample(scene, **{"method": "slgaussian", "share": None, **columns})
+
+
+def data_of(format: str, scene: str, published: bool = True) -> dict:
+    return {"format": format, "scene": scene, "published": published}
 
 
 def tables_of(rows, places, ours="slgaussian") -> list[Table]:
@@ -45,29 +48,15 @@ def test_the_overall_numbers_are_the_means_of_the_scenes(place):
 def test_without_its_data_there_is_no_number():
     rows = [row_of("teatime", iou=0.4, hit_box=True)]
     assert paper_section(rows, {}) is None
-    another = Standing(ANOTHER, LERF, "teatime", "found labelled frames 00015")
-    tables = tables_of(rows, {"teatime": another})
+    assert paper_section(rows, {"teatime": data_of(LERF, "my kitchen", False)}) is None
+    tables = tables_of(rows, {"teatime": data_of(LERF, "teatime", False)})
     assert len(tables) == 4
     for table in tables:
         numbers = {cell.below for line in table.lines for cell in line.cells[1:]}
-        assert numbers <= {ABSENT, "see Speed"}
-    (note,) = by_title(tables, "Table 1").notes
-    assert note.startswith("teatime: named teatime, but not the published scene (found labelled")
-
-
-def test_what_could_not_be_checked_says_so_beside_its_number():
-    rows = [row_of("desk", iou=0.5), row_of("bed", iou=0.25)]
-    places = {
-        "desk": Standing(UNVERIFIED, OVS3D, "covered_desk"),
-        "bed": Standing(RECOGNISED, OVS3D, "bed"),
-    }
-    tables = tables_of(rows, places)
-    table = by_title(tables, "Table 2")
-    assert cells(table, "covered desk")[2][1] == "50.00, n 1, unverified"
-    assert cells(table, "bed")[2][1] == "25.00, n 1"
-    assert cells(by_title(tables, "Table 3"), "feed-forward model + MA + MV-LMB")[1][1] == (
-        "50.00, n 1, unverified"
-    )
+        assert numbers <= {ABSENT, ANOTHER, "see Speed"}
+    table = by_title(tables, "Table 1")
+    assert {mine for _, mine in cells(table, "teatime")} == {ANOTHER}
+    assert {mine for _, mine in cells(table, "ramen")} == {ABSENT}
 
 
 def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
@@ -76,7 +65,7 @@ def test_a_scene_that_was_run_has_its_number_and_the_overall_has_none():
         row_of("teatime-1", iou=0.4, hit_box=True, query="p"),
         row_of("teatime-2", iou=0.9, hit_box=True),
     ]
-    teatime = Standing(RECOGNISED, LERF, "teatime")
+    teatime = data_of(LERF, "teatime")
     places = {"teatime-1": teatime, "teatime-2": teatime}
     tables = tables_of(rows, places)
     table = by_title(tables, "Table 1")
@@ -97,7 +86,7 @@ def test_the_overall_is_the_mean_of_all_scenes_each_counting_once():
     lerf = TABLES[0]["lines"][-1]["scenes"]
     rows, places = [], {}
     for k, scene in enumerate(lerf):
-        places[scene] = Standing(RECOGNISED, LERF, scene)
+        places[scene] = data_of(LERF, scene)
         for j in range(k + 1):
             for method in ("mine", "query-2d"):
                 named = {"method": method, "query": f"q{j}"}
@@ -118,7 +107,7 @@ def test_closed_set_numbers_are_those_of_their_protocol():
         row_of("bed", iou=0.25, class_iou=0.1),
         row_of("bed", protocol="langsplat@2", iou=0.75, filter=30),
     ]
-    tables = tables_of(rows, {"bed": Standing(RECOGNISED, OVS3D, "bed")})
+    tables = tables_of(rows, {"bed": data_of(OVS3D, "bed")})
     assert len(tables) == 8
     by_rules, by_langsplat = (t for t in tables if t.title.startswith("Table 2"))
     assert [mine for _, mine in cells(by_rules, "bed")][2::4] == ["25.00, n 1", "50.00, n 1"]

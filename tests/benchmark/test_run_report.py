@@ -20,7 +20,6 @@ from slgaussian.benchmark.reports.model import Report, plain
 from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.benchmark.reports.summary import COSTS
 from slgaussian.benchmark.scores import score_table
-from slgaussian.datasets.published import RECOGNISED
 from slgaussian.language.wholes import NEAR_BEST
 from slgaussian.storage.specs import load_spec
 
@@ -100,8 +99,8 @@ def test_both_forms_have_the_numbers_and_their_conditions(both, page, result):
 
 def test_the_papers_tables_stand_only_where_one_of_its_scenes_ran(both, result, truth):
     assert "The paper's tables" not in both.as_html() + both.as_markdown()
-    standing = {"standing": RECOGNISED, "format": "lerf_ovs", "scene": "teatime"}
-    data = {"data": {result.scene: {"published": standing}}}
+    of_scene = {"format": "lerf_ovs", "scene": "teatime", "published": True}
+    data = {"data": {result.scene: of_scene}}
     report = run_report.run_report([scene_of(result, truth)], MANIFEST | data)
     table = next(t for t in tables_of(report.as_markdown()) if "LangSplat" in " ".join(t[0]))
     assert table[0][2] == "IoU (%): LangSplat / langsplat-like"

@@ -14,12 +14,11 @@ from PIL import Image
 from flows.config import IndexSettings, SceneSettings
 from flows.indexing import build_index
 from flows.read_config import make_settings
-from flows.results import published_as
 from flows.scene import baseline_tasks, scene_task
 from flows.scenes import labelled_scenes, room_scene
 from slgaussian.benchmark.index import Index, read_index
 from slgaussian.datasets import re10k
-from slgaussian.datasets.published import SETS
+from slgaussian.datasets.labelled_sets import PUBLISHED, is_published
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.store import ArtifactStore
@@ -113,11 +112,7 @@ class TestIndex:
         before, after = (FRAMES.index(name) for name in teatime.context)
         assert 0 < before < 4 < after
         assert 0.6 <= teatime.measured["overlap"] <= 1
-        # Published as labelled: never a context view, and its missing labels are said.
-        assert FRAMES[5] not in ramen.context
-        assert "its labels are missing" in index.left_out["ramen-frame_00006"]
         assert "have it between them" in index.left_out["teatime-frame_00001"]
-        assert "no view 'frame_00025'" in index.left_out["teatime-frame_00025"]
 
     def test_is_the_same_bytes_again(self, lerf):
         files = [lerf / "one.json", lerf / "two.json"]
@@ -219,22 +214,14 @@ class TestScored:
 
 
 class TestPublished:
-    def test_photographs_and_labels_are_what_a_scene_is_known_by(self, lerf):
-        valid = SETS["lerf_ovs"]["teatime"]
-        images, labels = lerf / "ramen/images", lerf / "mine"
-        label(labels, "frame_00002.jpg", *valid.texts[:5])
-        scene = SceneSettings(
-            name="office", format="lerf_ovs", options={"scene": "ramen"}, path=lerf, labels=labels,
-            context=FRAMES[2:7:4], targets=["frame_00002.jpg"], categories=["sheep"],
-        )  # fmt: skip
-        assert published_as(scene)["standing"] == "another"  # called ramen, photographs of 240x160
-        Image.open(images / FRAMES[1]).resize(valid.size).save(images / FRAMES[1])
-        result = published_as(scene)
-        assert (result["standing"], result["scene"]) == ("recognised", "teatime")
-        label(labels, "frame_00002.jpg", "office chair", "monitor")
-        assert published_as(scene)["standing"] == "another"
-        (labels / "frame_00002.json").unlink()
-        assert published_as(scene) == {}
+    def test_name_and_labelled_frames_are_what_a_scene_is_known_by(self):
+        frames = [f"frame_{number}" for number in PUBLISHED["lerf_ovs"]["teatime"].split()]
+        assert is_published("lerf_ovs", "teatime", reversed(frames))
+        assert is_published("ovs3d", "covered_desk", ["00", "01", "11", "26", "29"])
+        assert not is_published("lerf_ovs", "ramen", frames)
+        assert not is_published("colmap", "teatime", frames)
+        assert not is_published("lerf_ovs", "teatime", frames[1:])
+        assert not is_published("lerf_ovs", "office", [])
 
 
 class TestHeldOut:

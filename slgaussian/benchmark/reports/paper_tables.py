@@ -1,10 +1,9 @@
 """The paper's tables (arXiv 2412.08331) with its printed numbers and those of a run.
 
-A cell has a number of the run only if the paper's scene was run: a scene of LERF-OVS or 3D-OVS,
-identified by its content (:mod:`slgaussian.datasets.published`), not by its folder name. Other
-scenes of these names are listed below the table. An overall mean requires all scenes of the table.
-The paper used its own networks and unpublished pairs of views, so numbers for other pairs of the
-same scene are not directly comparable.
+A cell has a number of the run only if the paper's scene was run: a scene of LERF-OVS or 3D-OVS with
+its name and labelled frames (:func:`slgaussian.datasets.labelled_sets.is_published`). An overall
+mean requires all scenes of the table. The paper used its own networks and unpublished pairs of
+views, so numbers for other pairs of the same scene are not directly comparable.
 """
 
 from __future__ import annotations
@@ -26,11 +25,14 @@ from slgaussian.benchmark.reports.model import (
 )
 from slgaussian.benchmark.reports.score_tables import conditions
 from slgaussian.benchmark.scores import score_table
-from slgaussian.datasets.published import ANOTHER, UNVERIFIED, Standing
+from slgaussian.datasets.labelled_sets import PUBLISHED
 
 Row = Mapping[str, Any]
 
 ABSENT = "data not present"
+ANOTHER = "another scene"
+"""A scene of this name was run, but its labelled frames are not the published ones."""
+
 PROTOCOLS = ("slgaussian", "langsplat")
 """Protocols for the run's numbers; the paper does not name its protocol."""
 
@@ -58,7 +60,7 @@ TABLES = _read_tables()
 
 
 def paper_section(
-    rows: Sequence[Row], places: Mapping[str, Standing], ours: str = "slgaussian"
+    rows: Sequence[Row], data: Mapping[str, Mapping[str, Any]], ours: str = "slgaussian"
 ) -> Section | None:
     """Return Tables 1 to 4 for each of :data:`PROTOCOLS` with a number of this run.
 
@@ -68,35 +70,21 @@ def paper_section(
     ----------
     rows : sequence
         Rows of the spec ``samples``, of all methods.
-    places : {scene: Standing}
-        Relation of the rows' scenes to published scenes of the same content or name: a pair of
+    data : {scene: {"format", "scene", "published"}}
+        Data set and scene of the rows' scenes, and whether it is the published scene: a pair of
         views of a LERF-OVS scene is a sample of that scene.
     ours : str
         Name of our method in the rows.
     """
-    run = _Run(rows, places, ours)
+    run = _Run(rows, data, ours)
     scored = [protocol for protocol in PROTOCOLS if run.has_scores(protocol)]
     shown = scored or PROTOCOLS[:1]
-    formats = {table.get("format") for table in TABLES}
-    others: dict[tuple[str, str, str], list[str]] = {}
-    for name, of in places.items():
-        if of.standing == ANOTHER and of.format in formats:
-            others.setdefault((of.format, of.scene, of.why), []).append(name)
-    if not scored and not others:
+    if not scored and not run.others:
         return None
     blocks: list[Block] = [Prose(ABOUT)]
     for protocol in shown:
         for table in TABLES:
             notes = run.notes({c.get("protocol", protocol) for c in table["columns"]})
-            if protocol == shown[0] and table["by_scene"]:
-                notes += [
-                    escape(
-                        f"{names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}: named "
-                        f"{scene}, but not the published scene ({reason}); not in the table."
-                    )
-                    for (format, scene, reason), names in others.items()
-                    if format == table["format"]
-                ]
             blocks.append(_table(table, run, protocol, notes))
     return Section("The paper's tables", blocks, "paper", link="The paper's tables")
 
@@ -122,23 +110,29 @@ def _table(table: Mapping[str, Any], run: _Run, protocol: str, notes: Sequence[s
 class _Run:
     """Scores of a run on the paper's data; arguments as in :func:`paper_section`."""
 
-    def __init__(self, rows: Sequence[Row], places: Mapping[str, Standing], ours: str) -> None:
+    def __init__(
+        self, rows: Sequence[Row], data: Mapping[str, Mapping[str, Any]], ours: str
+    ) -> None:
         self.ours = ours
-        self.unsure = {(o.format, o.scene) for o in places.values() if o.standing == UNVERIFIED}
-        recognised = []
+        self.others = {
+            (of["format"], of["scene"])
+            for of in data.values()
+            if of["scene"] in PUBLISHED.get(of["format"], {}) and not of["published"]
+        }
+        published = []
         for row in rows:
-            place = places.get(row["scene"])
-            if place is not None and place.standing != ANOTHER:
+            of = data.get(row["scene"])
+            if of is not None and of["published"]:
                 method = "slgaussian" if row["method"] == ours else row["method"]
                 frame = f"{row['scene']}/{row['frame']}"  # two pairs may share a target frame
-                named = {"dataset": place.format, "scene": place.scene, "method": method}
-                recognised.append({**row, **named, "frame": frame})
-        self.scenes = {(row["dataset"], row["scene"]) for row in recognised}
-        self.methods = {row["method"] for row in recognised}
-        single = [{**row, "dataset": f"{row['dataset']}/{row['scene']}"} for row in recognised]
+                named = {"dataset": of["format"], "scene": of["scene"], "method": method}
+                published.append({**row, **named, "frame": frame})
+        self.scenes = {(row["dataset"], row["scene"]) for row in published}
+        self.methods = {row["method"] for row in published}
+        single = [{**row, "dataset": f"{row['dataset']}/{row['scene']}"} for row in published]
         self.scores = {
             (score["dataset"], score["method"], score["protocol"].partition("@")[0], name): score
-            for of in (recognised, single)
+            for of in (published, single)
             for score in score_table(of).to_pylist()
             if (name := score["metric"]) in ("iou", "hit_box", "miou")
         }
@@ -156,7 +150,8 @@ class _Run:
         format, scenes = cell["format"], cell["scenes"]
         present = sum((format, scene) in self.scenes for scene in scenes)
         if not present:
-            return ABSENT
+            is_other = any((format, scene) in self.others for scene in scenes)
+            return ANOTHER if is_other else ABSENT
         if present < len(scenes):
             return f"{present} of {len(scenes)} scenes present"
         if cell["method"] not in self.methods:
@@ -167,8 +162,7 @@ class _Run:
             return "not scored"
         bounds = [score["low"], score["high"]]
         interval = "" if None in bounds else f" ({100 * bounds[0]:.2f}–{100 * bounds[1]:.2f})"
-        mark = f", {UNVERIFIED}" if any((format, name) in self.unsure for name in scenes) else ""
-        return f"{100 * score['value']:.2f}{interval}, n {score['samples']}{mark}"
+        return f"{100 * score['value']:.2f}{interval}, n {score['samples']}"
 
     def name(self, method: str) -> str:
         """Return the name of a method in the rows."""

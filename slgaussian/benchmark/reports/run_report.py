@@ -50,7 +50,6 @@ from slgaussian.benchmark.scores import (
     of_first_protocol,
     score_table,
 )
-from slgaussian.datasets.published import Standing
 
 Row = Mapping[str, Any]
 
@@ -77,7 +76,7 @@ def run_report(
     scenes : sequence of slgaussian.benchmark.reports.examples.Scene
     manifest : mapping
         Versions, settings and data, nested mappings allowed. Entries of ``data``, by scene, have
-        ``published``, the fields of :class:`slgaussian.datasets.published.Standing`, and
+        ``format``, ``scene`` and ``published``, whether it is a scene of the paper's tables, and
         ``cameras``, the source of the cameras.
     failures : sequence of mapping
         Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
@@ -101,8 +100,7 @@ def run_report(
     sections.append(Section("Speed and accuracy", [Slot(TIMES)], "times", link="Speed"))
     if worst:
         sections.append(_worst_section(answers, worst, attribution))
-    standing = {n: Standing(**of["published"]) for n, of in data.items() if of.get("published")}
-    if (paper := paper_section(rows, standing, ours)) is not None:
+    if (paper := paper_section(rows, data, ours)) is not None:
         sections.append(paper)
     if scenes:
         our_scores = [score for score in leading_scores if score["method"] == ours]
