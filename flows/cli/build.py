@@ -56,7 +56,6 @@ def field(
     ctx: typer.Context,
     photos: options.Photos,
     cameras: options.Cameras = None,
-    refine: options.Refine = False,
     keyframes: Annotated[
         int | None, typer.Option(metavar="N", min=2, help="Use N sharp photographs of a sequence.")
     ] = None,
@@ -91,7 +90,7 @@ def field(
     settings = make_settings(options.settings_from(ctx), "field")
     check_target(out)  # before the work
     start = time.perf_counter()
-    sample, places = load_photographs(photos, cameras, refine, settings, keyframes, verbose)
+    sample, places = load_photographs(photos, cameras, settings, keyframes, verbose)
     seconds = {"cameras" if cameras is None else "reading": time.perf_counter() - start}
     precompile.begin()
     height, width = sample.context[0].image.shape[:2]
@@ -210,7 +209,6 @@ def masks(
     ctx: typer.Context,
     photos: options.Photos,
     cameras: options.Cameras = None,
-    refine: options.Refine = False,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the maps.")] = Path("ids"),
 ) -> None:
     """Label the objects of photographs consistently in all views.
@@ -236,7 +234,7 @@ def masks(
 
     method = make_settings(options.settings_from(ctx), "masks")
     check_target(out, MASKS, "a folder of masks")  # before the work
-    sample, _ = load_photographs(photos, cameras, refine, method)
+    sample, _ = load_photographs(photos, cameras, method)
     sample, graph, left_out = select_usable(sample)
     for name, reason in left_out.items():
         typer.echo(f"warning: {name} is left out: {reason}", err=True)

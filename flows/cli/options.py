@@ -99,7 +99,6 @@ Cameras = Annotated[
     Path | None,
     typer.Option(help="transforms.json, LLFF's, or a COLMAP folder. [default: estimated]"),
 ]
-Refine = Annotated[bool, typer.Option("--refine", help="Re-estimate given cameras, same world.")]
 Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder of a field.")]
 FieldOrPly = Annotated[Path, typer.Argument(metavar="FIELD|PLY", help="Field, or any 3DGS .ply.")]
 Words = Annotated[Path | None, typer.Option(help="Words taught elsewhere: words.npz of a field.")]

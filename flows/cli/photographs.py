@@ -1,4 +1,4 @@
-"""Loading of photographs with cameras: given, estimated, or re-estimated."""
+"""Loading of photographs with cameras: given or estimated."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from flows.config import SceneSettings, Settings
-from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.datasets import unposed
 from slgaussian.datasets.keyframes import choose_keyframes
 from slgaussian.datasets.recognise import posed_scene, recognise
@@ -26,17 +25,16 @@ POSED = ("nerfstudio", "colmap", "llff")
 def load_photographs(
     photos: Sequence[str],
     cameras: Path | None,
-    refine: bool,
     settings: Settings,
     keyframes: int | None = None,
     verbose: bool = True,
 ) -> tuple[Sample, dict[str, str]]:
     """Load photographs with their cameras, at the size of the settings.
 
-    Without ``cameras``, those of precomputed geometry are used, else they are estimated; with
-    ``refine``, given cameras are re-estimated in the same world. The method used is printed. If
-    there are more than ``keyframes`` photographs, that many are chosen. Photographs whose cameras
-    cannot be estimated are left out with a warning; only one warning is printed unless ``verbose``.
+    Without ``cameras``, those of precomputed geometry are used, else they are estimated, and a
+    summary is printed. If there are more than ``keyframes`` photographs, that many are chosen.
+    Photographs whose cameras cannot be estimated are left out with a warning; only one warning is
+    printed unless ``verbose``.
 
     Returns
     -------
@@ -53,17 +51,13 @@ def load_photographs(
     if cameras is None and settings.predictor == "precomputed":
         cameras = _cameras_of(settings.precomputed.geometry)
     if cameras is None:
-        if refine:
-            raise InputError(
-                "--refine: re-estimates given cameras, and none are given; leave it out, or add "
-                "--cameras"
-            )
         files = unposed.named(photos)
         if keyframes is not None:
             looks = [glance(path.read_bytes())[0] for path in files.values()]
             files = {name: files[name] for name in _keyframes(list(files), looks, keyframes)}
         estimate = unposed.find(files)
-        _print_cameras(estimate, verbose)
+        print_warnings(estimate.warnings, verbose)
+        print(estimate.summary(), file=sys.stderr)
         scene = unposed.posed(files, estimate)
         names = list(scene.cameras)
     else:
@@ -74,11 +68,6 @@ def load_photographs(
             looks = [small(scene.read(name).image) for name in names]
             names = _keyframes(names, looks, keyframes, [scene.cameras[name] for name in names])
         files = {name: dict(views)[name] for name in names}
-        if refine:
-            existing = {name: file for name, file in files.items() if file.is_file()}
-            scene, estimate = unposed.refined(scene, names, existing)
-            _print_cameras(estimate, verbose)
-            names = list(scene.cameras)
     places = {n: str(file.absolute()) if file.is_file() else n for n, file in files.items()}
     sample = scene.sample(names, size=settings.size, near=settings.near, far=settings.far)
     return sample, places
@@ -92,11 +81,6 @@ def _cameras_of(geometry: Path | None) -> Path | None:
 
     stored = read_geometry(geometry)
     return None if stored.poses is None or stored.maps[0].K is None else geometry
-
-
-def _print_cameras(estimate: EstimatedCameras, verbose: bool) -> None:
-    print_warnings(estimate.warnings, verbose)
-    print(estimate.summary(), file=sys.stderr)
 
 
 def print_warnings(warnings: Sequence[str], verbose: bool) -> None:

@@ -50,8 +50,8 @@ TURNED = 30.0
 """Angle between two optical axes, degrees, above which depth errors grow (same measurement)."""
 
 OTHERWISE = (
-    "`slgaussian field --refine` finds them anew from the photographs, --set trust_cameras=true "
-    "goes on all the same"
+    "`slgaussian field` without --cameras finds them from the photographs, --set "
+    "trust_cameras=true goes on all the same"
 )
 """Alternatives to correcting the cameras, for the message that refuses them."""
 

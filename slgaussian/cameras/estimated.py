@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
-from itertools import combinations
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from slgaussian.errors import InputError
 from slgaussian.io import short_repr
 from slgaussian.scene import Camera
 
@@ -117,42 +115,6 @@ class EstimatedCameras:
             "warnings": list(self.warnings),
             "left_out": dict(self.left_out),
         }
-
-    def in_frame_of(self, reference: Mapping[str, Camera]) -> EstimatedCameras:
-        """Return the cameras in the world frame of reference cameras of the same names.
-
-        The first camera gets the pose of its namesake. Distances are scaled by the median ratio
-        over pairs. Depth ranges are those of the reference cameras.
-
-        Raises
-        ------
-        InputError
-            If all reference cameras are at one position.
-        """
-        names = list(self.cameras)
-        ratios = [
-            np.linalg.norm(reference[a].center - reference[b].center)
-            / max(float(np.linalg.norm(self.cameras[a].center - self.cameras[b].center)), 1e-12)
-            for a, b in combinations(names, 2)
-        ]
-        scale = float(np.median(ratios))
-        if not 0 < scale < np.inf:
-            raise InputError(
-                "the given cameras are all at one position, so they give no scale to the estimated "
-                "ones; leave them out (--cameras)"
-            )
-        # If the first camera is not the origin, shift the world to it first.
-        start, goal = self.cameras[names[0]], reference[names[0]]
-        turn = goal.c2w[:3, :3] @ start.c2w[:3, :3].T
-        cameras = {}
-        for name, camera in self.cameras.items():
-            c2w = np.eye(4)
-            c2w[:3, :3] = turn @ camera.c2w[:3, :3]
-            c2w[:3, 3] = goal.center + scale * (camera.center - start.center) @ turn.T
-            ends = [None if end is None else scale * end for end in (camera.near, camera.far)]
-            moved = replace(camera, c2w=c2w, near=ends[0], far=ends[1])
-            cameras[name] = moved.ranged(reference[name].near, reference[name].far)
-        return replace(self, cameras=cameras)
 
     def summary(self) -> str:
         """Return one line of text: range of the focal lengths, and support of the weakest pair."""

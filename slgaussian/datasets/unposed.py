@@ -14,7 +14,6 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from PIL import Image
 
@@ -246,51 +245,11 @@ def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
     return scene_of(name, estimated.cameras, files, "photographs", (), maps, True, record)
 
 
-def refined(
-    scene: Scene, names: Sequence[str], files: Mapping[str, Path]
-) -> tuple[Scene, EstimatedCameras]:
-    """Estimate the cameras of some views of a scene again, in the world of its cameras.
-
-    Parameters
-    ----------
-    scene : Scene
-    names : sequence of str
-        Two views or more; the pose of the first is unchanged.
-    files : mapping str -> path
-        Files of some of the photographs, whose EXIF is used.
-
-    Raises
-    ------
-    InputError
-        If cameras cannot be estimated, or those of the scene are all at one position.
-    """
-    inputs = [_of_view(scene.read(name), files.get(name)) for name in names]
-    before = {name: scene.cameras[name] for name in names}
-    estimated = find_cameras(inputs).in_frame_of(before)
-
-    def read(name: str) -> View:
-        return _straight(scene.read(name), estimated)
-
-    return Scene(scene.name, estimated.cameras, read, scene.phrases, estimated.as_json()), estimated
-
-
 def _straight(view: View, estimated: EstimatedCameras) -> View:
     """Return an undistorted view with its estimated camera."""
     camera, k1 = estimated.cameras[view.name], estimated.k1[view.name]
     view = replace(view, camera=camera)
     return straightened(view, _lens(camera, k1)) if k1 else view
-
-
-def _of_view(view: View, file: Path | None) -> Photograph:
-    """Return a view as a photograph; its size and orientation may differ from its file's."""
-    height, width = view.image.shape[:2]
-    small = cv2.resize(view.image, _shrunk(width, height), interpolation=cv2.INTER_AREA)
-    if file is None:
-        return Photograph(view.name, small, width, height)
-    stored = photograph(file, view.name)
-    part = max(width, height) / max(stored.width, stored.height)
-    focal = None if stored.focal is None else stored.focal * part
-    return Photograph(view.name, small, width, height, stored.lens, focal)
 
 
 def _lens(camera: Camera, k1: float) -> Maps:

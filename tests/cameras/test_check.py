@@ -100,9 +100,9 @@ def test_a_usual_mistake_is_refused_and_named(room, mistake, said):
     assert said in str(refused.value) and "procedural_0" in str(refused.value)
 
 
-def test_cameras_that_were_given_may_be_refined_and_found_ones_not(room):
+def test_given_cameras_may_be_left_out_and_found_ones_not(room):
     wrong = changed(room, lambda c: focal(c, 3))
-    with pytest.raises(InputError, match="`slgaussian field --refine` finds them anew"):
+    with pytest.raises(InputError, match="`slgaussian field` without --cameras finds them"):
         predict(wrong, MatchGraph.of(wrong.context), Method().predictor, 0)
     said = Estimated((0.9, 1.1), "guess", 0.5)
     with pytest.raises(
@@ -110,7 +110,7 @@ def test_cameras_that_were_given_may_be_refined_and_found_ones_not(room):
     ) as refused:
         wrong = changed(wrong, lambda c: replace(c, estimated=said))
         predict(wrong, MatchGraph.of(wrong.context), Method().predictor, 0)
-    assert "--refine" not in str(refused.value)
+    assert "without --cameras" not in str(refused.value)
 
 
 def test_exchanged_poses_are_named(room):
