@@ -183,8 +183,8 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
     rows = []
     for (stage, reason), members in grouped(failures, "stage", "reason").items():
         names = [failure["scene"] for failure in members]
-        more = [f"and {len(names) - LISTED} more"] if names[LISTED:] else []
-        rows.append(["; ".join([*names[:LISTED], *more]), stage, reason])
+        rest = [f"and {len(names) - LISTED} more"] if names[LISTED:] else []
+        rows.append(["; ".join([*names[:LISTED], *rest]), stage, reason])
     heads = [Column(name, is_text=True) for name in ("Scene", "Stage", "Reason")]
     return Section("Left out", [Table.of(heads, rows)], "left-out", link="Left out", style="failed")
 
@@ -204,7 +204,7 @@ def _worst_section(
         blocks.append(Prose(text))
     protocol = f"{escape(answers[0]['protocol'])} ({escape(conditions(answers[0]))})"
     blocks.append(Prose(f"The lowest scores, a few per scene, by {protocol}:"))
-    blocks += [examples.ANSWER_TERMS, Cards(worst)]
+    blocks.append(Cards(worst))
     if attribution:
         blocks += _attribution_blocks(attribution)
     return Section("Lowest scores", blocks, "worst", link="Lowest scores")
@@ -243,8 +243,8 @@ def _scene_tables(
         of_set = [score for score in scores if score["dataset"] == dataset]
         blocks.append(metrics_table(metrics, of_set, dataset, links))
     present = {name for scene in scenes for name in scene.metrics}
-    shown = [m for m in METRICS if m.metric in present and m not in SCORES["slgaussian"]]
-    blocks.append(Terms({m.title: m.help for m in shown}))
+    view_metrics = [m for m in METRICS if m.metric in present and m not in SCORES["slgaussian"]]
+    blocks.append(Terms({m.title: m.help for m in view_metrics}))
     estimated = []
     for name, of in data.items():
         if (cameras := of.get("cameras", "given")) != "given":

@@ -133,11 +133,11 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
             if ours:
                 gain = gains.get((dataset, protocol, method, columns[0].metric))
                 cells.append(gain_cell(gain, columns[0], is_worded=True))
-            about = ROWS[method].about if method in ROWS else ""
+            description = ROWS[method].about if method in ROWS else ""
             settings = dict.fromkeys(conditions(row) for row in by_metric.values())
             unusual = [text for text in settings if text != usual]
-            style = "ours" if method == ours else ""
-            lines.append(Line(tuple(cells), "; ".join(filter(None, (about, *unusual))), style))
+            text = "; ".join(filter(None, (description, *unusual)))
+            lines.append(Line(tuple(cells), text, "ours" if method == ours else ""))
         lines.sort(key=lambda line: line.cells[1].value.replace(NO_VALUE, ""), reverse=True)
         heads = [Column("Method", is_text=True)]
         heads += [replace(score.column, note=f"n {counts[score]}") for score in columns]

@@ -122,7 +122,7 @@ def _scores_by_cost(
         if time
     ]
     score = "IoU" if by_method else "PSNR, dB"
-    plots = [plot_pareto(points, costs[0].method, label, score)] if points else []
+    plots = [plot_pareto(points, costs[0].method, label, score)] if points[1:] else []
     return [Table.of(heads, rows, title), Gallery(plots, "grid plots")]
 
 

@@ -19,6 +19,7 @@ from slgaussian.benchmark.reports.model import (
     Table,
     count_text,
     escape,
+    number,
 )
 from slgaussian.benchmark.reports.score_tables import HIT_MASK, IOU, PSNR, mean_cells
 
@@ -56,8 +57,11 @@ def summarize(
         text += f", built from {' to '.join(map(str, dict.fromkeys((sizes[0], sizes[-1]))))} "
         text += f"photographs{' each' if len(scenes) > 1 else ''}"
     scored = sum(row["iou"] is not None for row in answers)
-    text += f". {count_text(scored, 'query', 'queries')} scored"
-    text += " in held-out views" if is_held_out and scored else ""
+    text += f". {count_text(scored or len(answers), 'query', 'queries')} "
+    if scored:
+        text += "scored in held-out views" if is_held_out else "scored"
+    else:
+        text += "without ground truth, not scored"
     variants = sum(map(is_variant, methods[1:]))
     counts = {"baseline": len(methods) - 1 - variants, "variant": variants}
     if compared := [count_text(n, kind) for kind, n in counts.items() if n]:
@@ -65,7 +69,7 @@ def summarize(
     unknown = sum(row["note"].startswith(NOT_UNDERSTOOD) for row in answers)
     exceptions = {
         f"[Scenes left out](#left-out): {left_out}.": left_out,
-        f"Queries without ground truth: {len(answers) - scored}.": len(answers) > scored,
+        f"Other queries, without ground truth: {len(answers) - scored}.": 0 < scored < len(answers),
         f"Queries that the encoder does not understand (IoU 0): {unknown}.": unknown,
     }
     blocks: list[Block] = [Prose(f"{text}.", "lead")]
@@ -110,16 +114,10 @@ def _key_scores(scenes: Sequence[Scene], scores: Sequence[Row], ours: str) -> li
 def key_costs(costs: Sequence[Cost]) -> Table:
     """Return the seconds of our method on each data set, the first method of ``costs`` in it."""
     ours = {cost.dataset: cost for cost in reversed(costs)}
-    lines = []
-    for dataset in dict.fromkeys(cost.dataset for cost in costs):
-        seconds = ours[dataset].view_query, ours[dataset].build
-        lines.append([dataset, *map(_seconds_text, seconds)])
-    heads = ["Data set", Column("Query in a new view", "median, including rendering"),
-             Column("Build a scene", "median, from photographs to a field")]  # fmt: skip
+    lines = [
+        [dataset, number(cost.view_query, 3), number(cost.build, 1)]
+        for dataset, cost in reversed(ours.items())
+    ]
+    heads = ["Data set", Column("Query in a new view, s", "median, including rendering"),
+             Column("Build a scene, s", "median, from photographs to a field")]  # fmt: skip
     return Table.of(heads, lines, style="key")
-
-
-def _seconds_text(seconds: float | None) -> str | None:
-    if seconds is None:
-        return None
-    return f"{seconds:,.0f} s" if seconds >= 10 else f"{seconds:.2g} s"
