@@ -1,12 +1,12 @@
-"""Cameras of chains of three to eight photographs, by ours and by COLMAP's incremental mapper.
+"""Cameras of chains of three to eight photographs, by our method and COLMAP's incremental mapper.
 
     python -m benches.cameras.chains DATA [-o docs/measured] [--rows FILE]
 
-:mod:`benches.cameras.posed_photographs` reads DATA. Both methods get the photographs and nothing
-else, and know that they are of one lens. The error of a pair of a chain is the larger of the angles
-by which rotation and direction of translation are off; pairs of views that were not placed count as
-wrong. pycolmap (the extra ``colmap``) is asked where it is installed, with two-view tracks, start
-pairs from 4 degrees and 30 inliers on. FILE keeps a row a chain and method, as JSON lines.
+:mod:`benches.cameras.posed_photographs` reads DATA. Both methods get only the photographs, and the
+information that they share one lens. The error of a pair of views is the larger of the angular
+errors of rotation and direction of translation; pairs with a view that was not registered count as
+wrong. pycolmap (extra ``colmap``) runs if it is installed, with two-view tracks, and initial pairs
+from 4 degrees and 30 inliers. FILE gets a row per chain and method, as JSON lines.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from slgaussian.cameras.two_view import Photograph
 from slgaussian.errors import InputError
 from slgaussian.scene import View
 
-UNTOLD = (float("nan"), float("nan"))
+NO_INTERVAL = (float("nan"), float("nan"))
 
 Answer = Mapping[int, tuple[np.ndarray, np.ndarray, float, tuple[float, float]]]
-"""World to camera, R [3, 3] and t [3], of the placed views; focal length in pixels, and the ends of
-the interval that is said to hold it nine times in ten, or :data:`UNTOLD`."""
+"""World to camera, R [3, 3] and t [3], of the registered views; focal length in pixels; its 90 %
+interval, or :data:`NO_INTERVAL`."""
 
 
 def ours(views: Sequence[View]) -> Answer:
@@ -53,8 +53,8 @@ def ours(views: Sequence[View]) -> Answer:
     except InputError as refusal:
         print(f"    {refusal}")
         return {}
-    for name, why in estimate.left_out.items():
-        print(f"    {name}: {why}")
+    for name, reason in estimate.left_out.items():
+        print(f"    {name}: {reason}")
     out = {}
     for i, view in enumerate(views):
         if view.name in estimate.cameras:
@@ -96,12 +96,12 @@ def colmap(views: Sequence[View]) -> Answer:
             if image.has_pose:
                 pose = image.cam_from_world().matrix()
                 focal = float(model.cameras[image.camera_id].focal_length)
-                out[names.index(image.name)] = (pose[:, :3], pose[:, 3], focal, UNTOLD)
+                out[names.index(image.name)] = (pose[:, :3], pose[:, 3], focal, NO_INTERVAL)
         return out
 
 
-def judged(chain: PosedChain, answer: Answer) -> dict[str, Any]:
-    """Compute the errors of all pairs, degrees, and the relative error of the focal length."""
+def errors_of(chain: PosedChain, answer: Answer) -> dict[str, Any]:
+    """Compute the errors of all pairs in degrees, and the relative error of the focal length."""
     errors = []
     for i, j in itertools.combinations(range(len(chain.views)), 2):
         if i not in answer or j not in answer:
@@ -114,7 +114,7 @@ def judged(chain: PosedChain, answer: Answer) -> dict[str, Any]:
         errors.append(max(pose_errors))
     # All views of a chain share one focal length.
     true = chain.views[0].camera.K[0, 0]
-    *_, focal, (low, high) = next(iter(answer.values()), (np.nan, UNTOLD))
+    *_, focal, (low, high) = next(iter(answer.values()), (np.nan, NO_INTERVAL))
     has_focal = chain.focal_known and np.isfinite(focal)
     return {
         "placed": len(answer),
@@ -159,15 +159,15 @@ def main() -> None:
             answer = call(chain.views)
             seconds = time.process_time() - start
             row = {"group": chain.group, "name": chain.name, "method": method}
-            rows.append(row | judged(chain, answer) | {"seconds": seconds})
+            rows.append(row | errors_of(chain, answer) | {"seconds": seconds})
             print(f"  {chain.name} {method}: {rows[-1]['placed']}/{rows[-1]['views']}", flush=True)
     if args.rows:
         args.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
     lines = []
     for group in ["all", *dict.fromkeys(row["group"] for row in rows)]:
         for method in methods:
-            mine = [r for r in rows if r["method"] == method and group in ("all", r["group"])]
-            lines.append(summary(group, method, mine))
+            selected = [r for r in rows if r["method"] == method and group in ("all", r["group"])]
+            lines.append(summary(group, method, selected))
     command = "python -m benches.cameras.chains DATA"
     publish(args.out, "poses.md", command, table(lines, {key: (key, str) for key in lines[0]}))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 THRESHOLDS = (5.0, 10.0, 20.0)
 WRONG = 20.0
-"""Error above which a pose is useless, degrees."""
+"""Error in degrees above which a pose counts as wrong."""
 
 
 def rotation_error(estimated: np.ndarray, true: np.ndarray) -> float:
@@ -28,9 +28,9 @@ def direction_error(estimated: np.ndarray, true: np.ndarray) -> float:
 def area_under_curve(
     errors: Sequence[float], thresholds: Sequence[float] = THRESHOLDS
 ) -> list[float]:
-    """Mean share, in hundredths, of ``errors`` below a bound, over all bounds up to each threshold.
+    """Compute the area under the recall curve of ``errors`` up to each threshold, in percent.
 
-    That is the AUC of SuperGlue (Sarlin et al. 2020) and LightGlue. A pair without an answer counts
+    It is the AUC of SuperGlue (Sarlin et al. 2020) and LightGlue. A pair without an answer counts
     with an infinite error.
     """
     if not len(errors):

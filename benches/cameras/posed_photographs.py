@@ -1,8 +1,8 @@
 """Pairs and chains of photographs whose cameras are known.
 
-DATA is a folder with ``office`` and, as far as they are there, ``places``, ``fern`` and
-``office_walk``. Cameras of ``places`` and ``fern`` come from structure from motion, those of the
-other two from the tracking of a device; all are taken for true.
+DATA is a folder with ``office`` and optionally ``places``, ``fern`` and ``office_walk``. Cameras of
+``places`` and ``fern`` come from structure from motion, the others from device tracking; all are
+used as ground truth.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ WALK_PAIRS = 80
 WALK_GAP = 4
 LEAST_SHARED = 0.3
 LEAST_BASELINE = 0.05
-"""A pair of the walk can be used if each view shows so much of the other at its median depth, and
-their distance is at least so much of that depth."""
+"""Smallest overlap of two views of a walk, at their median depth, and smallest baseline as a
+fraction of that depth."""
 
 FERN_PAIRS = 10
 
@@ -42,7 +42,7 @@ class PosedPair:
         Unique among all pairs.
     a, b : View
     focal_known : bool
-        Whether the focal length of the cameras can be taken for true.
+        Whether the focal length of the cameras is reliable.
     """
 
     group: str
@@ -81,7 +81,7 @@ def _of_place(folder: Path) -> Iterator[PosedPair]:
 
 
 def _walk(scene: Scene) -> tuple[list[View], Callable[[int, int], bool]]:
-    """Return the views of a walk, and a test whether two have enough baseline and overlap."""
+    """Return the views of a walk, and a test of two views for sufficient baseline and overlap."""
     views = [scene.read(name) for name in scene.cameras]
     depths = [float(np.median(view.depth[view.depth > 0])) for view in views]
 
@@ -122,7 +122,7 @@ WALK_CHAINS = 12
 
 @dataclass(frozen=True, eq=False)
 class PosedChain:
-    """Photographs of one place with their cameras; states whether the focal length is known."""
+    """Photographs of one place with their cameras, and whether their focal length is reliable."""
 
     group: str
     name: str

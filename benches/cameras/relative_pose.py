@@ -2,10 +2,10 @@
 
     python -m benches.cameras.relative_pose DATA [-o docs/measured] [--rows FILE]
 
-:mod:`benches.cameras.posed_photographs` reads DATA. Every method finds its own features and gets
-the photographs as they are. The error of a pair is the larger of the angles by which rotation and
-direction of translation are off. Intervals are those of the bootstrap over pairs. FILE keeps a row
-a pair and method, as JSON lines.
+:mod:`benches.cameras.posed_photographs` reads DATA. Each method gets the unchanged photographs and
+detects its own features. The error of a pair is the larger of the angular errors of rotation and
+direction of translation. Intervals are from the bootstrap over pairs. FILE gets a row per pair and
+method, as JSON lines.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from slgaussian.errors import InputError
 from slgaussian.scene import View
 
 DRAWS = 1000
-"""Number of resamplings of an interval."""
+"""Number of bootstrap resamples."""
 
 
 class Answer(NamedTuple):
-    """``X_b = R @ X_a + t``, and the two focal lengths in pixels if they were found.
+    """Relative pose ``X_b = R @ X_a + t``, and the two focal lengths in pixels if estimated.
 
-    Where a method says so, with the ends of the intervals that hold them nine times in ten, and
-    whether all this is doubted.
+    ``intervals`` are the 90 % intervals of the focal lengths, and ``doubted`` is whether the method
+    doubts its answer; None if the method has no such output.
     """
 
     R: np.ndarray
@@ -56,9 +56,9 @@ class Answer(NamedTuple):
     doubted: bool | None = None
 
 
-JUDGED = ("rotation", "direction", "focal", "inside", "doubted")
-"""Errors in degrees and in parts; the share of the true focal lengths that lie in their interval;
-and 1 for a doubted answer."""
+ERRORS = ("rotation", "direction", "focal", "inside", "doubted")
+"""Errors of the pose in degrees, relative error of the focal lengths, share of true focal lengths
+in their interval, and 1 for a doubted answer."""
 
 Method = Callable[[View, View], Answer | None]
 
@@ -148,7 +148,7 @@ def methods() -> dict[str, Method]:
 
 
 def measure(pairs: Iterable[PosedPair]) -> list[dict[str, Any]]:
-    """Return a row per pair and method; errors are NaN if a method has no answer."""
+    """Return a row per pair and method; errors are NaN if the method has no answer."""
     rows = []
     for pair in pairs:
         true_pose = pair.b.camera.w2c @ pair.a.camera.c2w
@@ -166,9 +166,9 @@ def measure(pairs: Iterable[PosedPair]) -> list[dict[str, Any]]:
 
 
 def _errors(answer: Answer | None, pair: PosedPair, true_pose: np.ndarray) -> dict[str, float]:
-    """Compute the errors of an answer; NaN if not available or without reference."""
+    """Compute the errors of an answer; NaN without an answer or a reference."""
     if answer is None:
-        return dict.fromkeys(JUDGED, float("nan"))
+        return dict.fromkeys(ERRORS, float("nan"))
     true = [(view.camera.K[0, 0] + view.camera.K[1, 1]) / 2 for view in (pair.a, pair.b)]
     focal = inside = float("nan")
     if answer.focals is not None and pair.focal_known:
@@ -183,7 +183,7 @@ def _errors(answer: Answer | None, pair: PosedPair, true_pose: np.ndarray) -> di
         inside,
         float("nan") if answer.doubted is None else float(answer.doubted),
     )
-    return dict(zip(JUDGED, errors, strict=True))
+    return dict(zip(ERRORS, errors, strict=True))
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -194,29 +194,31 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         "all": lambda group: True,
     }
     out = []
-    for title, belongs in groups.items():
+    for title, in_group in groups.items():
         for method in dict.fromkeys(row["method"] for row in rows):
-            some = [row for row in rows if belongs(row["group"]) and row["method"] == method]
-            if not some:
+            selected = [row for row in rows if in_group(row["group"]) and row["method"] == method]
+            if not selected:
                 continue
-            errors = np.array([max(row["rotation"], row["direction"]) for row in some])
+            errors = np.array([max(row["rotation"], row["direction"]) for row in selected])
             answered = np.isfinite(errors)
-            off = np.where(answered, errors, np.inf)
-            areas = np.array([area_under_curve(off[i]) for i in resamplings(len(some))[:DRAWS]])
+            bounded_errors = np.where(answered, errors, np.inf)
+            areas = np.array(
+                [area_under_curve(bounded_errors[i]) for i in resamplings(len(selected))[:DRAWS]]
+            )
             ends = [interval(area) for area in areas.T]
             wrong = answered & (errors > WRONG)
             line = {
                 "group": title,
                 "method": method,
-                "pairs": len(some),
-                "auc": "/".join(f"{area:.1f}" for area in area_under_curve(off)),
+                "pairs": len(selected),
+                "auc": "/".join(f"{area:.1f}" for area in area_under_curve(bounded_errors)),
                 "ends": ", ".join(f"{low:.0f} to {high:.0f}" for low, high in ends),
                 "refused": int((~answered).sum()),
                 "wrong": int(wrong.sum()),
-                "seconds": float(np.median([row["seconds"] for row in some])),
+                "seconds": float(np.median([row["seconds"] for row in selected])),
             }
             focal, inside, doubted = (
-                np.array([row[key] for row in some]) for key in ("focal", "inside", "doubted")
+                np.array([row[key] for row in selected]) for key in ("focal", "inside", "doubted")
             )
             if np.isfinite(focal).any():
                 line["focal"] = float(np.nanmedian(focal))

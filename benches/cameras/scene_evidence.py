@@ -1,13 +1,13 @@
-"""Probability that found cameras are right, from what the views of a scene say of each other.
+"""Probability that estimated cameras are right, from the consistency of the views of a scene.
 
     python -m benches.cameras.scene_evidence DATA [-o docs/measured] [--rows FILE]
 
-Cameras are found of the pairs of :mod:`benches.cameras.posed_photographs` and of pairs of rendered
-rooms, which are hard on purpose: two focal lengths, roll, exposure, noise, JPEG and objects that
-move. The depth of each gives the clash of the views (:mod:`slgaussian.cameras.quality`). A logistic
-regression from clash and the confidence of the matches to right cameras (pose error up to 20
-degrees) is compared with that confidence alone; its probabilities are cross-validated over ten
-parts. FILE keeps a row a pair, and pairs in it are not measured again.
+Cameras are estimated for the pairs of :mod:`benches.cameras.posed_photographs` and for pairs of
+rendered rooms with difficulties: two focal lengths, roll, exposure, noise, JPEG and moving objects.
+The depth of each pair gives the clash of its views (:mod:`slgaussian.cameras.quality`). A logistic
+regression on clash and the confidence of the matches predicts whether the cameras are right (pose
+error up to 20 degrees). It is compared, with ten-fold cross-validation, with that confidence alone.
+FILE gets a row per pair, and pairs in it are not measured again.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def look_at(eye: np.ndarray, target: np.ndarray, roll: float) -> np.ndarray:
 
 
 def pinhole(focal: float, c2w: np.ndarray, scale: float = 1.0) -> Camera:
-    """Return a camera with a centred principal point; the focal length is in widths."""
+    """Return a camera with centred principal point and a focal length in image widths."""
     width, height = round(scale * WIDTH), round(scale * HEIGHT)
     K = np.array([[focal * width, 0, width / 2], [0, focal * width, height / 2], [0, 0, 1]])
     return Camera(K, c2w, width, height)
@@ -99,7 +99,7 @@ def hard_pair(seed: int) -> tuple[list[np.ndarray], list[Camera]]:
 
 
 def add_object(images: list[np.ndarray], rng: np.random.Generator) -> None:
-    """Draw a round object into each image, at another place in each."""
+    """Draw a round object into each image, at independent positions."""
     radius = round(np.sqrt(MOVED_SHARE * WIDTH * HEIGHT / np.pi))
     side = 2 * radius + 1
     photo = getattr(skimage.data, str(rng.choice(["coffee", "chelsea", "astronaut", "rocket"])))()
@@ -127,7 +127,7 @@ def pairs(data: Path) -> Iterator[tuple[str, str, Callable[[], Pair]]]:
 
 
 def measure(images: Sequence[np.ndarray], cameras: Sequence[Camera]) -> dict[str, float] | None:
-    """Find the cameras of a pair and return error, confidence and evidence; None if refused."""
+    """Estimate the cameras of a pair; return error, confidence and evidence, or None if refused."""
     photographs = [
         Photograph(name, image, camera.width, camera.height)
         for name, image, camera in zip("ab", images, cameras, strict=True)
@@ -166,7 +166,7 @@ def fit(X: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def cross_validated(X: np.ndarray, right: np.ndarray, parts: int = 10) -> np.ndarray:
-    """Return the probability of each row, by a fit to the rows of the other parts."""
+    """Return the probability of each row, from a fit to the rows of the other folds."""
     part = np.random.default_rng(0).permutation(len(X)) % parts
     out = np.empty(len(X))
     for k in range(parts):
@@ -176,7 +176,7 @@ def cross_validated(X: np.ndarray, right: np.ndarray, parts: int = 10) -> np.nda
 
 
 def reliability(name: str, probability: np.ndarray, right: np.ndarray) -> dict[str, Any]:
-    """Return log loss, Brier score, and right of all answers in each bin of the probability."""
+    """Return log loss, Brier score, and counts of right answers and answers per probability bin."""
     p = np.clip(probability, 1e-3, 1 - 1e-3)
     log_loss = -np.where(right, np.log(p), np.log(1 - p)).mean()
     row = {"name": name, "log_loss": log_loss, "brier": ((p - right) ** 2).mean()}
@@ -187,7 +187,7 @@ def reliability(name: str, probability: np.ndarray, right: np.ndarray) -> dict[s
 
 
 def summary(rows: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], str]:
-    """Return the rows of the table, and a sentence with the coefficients."""
+    """Return the rows of the table, and a sentence with counts and coefficients."""
     answered = [row for row in rows if "error" in row]
     right = np.array([row["error"] <= WRONG for row in answered])
     matches = np.array([row["matches"] for row in answered])

@@ -1,6 +1,6 @@
 """A faulty HTTP server: a proxy that fails some of the requests.
 
-Which requests fail, and how, is drawn by a seed in the order in which they come.
+A random generator with a seed draws the fault of each request in order of arrival.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ FAULTS = (
 )
 """Outcomes of a request.
 
-``500 when done`` and the three last are answered after the server has done it; ``cut short`` ends
-the connection in the middle of the answer's body, ``less than said`` gives half the body and calls
-it all.
+With ``500 when done`` and the last three, the server executes the request. ``cut short`` closes the
+connection in the middle of the answer's body; ``less than said`` sends half of the body, with the
+length of that half.
 """
 
 _XML = "<?xml version='1.0' encoding='UTF-8'?><Error><Code>{}</Code><Message>{}</Message></Error>"
@@ -36,26 +36,26 @@ _DROPPED = {"connection", "transfer-encoding", "keep-alive", "content-length"}
 
 
 class BadWeather:
-    """A proxy on loopback before ``server``; ``url`` is where it listens.
+    """A proxy on loopback in front of ``server``; ``url`` is its address.
 
     Parameters
     ----------
     server : str
         URL of the server.
     share : float
-        Of the requests that fail.
+        Fraction of the requests that fail.
     seed : int
     hang : float
-        Seconds for which a request that times out is held before its connection is dropped.
+        Seconds until the connection of a request that times out is closed.
     faults : tuple of str
         Some of :data:`FAULTS`.
 
     Attributes
     ----------
     met : Counter
-        How many requests met which fault; ``""`` are those that met none.
+        Number of requests by fault; ``""``: no fault.
     full : bool
-        Whether everything that would be written is refused, as by a server whose disk is full.
+        Whether to refuse all writes, as a server with a full disk does.
     """
 
     def __init__(

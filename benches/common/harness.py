@@ -1,8 +1,8 @@
-"""Arguments, tables, times and pages of benches.
+"""Arguments, tables, timing and pages of benches.
 
-A page of ``docs/measured`` is written by hand, but for blocks that benches write with
-``-o docs/measured``: what stands between ``<!-- NAME -->`` and ``<!-- end of NAME -->`` is of the
-bench of that name. A block begins with date, commit, machine and command; tables follow.
+A page of ``docs/measured`` is written by hand, except for blocks that benches write with
+``-o docs/measured``: the bench NAME writes the text between ``<!-- NAME -->`` and
+``<!-- end of NAME -->``. A block begins with date, commit, machine and command; tables follow.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Format = str | Callable[[object], str]
 """A format specification such as ``.2f``, or a function from a value to a string."""
 
 ROUNDS, LEAST_ROUNDS, SECONDS = 11, 3, 8.0
-"""Rounds of :func:`times_in_turn`, of which there are fewer where they take longer together."""
+"""Rounds of :func:`times_in_turn`, and the smallest number if they exceed this many seconds."""
 
 
 def parser(doc: str | None, page: str = "") -> argparse.ArgumentParser:
@@ -60,7 +60,7 @@ def measured() -> str:
 
 
 def machine() -> str:
-    """Return processor, cores and versions; no name of the machine."""
+    """Return processor, cores and versions, without the name of the machine."""
     name, cores = threads.processor().rsplit(", ", 1)
     return (
         f"{cores} ({platform.machine()}, {name}), Python "
@@ -79,7 +79,7 @@ def table(rows: Sequence[Mapping], columns: Mapping[str, tuple[str, Format]]) ->
     Parameters
     ----------
     rows : sequence of mapping
-        A row without the key of a column has an empty cell there.
+        A missing key gives an empty cell.
     columns : mapping of str to (str, Format)
         Heading and format of each key. Numbers are aligned on the right, ``str`` on the left.
     """
@@ -113,9 +113,9 @@ def publish(out: Path | None, page: str, command: str, *parts: str) -> None:
     out : Path or None
         Folder of the page; None prints only.
     page : str
-        File name, such as ``words.md``. Without a block of the bench it gets one at its end.
+        File name, such as ``words.md``. A new block is appended.
     command : str
-        What measures this again, such as ``python -m benches.language.words_known DATA``.
+        Command that repeats this, such as ``python -m benches.language.words_known DATA``.
     parts : str
     """
     name = command.split()[2].rpartition(".")[2]
@@ -137,15 +137,15 @@ def times_in_turn(
     clock: Callable[[], float] = time.perf_counter,
     pick: Callable = np.median,
 ) -> dict[str, float]:
-    """Return median seconds of each, run in turn so that other load affects all equally.
+    """Return median seconds of functions, run in turn so that other load affects all equally.
 
     Parameters
     ----------
     contenders : mapping of str to callable
-        Each runs once before it is timed.
+        Functions to time; each runs once before that.
     clock : callable
     pick : callable
-        ``min`` gives what the work takes where others interrupt.
+        Statistic over rounds; ``min`` excludes interruptions by other processes.
     """
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for work in contenders.values():

@@ -1,4 +1,4 @@
-"""Pairs of photographs for benches: a procedural room, or those of a folder."""
+"""Pairs of photographs for benches: a procedural room, or the pairs of a folder."""
 
 import json
 from collections.abc import Callable
@@ -17,7 +17,7 @@ DATA_HELP = (
 
 
 def data_folder(*holds: str) -> Callable[[str], Path]:
-    """Return a parser type for DATA: a folder that contains these files, else the bench exits."""
+    """Return a parser type for DATA: a folder that must contain these files."""
 
     def read(argument: str) -> Path:
         folder = Path(argument)

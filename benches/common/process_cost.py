@@ -1,4 +1,4 @@
-"""Cost of a command with all of its processes, from the kernel's counters in /proc."""
+"""Cost of a command and its child processes, from the counters in /proc."""
 
 from __future__ import annotations
 

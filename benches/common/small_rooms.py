@@ -1,4 +1,4 @@
-"""Small procedural rooms as photographs on disk: many scenes of a second each, to run flows on."""
+"""Small procedural rooms as photographs on disk, for runs of many scenes of a second each."""
 
 from __future__ import annotations
 

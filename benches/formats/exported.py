@@ -2,8 +2,8 @@
 
     python -m benches.formats.exported DATA [-o docs/measured]
 
-DATA is a folder of pairs of photographs, such as an office; a made-up room comes beside its first
-three scenes. -o writes exports.md. The page (.html) is drawn by Chromium, which must be there.
+DATA is a folder of pairs of photographs, such as the office. The bench measures its first three
+scenes and a procedural room. Chromium, which must be installed, draws the page (.html).
 """
 
 import base64
@@ -40,7 +40,7 @@ READ: dict[str, tuple[Callable, Callable[[Path], Gaussians]]] = {
 
 
 def rows_of(name: str, field: SemanticField, browser: Browser, folder: Path) -> Iterator[dict]:
-    """Return a row per format: bytes, and the error of renderings after reading it again."""
+    """Yield a row per format: bytes, and the error of renderings after reloading it."""
     cameras = list(field.cameras.values())
     middle = between(cameras[0], cameras[-1], 0.5)
     true = [_drawn(field.gaussians, camera) for camera in (*cameras, middle)]
@@ -50,11 +50,11 @@ def rows_of(name: str, field: SemanticField, browser: Browser, folder: Path) -> 
         save(field.gaussians, file)
         reloaded = load(file)
         errors = [
-            psnr(_drawn(reloaded, camera), was)
-            for camera, was in zip((*cameras, middle), true, strict=True)
+            psnr(_drawn(reloaded, camera), original)
+            for camera, original in zip((*cameras, middle), true, strict=True)
         ]
         yield common | _row(suffix, file, min(errors[:-1]), errors[-1])
-    # The camera between the views is one of the page's only for this.
+    # The page gets the camera between the views only for this measurement.
     file = folder / "scene.html"
     file.write_text(scene_page(field), "utf-8")
     size = file.stat().st_size

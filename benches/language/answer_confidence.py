@@ -2,12 +2,12 @@
 
     python -m benches.language.answer_confidence DATA [-o docs/measured] [--rows FILE] [--seeds 3]
 
-DATA holds ``office``, ``places`` and ``things``; the classifier must be installed. Every labelled
-pair is asked for what is labelled in its target, and for things that its place has not. An answer
+DATA holds ``office``, ``places`` and ``things``; the classifier must be installed. Each labelled
+pair is queried for the labels of its target, and for things that its place does not have. An answer
 is a mask, right if its IoU with the truth is above 0.5, and a point, right if it lies on the thing.
-Constants for one place are fitted to the others; those that ship, to all. The three kinds of places
-count alike, places of a kind too, and what is there as much as what is not. Rows are kept in FILE
-as they come, and what it holds is not done again.
+For each place the constants are fitted to all other places; the shipped constants are fitted to
+all. The three kinds of places have equal weights, and so have the places of a kind, and present and
+absent things. Rows are appended to FILE, and scenes in it are not measured again.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ NOWHERE = (
 stop sign, fire hydrant, surfboard, skis, pizza, sandwich, broccoli, toothbrush, hair dryer, \
 umbrella, guitar, piano, motorcycle, kite"
 )
-EVERY = ("office", *PLACES, *THINGS)
-NOT_THERE = {
+ALL_PLACES = ("office", *PLACES, *THINGS)
+ABSENT = {
     "office": f"{OUTDOORS}, purple tablecloth, pink flowers, leather pouf, pink placemat, towel",
     "castle": INDOORS,
     "street": INDOORS,
@@ -64,7 +64,7 @@ poster",
     **dict.fromkeys(THINGS, TABLES),
     "lounge": f"{OUTDOORS}, sky, pink flowers, purple tablecloth, blue box, foosball table",
 }
-"""What no photograph of a place shows, by eye, beside :data:`NOWHERE`, which none of any does."""
+"""Things that no photograph of a place shows, checked by eye, in addition to :data:`NOWHERE`."""
 
 
 class Row(NamedTuple):
@@ -74,7 +74,7 @@ class Row(NamedTuple):
     scene: str
     seed: int
     text: str
-    there: bool
+    present: bool
     gap: float
     measurements: int
     stands_out: float
@@ -88,7 +88,7 @@ class Row(NamedTuple):
         return self.gap * self.measurements
 
 
-RESTS_ON = ("evidence", "stands_out", "parts", "named")
+PREDICTORS = ("evidence", "stands_out", "parts", "named")
 """Predictors of the confidence."""
 
 
@@ -99,46 +99,48 @@ def answers(place: str, scene: SceneSettings, seeds: Sequence[int]) -> Iterator[
     target = sample.targets[0]
     truth = read_truth(scene.labels, scene.categories, sample.targets).masks[target.name]
     for inputs in built(sample, seeds):
-        seen = ObjectMap(inputs.field.render(target.camera).ids, inputs.bank.ids)
-        for text, *found in answered(place, seen, inputs.field.reader, truth):
-            yield Row(place, scene.name, inputs.seed, text, *found)
+        object_map = ObjectMap(inputs.field.render(target.camera).ids, inputs.bank.ids)
+        for answer in answered(place, object_map, inputs.field.reader, truth):
+            yield Row(place, scene.name, inputs.seed, *answer)
 
 
 def answered(
-    place: str, seen: ObjectMap, reader: BankReader, truth: Mapping[str, np.ndarray]
+    place: str, object_map: ObjectMap, reader: BankReader, truth: Mapping[str, np.ndarray]
 ) -> Iterator[tuple]:
-    """Of each text that is asked at a place, it and the last fields of its :class:`Row`.
+    """Yield the fields of a :class:`Row`, from ``text`` on, for each text asked at a place.
 
-    Texts that the lexicon refuses, or cannot tell, have none.
+    Texts that the lexicon refuses, or cannot answer, are left out.
     """
-    asked = [text for text, mask in truth.items() if mask.any()]
-    for text in [*asked, *f"{NOT_THERE[place]}, {NOWHERE}".split(", ")]:
+    present_texts = [text for text, mask in truth.items() if mask.any()]
+    for text in [*present_texts, *f"{ABSENT[place]}, {NOWHERE}".split(", ")]:
         try:
-            hit = ask([text], seen, reader, Rules())[0]
+            hit = ask([text], object_map, reader, Rules())[0]
         except InputError:
             continue
         if hit.understood.untold:
             continue
         gaps = reader.gaps([text], Rules())[0][hit._ranked]
         asks, named = hit.understood.measurements, hit.understood.named
-        at = confidence.signs(gaps, hit._chosen[hit._ranked], asks, seen.parts(hit._chosen))
-        there = text in asked
-        right = truth[text] if there else np.zeros_like(hit.mask)
+        at = confidence.signs(gaps, hit._chosen[hit._ranked], asks, object_map.parts(hit._chosen))
+        present = text in present_texts
+        right = truth[text] if present else np.zeros_like(hit.mask)
         union = (right | hit.mask).sum()
-        on = there and hit.point is not None and bool(right[hit.point[1], hit.point[0]])
+        on = present and hit.point is not None and bool(right[hit.point[1], hit.point[0]])
         good = bool(union and (right & hit.mask).sum() / union > 0.5)
-        yield text, there, float(gaps.max()), asks, at.stands_out, at.parts, named, good, on
+        yield text, present, float(gaps.max()), asks, at.stands_out, at.parts, named, good, on
 
 
 def weights(rows: Sequence[Row]) -> np.ndarray:
-    """Of rows float64 [M]: kinds of places alike, their places too, and what is there or is not."""
-    groups = Counter((row.place, row.there) for row in rows)
+    """Return weights float64 [M], equal in sum over kinds, places, and present or absent."""
+    groups = Counter((row.place, row.present) for row in rows)
     places = Counter(kind_of(place) for place in {row.place for row in rows})
-    return np.array([1 / groups[row.place, row.there] / places[kind_of(row.place)] for row in rows])
+    return np.array(
+        [1 / groups[row.place, row.present] / places[kind_of(row.place)] for row in rows]
+    )
 
 
 def kind_of(place: str) -> str:
-    """Office, places or things."""
+    """Return the kind of a place: office, places or things."""
     return place if place == "office" else "things" if place in THINGS else "places"
 
 
@@ -147,9 +149,8 @@ def signs(rows: Sequence[Row], on: Sequence[str]) -> np.ndarray:
     return np.array([[*(getattr(row, name) for name in on), 1.0] for row in rows])
 
 
-def fitted(rows: Sequence[Row], measure: str, predictors: Sequence[str] = RESTS_ON) -> np.ndarray:
-    """Constants float64 [S + 1] of the logistic curve of ``mask`` or ``point``, a little held
-    back."""
+def fitted(rows: Sequence[Row], measure: str, predictors: Sequence[str] = PREDICTORS) -> np.ndarray:
+    """Fit the logistic curve of ``mask`` or ``point`` with a weak ridge: float64 [S + 1]."""
     X, w = signs(rows, predictors), weights(rows)
     right = np.array([getattr(row, measure) for row in rows])
     w, scale = w / w.sum(), np.append(X[:, :-1].std(0), 0)
@@ -163,13 +164,13 @@ def fitted(rows: Sequence[Row], measure: str, predictors: Sequence[str] = RESTS_
     return minimize(loss, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B").x
 
 
-def left_out(rows: Sequence[Row], what: str, on: Sequence[str] = RESTS_ON) -> np.ndarray:
+def left_out(rows: Sequence[Row], measure: str, on: Sequence[str] = PREDICTORS) -> np.ndarray:
     """Return cross-validated probabilities float64 [M], leaving one place out."""
     out = np.zeros(len(rows))
     for place in {row.place for row in rows}:
-        own = np.array([row.place == place for row in rows])
-        others = [row for row in rows if row.place != place]
-        out[own] = expit(signs(rows, on)[own] @ fitted(others, what, on))
+        in_place = np.array([row.place == place for row in rows])
+        training = [row for row in rows if row.place != place]
+        out[in_place] = expit(signs(rows, on)[in_place] @ fitted(training, measure, on))
     return out
 
 
@@ -183,20 +184,20 @@ def auroc(p: np.ndarray, right: np.ndarray, w: np.ndarray) -> float:
 def bins(p: np.ndarray, right: np.ndarray, w: np.ndarray, count: int = 10) -> list[dict]:
     """Return the calibration curve by weighted deciles: predicted and observed accuracy."""
     order = np.argsort(p, kind="stable")
-    at = (np.cumsum(w[order]) - w[order] / 2) / w.sum()
-    tenths = [order[(at * count).astype(int) == k] for k in range(count)]
+    rank = (np.cumsum(w[order]) - w[order] / 2) / w.sum()
+    tenths = [order[(rank * count).astype(int) == k] for k in range(count)]
     return [
         {
-            "said": float(np.average(p[own], weights=w[own])),
-            "right": float(np.average(right[own], weights=w[own])),
-            "share": float(w[own].sum() / w.sum()),
+            "said": float(np.average(p[members], weights=w[members])),
+            "right": float(np.average(right[members], weights=w[members])),
+            "share": float(w[members].sum() / w.sum()),
         }
-        for own in tenths
-        if len(own)
+        for members in tenths
+        if len(members)
     ]
 
 
-def judged(rows: Sequence[Row], measure: str, predictors: Sequence[str] = RESTS_ON) -> dict:
+def judged(rows: Sequence[Row], measure: str, predictors: Sequence[str] = PREDICTORS) -> dict:
     """Evaluate the cross-validated probabilities of ``mask`` or ``point``."""
     p, w = left_out(rows, measure, predictors), weights(rows)
     right = np.array([getattr(row, measure) for row in rows])
@@ -204,7 +205,7 @@ def judged(rows: Sequence[Row], measure: str, predictors: Sequence[str] = RESTS_
     curve = bins(p, right, w)
     by_place = {
         place: auroc(p[places == place], right[places == place], w[places == place])
-        for place in EVERY
+        for place in ALL_PLACES
     }
     error = sum(decile["share"] * abs(decile["said"] - decile["right"]) for decile in curve)
     return {
@@ -217,24 +218,27 @@ def judged(rows: Sequence[Row], measure: str, predictors: Sequence[str] = RESTS_
     }
 
 
-def verdicts(rows: Sequence[Row], on: Sequence[str] = RESTS_ON) -> list[dict]:
+def verdicts(rows: Sequence[Row], on: Sequence[str] = PREDICTORS) -> list[dict]:
     """Return the cross-validated verdicts, a line per kind of places and one for all."""
-    mask, point = (left_out(rows, what, on) for what in ("mask", "point"))
-    there, w = np.array([row.there for row in rows]), weights(rows)
+    mask, point = (left_out(rows, measure, on) for measure in ("mask", "point"))
+    present, w = np.array([row.present for row in rows]), weights(rows)
     kinds = np.array([kind_of(row.place) for row in rows])
     denied = point < confidence.MIN_POINT_PROBABILITY
-    found = ~denied & (mask >= 0.5)
+    accepted = ~denied & (mask >= 0.5)
 
     def share(which: np.ndarray, of: np.ndarray) -> float:
         return float(w[of & which].sum() / w[of].sum())
 
     lines = []
     for kind in ("things", "office", "places", "all"):
-        own = (kinds == kind) | (kind == "all")
-        line = {"kind": kind, "denied": share(denied, own & there)}
-        line |= {"absent denied": share(denied, own & ~there), "found": share(found, own & there)}
-        line |= {"absent found": share(found, own & ~there)}
-        lines.append(line | {"right": share(~there, own & denied)})
+        in_kind = (kinds == kind) | (kind == "all")
+        line = {"kind": kind, "denied": share(denied, in_kind & present)}
+        line |= {
+            "absent denied": share(denied, in_kind & ~present),
+            "found": share(accepted, in_kind & present),
+        }
+        line |= {"absent found": share(accepted, in_kind & ~present)}
+        lines.append(line | {"right": share(~present, in_kind & denied)})
     return lines
 
 
@@ -245,10 +249,10 @@ def main() -> None:
     arguments.add_argument("--seeds", type=int, default=3)
     args = arguments.parse_args()
     threads.limit()
-    known = args.rows.read_text().splitlines() if args.rows and args.rows.exists() else []
-    rows = [Row(*json.loads(line)) for line in known]
+    stored = args.rows.read_text().splitlines() if args.rows and args.rows.exists() else []
+    rows = [Row(*json.loads(line)) for line in stored]
     done = {(row.place, row.scene, row.seed) for row in rows}
-    for place in EVERY:
+    for place in ALL_PLACES:
         kind = kind_of(place)
         folder = place if kind == place else f"{kind}/{place}"
         for scene in labelled([folder], args.data):
@@ -259,30 +263,31 @@ def main() -> None:
                 with args.rows.open("a") as file:
                     file.writelines(json.dumps(row) + "\n" for row in new)
             print(f"{place} {scene.name}: {len(new)} answers", flush=True)
-    both = [judged(rows, what) for what in ("mask", "point")]
+    both = [judged(rows, measure) for measure in ("mask", "point")]
     columns = {"what": ("probability that it is right", str)}
     columns |= {"auroc": ("AUROC", ".3f"), "error": ("calibration error", ".3f")}
     columns |= {place: (place, ".2f") for place in both[0]["by_place"]}
     tenths = [
-        {f"{one['what']} {name}": tenth[name] for one in both for name in ("said", "right")
-         if k < len(one["bins"]) and (tenth := one["bins"][k])}
+        {f"{result['what']} {name}": tenth[name] for result in both for name in ("said", "right")
+         if k < len(result["bins"]) and (tenth := result["bins"][k])}
         for k in range(10)
     ]  # fmt: skip
     of_tenths = {
-        f"{what} {name}": (f"{what}: {name}", ".2f")
-        for what in ("mask", "point") for name in ("said", "right")
+        f"{measure} {name}": (f"{measure}: {name}", ".2f")
+        for measure in ("mask", "point") for name in ("said", "right")
     }  # fmt: skip
+    names = (*PREDICTORS, "offset")
     constants = [
-        {"what": one["what"], **dict(zip((*RESTS_ON, "offset"), one["constants"], strict=True))}
-        for one in both
+        {"what": result["what"], **dict(zip(names, result["constants"], strict=True))}
+        for result in both
     ]
     publish(
         args.out,
         "words.md",
         "python -m benches.language.answer_confidence DATA",
-        f"{len(rows)} answers of {args.seeds} seeds, {sum(row.there for row in rows)} to things "
+        f"{len(rows)} answers of {args.seeds} seeds, {sum(row.present for row in rows)} to things "
         "that are there.",
-        table([one | one["by_place"] for one in both], columns),
+        table([result | result["by_place"] for result in both], columns),
         table(tenths, of_tenths),
         "Not here is said where the point is right with less than "
         f"{confidence.MIN_POINT_PROBABILITY}, found where the mask is with at least 0.5; at places "
@@ -303,7 +308,7 @@ def main() -> None:
             constants,
             {
                 "what": ("of the", str),
-                **{n: (n.replace("_", " "), ".3f") for n in (*RESTS_ON, "offset")},
+                **{name: (name.replace("_", " "), ".3f") for name in names},
             },
         ),
     )

@@ -3,10 +3,10 @@
     python -m benches.language.fit_ranking DATA [--rooms 24]
 
 DATA holds ``office``, ``places`` and ``things``. A ranking is a softmax over the candidates of a
-text, fitted by cross-entropy to exp(IoU / :data:`SHARPNESS`); kinds of places count alike, and so
-do the places of a kind. Printed are the weights fitted to all, and mean IoU and share of texts
-whose whole is better than a half, of the weights that ship, of those fitted to all, and of those
-fitted to the other places.
+text, fitted by cross-entropy to exp(IoU / :data:`SHARPNESS`). Kinds of places have equal weights,
+and so have the places of a kind. The bench prints the weights fitted to all places; and, for the
+shipped weights, those fitted to all, and those fitted to the other places, the mean IoU and the
+share of texts with IoU above 0.5.
 """
 
 from __future__ import annotations
@@ -55,17 +55,17 @@ def questions(kind: str, scene: SceneSettings) -> list[Question]:
     field, rules, collected = inputs.field, Rules(), []
     place = scene.name if kind == "rooms" else f"{kind}/{scene.dataset}"
     for target in sample.targets:
-        seen = ObjectMap(field.render(target.camera).ids, field.bank.ids)
+        object_map = ObjectMap(field.render(target.camera).ids, field.bank.ids)
         for text, mask in truth.masks[target.name].items():
             features, ious = np.zeros((1, len(Ranking._fields))), np.zeros(1)
             with suppress(InputError):
                 gaps = field.reader.gaps([text], rules)
-                candidates = field.reader.candidates([text], gaps, seen.areas, rules)
+                candidates = field.reader.candidates([text], gaps, object_map.areas, rules)
                 possible = candidates.possible[0]
                 sets = candidates.objects[0][possible].astype(float)
                 if len(sets):
                     features = candidates.features[0][possible]
-                    inside, areas = sets @ seen.areas_within(mask), sets @ seen.areas
+                    inside, areas = sets @ object_map.areas_within(mask), sets @ object_map.areas
                     ious = inside / np.maximum(areas + mask.sum() - inside, 1)
             if mask.any():
                 collected.append(Question(kind, place, scene.name, features, ious))
@@ -97,7 +97,7 @@ def fit(items: Sequence[Question]) -> np.ndarray:
 
 
 def scores(evaluated: Sequence[Question], choose: Callable[[Question], int]) -> dict[str, str]:
-    """Return mean IoU / share above a half of each kind: means over scenes of their means."""
+    """Return mean IoU / share above 0.5 of each kind, averaged over the scenes."""
     cells = {}
     for kind in (*KINDS, "rooms"):
         by_scene: dict[str, list[float]] = {}

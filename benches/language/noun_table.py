@@ -1,4 +1,4 @@
-"""Make the table of nouns and ImageNet classes of the package from WordNet 3.0.
+"""Write the package's table of nouns and their ImageNet classes, from WordNet 3.0.
 
     python -m benches.language.noun_table WORDNET SYNSETS
 
@@ -7,11 +7,11 @@ version 1:3.0-37), SYNSETS a file with a WordNet 3.0 offset a line in the order 
 (``timm/data/_info/imagenet_synsets.txt`` of the package timm 1.0). ImageNet takes its classes from
 that version of WordNet, so that its ids are offsets there.
 
-A noun has the classes that its sense is or holds in the tree of hypernyms, or else the class that
-holds its sense. Of several senses count those that are a class by themselves, and the first with
-classes if it is one of the first two that can be seen. People above their three classes (a groom,
-a diver, a player) are left out, as nobody who asks for a person means these; so is a word for more
-than half of the classes, as "object". :data:`USUAL` has what the tree does not tell.
+The classes of a sense are itself, if it is one, and its hyponyms; else its nearest hypernyms that
+are classes. A noun has the classes of all senses that are classes themselves, and of its first
+sense with classes, if this is among the first two visible senses. Hypernyms of the three classes of
+people (groom, diver, player) have no classes, because these are not what "person" means. Words with
+more than half of the classes, such as "object", are left out. :data:`USUAL` has exceptions.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 
 from slgaussian.language import nouns
 
-SEEN = {"03", "05", "06", "08", "13", "15", "17", "20", "27"}
+VISIBLE = {"03", "05", "06", "08", "13", "15", "17", "20", "27"}
 """Lexicographer files of animals, artifacts, body, food, locations, objects, plants, substances."""
 
 PERSON = "18"
@@ -77,22 +77,22 @@ USUAL = {
     "tv, television": "television, screen, monitor",
     "window": "window screen, window shade",
 }
-"""Words to the names of classes whose pictures show such things, by general knowledge: pictures of
-a flowerpot show plants; words whose senses in the tree are not the usual one; and shapes, which are
-told by their outline."""
+"""Words and the classes whose pictures show such things, by general knowledge: pictures of a
+flowerpot show plants, and some words have other senses in WordNet than in a query. Shapes have no
+classes, because their outline identifies them."""
 
-FIRST = 2
-"""The first sense with classes counts if it is one of so many that can be seen."""
+FIRST_SENSES = 2
+"""Number of visible senses among which the first sense with classes must be."""
 
-MOST = 500
-"""Classes of a word at most."""
+MOST_CLASSES = 500
+"""Largest number of classes of a word."""
 
-LONGEST = 3
-"""Words of a noun at most."""
+MOST_WORDS = 3
+"""Largest number of words of a noun."""
 
 
 def read_synsets(file: Path) -> tuple[dict[int, str], dict[int, list[int]]]:
-    """Lexicographer file and hypernyms of every synset, by offset."""
+    """Return the lexicographer file and the hypernyms of every synset, by offset."""
     kinds, above = {}, {}
     for line in file.read_text("utf-8").splitlines():
         if line.startswith("  "):  # the licence
@@ -111,7 +111,7 @@ def read_synsets(file: Path) -> tuple[dict[int, str], dict[int, list[int]]]:
 def classes_of_synsets(
     kinds: dict[int, str], above: dict[int, list[int]], classes: dict[int, int]
 ) -> tuple[dict[int, set[int]], dict[int, set[int]]]:
-    """Of each synset the classes that it is or holds, and the nearest that hold it."""
+    """Return the classes of each synset: those it is or has as hyponyms; the nearest hypernyms."""
     below = defaultdict(set)
     for synset, number in classes.items():
         reached, left = {synset}, [synset] * (kinds[synset] != PERSON)
@@ -120,47 +120,47 @@ def classes_of_synsets(
                 if parent not in reached:
                     reached.add(parent)
                     left.append(parent)
-        for one in reached:
-            below[one].add(number)
-    held: dict[int, set[int]] = {}
+        for ancestor in reached:
+            below[ancestor].add(number)
+    nearest: dict[int, set[int]] = {}
     for synset in above:
         level = [synset]
-        while level and synset not in held:
-            found = {classes[one] for one in level if one in classes}
-            if found:
-                held[synset] = found
-            level = [parent for one in level for parent in above[one]]
-    return below, held
+        while level and synset not in nearest:
+            numbers = {classes[parent] for parent in level if parent in classes}
+            if numbers:
+                nearest[synset] = numbers
+            level = [parent for child in level for parent in above[child]]
+    return below, nearest
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("wordnet", type=Path)
     parser.add_argument("synsets", type=Path)
-    given = parser.parse_args()
-    offsets = [int(line[1:]) for line in given.synsets.read_text().split()]
+    arguments = parser.parse_args()
+    offsets = [int(line[1:]) for line in arguments.synsets.read_text().split()]
     classes = {offset: number for number, offset in enumerate(offsets)}
-    kinds, above = read_synsets(given.wordnet / "data.noun")
-    below, held = classes_of_synsets(kinds, above, classes)
+    kinds, above = read_synsets(arguments.wordnet / "data.noun")
+    below, nearest = classes_of_synsets(kinds, above, classes)
     numbers_of: dict[str, set[int]] = {}
     called: dict[str, set[int]] = {}
-    for line in (given.wordnet / "index.noun").read_text("utf-8").splitlines():
+    for line in (arguments.wordnet / "index.noun").read_text("utf-8").splitlines():
         if line.startswith("  "):
             continue
         lemma, _, count, *rest = line.split()
         senses = [int(offset) for offset in rest[-int(count) :]]
-        seen = [s for s in senses if s in classes or kinds[s] in SEEN]
-        first = next((s for s in seen[:FIRST] if below.get(s) or s in held), None)
-        found = set()
-        for sense in seen:
+        visible = [s for s in senses if s in classes or kinds[s] in VISIBLE]
+        first = next((s for s in visible[:FIRST_SENSES] if below.get(s) or s in nearest), None)
+        numbers = set()
+        for sense in visible:
             if sense in classes or sense == first:
-                found |= below.get(sense) or held.get(sense, set())
+                numbers |= below.get(sense) or nearest.get(sense, set())
         word = lemma.replace("_", " ")
         if any(s in classes for s in senses):
             called.setdefault(word, {classes[s] for s in senses if s in classes})
         plain = word.replace(" ", "").replace("-", "").replace("'", "").isalpha()
-        if found and len(found) <= MOST and plain and len(word.split()) <= LONGEST:
-            numbers_of[word] = found
+        if numbers and len(numbers) <= MOST_CLASSES and plain and len(word.split()) <= MOST_WORDS:
+            numbers_of[word] = numbers
     for spelled, names in USUAL.items():
         usual = set().union(*(called[name] for name in names.split(", ") if name))
         numbers_of |= dict.fromkeys(spelled.split(", "), usual)

@@ -2,8 +2,8 @@
 
     python -m benches.language.words_known DATA [-o docs/measured]
 
-Names of COCO, COCO-stuff and ADE20K are in ``class_names.toml``; DATA holds ``clip_text``, which
-has those of LVIS.
+Names of COCO, COCO-stuff and ADE20K are in ``class_names.toml``; DATA holds
+``clip_text``, which has those of LVIS.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ TITLES = {"coco": "COCO", "coco_stuff": "COCO-stuff", "ade20k": "ADE20K 150", "l
 
 
 def class_names(data: Path) -> dict[str, list[str]]:
-    """The names by set; what LVIS says in brackets, and COCO-stuff of leftovers, is left out."""
+    """Return the names by set, without the parentheses of LVIS and the leftovers of COCO-stuff."""
     lists = tomllib.loads((Path(__file__).parent / "class_names.toml").read_text("utf-8"))
     names = np.load(data / LVIS)["names"]
     lists["lvis"] = [re.sub(r"\(.*?\)", "", str(name)).replace("_", " ").strip() for name in names]
     return lists
 
 
-def row_of(title: str, known: Vocabulary, names: Sequence[str]) -> dict[str, object]:
+def row_of(title: str, vocabulary: Vocabulary, names: Sequence[str]) -> dict[str, object]:
     """Return the shares of names that are rejected, or understood in part."""
     refused, in_part, no_thing = [], 0, 0
     for name in names:
         try:
-            read = known.read(name)
+            read = vocabulary.read(name)
         except InputError:
             refused.append(name)
             continue
@@ -63,14 +63,14 @@ def main() -> None:
     arguments = parser(__doc__, "words.md")
     arguments.add_argument("data", type=data_folder(LVIS))
     args = arguments.parse_args()
-    known = load_vocabulary()
-    nouns = len({word.name for word in known.words.values() if word.family in NOUNS})
-    rows = [row_of(TITLES[key], known, names) for key, names in class_names(args.data).items()]
+    vocabulary = load_vocabulary()
+    nouns = len({word.name for word in vocabulary.words.values() if word.family in NOUNS})
+    rows = [row_of(TITLES[key], vocabulary, names) for key, names in class_names(args.data).items()]
     publish(
         args.out,
         "words.md",
         "python -m benches.language.words_known DATA",
-        f"The lexicon has {nouns} nouns, in {len(known.words)} spellings of all words.",
+        f"The lexicon has {nouns} nouns, in {len(vocabulary.words)} spellings of all words.",
         table(rows, COLUMNS),
         *(f"Refused of {row['set']}: {row['which']}." for row in rows if row["which"]),
     )

@@ -2,16 +2,16 @@
 
     python -m benches.masks.id_consistency DATA [-o docs/measured] [--pairs 50] [--rooms 3]
 
-Made-up pairs of several baselines have exact ids and get the plane sweep's depth, as in a run;
-views of one arc have exact depth, and come in its order and shuffled. DATA is a folder of labelled
-pairs of photographs, whose sensor's depth tells where each labelled pixel of a target lies in both
-context views.
+Pairs of procedural rooms, with several baselines, have exact ids and the plane sweep's depth, as in
+a run. Views on an arc have exact depth, and are processed in order and shuffled. DATA is a folder
+of labelled pairs of photographs with sensor depth, which maps each labelled pixel of a target into
+both context views.
 
-Of each object that both views see in 100 common pixels and more: ``matched`` is whether its main id
-is one and the same in both views; ``alone`` also asks that no other object has that id for its main
-one; ``iou`` is that of the object in the second view with the id it has in the first; ``pieces``
-counts ids with 5 % of it or more; ``pixels`` is the share of its pixels seen by both views whose
-ids agree. ``track`` is CPU seconds of a pair without proposals.
+Columns for objects with at least 100 pixels visible in both views: ``matched``: the object's most
+frequent id is the same in both views. ``alone``: it is also no other object's most frequent id.
+``iou``: IoU, in the second view, of the object with its most frequent id in the first. ``pieces``:
+number of ids with at least 5 % of the object. ``pixels``: share of its pixels visible in both views
+that have the same id in both. ``track``: CPU seconds of a pair without proposals.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ from slgaussian.scene import Sample, View
 from tests.matching import sift_matches
 
 BASELINES = (0.3, 0.6, 0.9, 1.2, 1.6)
-"""Metres; the cameras stand about 3.3 m away from what they look at."""
+"""Metres; the cameras are about 3.3 m from the centre of the room."""
 COPIES = (1, 3, 5, 7)
 ARC = {2: (0, 7), 4: (0, 2, 5, 7), 8: tuple(range(8))}
-"""Which of eight views of an arc of 1.6 m are looked at."""
+"""Numbers of views, and which of eight views on an arc of 1.6 m are used."""
 COMMON = 100
 """Smallest number of an object's pixels visible in both views."""
 AGREE = 0.02
@@ -82,27 +82,27 @@ class Cell:
 Cells = dict[str, Cell]
 
 
-class Once:
+class CachedProposer:
     """A proposer that caches its proposals by image; ``seconds`` is its total time."""
 
     def __init__(self, propose: Callable[..., Proposals]) -> None:
-        self.propose_now, self.known, self.seconds = propose, {}, 0.0
+        self.compute, self.cache, self.seconds = propose, {}, 0.0
 
-    def propose(self, seen, where=None):
-        key = seen.image.tobytes(), None if where is None else where.tobytes()
-        if key not in self.known:
+    def propose(self, frame, region=None):
+        key = frame.image.tobytes(), None if region is None else region.tobytes()
+        if key not in self.cache:
             start = time.process_time()
-            self.known[key] = self.propose_now(seen, where)
+            self.cache[key] = self.compute(frame, region)
             self.seconds += time.process_time() - start
-        return self.known[key]
+        return self.cache[key]
 
 
 def true_masks(views: tuple[View, ...]) -> Callable[..., Proposals]:
-    """A proposer that returns the ground truth: remaining errors are those of the tracker."""
+    """Return a proposer of the true masks: remaining errors are those of the tracker."""
     instances = {view.image.tobytes(): view.instances for view in views}
 
-    def propose(seen, where=None):
-        ids = instances[seen.image.tobytes()]
+    def propose(frame, region=None):
+        ids = instances[frame.image.tobytes()]
         masks = ids == np.unique(ids[ids > 0])[:, None, None]
         return Proposals(masks, np.ones(len(masks), np.float32))
 
@@ -118,8 +118,8 @@ class Noisy:
         self.tracker, self.share, self.rng = tracker, share, np.random.default_rng(0)
         self.add = tracker.add
 
-    def propagate(self, seen):
-        labels = self.tracker.propagate(seen)
+    def propagate(self, frame):
+        labels = self.tracker.propagate(frame)
         rows, columns = (-(-size // 16) for size in labels.shape)
         lost = self.rng.random((rows, columns)) < self.share
         lost = np.kron(lost, np.ones((16, 16), bool))[: labels.shape[0], : labels.shape[1]]
@@ -155,47 +155,54 @@ def main_ids(labels: np.ndarray, truth: np.ndarray, objects: list[int]) -> list[
 def judge(a: View, b: View, labels: np.ndarray) -> list[dict[str, float]]:
     """Return the columns of each object visible in both views, for label maps [2, H, W]."""
     first, second = labels
-    row, column, seen = landing(a, b)
-    common = np.bincount(a.instances[seen])
-    objects = [i for i in np.flatnonzero(common >= COMMON).tolist() if i]
+    row, column, visible = landing(a, b)
+    areas = np.bincount(a.instances[visible])
+    objects = [i for i in np.flatnonzero(areas >= COMMON).tolist() if i]
     mains = [main_ids(first, a.instances, objects), main_ids(second, b.instances, objects)]
     rows = []
-    for number, here, there in zip(objects, *mains, strict=True):
-        one, other = second == here, b.instances == number
+    for number, id_a, id_b in zip(objects, *mains, strict=True):
+        labelled_area, true_area = second == id_a, b.instances == number
         shares = [
             np.bincount(m[t]) / t.sum()
-            for m, t in ((first, a.instances == number), (second, other))
+            for m, t in ((first, a.instances == number), (second, true_area))
         ]
-        matched = here == there > 0
+        matched = id_a == id_b > 0
+        intersection = (labelled_area & true_area).sum()
+        union = (labelled_area | true_area).sum()
         columns = {
             "matched": matched,
-            "alone": matched and all(main.count(here) == 1 for main in mains),
-            "iou": (one & other).sum() / (one | other).sum() if here else 0.0,
+            "alone": matched and all(main.count(id_a) == 1 for main in mains),
+            "iou": intersection / union if id_a else 0.0,
             "pieces": float(np.mean([(share[1:] >= 0.05).sum() for share in shares])),
-            "pixels": (first == second[row, column])[seen].mean(),
+            "pixels": (first == second[row, column])[visible].mean(),
         }
         rows.append(columns)
     return rows
 
 
 def run(
-    sample: Sample, depths: np.ndarray, proposer: Once, tracker: MaskTracker, replicas: int = 5
+    sample: Sample,
+    depths: np.ndarray,
+    proposer: CachedProposer,
+    tracker: MaskTracker,
+    replicas: int = 5,
 ) -> tuple[np.ndarray, float]:
     """Return label maps [2, H, W], and the seconds of tracking without proposals."""
     start, before = time.process_time(), proposer.seconds
-    seen = list(map(SeenView, sample.context, depths))
-    labels = associate(seen, proposer, tracker, replicas).labels
+    frames = list(map(SeenView, sample.context, depths))
+    labels = associate(frames, proposer, tracker, replicas).labels
     return labels, time.process_time() - start - (proposer.seconds - before)
 
 
 def pair_cells(pairs: int) -> tuple[Cells, Cells]:
-    """Cells by proposals and by baseline of all pairs, and by copies of the first fifth."""
+    """Return cells by proposals and baseline, for all pairs, and by copies, for a fifth of them."""
     cells: Cells = {}
     copies: Cells = {}
     for seed in range(pairs):
         sample, baseline = read_pair(seed)
         depths = predicted_depths(sample)
-        regions, truth = Once(Regions().propose), Once(true_masks(sample.context))
+        regions = CachedProposer(Regions().propose)
+        truth = CachedProposer(true_masks(sample.context))
 
         def measure(proposer, tracker, *places, replicas=5, sample=sample, depths=depths):
             labels, seconds = run(sample, depths, proposer, tracker, replicas)
@@ -219,25 +226,25 @@ def pair_cells(pairs: int) -> tuple[Cells, Cells]:
 
 
 def labelled_points(sample: Sample, labels: Path) -> dict[str, list[tuple[np.ndarray, np.ndarray]]]:
-    """For each category the pixels (rows, columns) of both context views that show its points."""
+    """Return, for each category, the pixels (rows, columns) of its points in both context views."""
     target = sample.targets[0]
     masks = read_labels(labels, Path(target.name).stem, SIZE[1], SIZE[0])
     grey = {v.name: cv2.cvtColor(v.image, cv2.COLOR_RGB2GRAY) for v in (target, *sample.context)}
     pixels = np.stack(np.meshgrid(np.arange(SIZE[1]) + 0.5, np.arange(SIZE[0]) + 0.5), -1)
-    known, places = target.depth > 0, []
+    valid, places = target.depth > 0, []
     for view in sample.context:
-        given = Relative.between(target.camera, view.camera)
+        pose = Relative.between(target.camera, view.camera)
         a, b = sift_matches(grey[target.name], grey[view.name])
-        close = np.abs(given.epipolar_distance(a, b)) < GATE * np.hypot(*SIZE)
-        relative = refine(given, a[close], b[close])
-        landed, ratio = relative.project(pixels, 1 / np.where(known, target.depth, 1))
+        close = np.abs(pose.epipolar_distance(a, b)) < GATE * np.hypot(*SIZE)
+        relative = refine(pose, a[close], b[close])
+        landed, ratio = relative.project(pixels, 1 / np.where(valid, target.depth, 1))
         column, row = np.floor(landed).astype(int).transpose(2, 0, 1)
         inside = (ratio > 0) & (column >= 0) & (column < SIZE[1]) & (row >= 0) & (row < SIZE[0])
         column, row = np.where(inside, column, 0), np.where(inside, row, 0)
         z, sensor = target.depth * ratio, view.depth[row, column]
-        known = known & inside & (sensor > 0) & (np.abs(z - sensor) < SENSOR_AGREE * z)
+        valid = valid & inside & (sensor > 0) & (np.abs(z - sensor) < SENSOR_AGREE * z)
         places.append((row, column))
-    masks = {name: mask & known for name, mask in masks.items()}
+    masks = {name: mask & valid for name, mask in masks.items()}
     return {
         name: [(row[mask], column[mask]) for row, column in places]
         for name, mask in masks.items()
@@ -250,43 +257,45 @@ def photograph_cell(folder: Path) -> Cell:
     scene, cell = nerfstudio.read(folder), Cell()
     for context, target in read_pairs(folder / "pairs.json").values():
         sample = scene.sample(context, target, size=SIZE)
-        depths, once = predicted_depths(sample), Once(Regions().propose)
-        labels, seconds = run(sample, depths, once, load_tracker())
+        proposer = CachedProposer(Regions().propose)
+        labels, seconds = run(sample, predicted_depths(sample), proposer, load_tracker())
         cell.seconds.append(seconds)
         for a, b in labelled_points(sample, folder / "labels").values():
-            here, there = labels[0][a], labels[1][b]
-            mains = [np.bincount(ids).argmax() for ids in (here, there)]
-            matched, pixels = mains[0] == mains[1] > 0, ((here == there) & (here > 0)).mean()
+            ids_a, ids_b = labels[0][a], labels[1][b]
+            mains = [np.bincount(ids).argmax() for ids in (ids_a, ids_b)]
+            matched, pixels = mains[0] == mains[1] > 0, ((ids_a == ids_b) & (ids_a > 0)).mean()
             cell.objects.append({"matched": matched, "pixels": pixels})
     return cell
 
 
-def objects_whole(views: Sequence[View], labels: np.ndarray) -> list[float]:
-    """Compute the IoU, over all views together, of each object with its majority id."""
+def object_ious(views: Sequence[View], labels: np.ndarray) -> list[float]:
+    """Compute the IoU of each object with its most frequent id, over all views together."""
     truth = np.stack([view.instances for view in views])
-    found = []
+    ious = []
     for number in np.unique(truth[truth > 0]):
-        mine = truth == number
-        ids = np.bincount(labels[mine])
+        mask = truth == number
+        ids = np.bincount(labels[mask])
         ids[0] = 0
         main = labels == ids.argmax()
-        found.append((mine & main).sum() / (mine | main).sum() if ids.any() else 0.0)
-    return found
+        ious.append((mask & main).sum() / (mask | main).sum() if ids.any() else 0.0)
+    return ious
 
 
 def rows_of_views(rooms: int) -> list[dict]:
     """Return a row for each number of views, order and method: means over rooms."""
-    found: dict[tuple, list[dict[str, float]]] = {}
+    means_of: dict[tuple, list[dict[str, float]]] = {}
     for seed in range(rooms):
         scene = reader.read(seed, height=SIZE[0], width=SIZE[1], views=8, baseline=1.6)
-        arc, proposer = [scene.read(name) for name in scene.cameras], Once(Regions().propose)
+        arc = [scene.read(name) for name in scene.cameras]
+        proposer = CachedProposer(Regions().propose)
         for count, places in ARC.items():
             views = [arc[k] for k in places]
-            seen = [SeenView(view, view.depth) for view in views]
+            frames = [SeenView(view, view.depth) for view in views]
             shuffled = np.random.default_rng(seed).permutation(count)
-            for order, given in (("arc", np.arange(count)), ("shuffled", shuffled)):
+            for name, order in (("arc", np.arange(count)), ("shuffled", shuffled)):
                 labels = np.empty((count, *SIZE), np.int32)
-                labels[given] = associate([seen[k] for k in given], proposer, load_tracker()).labels
+                ordered = [frames[k] for k in order]
+                labels[order] = associate(ordered, proposer, load_tracker()).labels
                 judged = [
                     columns
                     for a, b in combinations(range(count), 2)
@@ -296,19 +305,19 @@ def rows_of_views(rooms: int) -> list[dict]:
                     key: float(np.mean([columns[key] for columns in judged]))
                     for key in ("matched", "alone", "pixels")
                 }
-                means["iou"] = float(np.mean(objects_whole(views, labels)))
-                found.setdefault((count, order), []).append(means)
+                means["iou"] = float(np.mean(object_ious(views, labels)))
+                means_of.setdefault((count, name), []).append(means)
         print(f"room {seed + 1} of {rooms}", flush=True)
     return [
         dict(zip(("views", "order"), key, strict=True))
-        | {name: float(np.mean([one[name] for one in some])) for name in some[0]}
-        for key, some in found.items()
+        | {name: float(np.mean([means[name] for means in rows])) for name in rows[0]}
+        for key, rows in means_of.items()
     ]
 
 
-def table_of(cells: Cells, what: str) -> str:
+def table_of(cells: Cells, title: str) -> str:
     rows = [{"name": name, **cell.row()} for name, cell in cells.items()]
-    columns = {"name": (what, str), "objects": ("objects", "d")} | SCORES
+    columns = {"name": (title, str), "objects": ("objects", "d")} | SCORES
     return table(rows, {key: columns[key] for key in columns if key in rows[0]})
 
 

@@ -1,12 +1,11 @@
 """Count the files and functions that a command enters, and its calls across files.
 
 ``python benches/pipeline/call_path.py [field | run]`` builds the field of two photographs of a
-small made-up room, or runs a configuration of that one scene, in this process, and looks at
-every call in all of its threads. Counted are the files and functions of ours that are entered, and
-the distinct pairs of a function and one in another file that it calls, with none of ours between
-them; calls of a module while it is imported are no pair. The sources are those of any tree that
-stands first in ``PYTHONPATH``, with its benches. Run
-the command once before: kernels are compiled slowly under watch.
+small procedural room, or runs a configuration with that scene, in this process, and records every
+call in all threads. It counts the files and functions of this project that are entered, and the
+distinct pairs of a caller and a callee in different files, ignoring foreign functions between them
+and calls during imports. It measures the tree that is first in ``PYTHONPATH``. Run the command once
+before, because kernels compile slowly while calls are recorded.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ PACKAGES = tuple(f"{TREE / package}{os.sep}" for package in ("slgaussian", "flow
 
 
 class CallPath:
-    """Functions that were entered, as file and name, and pairs of caller and callee in two."""
+    """Entered functions, as file and name, and pairs of caller and callee in different files."""
 
     def __init__(self) -> None:
         self.functions: set[tuple[str, str]] = set()
@@ -48,7 +47,7 @@ class CallPath:
             self.crossings.add(((self._file(frame), frame.f_code.co_qualname), callee))
 
     def _file(self, frame: FrameType) -> str:
-        """Return the file of a frame below the tree, empty if it is none of ours."""
+        """Return the file of a frame, relative to the tree; empty if it is not in the packages."""
         if (code := frame.f_code) not in self.files:
             file = code.co_filename
             ours = file.startswith(PACKAGES)
@@ -61,7 +60,7 @@ def _is_module(frame: FrameType) -> bool:
 
 
 def words_of(command: str, folder: Path) -> list[str]:
-    """Write photographs of a room; return the words of a command line on them."""
+    """Write photographs of a room; return the arguments of a command on them."""
     config, out = write_rooms(folder, 1), ["-o", str(folder / "out")]
     if command == "run":
         return ["run", str(config), *out, "--workers", "1", "--store", str(folder / "store")]

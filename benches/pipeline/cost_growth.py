@@ -2,10 +2,10 @@
 
     python -m benches.pipeline.cost_growth [-o docs/measured] [--only WHAT ...]
 
-All on made-up scenes. Each point runs in a process of its own, which first does the same with
-something small, so that imports and kernels do not count: processor seconds, the median of three
-times where one is short, and what the process comes to hold beyond what it is given. The exponent
-is the slope of the logarithms over the larger half of the range: 1 is linear.
+All scenes are procedural. Each point runs in its own process, after a smaller input that loads
+imports and kernels. It measures CPU seconds, the median of three runs if one is short, and the
+memory that the process adds to its input. The exponent is the slope of the logarithms over the
+larger half of the range: 1 is linear.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def job(axis: str, size: float) -> Callable[[], object]:
     }[axis](size)
 
 
-def _asked(objects: int, texts: int) -> tuple[Callable[[], object], Callable[[], object]]:
+def _queries(objects: int, count: int) -> tuple[Callable[[], object], Callable[[], object]]:
     from slgaussian.language import load_encoder
     from slgaussian.language.bank import MemoryBank
     from slgaussian.language.objectmap import ObjectMap
@@ -71,9 +71,9 @@ def _asked(objects: int, texts: int) -> tuple[Callable[[], object], Callable[[],
 
     encoder = load_encoder("lexicon")
     rng = np.random.default_rng(0)
-    words = [word for word, one in load_vocabulary().words.items() if one.weights]
+    words = [word for word, entry in load_vocabulary().words.items() if entry.weights]
     colours = ("red", "blue", "white", "green", "dark", "wooden", "small")
-    asked = [f"{colours[k // len(words) % 7]} {words[k % len(words)]}" for k in range(texts)]
+    texts = [f"{colours[k // len(words) % 7]} {words[k % len(words)]}" for k in range(count)]
     looks = rng.normal(size=(objects, 2, encoder.width)).astype(np.float32)
     looks /= np.linalg.norm(looks, axis=2, keepdims=True)
     bank = MemoryBank(
@@ -88,24 +88,26 @@ def _asked(objects: int, texts: int) -> tuple[Callable[[], object], Callable[[],
 
     def new_view() -> object:
         reader = BankReader(bank, encoder)
-        seen = ObjectMap(ids, bank.ids)
-        return [(hit.mask, hit.relevancy, hit.point) for hit in ask(asked, seen, reader, rules)]
+        object_map = ObjectMap(ids, bank.ids)
+        return [
+            (hit.mask, hit.relevancy, hit.point) for hit in ask(texts, object_map, reader, rules)
+        ]
 
-    seen = ObjectMap(ids, bank.ids)
+    object_map = ObjectMap(ids, bank.ids)
 
     def old_view() -> object:
         reader = BankReader(bank, encoder)
-        return [(hit.mask, hit.point) for hit in ask(asked, seen, reader, rules)]
+        return [(hit.mask, hit.point) for hit in ask(texts, object_map, reader, rules)]
 
     return new_view, old_view
 
 
 def _texts(size: float) -> Callable[[], object]:
-    return _asked(60, int(size))[1]
+    return _queries(60, int(size))[1]
 
 
 def _objects(size: float) -> Callable[[], object]:
-    return _asked(int(size), 1)[0]
+    return _queries(int(size), 1)[0]
 
 
 def _gaussians(size: float) -> Callable[[], object]:
@@ -118,9 +120,9 @@ def _gaussians(size: float) -> Callable[[], object]:
     depth = rng.uniform(2, 3, n)
     pixels = rng.uniform(0, (576, 416), (n, 2))
     means = np.concatenate([(pixels - (288, 208)) / 500, np.ones((n, 1))], 1) * depth[:, None]
-    # A surface a pixel deep, however many draw it.
+    # Scale the Gaussians so that they cover each pixel about equally often for every n.
     wide = 0.4 * depth / 500 * np.sqrt(576 * 416 * 2 / n)
-    made = Gaussians.from_arrays(
+    gaussians = Gaussians.from_arrays(
         {
             "means": means.astype(np.float32),
             "scales": np.stack([wide, wide, wide / 10], 1).astype(np.float32),
@@ -131,7 +133,7 @@ def _gaussians(size: float) -> Callable[[], object]:
         }
     )
     values = rng.random((n, 6)).astype(np.float32)
-    return lambda: picture(made, values, camera)
+    return lambda: picture(gaussians, values, camera)
 
 
 def _field(views: int, megapixels: float) -> Callable[[], object]:
@@ -193,7 +195,7 @@ def main() -> None:
     if args.point:
         print(json.dumps(point(args.point[0], float(args.point[1]))))
         return
-    rows = table([grown(what) for what in args.only], COLUMNS)
+    rows = table([grown(axis) for axis in args.only], COLUMNS)
     publish(args.out, "waiting.md", "python -m benches.pipeline.cost_growth", rows)
 
 

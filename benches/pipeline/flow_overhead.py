@@ -2,10 +2,10 @@
 
     python -m benches.pipeline.flow_overhead WORK EARLIER [--scenes 200] [--rounds 3]
 
-By threads, one worker: once from an empty store, then with everything cached, the two checkouts in
-turn. Beside it the library alone builds the same fields, without flow, stages, store and scores.
-Seconds a scene, of the wall clock and of the processors, without those of a run of one scene, which
-are the start; medians over the rounds.
+The runs use threads and one worker: first with an empty store, then with everything cached, the two
+checkouts in turn. For comparison, the library alone builds the same fields, without flow, stages,
+store and scores. Printed are wall-clock and CPU seconds per scene, medians over the rounds; the
+start, measured as a run of one scene, is subtracted.
 """
 
 from __future__ import annotations
@@ -39,17 +39,19 @@ for room in rooms["scenes"]:
 
 
 def run(tree: Path, config: Path, work: Path) -> Cost:
-    """Run a configuration with a checkout, in its store."""
+    """Run a configuration with a checkout, in the store of ``work``; return its cost."""
     words = ["run", config, "-o", work / "out", "--store", work / "store", "--workers", 1]
     env = {**os.environ, "PYTHONPATH": str(tree)}
     return costing([*CLI, *words, "--runner", "threads"], cwd=tree, env=env)
 
 
-def a_scene(many: Sequence[Cost], one: Sequence[Cost], scenes: int) -> str:
+def a_scene(many: Sequence[Cost], single: Sequence[Cost], scenes: int) -> str:
     """Return wall-clock and CPU seconds per scene after the first, as cells."""
     cells = []
     for name in ("wall", "cpu"):
-        first, last = (statistics.median(getattr(c, name) for c in own) for own in (one, many))
+        first, last = (
+            statistics.median(getattr(c, name) for c in costs) for costs in (single, many)
+        )
         cells.append(f"{(last - first) / (scenes - 1):.3f}")
     return " | ".join(cells)
 
@@ -79,8 +81,8 @@ def main() -> None:
     print(f"{measured()}; load {os.getloadavg()[1]:.1f}\n")
     print("| program | stages | wall, s a scene | processor, s a scene |\n|---|---|--:|--:|")
     for name, state in dict.fromkeys(key[:2] for key in costs):
-        many, one = (costs[name, state, count] for count in (args.scenes, 1))
-        print(f"| {name} | {state} | {a_scene(many, one, args.scenes)} |")
+        many, single = (costs[name, state, count] for count in (args.scenes, 1))
+        print(f"| {name} | {state} | {a_scene(many, single, args.scenes)} |")
 
 
 if __name__ == "__main__":

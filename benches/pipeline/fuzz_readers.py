@@ -2,12 +2,12 @@
 
     python -m benches.pipeline.fuzz_readers [-o docs/measured] [--count 3000] [--only FORMAT]
 
-A small valid set of files a format is made; one to three places of one file of it at a time are
-damaged (bits, cuts, insertions, numbers that are huge, negative or none, wrong types, lost and
-repeated keys, deep nesting, sizes that no file has, with the checksums put right again); the whole
-set is read, in a child process with 1 GiB more address space than it starts with. Refused means an
-InputError or SpecError of one line that names a file of the set, or the clip in it.
-``--again "ply 17"`` reads one file once more, with the traceback.
+For each format the bench writes a small valid set of files, damages one file in one to three places
+(bits, cuts, insertions, huge, negative or missing numbers, wrong types, lost and repeated keys,
+deep nesting, impossible sizes, with corrected checksums), and reads the set in a child process with
+1 GiB more address space than it starts with. Refused means an InputError or SpecError of one line
+that names a file of the set, or the clip in it. ``--again "ply 17"`` reads one file again, with the
+traceback.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ from slgaussian.system import memory_status, reset_peak_memory
 from tests.small_files import FORMATS, new_folder, trial, verdict
 
 ROOM = 2**30
-"""Bytes of address space that a child may take besides what it starts with."""
+"""Bytes of address space that a child may allocate."""
 PATIENCE = 60.0
 """Wall-clock seconds after which reading a file counts as a hang, on a loaded machine."""
 
 
 @dataclass
-class Found:
-    """Outcome of one damaged file: ``kind``, one of KINDS, and the message."""
+class Outcome:
+    """Result for one damaged file: ``kind``, one of KINDS, and the message."""
 
     number: int
     kind: str
-    said: str = ""
+    message: str = ""
     seconds: float = 0.0
     bytes: int = 0
 
@@ -61,35 +61,35 @@ KINDS = {
 }
 
 
-def measured(name: str, number: int, seed: int, folder: Path) -> Found:
+def measured(name: str, number: int, seed: int, folder: Path) -> Outcome:
     reset_peak_memory()
     before, begun = memory_status("VmRSS"), time.process_time()
-    kind, said = verdict(name, number, seed, folder)
+    kind, message = verdict(name, number, seed, folder)
     seconds = time.process_time() - begun
-    return Found(number, kind, said, seconds, max(0, memory_status("VmHWM") - before))
+    return Outcome(number, kind, message, seconds, max(0, memory_status("VmHWM") - before))
 
 
 def _child(name: str, first: int, count: int, seed: int, folder: Path, out: int) -> None:
-    """Read the files from ``first`` on and write a line on each; the process ends here."""
+    """Read the files from number ``first``, write a line on each to ``out``, and exit."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     nothing = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nothing, 1)
-    os.dup2(nothing, 2)  # decoders have much to say about damaged files
+    os.dup2(nothing, 2)  # decoders print warnings about damaged files
     warnings.simplefilter("ignore")
-    most = memory_status("VmSize") + ROOM
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    limit = memory_status("VmSize") + ROOM
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with os.fdopen(out, "w") as lines:
-        FORMATS[name].read(folder)  # what is loaded once is no file's
+        FORMATS[name].read(folder)  # so that imports count for no file
         for number in range(first, count):
-            found = measured(name, number, seed, folder)
-            lines.write(json.dumps(asdict(found)) + "\n")
+            outcomes = measured(name, number, seed, folder)
+            lines.write(json.dumps(asdict(outcomes)) + "\n")
             lines.flush()
     os._exit(0)
 
 
-def fuzz(name: str, count: int, seed: int, folder: Path) -> Iterator[Found]:
-    """Damage ``count`` files of a format and read them, in as few child processes as last."""
+def fuzz(name: str, count: int, seed: int, folder: Path) -> Iterator[Outcome]:
+    """Damage ``count`` files of a format and read them; restart the child after a crash or hang."""
     _in_child(lambda: FORMATS[name].make(new_folder(folder)))
     _in_child(lambda: FORMATS[name].read(folder))
     number = 0
@@ -112,7 +112,7 @@ def fuzz(name: str, count: int, seed: int, folder: Path) -> Iterator[Found]:
                     break
                 *lines, rest = (rest + part).split(b"\n")
                 for line in lines:
-                    yield Found(**json.loads(line))
+                    yield Outcome(**json.loads(line))
                     number += 1
         if hung:
             os.kill(child, signal.SIGKILL)
@@ -120,12 +120,12 @@ def fuzz(name: str, count: int, seed: int, folder: Path) -> Iterator[Found]:
         if number < count:
             shutil.rmtree(folder)
             _in_child(lambda: FORMATS[name].make(new_folder(folder)))
-            yield Found(number, "hung" if hung else "crashed", f"status {status}")
+            yield Outcome(number, "hung" if hung else "crashed", f"status {status}")
             number += 1
 
 
 def _in_child(work: Callable[[], None]) -> None:
-    """Do it in a child process, because a fork does not survive threads started here."""
+    """Call ``work`` in a child process: threads that it started here would break later forks."""
     child = os.fork()
     if child == 0:
         try:
@@ -135,11 +135,11 @@ def _in_child(work: Callable[[], None]) -> None:
             os._exit(1)
         os._exit(0)
     if os.waitpid(child, 0)[1]:
-        raise RuntimeError("the set that is not damaged could not be made or read")
+        raise RuntimeError("the undamaged set could not be written or read")
 
 
 def ready() -> None:
-    """One thread a library, before any of them starts."""
+    """Limit each library to one thread, before it starts any."""
     cv2.setNumThreads(0)
     torch.set_num_threads(1)
     pa.set_cpu_count(1)
@@ -162,13 +162,17 @@ def main() -> None:
             return
         rows, bad = [], []
         for name in [args.only] if args.only else FORMATS:
-            found = list(fuzz(name, args.count, args.seed, folder))
+            outcomes = list(fuzz(name, args.count, args.seed, folder))
             shutil.rmtree(folder)
-            kinds = Counter(one.kind for one in found)
-            row = {"format": name, "files": len(found), **{kind: kinds[kind] for kind in KINDS}}
-            row |= {"seconds": max(one.seconds for one in found)}
-            rows.append(row | {"memory": max(one.bytes for one in found) / 2**20})
-            bad += [(name, one) for one in found if one.kind not in ("accepted", "refused")]
+            kinds = Counter(outcome.kind for outcome in outcomes)
+            row = {"format": name, "files": len(outcomes), **{kind: kinds[kind] for kind in KINDS}}
+            row |= {"seconds": max(outcome.seconds for outcome in outcomes)}
+            rows.append(row | {"memory": max(outcome.bytes for outcome in outcomes) / 2**20})
+            bad += [
+                (name, outcome)
+                for outcome in outcomes
+                if outcome.kind not in ("accepted", "refused")
+            ]
     columns = {
         "format": ("Format", str),
         "files": ("Files", ",d"),
@@ -178,8 +182,8 @@ def main() -> None:
     }
     command = f"python -m benches.pipeline.fuzz_readers --count {args.count} --seed {args.seed}"
     publish(args.out, "fuzz.md", command, table(rows, columns))
-    for name, one in bad:
-        print(f"{name} {one.number}: {one.kind}: {one.said}")
+    for name, outcome in bad:
+        print(f"{name} {outcome.number}: {outcome.kind}: {outcome.message}")
     raise SystemExit(bool(bad))
 
 

@@ -2,13 +2,13 @@
 
     python -m benches.pipeline.storm WORK [-o docs/measured] [--scenes 1000] [--kills 50]
 
-Scenes of two stages of some milliseconds (`storm_stages`), one in twenty damaged, on two worker
-processes. They go into a folder on a disk of its own (tmpfs), and into a bucket of moto's server
-behind a proxy (`benches.common.bad_weather`) that fails 5 % of the requests: 500, 503, time-outs,
-resets, bodies cut short. In both, processes are killed (SIGKILL) at random, every tenth time the
-whole run, and the disk, or the server's, is full for a while. A run that ends is started again
-until nothing but the damaged scenes is left out. What is then in the stores is compared, byte for
-byte, with what a run left alone makes of the whole scenes.
+Two worker processes run scenes of two stages of some milliseconds (`storm_stages`); one scene in
+twenty is damaged. Their store is first a folder on a separate disk (tmpfs), then a bucket of moto's
+server behind a proxy (`benches.common.bad_weather`) that fails 5 % of the requests: 500, 503,
+time-outs, resets, truncated bodies. Processes are killed (SIGKILL) at random, at every tenth kill
+the whole run, and for a while the disk, or that of the server, is full. The run is restarted until
+only damaged scenes are left out. The store must then equal, byte for byte, that of an undisturbed
+run of the undamaged scenes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ SHARE = 20
 BETWEEN = (0.5, 2.0)
 """Range of the random interval between two kills, seconds."""
 
-WHOLE = 10
+KILLS_PER_RUN_KILL = 10
 """Number of kills per kill of the whole run."""
 
 FAILING = 0.05
@@ -78,26 +78,26 @@ class Storm:
     seconds: float = 0.0
     kills: Counter[str] = field(default_factory=Counter)
     runs: int = 0
-    again: int = 0
+    retried: int = 0
     wrong: list[str] = field(default_factory=list)
 
 
 def scenes_of(work: Path, count: int) -> tuple[list[Path], dict[str, str]]:
-    """The files of all scenes, and what ails some of them."""
+    """Write the files of all scenes; return them, and the damage of some by scene."""
     from benches.pipeline.storm_stages import SHAPE
 
     folder = work / "scenes"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    files, ailing, kinds = [], {}, cycle(DAMAGES.items())
+    files, damaged, kinds = [], {}, cycle(DAMAGES.items())
     for number in range(count):
         file = folder / f"scene_{number:05d}.npy"
         np.save(file, np.random.default_rng(number).integers(0, 9, SHAPE))
         files.append(file)
         if number % SHARE == SHARE // 2:
-            ailing[file.stem], damage = next(kinds)
+            damaged[file.stem], damage = next(kinds)
             damage(file)
-    return files, ailing
+    return files, damaged
 
 
 def run(root: str, listed: Path, out: Path, workers: int) -> None:
@@ -127,13 +127,13 @@ def weathered(
     work: Path,
     store: str,
     listed: Path,
-    ailing: Mapping[str, str],
+    damaged: Mapping[str, str],
     kills: int,
     env: Mapping[str, str],
     full: Callable[[bool], None],
     seed: int,
 ) -> Storm:
-    """Run until only the damaged scenes are left out, through so many kills and a full disk."""
+    """Run until only damaged scenes are left out, with ``kills`` kills and a full disk."""
     storm, dice = Storm(), random.Random(seed)
     out, log = work / "failures.json", work / "storm.log"
     command = [sys.executable, "-m", "benches.pipeline.storm", "--run", store, listed, out]
@@ -143,9 +143,9 @@ def weathered(
         if time.perf_counter() - start > PATIENCE:
             raise SystemExit(f"not done within {PATIENCE:.0f} s; see {log}")
         out.unlink(missing_ok=True)
-        with log.open("ab") as told:
+        with log.open("ab") as log_file:
             process = subprocess.Popen(
-                list(map(str, command)), stdout=told, stderr=told, env={**os.environ, **env}
+                list(map(str, command)), stdout=log_file, stderr=log_file, env={**os.environ, **env}
             )
         storm.runs += 1
         while process.poll() is None:
@@ -160,21 +160,21 @@ def weathered(
                 threading.Timer(FULL, full, (False,)).start()
             if done >= kills or not at_work or process.poll() is not None:
                 continue
-            whole = done % WHOLE == WHOLE - 1
+            kill_run = done % KILLS_PER_RUN_KILL == KILLS_PER_RUN_KILL - 1
             with suppress(ProcessLookupError):
-                os.kill(process.pid if whole else dice.choice(at_work), signal.SIGKILL)
-                storm.kills["runs" if whole else "workers"] += 1
+                os.kill(process.pid if kill_run else dice.choice(at_work), signal.SIGKILL)
+                storm.kills["runs" if kill_run else "workers"] += 1
         left_out = json.loads(out.read_text()) if out.exists() else None
-        if left_out is None or left_out.keys() - ailing.keys():
-            storm.again += len((left_out or {}).keys() - ailing.keys())
-            continue  # killed, or it could not do what can be done
+        if left_out is None or left_out.keys() - damaged.keys():
+            storm.retried += len((left_out or {}).keys() - damaged.keys())
+            continue  # killed, or an undamaged scene was left out
         if storm.kills.total() >= kills:
             break
         # If the run ends before all kills are done, repeat it from a store that lost a part.
         lose(ArtifactStore(store), dice)
     storm.seconds = time.perf_counter() - start
-    if left_out.keys() != ailing.keys():
-        storm.wrong.append(f"left out {sorted(left_out)}, damaged {sorted(ailing)}")
+    if left_out.keys() != damaged.keys():
+        storm.wrong.append(f"left out {sorted(left_out)}, damaged {sorted(damaged)}")
     return storm
 
 
@@ -186,23 +186,27 @@ def lose(store: ArtifactStore, dice: random.Random) -> None:
 
 def content(store: ArtifactStore) -> dict[str, bytes]:
     """Return the content of a store: artifacts by path, and the references of records."""
-    found = {}
+    content_of = {}
     for records in Records(store).all():
         for record in records:
             ref = record.ref
-            found[record.file.uri] = repr(ref and (ref.spec, ref.uri, ref.digest)).encode()
+            content_of[record.file.uri] = repr(ref and (ref.spec, ref.uri, ref.digest)).encode()
     for files in store.walk(["labels"]):
         uris = [file.uri for file in files]
-        found |= zip(uris, store.map(store.read, uris), strict=True)
-    return found
+        content_of |= zip(uris, store.map(store.read, uris), strict=True)
+    return content_of
 
 
 def compared(store: str, wanted: Mapping[str, bytes]) -> list[str]:
-    found = content(ArtifactStore(store))
+    content_of = content(ArtifactStore(store))
     return [
-        *(f"not there: {name}" for name in wanted.keys() - found.keys()),
-        *(f"too much: {name}" for name in found.keys() - wanted.keys()),
-        *(f"other bytes: {name}" for name in wanted.keys() & found if wanted[name] != found[name]),
+        *(f"not there: {name}" for name in wanted.keys() - content_of.keys()),
+        *(f"too much: {name}" for name in content_of.keys() - wanted.keys()),
+        *(
+            f"other bytes: {name}"
+            for name in wanted.keys() & content_of
+            if wanted[name] != content_of[name]
+        ),
     ]
 
 
@@ -218,8 +222,8 @@ def in_a_folder(work: Path, listed: Path, args: argparse.Namespace, calm: bool) 
             while True:
                 file.write(bytes(4096))
 
-    ailing, kills = ({}, 0) if calm else (args.ailing, args.kills)
-    return weathered(work, str(store), listed, ailing, kills, {}, full, args.seed)
+    damaged, kills = ({}, 0) if calm else (args.damaged, args.kills)
+    return weathered(work, str(store), listed, damaged, kills, {}, full, args.seed)
 
 
 def in_a_bucket(work: Path, listed: Path, args: argparse.Namespace, calm: bool) -> Storm:
@@ -236,7 +240,7 @@ def in_a_bucket(work: Path, listed: Path, args: argparse.Namespace, calm: bool) 
         "AWS_SECRET_ACCESS_KEY": "none",
         "AWS_DEFAULT_REGION": "us-east-1",
         "AWS_EC2_METADATA_DISABLED": "true",
-        # A time-out would else cost 30 seconds, and here are many in little time.
+        # The default time-out of 30 seconds would take too long with so many faults.
         "FSSPEC_S3": '{"config_kwargs": {"read_timeout": 2}}',
         "XDG_CACHE_HOME": str(work / "cache"),
         "SLGAUSSIAN_CACHE_SIZE": "0",
@@ -252,12 +256,12 @@ def in_a_bucket(work: Path, listed: Path, args: argparse.Namespace, calm: bool) 
         s3fs.S3FileSystem.clear_instance_cache()  # of another proxy, perhaps
         ArtifactStore("s3://storm/slg").fs.mkdir("storm")
         weather.share = 0.0 if calm else FAILING
-        ailing, kills = ({}, 0) if calm else (args.ailing, args.kills)
+        damaged, kills = ({}, 0) if calm else (args.damaged, args.kills)
 
         def full(now: bool) -> None:
             weather.full = now
 
-        storm = weathered(work, "s3://storm/slg", listed, ailing, kills, env, full, args.seed)
+        storm = weathered(work, "s3://storm/slg", listed, damaged, kills, env, full, args.seed)
         weather.share = 0.0
         storm.wrong += compared("s3://storm/slg", args.wanted)
     finally:
@@ -316,7 +320,7 @@ def main() -> None:
     (work / "disk").mkdir(parents=True, exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(work / "disk")]
     subprocess.run(mount, check=True)
-    files, ailing = scenes_of(work, args.scenes)
+    files, damaged = scenes_of(work, args.scenes)
     rows, wrong = [], []
     for name, count, weather in (
         ("folder", args.scenes, in_a_folder),
@@ -325,10 +329,10 @@ def main() -> None:
         if args.only not in (None, name):
             continue
         some = files[:count]
-        args.ailing = {scene.stem: ailing[scene.stem] for scene in some if scene.stem in ailing}
+        args.damaged = {scene.stem: damaged[scene.stem] for scene in some if scene.stem in damaged}
         everything, intact = work / "all.json", work / "whole.json"
         everything.write_text(json.dumps(list(map(str, some))))
-        intact.write_text(json.dumps([str(f) for f in some if f.stem not in args.ailing]))
+        intact.write_text(json.dumps([str(f) for f in some if f.stem not in args.damaged]))
         shutil.rmtree(work / "disk" / "calm", ignore_errors=True)
         calm = in_a_folder(work, intact, args, calm=True)
         args.wanted = content(ArtifactStore(work / "disk" / "calm"))
@@ -342,13 +346,13 @@ def main() -> None:
             {
                 "store": name,
                 "scenes": count,
-                "damaged": len(args.ailing),
+                "damaged": len(args.damaged),
                 "alone": calm.seconds,
                 "storm": storm.seconds,
                 "workers": storm.kills["workers"],
                 "killed": storm.kills["runs"],
                 "runs": storm.runs,
-                "again": storm.again,
+                "again": storm.retried,
                 "files": f"{len(storm.wrong)} differ" if storm.wrong else "equal",
             }
         )

@@ -23,20 +23,20 @@ SHAPE = (2, 24, 32)
 
 @stage("storm_take", version=1)
 def take(run: RunContext, file: KnownFile) -> ArtifactRef:
-    """Labels from a file; InputError if it is damaged."""
+    """Read labels from a file; InputError if it is damaged."""
     try:
-        found = np.load(file.place, allow_pickle=False)
+        labels = np.load(file.place, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{file.place}: cannot be read ({error})") from None
-    if found.shape != SHAPE or not np.isfinite(found).all() or (found < 0).any():
-        raise InputError(f"{file.place}: found {found.shape}, expected whole numbers {SHAPE}")
-    return run.store.put("labels", _maps(found))
+    if labels.shape != SHAPE or not np.isfinite(labels).all() or (labels < 0).any():
+        raise InputError(f"{file.place}: found {labels.shape}, expected whole numbers {SHAPE}")
+    return run.store.put("labels", _maps(labels))
 
 
 @stage("storm_smooth", version=1)
-def smooth(run: RunContext, taken: ArtifactRef, times: int) -> ArtifactRef:
+def smooth(run: RunContext, labels_ref: ArtifactRef, times: int) -> ArtifactRef:
     """Apply a maximum filter repeatedly."""
-    labels = run.store.get(taken)["labels"]
+    labels = run.store.get(labels_ref)["labels"]
     for _ in range(times):
         around = [np.roll(labels, step, axis) for step in (-1, 1) for axis in (1, 2)]
         labels = np.maximum.reduce([labels, *around])
@@ -63,5 +63,5 @@ def storm(root: str, files: list[str], workers: int) -> State[dict[str, str]]:
 
 
 def _maps(labels: np.ndarray) -> dict[str, np.ndarray]:
-    whole = labels.astype(np.int32)
-    return {"labels": whole, "margin": np.full(whole.shape, 0.5, np.float32)}
+    ids = labels.astype(np.int32)
+    return {"labels": ids, "margin": np.full(ids.shape, 0.5, np.float32)}

@@ -1,9 +1,9 @@
 """All user commands end to end: exit statuses and digests of their outputs.
 
-Run it before and after a change that should change nothing (``record``), and list the differences
-(``diff``). Each command runs in a process of its own, from a plain install in a new environment
+Run ``record`` before and after a change that should not affect outputs, then list the differences
+with ``diff``. Each command runs in its own process, from a plain install in a new environment
 unless ``--program`` names another one. Without ``--data`` (a folder with ``office``) the steps on
-photographs are left out; ``--only`` takes some of the groups.
+photographs are skipped; ``--only`` selects groups.
 
     python -m benches.pipeline.user_commands record WORK before.json --data DATA
     python -m benches.pipeline.user_commands diff before.json after.json
@@ -36,7 +36,7 @@ from benches.common.small_rooms import write_rooms
 ROOT = Path(__file__).resolve().parents[2]
 HOST = "127.0.0.1"
 TIMED = re.compile(r"(times\..*|report\.(html|md)|.*\.mp4|\d{6}\.(parquet|claim)|current\.\w+)")
-"""Files with times or dates in them: that they exist is recorded, not their bytes."""
+"""Files that contain times or dates: their existence is recorded, but not their bytes."""
 LIMIT = 3600.0
 """Time limit of a command, seconds."""
 
@@ -53,7 +53,7 @@ class Result:
     files : dict of str to str
         SHA-256 of each file, by its path in the folder that the command wrote.
     stdout : str
-        SHA-256 of its standard output where that is an answer (``--json``, ``--help``), else empty.
+        SHA-256 of its standard output if that is the result (``--json``, ``--help``), else empty.
     """
 
     command: str
@@ -64,7 +64,7 @@ class Result:
 
 @dataclass
 class Recorder:
-    """Run commands of one program in one folder, and record what they leave."""
+    """Run commands of one program in one folder, and record their results."""
 
     program: list[str]
     work: Path
@@ -72,7 +72,7 @@ class Recorder:
     results: dict[str, Result] = field(default_factory=dict)
 
     def run(self, name: str, *words: object, out: str = "", answer: bool = False) -> Result:
-        """Run ``slgaussian WORDS``; record its status, the digests under ``out`` and its answer."""
+        """Run ``slgaussian WORDS``; record its status, digests under ``out``, and output."""
         arguments = [str(word) for word in words]
         begin = time.monotonic()
         done = subprocess.run(
@@ -103,8 +103,8 @@ class Recorder:
 def digests(path: Path) -> dict[str, str]:
     """Return the SHA-256 of a file, or of each file under a folder, by relative path.
 
-    Of a file with times in it only its presence counts; of ``artifacts.parquet`` the stages and
-    the digests of their artifacts.
+    For a file that contains times, only its existence is recorded; for ``artifacts.parquet``, the
+    stages and the digests of their artifacts.
     """
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
     return {str(p.relative_to(path)) if p != path else p.name: _digest(p) for p in files}
@@ -117,7 +117,7 @@ def _digest(path: Path) -> str:
         import pyarrow.parquet as pq
 
         rows = pq.read_table(path, columns=["scene", "stage", "spec", "digest"]).to_pylist()
-        # Measured seconds are an artifact of their own.
+        # Measured seconds are a separate artifact.
         lines = sorted(json.dumps(row) for row in rows if "times" not in row["spec"])
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
     return hashlib.sha256(path.read_bytes()).hexdigest()
@@ -127,7 +127,7 @@ def _digest(path: Path) -> str:
 
 
 def helps(recorder: Recorder, _data: Path | None) -> None:
-    """``--help`` of the program and of each command."""
+    """Run ``--help`` of the program and of each command."""
     recorder.run("help", "--help", answer=True)
     listing = (recorder.work / "logs" / "help.log").read_text()
     for command in re.findall(r"^  ([a-z]+)  +\S", listing, re.MULTILINE):
@@ -135,13 +135,13 @@ def helps(recorder: Recorder, _data: Path | None) -> None:
 
 
 def demo(recorder: Recorder, _data: Path | None) -> None:
-    """The demo with its defaults, and again from its store."""
+    """Run the demo with its defaults, and again from its store."""
     for name in ("demo", "demo again"):
         recorder.run(name, "demo", "-o", "demo/out", "--store", "demo/store", out="demo/out")
 
 
 def office(recorder: Recorder, data: Path | None) -> None:
-    """Three labelled scenes of photographs with all methods; masks scored; two runs compared."""
+    """Run three labelled scenes with all methods, score masks, and compare two runs."""
     if data is None:
         return
     pairs = json.loads((data / "office" / "pairs.json").read_text())
@@ -170,29 +170,29 @@ def office(recorder: Recorder, data: Path | None) -> None:
 
 
 def runners(recorder: Recorder, _data: Path | None) -> None:
-    """``run`` by each runner on a folder, and by threads on a bucket: the same bytes."""
+    """Run scenes by each runner on a folder, and by threads on a bucket: the same bytes."""
     base = recorder.work / "runners"
     write_rooms(base / "rooms", 2)
     python = Path(recorder.program[0]).parent
 
-    def one(name: str, runner: str, store: str) -> None:
+    def run_with(name: str, runner: str, store: str) -> None:
         options = ["--runner", runner, "--store", store, "-o", f"runners/{name}"]
         out = f"runners/{name}"
         recorder.run(f"run {name}", "run", "runners/rooms/rooms.toml", *options, out=out)
 
     for runner in ("threads", "processes"):
-        one(runner, runner, f"runners/store_{runner}")
+        run_with(runner, runner, f"runners/store_{runner}")
     with dask_cluster(python, base, recorder.env) as address:
-        one("dask", address, str(base / "store_dask"))
+        run_with("dask", address, str(base / "store_dask"))
     with ray_cluster(python, base, recorder.env) as address:
-        one("ray", address, str(base / "store_ray"))
+        run_with("ray", address, str(base / "store_ray"))
     with s3_bucket(python, base, recorder.env) as (bucket, variables):
         recorder.env.update(variables)
-        one("bucket", "threads", f"{bucket}/slg")
+        run_with("bucket", "threads", f"{bucket}/slg")
 
 
 def corpus(recorder: Recorder, _data: Path | None) -> None:
-    """From chunks to lessons, a training set, weights, a promotion and a refusal."""
+    """Make lessons and a training set of chunks, train, promote weights, and refuse others."""
     store = ["--store", "corpus/store"]
     chunks = ["-o", "corpus", "--set", "views=6", "--set", "size=96x128", *store]
     recorder.run("pack", "ingest", "procedural:0-3", *chunks, out="corpus/chunks")
@@ -207,17 +207,17 @@ def corpus(recorder: Recorder, _data: Path | None) -> None:
     retrain += [*store, "--set", "size=96x128", "--set", "held_out=0.4"]
     models = "corpus/models"
     recorder.run("retrain", "retrain", *retrain, "--steps", "40", out=models)
-    # So few clips promote nothing by themselves: an operator does.
+    # So few clips never pass the promotion test, so an operator promotes the weights.
     recorder.run("promote", "versions", models, "--use", "1", out=models)
     recorder.run("pack more", "ingest", "procedural:4-7", *chunks, out="corpus/chunks")
-    # One step makes weights that are no better.
+    # One step of training does not improve the weights.
     recorder.run("retrain, refused", "retrain", *retrain, "--steps", "1", out=models)
     recorder.run("roll back", "versions", models, "--roll-back", out=models)
     recorder.run("versions", "versions", models, answer=True)
 
 
 def fields(recorder: Recorder, data: Path | None) -> None:
-    """Fields of two and five photographs, with and without cameras; every question and export."""
+    """Build fields of two and five photographs, with and without cameras; query and export."""
     if data is None:
         folder = recorder.work / "fields"
         write_rooms(folder, 1)
@@ -248,7 +248,7 @@ def fields(recorder: Recorder, data: Path | None) -> None:
 def questions(
     recorder: Recorder, folder: str, cameras: Path, texts: list[str], pictures: list[Path]
 ) -> None:
-    """Ask one field everything that a command can ask, and write it in each format."""
+    """Run every query command on a field, and export it in each format."""
     out = f"{folder}_answers"
     (recorder.work / out).mkdir()
 
@@ -285,7 +285,7 @@ def questions(
 
 
 def killed(recorder: Recorder, _data: Path | None) -> None:
-    """A killed and resumed run must equal an undisturbed run."""
+    """Kill and resume a run, which must equal an undisturbed run."""
     base = recorder.work / "killed"
     config = write_rooms(base / "rooms", 3)
     arguments = ["run", str(config), "--store", "killed/store", "-o", "killed/out"]
@@ -326,9 +326,9 @@ def check(results: dict[str, Result]) -> list[str]:
     ]
     for group in EQUAL:
         members = [name for name in group if name in results]
-        for other in members[1:]:
-            for path in differing(results[members[0]].files, results[other].files):
-                wrong.append(f"{other}: {path} is not as of {members[0]!r}")
+        for name in members[1:]:
+            for path in differing(results[members[0]].files, results[name].files):
+                wrong.append(f"{name}: {path} is not as of {members[0]!r}")
     return wrong
 
 
@@ -345,7 +345,7 @@ EXPECTED = {
     "retrain, refused": (3, 4),
     "run killed": (-signal.SIGKILL,),
 }
-"""Allowed exit statuses of commands other than 0 alone."""
+"""Allowed exit statuses of commands; 0 for all others."""
 
 EQUAL = (
     ("run threads", "run processes", "run dask", "run ray", "run bucket"),
@@ -355,9 +355,9 @@ EQUAL = (
 """Commands whose files must be equal."""
 
 
-def differing(one: dict[str, str], other: dict[str, str]) -> list[str]:
+def differing(a: dict[str, str], b: dict[str, str]) -> list[str]:
     """Return the paths with differing digests or in one set only."""
-    return sorted(p for p in one.keys() | other.keys() if one.get(p) != other.get(p))
+    return sorted(path for path in a.keys() | b.keys() if a.get(path) != b.get(path))
 
 
 def differences(before: dict[str, Result], after: dict[str, Result]) -> list[str]:
@@ -365,20 +365,20 @@ def differences(before: dict[str, Result], after: dict[str, Result]) -> list[str
     lines = [f"{name}: only before" for name in before if name not in after]
     lines += [f"{name}: only after" for name in after if name not in before]
     for name in (name for name in before if name in after):
-        one, other = before[name], after[name]
-        if one.status != other.status:
-            lines.append(f"{name}: exit status {one.status}, then {other.status}")
-        if one.stdout != other.stdout:
+        first, second = before[name], after[name]
+        if first.status != second.status:
+            lines.append(f"{name}: exit status {first.status}, then {second.status}")
+        if first.stdout != second.stdout:
             lines.append(f"{name}: standard output differs")
-        for path in differing(one.files, other.files):
+        for path in differing(first.files, second.files):
             state = {(True, True): "differs", (True, False): "is gone", (False, True): "is new"}
-            lines.append(f"{name}: {path} {state[path in one.files, path in other.files]}")
+            lines.append(f"{name}: {path} {state[path in first.files, path in second.files]}")
     return lines
 
 
 @contextmanager
 def serving(log: Path, env: dict[str, str], *command: object) -> Iterator[None]:
-    """Run a server in a process group of its own, and end the group."""
+    """Run a server in its own process group, and end the group."""
     with log.open("ab") as file:
         process = subprocess.Popen(
             [str(word) for word in command],
@@ -430,7 +430,7 @@ def ray_cluster(python: Path, work: Path, env: dict[str, str]) -> Iterator[str]:
 def s3_bucket(
     python: Path, work: Path, env: dict[str, str]
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """Start moto's server; yield the URL of a new bucket, and the environment that reaches it."""
+    """Start moto's server; yield the URL of a new bucket, and the environment to access it."""
     port = free_port()
     variables = {
         "AWS_ENDPOINT_URL": f"http://{HOST}:{port}",
@@ -461,7 +461,7 @@ def listens(port: int) -> bool:
 
 
 def wait_until(happens: Callable[[], bool], process: subprocess.Popen | None = None) -> None:
-    """Wait for a condition; raise ``SystemExit`` if ``process`` ends before, or after an hour."""
+    """Wait for a condition; raise ``SystemExit`` if ``process`` ends first, or after an hour."""
     end = time.monotonic() + LIMIT
     while not happens():
         if time.monotonic() > end or (process is not None and process.poll() is not None):
@@ -503,7 +503,7 @@ def recorded(
 
 
 def main() -> None:
-    """Record, or compare two recordings; the exit status is 1 if something is wrong or differs."""
+    """Record, or compare two recordings; the exit status is 1 for violations or differences."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     commands = parser.add_subparsers(required=True, dest="command")
     record = commands.add_parser("record", help="run everything, and write a recording")

@@ -3,10 +3,10 @@
     python -m benches.pipeline.waiting DATA EARLIER [-o docs/measured] [--rounds 7] [--only NAME]
 
 DATA holds photographs with cameras and pairs.json, as the office set does. EARLIER is a folder with
-a checkout of another commit; it runs with the packages that are installed here. Each command runs
-once before it is measured, so that kernels are compiled and files are in memory; then the two
-commits take turns. What is asked in Python is timed within a process, after the first two times.
-``first field`` has an empty folder for kernels each time.
+a checkout of another commit; it uses the packages that are installed here. Each command runs once
+before it is measured, to compile kernels and cache files; then the two commits run in turn. Queries
+in Python are timed within one process, without the first two rounds. ``first field`` compiles its
+kernels each time.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from slgaussian.benchmark.statistics import interval, resamplings
 
 FIRST = "first field"
 
-ASKED = ("first query, new view", "first query, rendered view", "100 texts")
-"""What is timed within one process, by :data:`ASK`."""
+QUERIES = ("first query, new view", "first query, rendered view", "100 texts")
+"""Rows of the table that :data:`QUERY_SCRIPT` measures within one process."""
 
-ASK = """
+QUERY_SCRIPT = """
 import json, resource, sys, time
 from slgaussian.field import SemanticField
 
@@ -65,13 +65,13 @@ print(json.dumps({name: [min(w for w, _ in own[2:]), min(c for _, c in own[2:]),
 
 def program(folder: Path) -> tuple[str, ...]:
     """Return the command that starts the command line of a checkout."""
-    told = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))
-    module, function = told["project"]["scripts"]["slgaussian"].split(":")
+    project = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))
+    module, function = project["project"]["scripts"]["slgaussian"].split(":")
     return sys.executable, "-c", f"from {module} import {function}; {function}()"
 
 
 def row_of(command: str, now: Sequence[Cost], before: Sequence[Cost]) -> dict[str, object]:
-    """Return medians of two commits over rounds; of the ratio of seconds an interval too."""
+    """Return medians of two commits over rounds, and an interval of the ratio of seconds."""
     ratios = np.array([a.cpu / b.cpu for a, b in zip(now, before, strict=True)])
     low, high = interval(np.median(ratios[resamplings(len(ratios))], 1))
     medians = {
@@ -86,10 +86,10 @@ def row_of(command: str, now: Sequence[Cost], before: Sequence[Cost]) -> dict[st
 def in_turn(
     words: Sequence[str], folders: Sequence[Path], rounds: int, first: bool = False
 ) -> tuple[list[Cost], list[Cost]]:
-    """Return costs of a command here and there, in turn.
+    """Return the costs of a command for the two checkouts, run in turn.
 
-    ``{}`` among the words is 0 here and 1 there. With ``first`` the kernels are compiled into an
-    empty folder each time; otherwise the first round does not count.
+    ``{}`` in its words is 0 for the first and 1 for the second. With ``first`` each run compiles
+    the kernels into an empty folder; otherwise the first round does not count.
     """
     costs: tuple[list[Cost], list[Cost]] = ([], [])
     for turn in range(rounds + (not first)):
@@ -103,12 +103,12 @@ def in_turn(
     return costs
 
 
-def asked_in_turn(field: str, folders: Sequence[Path], rounds: int) -> dict[str, tuple]:
-    """Return costs of :data:`ASKED` here and there, the least of some in each process."""
-    costs: dict[str, tuple[list[Cost], list[Cost]]] = {name: ([], []) for name in ASKED}
+def query_in_turn(field: str, folders: Sequence[Path], rounds: int) -> dict[str, tuple]:
+    """Return the costs of :data:`QUERIES` for the two checkouts, the minimum in each process."""
+    costs: dict[str, tuple[list[Cost], list[Cost]]] = {name: ([], []) for name in QUERIES}
     for _ in range(rounds):
         for k, folder in enumerate(folders):
-            words = [sys.executable, "-c", ASK, field.replace("{}", str(k))]
+            words = [sys.executable, "-c", QUERY_SCRIPT, field.replace("{}", str(k))]
             answer = costing(words, cwd=folder).output[-1]
             for name, (wall, cpu, peak) in json.loads(answer).items():
                 costs[name][k].append(Cost(wall=wall, cpu=cpu, peak=peak))
@@ -162,12 +162,12 @@ def main() -> None:
         rows = []
         for name, words in commands.items():
             if wanted(name):
-                few = min(3, args.rounds) if words[0] == "field" else args.rounds
-                rows.append(row_of(name, *in_turn(words, folders, few)))
+                rounds = min(3, args.rounds) if words[0] == "field" else args.rounds
+                rows.append(row_of(name, *in_turn(words, folders, rounds)))
                 print(rows[-1], file=sys.stderr)
-        if any(map(wanted, ASKED)):
-            costs = asked_in_turn(f"{place}/{{}}", folders, args.rounds)
-            rows += [row_of(name, *costs[name]) for name in ASKED]
+        if any(map(wanted, QUERIES)):
+            costs = query_in_turn(f"{place}/{{}}", folders, args.rounds)
+            rows += [row_of(name, *costs[name]) for name in QUERIES]
         if wanted(FIRST):
             rows.append(row_of(FIRST, *in_turn(field, folders, min(3, args.rounds), first=True)))
     publish(

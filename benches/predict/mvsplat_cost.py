@@ -35,7 +35,7 @@ TIMES = ("load", "seconds", "cpu")
 
 
 def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
-    """Print times and peak memory of one prediction as JSON; leave what it says in ``out``."""
+    """Print times and peak memory of one prediction as JSON; write the prediction to ``out``."""
     scene = datasets.load("procedural", seed=0, height=SIZE[0], width=SIZE[1])
     names = list(scene.cameras)
     sample = scene.sample([names[0], names[-1]], near=1.0, far=100.0)

@@ -2,17 +2,16 @@
 
     python -m benches.predict.novel_view_error DATA [-o docs/measured]
 
-DATA holds ``office``, ``places`` and ``things``, nerfstudio folders with ``pairs.json`` (scene ->
-context, target), with depth of a sensor in the office. Rooms are procedural, and the motorcycle
-pair ships with scikit-image. Methods:
+DATA holds ``office``, ``places`` and ``things``: nerfstudio folders with ``pairs.json`` (scene ->
+context, target); the office has sensor depth. Rooms are procedural, and the motorcycle pair ships
+with scikit-image. Methods:
 
-- ``gaussians``: rendered; what no Gaussian covers fades to black.
-- ``warped``: a control without Gaussians of its own. The depth of the target is the median depth
-  of the rendering, holes taken from the nearest pixel; every target pixel is the mean of what the
-  context photographs show there, bilinear, of those whose depth map agrees within 6 %, else of
-  those it falls into, else of both continued at their border. Their exposures are made equal by
-  the median ratio per channel.
-- ``nearest``: the photograph taken closest to the target, as it is.
+- ``gaussians``: rendered Gaussians; uncovered areas fade to black.
+- ``warped``: a control that warps the context photographs by the rendered median depth, with holes
+  filled from the nearest pixel. A target pixel is the mean of bilinear samples of the photographs
+  whose depth map agrees within 6 %; without any, of those that contain the point; without any, of
+  both, extended at the border. Exposures are equalised by the median ratio per channel.
+- ``nearest``: the unchanged photograph whose camera is closest to the target.
 
 PSNR in dB and SSIM (Wang et al. 2004: Gaussian window, sigma 1.5) of 8-bit RGB. The PSNR of
 ``gaussians`` is also given at borders, in a band 8 px wide along steps of the rendered depth.
@@ -38,8 +37,8 @@ ROOMS = 8
 
 STEP = 1.1
 BAND = 4
-"""Ratio of neighbouring depths from which there is a step, and half the width of the band around
-it, pixels."""
+"""Smallest ratio of neighbouring depths at a step, and half the width of the band around it in
+pixels."""
 
 
 def border_band(depth: np.ndarray) -> np.ndarray:
@@ -51,16 +50,16 @@ def border_band(depth: np.ndarray) -> np.ndarray:
 
 
 def project_inside(camera: Camera, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels, depths, and which points [H, W, 3] fall inside the image."""
+    """Return pixels and depths of points [H, W, 3], and which are inside the image."""
     pixels, z = camera.project(points)
     return pixels, z, camera.shows(pixels, z)
 
 
-def depth_errors(view: View, other: View, depth: np.ndarray) -> tuple[float, float, float]:
-    """Mean and median relative error, and share within 25 %, where both views see the surface."""
-    _, _, inside = project_inside(other.camera, view.camera.unproject(view.depth))
-    known = (view.depth > 0) & inside
-    ratio = depth[known] / view.depth[known]
+def depth_errors(view: View, second: View, depth: np.ndarray) -> tuple[float, float, float]:
+    """Return mean and median relative error and share within 25 %, where both views see it."""
+    _, _, inside = project_inside(second.camera, view.camera.unproject(view.depth))
+    valid = (view.depth > 0) & inside
+    ratio = depth[valid] / view.depth[valid]
     off, close = np.abs(ratio - 1), np.maximum(ratio, 1 / ratio) < 1.25
     return float(off.mean()), float(np.median(off)), float(close.mean())
 
@@ -85,16 +84,16 @@ def warped(sample: Sample, gaussians: Gaussians, render: Render) -> np.ndarray:
     points = sample.targets[0].camera.unproject(of_label[label])
     depths = source_depths(gaussians, [view.camera for view in sample.context])
     images, insides, agreeing = [], [], []
-    for view, known in zip(sample.context, depths, strict=True):
+    for view, depth_map in zip(sample.context, depths, strict=True):
         pixels, z, inside = project_inside(view.camera, points)
         x, y = (pixels - 0.5).astype(np.float32).transpose(2, 0, 1)
         border = cv2.BORDER_REPLICATE
         images.append(
             cv2.remap(view.image, x, y, cv2.INTER_LINEAR, borderMode=border).astype(np.float64)
         )
-        there = cv2.remap(known, x, y, cv2.INTER_NEAREST, borderMode=border)
+        observed = cv2.remap(depth_map, x, y, cv2.INTER_NEAREST, borderMode=border)
         insides.append(inside)
-        agreeing.append(inside & (np.abs(there - z) < 0.06 * z))
+        agreeing.append(inside & (np.abs(observed - z) < 0.06 * z))
     both = agreeing[0] & agreeing[1]
     if both.any():
         ratio = np.median((images[0][both] + 1) / (images[1][both] + 1), axis=0)
@@ -106,13 +105,13 @@ def warped(sample: Sample, gaussians: Gaussians, render: Render) -> np.ndarray:
 
 def sharpness(image: np.ndarray, truth: np.ndarray) -> float:
     """Compute the mean absolute Laplacian relative to the truth, both uint8 [H, W, 3]."""
-    greys = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY).astype(np.float64) for one in (image, truth))
+    greys = (cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float64) for rgb in (image, truth))
     ours, theirs = (np.abs(cv2.Laplacian(grey, cv2.CV_64F)).mean() for grey in greys)
     return float(ours / theirs)
 
 
 def of_pair(sample: Sample) -> dict[str, float]:
-    """Compute scores of a pair by ``method_metric``, and of its depth where the sensor has it."""
+    """Compute scores of a pair by ``method_metric``, and depth errors if it has sensor depth."""
     target = sample.targets[0]
     gaussians = PlaneSweep()(sample)
     render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
@@ -177,8 +176,10 @@ def main() -> None:
     sets = {"rooms": [load_samples(None, seed=seed)["procedural"] for seed in range(ROOMS)]}
     for name in ("office", "places", "things"):
         files = sorted(args.data.glob(f"{name}/**/pairs.json"))
-        sets[name] = [one for file in files for one in load_samples(file.parent).values()]
-    rows = [mean_of(name, [of_pair(one) for one in samples]) for name, samples in sets.items()]
+        sets[name] = [sample for file in files for sample in load_samples(file.parent).values()]
+    rows = [
+        mean_of(name, [of_pair(sample) for sample in samples]) for name, samples in sets.items()
+    ]
     stereo = motorcycle(seed=0)
     publish(
         args.out,

@@ -1,7 +1,7 @@
 """Reproducible random weights for MVSplat, to test it without the published ones.
 
-``python -m benches.predict.random_mvsplat_weights recipe.ckpt`` writes them as a checkpoint. They
-are random, and scenes look it; shapes, times and memory are those of ``re10k.ckpt``.
+``python -m benches.predict.random_mvsplat_weights recipe.ckpt`` writes them as a checkpoint. Their
+scenes are noise; shapes, times and memory are those of ``re10k.ckpt``.
 """
 
 import sys
@@ -18,13 +18,13 @@ GAIN = {
     "depth_predictor.to_disparity.2.weight": 0.1,
     "depth_predictor.to_disparity.2.bias": 0.1,
 }
-"""Factors that bring the recipe's outputs into the range of trained ones."""
+"""Factors that scale the outputs of these weights to the range of trained ones."""
 
 
 def recipe_weights() -> dict[str, torch.Tensor]:
     """Return reproducible weights by name, float32, each seeded by its name.
 
-    Unlike freshly initialised ones, none is zero, so that every layer has a say.
+    No weight is zero, so that every layer affects the result.
     """
     with torch.device("meta"):
         shapes = {name: tuple(t.shape) for name, t in Network().state_dict().items()}

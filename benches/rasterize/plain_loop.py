@@ -1,8 +1,8 @@
 """A naive rasterisation loop, the baseline of the rasteriser's speed.
 
-Project every Gaussian, sort all of them by depth, splat them one after the other into the image;
-two threads, each with its own half of the rows. The usual cut-offs: 3 sigma, alpha 1/255, 1e-4 of
-the light.
+It projects every Gaussian, sorts them by depth, and splats them in order into the image, with two
+threads for half of the rows each. The cut-offs are the usual ones: 3 sigma, alpha 1/255, and
+transmittance 1e-4.
 """
 
 import math

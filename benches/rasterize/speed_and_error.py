@@ -2,12 +2,12 @@
 
     python -m benches.rasterize.speed_and_error [DATA] [-o docs/measured] [--scene NAME]
 
-DATA holds pairs of photographs; without it, a made-up room is drawn. Cut-offs, numbers of Gaussians
-and channels, and memory are of one scene, the first of DATA by default.
+DATA holds pairs of photographs; without it, the scene is a procedural room. Cut-offs, numbers of
+Gaussians and channels, and memory are measured on one scene, by default the first of DATA.
 
-Errors are those of the whole image, against the cpu backend with nearly nothing cut (:data:`FINE`).
-How far that is from the float64 reference, which is too slow for an image of half a million
-Gaussians, is measured on windows.
+Errors of the whole image are relative to the cpu backend with the finest cut-offs (:data:`FINE`).
+The error of that backend relative to the float64 reference, which is too slow for whole images, is
+measured on windows.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ CHANNELS = (1, 3, 6, 16, 64, 512)
 
 WINDOW = 8
 WINDOWS = ((0.3, 0.4), (0.5, 0.5), (0.7, 0.3), (0.6, 0.8))
-"""Left and top corners of the windows, as shares of the image."""
+"""Left and top corners of the windows, as fractions of the image size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Subject:
         return Subject(name, gaussians, values, sample.targets[0].camera)
 
     def part(self, share: int) -> Subject:
-        """One Gaussian of every ``share``, drawn at random; the others are left out."""
+        """Return a random subset with one of every ``share`` Gaussians."""
         generator = torch.Generator().manual_seed(0)
         rows = torch.randperm(len(self.gaussians), generator=generator)
         rows = rows[: len(rows) // share].sort().values
@@ -82,17 +82,17 @@ class Subject:
         return torch.from_numpy(splat_in_order(arrays, self.values.numpy(), self.camera))
 
     def drawn(self, settings: Settings = DEFAULT, backend: str = "cpu") -> torch.Tensor:
-        given = self.gaussians, self.values, self.camera
-        return rasterize(*given, backend=backend, settings=settings).values
+        inputs = self.gaussians, self.values, self.camera
+        return rasterize(*inputs, backend=backend, settings=settings).values
 
 
 def random_values(n: int, channels: int) -> torch.Tensor:
-    """As different from neighbour to neighbour as ID codes can be, float32 in [0, 1]."""
+    """Return values float32 in [0, 1], independent between neighbours, like random ID codes."""
     return torch.rand(n, channels, generator=torch.Generator().manual_seed(0))
 
 
 def both_ways(subject: Subject) -> Callable[[], object]:
-    """Forward and backward for means, scales, quaternions, opacities and values."""
+    """Return a call of the forward and backward pass for geometry, opacities and values."""
     gaussians, values = subject.gaussians, subject.values.clone().requires_grad_()
     leaves = {
         name: getattr(gaussians, name).clone().requires_grad_()
@@ -105,15 +105,15 @@ def both_ways(subject: Subject) -> Callable[[], object]:
     )
 
 
-def duel(subject: Subject, **others: Callable[[], object]) -> dict[str, float]:
-    """Seconds of the plain loop, of the default settings and of others, and the greatest error."""
-    spent = times_in_turn({"loop": subject.by_loop, "fast": subject.drawn, **others})
+def duel(subject: Subject, **contenders: Callable[[], object]) -> dict[str, float]:
+    """Return seconds of the plain loop, the default settings and others, and the largest error."""
+    spent = times_in_turn({"loop": subject.by_loop, "fast": subject.drawn, **contenders})
     off = subject.drawn() - subject.drawn(replace(DEFAULT, **FINE))
     return spent | {"ratio": spent["loop"] / spent["fast"], "greatest": float(off.abs().max())}
 
 
 def scene_row(subject: Subject) -> dict:
-    """Seconds of a scene, and errors of the default settings, in windows against float64 too."""
+    """Return the seconds of a scene, and errors of the default settings, also against float64."""
     worst = {"window": 0.0, "floor": 0.0}
     camera = subject.camera
     for x, y in WINDOWS:
@@ -128,7 +128,7 @@ def scene_row(subject: Subject) -> dict:
 
 
 def cut_rows(subject: Subject) -> list[dict]:
-    """Compare the plain loop and the cut-offs of :data:`CUTS` with the same without cut-offs."""
+    """Return the times and errors of the plain loop and of each of the cut-offs :data:`CUTS`."""
     contenders = {LOOP: subject.by_loop} | {
         name: lambda settings=settings: subject.drawn(settings) for name, settings in CUTS.items()
     }
@@ -142,7 +142,7 @@ def cut_rows(subject: Subject) -> list[dict]:
 
 
 def size_rows(subject: Subject) -> list[dict]:
-    """Parts of the scene with six channels, and the whole with random values of other numbers."""
+    """Return rows for parts of the scene, and for the whole with other numbers of channels."""
     rows = []
     for share in COUNT_PARTS:
         part = subject.part(share)
@@ -162,13 +162,13 @@ JOBS: dict[str, Callable[[Subject], object]] = {
 
 
 def memory_rows(subject: Subject) -> list[dict]:
-    """Megabytes beyond libraries, kernels and inputs, each job in a process of its own."""
+    """Return the megabytes of each job, in its own process, without libraries and inputs."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "scene.npz"
-        seen = subject.camera
-        camera = {"K": seen.K, "c2w": seen.c2w, "size": [seen.width, seen.height]}
+        camera = subject.camera
+        fields = {"K": camera.K, "c2w": camera.c2w, "size": [camera.width, camera.height]}
         values = subject.values.numpy()
-        np.savez(file, **subject.gaussians.to_arrays(), **camera, values=values)
+        np.savez(file, **subject.gaussians.to_arrays(), **fields, values=values)
         command = [sys.executable, "-m", "benches.rasterize.speed_and_error", "--memory", file]
         return [
             {"what": job} | json.loads(subprocess.check_output([*command, job])) for job in JOBS
@@ -176,7 +176,7 @@ def memory_rows(subject: Subject) -> list[dict]:
 
 
 def memory(file: str, job: str) -> dict[str, float]:
-    """Do a job once, after the same for a few Gaussians: megabytes at most and at the end."""
+    """Return peak and final megabytes of a job, after a small run that loads libraries."""
     arrays = dict(np.load(file))
     camera = Camera(arrays.pop("K"), arrays.pop("c2w"), *arrays.pop("size").tolist())
     values = torch.from_numpy(arrays.pop("values"))
@@ -185,12 +185,12 @@ def memory(file: str, job: str) -> dict[str, float]:
     before = memory_status("VmRSS")
     reset_peak_memory()
     result = JOBS[job](subject)
-    found = {
+    megabytes = {
         "peak": (memory_status("VmHWM") - before) / 1e6,
         "kept": (memory_status("VmRSS") - before) / 1e6,
     }
     del result
-    return found
+    return megabytes
 
 
 TIMES = {

@@ -2,9 +2,9 @@
 
     python -m benches.scores.answer_scores DATA [-o docs/measured] [--rows FILE] [--only SET ...]
 
-DATA holds ``office``, ``places`` and ``things``; rooms are those that nothing was chosen on. Our
-own answers are given with several seeds, which draw other ID codes, those of other methods once, on
-the same Gaussians. Rows are kept in FILE as they come, and scenes that it holds are not done again.
+DATA holds ``office``, ``places`` and ``things``; rooms are those on which no constant was chosen.
+Our method runs with several seeds, which draw different ID codes; other methods run once, on the
+same Gaussians. Rows are appended to FILE, and scenes in it are not measured again.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
     """Return a row per method and seed: means over the queries of a scene."""
     sample = read(scene, Settings())
     truth = truth_of(scene, sample)
-    # A labelled folder is one place; the office is one building, and each room a place of its own.
+    # A labelled folder is one place, but each scene of the office and each room is a place too.
     place = scene.dataset if name in ("places", "things") else scene.name
     common = {"set": name, "place": place, "scene": scene.name}
     first: Inputs | None = None
@@ -74,7 +74,7 @@ def scene_rows(name: str, scene: SceneSettings) -> Iterator[dict[str, Any]]:
 
 
 def kind_of(text: str, mask: np.ndarray) -> str:
-    """Return which of :data:`KINDS` a text is, whose thing has the mask bool [H, W]."""
+    """Return the kind, of :data:`KINDS`, of a text with true mask bool [H, W]."""
     if mask.mean() < SMALL:
         return "small"
     if text.split()[-1] in SURFACES:
@@ -83,7 +83,7 @@ def kind_of(text: str, mask: np.ndarray) -> str:
 
 
 def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dict[str, Any]]:
-    """The scores of what a method selects, and of LangSplat's cut of the same relevancies.
+    """Return the scores of a method's selection, and of LangSplat's cut of its relevancies.
 
     ``kinds`` are the IoUs of the texts of each kind.
     """
@@ -107,7 +107,7 @@ def answers(answering: Answering, inputs: Inputs, truth: Truth) -> dict[str, dic
 
 
 def measure(data: Path, names: Sequence[str], file: Path) -> list[dict[str, Any]]:
-    """The rows of all scenes of these sets."""
+    """Return the rows of all scenes of these sets, measured or read from ``file``."""
     rows = [json.loads(line) for line in file.read_text().splitlines()] if file.is_file() else []
     measured = {(row["set"], row["scene"]) for row in rows}
     for name in names:
@@ -124,7 +124,7 @@ def measure(data: Path, names: Sequence[str], file: Path) -> list[dict[str, Any]
 
 
 def by_scene(rows: Sequence[Mapping[str, Any]], key: str) -> dict[str, float]:
-    """The mean over seeds of a score of each scene that has it."""
+    """Return the mean over seeds of a score, for each scene that has it."""
     values_of: dict[str, list[float]] = {}
     for row in rows:
         if key in row:

@@ -2,9 +2,9 @@
 
     python -m benches.scores.baseline_comparison OUT DATA [-o docs/measured] [--only METHOD ...]
 
-OUT is what a benchmark with ``--against`` left: scores and times are its own. DATA holds
-``office``; memory is measured on its first pair, in a process of its own for each method. Needs
-Linux, which says how much memory a process held at most.
+OUT is the output folder of a benchmark with ``--against``, which has scores and times. DATA holds
+``office``; memory is measured on its first pair, in a separate process for each method. It needs
+Linux, which reports the peak memory of a process.
 """
 
 import subprocess
@@ -31,7 +31,7 @@ from slgaussian.masks import load_proposer
 from slgaussian.system import memory_status, reset_peak_memory
 
 SETS = {"office": "office", "procedural": "rooms"}
-"""Data sets, and what the table calls them."""
+"""Data sets, and their names in the table."""
 
 SCORES = ("iou", "hit_mask", "miou")
 

@@ -1,6 +1,6 @@
-"""Sets of scenes over which the pages give means, and their fields with several seeds.
+"""Sets of scenes over which the pages report means, and their fields with several seeds.
 
-A folder DATA holds ``office`` and ``places``, both labelled; rooms are made up.
+DATA holds the labelled folders ``office`` and ``places``; rooms are procedural.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ THINGS = ("boxes", "can", "carton", "duck", "stitch")
 
 @dataclass(frozen=True)
 class Set:
-    """Scenes that are averaged; ``chosen`` says whether constants were chosen on them."""
+    """Scenes that are averaged; ``chosen``: whether constants were chosen on them."""
 
     title: str
     command: str
@@ -121,11 +121,11 @@ def truth_of(scene: SceneSettings, sample: Sample) -> Truth:
 
 
 def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
-    """The field of each seed, with what it was made of.
+    """Yield the field of each seed, with its inputs.
 
-    A seed decides the ID codes and nothing else of the default method, and Gaussians carry them
-    unmixed. So all else is done once, with the first seed, and the other ones put other codes on
-    the same Gaussians: byte for byte the fields that they would build.
+    In the default method the seed determines only the ID codes, and each Gaussian has the code of
+    one object. So the field is built once, with the first seed, and the codes are replaced for the
+    others; the bytes equal those of separate builds.
     """
     method = Settings().built_by.model_copy(update={"seed": seeds[0]})
     graph = MatchGraph.of(sample.context)
@@ -135,10 +135,10 @@ def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
     bank = build_memory_bank(sample, geometry, labels, method.encoder, method.codes, method.seed)
     draw, proposer = method.codes.load(), method.proposer.load()
     field = lift_field(sample, gaussians, labels, bank, method, quality, depths)
-    carried = field.labels()
+    object_ids = field.labels()
     for seed in seeds:
         codes = draw(labels, rng_for(seed, sample.content, "codes"))
-        features = torch.from_numpy(code_images(carried, bank.ids, codes))
+        features = torch.from_numpy(code_images(object_ids, bank.ids, codes))
         coded = field.changed(
             gaussians=replace(field.gaussians, features=features),
             bank=replace(bank, codes=codes),
@@ -147,7 +147,7 @@ def built(sample: Sample, seeds: Sequence[int]) -> Iterator[Inputs]:
 
 
 def over_seeds(rows: Sequence[Mapping[str, Any]], name: str, key: str) -> list[float]:
-    """Of rows of a ``set``, ``seed`` and metrics, a scene each: their mean, seed by seed."""
+    """Return the mean of a metric over the scenes of a set, for each seed."""
     selected = [row for row in rows if row["set"] == name and key in row]
     seeds = sorted({row["seed"] for row in selected})
     return [float(np.mean([row[key] for row in selected if row["seed"] == seed])) for seed in seeds]

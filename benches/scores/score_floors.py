@@ -1,10 +1,10 @@
-"""What the default method reaches, over seeds: the spread that ``tests/test_floors.py`` allows for.
+"""Scores of the default method over seeds, from which ``tests/test_floors.py`` has its limits.
 
-``python -m benches.scores.score_floors [SEEDS] [DATA]``: on made-up rooms the mean IoU of words and
-the PSNR of novel views (dB), on the motorcycle pair bad-2.0 and the mean relative error of depth;
-and with DATA, a folder that holds ``office`` and ``places``, the mean IoU there. Scenes stay the
-same, the seed decides what the method draws. A line a number: mean, standard deviation, least and
-greatest.
+``python -m benches.scores.score_floors [SEEDS] [DATA]`` measures the mean IoU of texts and the PSNR
+of novel views (dB) in procedural rooms; bad-2.0 and the mean relative error of depth of the
+motorcycle pair; and, with DATA, a folder with ``office`` and ``places``, the mean IoU there. The
+scenes are fixed; the seed determines the random draws of the method. Each line has the mean,
+standard deviation, minimum and maximum of a score.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from slgaussian.scene import Sample
 ROOMS, ROOM_SIZE = (0, 1, 2, 3), (156, 216)
 
 SIZE = "at most 208x288"
-"""Of real photographs: a quarter of the pixels that the method is meant for, and of the time."""
+"""Size of real photographs: a quarter of the default number of pixels, to save time."""
 
 OFFICE = ("hall_sofa", "red_crate", "coffee_machine", "sofa_plant")
 PLACES = {"kitchen": "kitchen", "castle": "castle", "dining": "dining_mug"}
-"""Scenes of the two sets by name; of places also the folder."""
+"""Scenes of the office, and scenes of the places by folder."""
 
 
 def rooms(seed: int) -> dict[str, float]:
-    """``iou`` and ``psnr`` of the two views between the given ones, means over :data:`ROOMS`."""
+    """Return mean ``iou`` and ``psnr`` of two views between the context views of :data:`ROOMS`."""
     metrics = []
     for number in ROOMS:
         height, width = ROOM_SIZE
@@ -51,7 +51,7 @@ def rooms(seed: int) -> dict[str, float]:
 
 
 def motorcycle(seed: int) -> dict[str, float]:
-    """``bad2`` and ``abs_rel`` of the left view's depth, at full size."""
+    """Return ``bad2`` and ``abs_rel`` of the left view's depth, at full size."""
     sample = datasets.load("stereo").sample(["left", "right"], size="original")
     left, right = (view.camera for view in sample.context)
     gaussians = load_predictor("planesweep")(sample, seed)
@@ -62,12 +62,12 @@ def motorcycle(seed: int) -> dict[str, float]:
 
 
 def office(data: Path, seed: int) -> dict[str, float]:
-    """``iou`` in the target views, the mean over :data:`OFFICE`."""
+    """Return the mean ``iou`` in the target views of :data:`OFFICE`."""
     return _labelled(dict.fromkeys(OFFICE, data / "office"), seed)
 
 
 def places(data: Path, seed: int) -> dict[str, float]:
-    """``iou`` in the target views, the mean over :data:`PLACES`."""
+    """Return the mean ``iou`` in the target views of :data:`PLACES`."""
     return _labelled({name: data / "places" / folder for folder, name in PLACES.items()}, seed)
 
 
@@ -84,14 +84,14 @@ def _labelled(folders: Mapping[str, Path], seed: int) -> dict[str, float]:
 
 def _scores(sample: Sample, truth: Truth, seed: int) -> dict:
     field = build_field(sample, Method(seed=seed))
-    unused = np.zeros((1, 1, 1), np.int32)  # what is drawn of label maps
+    unused = np.zeros((1, 1, 1), np.int32)  # label maps are only used for pictures
     maps = LabelMaps(unused, unused)
     settings = EvaluationSettings(protocols=["slgaussian"], drawn=False)
     return evaluate(field, sample, maps, truth, settings).scene_metrics
 
 
 def main(seeds: int = 8, data: str | None = None) -> None:
-    """Print a line a number; one a seed and part on the way, with CPU seconds, on stderr."""
+    """Print a line per score; and to stderr, a line per seed and part, with CPU seconds."""
     parts = {"rooms": rooms, "motorcycle": motorcycle}
     if data is not None:
         parts |= {"office": partial(office, Path(data)), "places": partial(places, Path(data))}

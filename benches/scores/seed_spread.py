@@ -2,10 +2,9 @@
 
     python -m benches.scores.seed_spread DATA [-o docs/measured] [--rows FILE]
 
-DATA holds ``office`` and ``places``. Every set of scenes is done with several seeds, as
-``slgaussian benchmark --set seed=K`` does it. The table has the mean over scenes, and of that the
-mean, deviation and extremes over seeds. Rows are kept in FILE as they come, and what it holds is
-not done again.
+DATA holds ``office`` and ``places``. Each set of scenes is measured with several seeds, as by
+``slgaussian benchmark --set seed=K``. The table has the mean over scenes, and its mean, deviation
+and extremes over seeds. Rows are appended to FILE, and scenes in it are not measured again.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ SHOWN = ("iou", "hit_mask", "miou", "psnr", "ssim", "abs_rel", "bad2")
 
 
 def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]:
-    """The metrics of a scene with each seed."""
+    """Compute the metrics of a scene with each seed."""
     threads.limit(threads.cores())
     sample = read(scene, Settings())
     truth = truth_of(scene, sample)
@@ -42,14 +41,14 @@ def scored(scene: SceneSettings, seeds: Sequence[int]) -> list[dict[str, float]]
 
 
 def score(inputs: Inputs, scene: SceneSettings, truth: Truth) -> dict[str, float]:
-    """The metrics of a field of a scene."""
-    marks = EvaluationSettings(queries=scene.queries, protocols=["slgaussian"], drawn=False)
+    """Compute the metrics of a field of a scene."""
+    settings = EvaluationSettings(queries=scene.queries, protocols=["slgaussian"], drawn=False)
     result = evaluate(
         inputs.field,
         inputs.sample,
         inputs.label_maps,
         truth,
-        marks,
+        settings,
         gaussians=inputs.gaussians,
     )
     return {key: float(value) for key, value in result.scene_metrics.items()}

@@ -3,9 +3,9 @@
     python -m benches.semantic.branch_gain CACHE OFFICE [-o docs/measured] [--steps 6000]
         [--paper 3] [--several 3] [--learn PLACE ...]
 
-It makes rooms (a second each, kept in CACHE), trains the printed network and ours with some seeds
-(a training that was interrupted goes on, one that is done is read) and judges. OFFICE holds real
-pairs to judge by, each PLACE others to learn from beside the rooms, as for other benches.
+The bench makes rooms (a second each, stored in CACHE), trains the paper's network and ours with
+several seeds (interrupted trainings are resumed, finished ones are read), and evaluates both. It
+evaluates on the real pairs in OFFICE and trains on rooms and the pairs of each PLACE.
 """
 
 import time
@@ -36,7 +36,7 @@ TRAINED = {
     ),
     "several": TrainingSettings(),
 }
-"""The trainings of `train --preset paper` and of `train`, but for their steps."""
+"""Settings of `train --preset paper` and of `train`, except for the number of steps."""
 
 DECODINGS = {
     "The paper's decoding (grid codes, the nearest)": {"codes": "grid", "decoder": NearestCode},
@@ -46,20 +46,20 @@ DECODINGS = {
     },
 }
 
-HARMED = [
+CORRUPTED = [
     *((rate, "wrong", tuple(KINDS)) for rate in (0.1, 0.3, 0.6)),
     *((0.3, kind, (kind,)) for kind in KINDS),
 ]
-"""The share of the objects that are harmed in one view, what it is called, and the ways."""
+"""Share of the objects that are corrupted in one view, title, and kinds of corruption."""
 
 REPEAT = 2
-"""Real lessons are learnt from so many times as often as each room."""
+"""Number of times that each real lesson is used for each use of a room."""
 
 
 def learn(
     lessons: Sequence[Lesson], cache: Path, steps: int, seeds: dict[str, int]
 ) -> tuple[dict[str, list[Lifting]], list[str]]:
-    """Liftings of each seed by network, and sentences on the cost of what was trained now."""
+    """Return the liftings of each network by seed, and the costs of trainings done now."""
     liftings: dict[str, list[Lifting]] = {name: [] for name in TRAINED}
     costs = []
     for name, seed in chain(*(product([name], range(seeds[name])) for name in TRAINED)):
@@ -83,25 +83,25 @@ def learn(
 def judge(
     lessons: Sequence[Lesson],
     liftings: dict[str, list[Lifting]],
-    shown: Callable[[int], dict[str, np.ndarray]],
+    labels_of: Callable[[int], dict[str, np.ndarray]],
     **decoding: object,
 ) -> list[dict]:
-    """A row a kind of labels: IoU of ``hard``, and by how much others are better.
+    """Return a row per kind of labels: the IoU of ``hard``, and the gains of other liftings.
 
-    ``shown`` gives labels of a lesson by what they are called. Of several seeds the interval is of
-    their mean, over lessons, and their own gains follow.
+    ``labels_of`` returns the labels of a lesson by name. With several seeds, the interval over
+    lessons is that of the mean over seeds, and the gain of each seed follows.
     """
     plain = {"hard": [HardIndex()], "filled": [Filled()], **liftings}
     named = {(name, seed): lift for name, lifts in plain.items() for seed, lift in enumerate(lifts)}
     scores: dict[str, dict[tuple[str, int], list[float]]] = {}
     for index, lesson in enumerate(lessons):
-        harmed = {
+        corrupted = {
             f"{rate:.0%} {name}": corrupt(
                 lesson.labels, rng_for(7, lesson.content, name), rate, kinds
             )
-            for rate, name, kinds in HARMED
+            for rate, name, kinds in CORRUPTED
         }
-        for labels, maps in {**shown(index), **harmed}.items():
+        for labels, maps in {**labels_of(index), **corrupted}.items():
             for key, score in label_iou(lesson, named, maps, **decoding).items():
                 scores.setdefault(labels, {}).setdefault(key, []).append(score)
         print(f"judged {lesson.sample}", flush=True)
@@ -114,8 +114,8 @@ def judge(
             gain = compare(seeds.mean(0).tolist(), hard.tolist())
             row[name] = f"{gain.difference:+.3f} ({gain.low:+.3f} to {gain.high:+.3f})"
             if len(lifts) > 1:
-                own = np.nanmean(seeds - hard, axis=1)
-                row[name] += "; " + " ".join(f"{each:+.3f}" for each in own)
+                gains = np.nanmean(seeds - hard, axis=1)
+                row[name] += "; " + " ".join(f"{each:+.3f}" for each in gains)
         row["hard"] = float(np.nanmean(hard))
         rows.append(row)
     return rows
@@ -134,7 +134,7 @@ def main() -> None:
     rooms, held_out = (Rooms(args.cache, seeds) for seeds in (TRAINING, HELD_OUT))
     rooms.make()
     held_out.make()
-    # In memory, so that what other views say of each is looked for once.
+    # Keep lessons in memory, so that evidence of other views is computed once.
     lessons = [rooms[i] for i in range(len(rooms))]
     for place in args.learn:
         lessons += real_lessons(place, LEARN_SIZE) * REPEAT
@@ -145,14 +145,14 @@ def main() -> None:
     real = real_lessons(args.office)
     blocks = []
     for title, decoding in DECODINGS.items():
-        seen = judge(
+        room_rows = judge(
             held_out,
             liftings,
-            lambda i: {"true": held_out[i].labels, "masks": held_out.found(i)},
+            lambda i: {"true": held_out[i].labels, "masks": held_out.mask_labels(i)},
             **decoding,
         )
         office = judge(real, liftings, lambda i: {"as found": real[i].labels}, **decoding)
-        blocks += [f"{title}, rooms that no training saw:", table(seen, columns)]
+        blocks += [f"{title}, rooms that no training saw:", table(room_rows, columns)]
         blocks += [f"{title}, pairs of photographs of the office:", table(office, columns)]
     publish(
         args.out,

@@ -1,6 +1,6 @@
 """Lessons to train and evaluate liftings: procedural rooms with known objects, and real pairs.
 
-Making one takes seconds, so they are kept in a folder.
+A room takes seconds to make, so rooms are stored in a folder.
 """
 
 from collections.abc import Sequence
@@ -26,18 +26,18 @@ from slgaussian.storage.specs import load_spec
 
 SIZE = 96
 LEARN_SIZE, REAL_SIZE = (128, 176), (160, 224)
-"""Of photographs to learn from; and to judge by, as much larger as the paper's are."""
+"""Size of photographs for training, and for evaluation; their ratio is that of the paper."""
 VIEWS = 6
 TRAINING = range(1000, 1160)
 HELD_OUT = range(5000, 5032)
-"""Seeds of rooms."""
+"""Seeds of the rooms for training and for evaluation."""
 
 
 class Rooms(Sequence[Lesson]):
-    """Rooms of some seeds, at 96x96: the ends of the arc are context, four views between targets.
+    """Rooms of some seeds, at 96x96: context is the ends of an arc, targets are four views between.
 
-    Labels are the true objects. ``found`` has the labels that masks make of the context views, each
-    mask named for the true object that most of it is.
+    Labels are the true objects. ``mask_labels`` returns the labels that the mask stage assigns to
+    the context views, each id replaced by the true object that covers most of it.
     """
 
     def __init__(self, folder: Path, seeds: Sequence[int]) -> None:
@@ -49,7 +49,7 @@ class Rooms(Sequence[Lesson]):
     def __getitem__(self, index: int) -> Lesson:
         return Lesson.from_arrays(dict(np.load(self._file(index))))
 
-    def found(self, index: int) -> np.ndarray:
+    def mask_labels(self, index: int) -> np.ndarray:
         masks, labels = np.load(self._masks(index)), self[index].labels
         named = np.zeros_like(masks)
         for mask in np.unique(masks[masks > 0]):
@@ -90,12 +90,12 @@ def room(seed: int) -> Sample:
         objects=int(rng.integers(4, 15)),
     )
     names = list(scene.cameras)
-    # Small views have too few matches to find these in; rooms are from 1.6 to 5.4 away.
+    # Small views have too few matches to estimate these bounds; depths are 1.6 to 5.4 in rooms.
     return scene.sample([names[0], names[-1]], names[1:-1], near=1.4, far=6.0)
 
 
 def real_lessons(data: Path, size: tuple[int, int] = REAL_SIZE) -> list[Lesson]:
-    """Of the pairs of a nerfstudio folder: what masks make of context views and target together."""
+    """Return lessons of the pairs of a nerfstudio folder, with labels by the mask stage."""
     lessons = []
     for name, sample in load_samples(data, size).items():
         gaussians = load_predictor("planesweep")(sample)
@@ -107,14 +107,14 @@ def real_lessons(data: Path, size: tuple[int, int] = REAL_SIZE) -> list[Lesson]:
 def association(
     context: Sequence[View], gaussians: Gaussians, targets: Sequence[View] = ()
 ) -> np.ndarray:
-    """Label maps int32 of all views; targets get the depth that the Gaussians show there."""
-    seen = list(SceneGeometry.of(context, gaussians).frames)
+    """Return label maps int32 of all views; the depth of targets is rendered from the Gaussians."""
+    views = list(SceneGeometry.of(context, gaussians).frames)
     nothing = torch.zeros(len(gaussians), 1)
     for view in targets:
         # The mean would create a surface between foreground and background at an edge.
         drawn = rasterize(gaussians, nothing, view.camera, median=True)
-        seen.append(SeenView(view, drawn.median.numpy()))
-    return associate(seen, load_proposer(), load_tracker(), 5).labels
+        views.append(SeenView(view, drawn.median.numpy()))
+    return associate(views, load_proposer(), load_tracker(), 5).labels
 
 
 def lesson_of(

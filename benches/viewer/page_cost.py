@@ -1,9 +1,9 @@
-"""Cost of the page, as a file and served: bytes, seconds to open and to answer, memory.
+"""Cost of the page, as a file and live: bytes, seconds to open and to answer, memory.
 
     python -m benches.viewer.page_cost WALK [-o docs/measured]
 
-WALK is a nerfstudio folder with frames of a walk in order, such as office_walk. Chromium draws with
-software. Run it on a machine that does nothing else.
+WALK is a nerfstudio folder with frames of a walk in order, such as office_walk. Chromium renders in
+software. Run it on an idle machine.
 """
 
 import os
@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benches.common.harness import parser, publish, table
+from benches.common.harness import Format, parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian import datasets
 from slgaussian.build import build_field
@@ -24,7 +24,7 @@ from slgaussian.viewer.page.scene_page import scene_page
 from tests.browser import Browser, Tab
 
 SIZES = {"two views, needed": (2, "needed"), "two views, all": (2, "all"), "eight, all": (8, "all")}
-"""Views, and which of their Gaussians are kept."""
+"""Number of views, and the setting ``keep`` of the method."""
 
 FRAMES = 5
 WINDOW = (960, 600)
@@ -76,7 +76,7 @@ def measured(name: str, field: SemanticField, folder: Path) -> dict:
 
 
 def _served(browser: Browser, field: SemanticField, folder: Path) -> dict:
-    """Seconds of `slgaussian view`: to its address, from there to a picture, and from Enter on."""
+    """Measure seconds of `slgaussian view` to its address, the first picture and an answer."""
     field.save(folder)
     start = time.perf_counter()
     command = [sys.executable, "-m", "slgaussian", "view", str(folder)]
@@ -120,7 +120,7 @@ def _asked(tab: Tab) -> float:
     return tab.evaluate("asked")
 
 
-COLUMNS = {
+COLUMNS: dict[str, tuple[str, Format]] = {
     "name": ("scene", str),
     "gaussians": ("Gaussians", ",d"),
     "megabytes": ("MB of the file", ".1f"),

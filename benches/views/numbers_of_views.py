@@ -4,14 +4,14 @@
 
 DATA holds ``office_walk``, ``fern`` and ``places``.
 
-- walk: every second frame of a window is a context view, and the target is the frame between the
-  first two, whatever the number of views: further ones lead away from it.
-- fern: three photographs, a quarter, half and three quarters along its widest direction. Context
-  views are spread evenly over the others, without the two at either end of that direction.
-- places: those that have more than three photographs, from the pairs of ``pairs.json`` on, by the
-  rule of ``slgaussian/datasets/context_views.py``, as many as there are.
-- rooms: made-up ones with exact depth, on an arc 1.6 m long, 3.3 m from the middle; three targets
-  in gaps that all numbers leave.
+- walk: every second frame of a window is a context view. The target is always the frame between
+  the first two, so further views lead away from it.
+- fern: the targets are three photographs, at a quarter, half and three quarters along the widest
+  direction. Context views are evenly spaced among the others, without two at each end.
+- places: each pair of ``pairs.json`` whose place has further photographs, with views chosen by
+  ``slgaussian/datasets/context_views.py``, as many as available.
+- rooms: procedural rooms with exact depth. Cameras are on an arc 1.6 m long, 3.3 m from the centre;
+  three targets are in gaps between the context views of all numbers.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ NUMBERS = (2, 3, 4, 6, 8)
 OF_WALK = (2, 3, 4, 6)
 
 ARC = 210
-"""Steps of the arc of a room: 1, 2, 3, 5 and 7 divide them, so 2, 3, 4, 6 and 8 views are even."""
+"""Number of steps of the arc: divisible by 1, 2, 3, 5 and 7, for 2, 3, 4, 6 and 8 even views."""
 TARGETS = (51, 112, 159)
-"""Steps that are at least 7 from the context views of each of these numbers."""
+"""Steps of the targets, at least 7 from the context views of each of :data:`NUMBERS`."""
 BASELINE, SIZE = 1.6, {"height": 208, "width": 288}
 
 
@@ -73,7 +73,7 @@ def figures(sample: Sample) -> Row:
 
 
 def at_targets(sample: Sample, gaussians: Gaussians) -> Row:
-    """PSNR, SSIM and, where it is known, depth error, means over the targets."""
+    """Return mean PSNR, SSIM and, with true depth, depth error over the targets."""
     scores: dict[str, list[float]] = {}
     for target in sample.targets:
         render = rasterize(gaussians, gaussians.colors(), target.camera, median=True)
@@ -110,7 +110,7 @@ def fern(folder: Path) -> Iterator[Row]:
 
 
 def place(folder: Path) -> Iterator[Row]:
-    """Yield the rows of each pair of a place, with as many views as it has photographs for."""
+    """Yield the rows of each pair of a place, for the numbers of views that it has."""
     scene = datasets.load("nerfstudio", folder)
     for pair in read_index(folder / "pairs.json").pairs:
         contexts = {}
@@ -124,7 +124,7 @@ def place(folder: Path) -> Iterator[Row]:
 
 
 def room(seed: int) -> Iterator[Row]:
-    """Yield the rows of a made-up room."""
+    """Yield the rows of a procedural room."""
     scene = datasets.load("procedural", seed, views=ARC + 1, baseline=BASELINE, **SIZE)
     names = list(scene.cameras)
     contexts = {number: evenly(names, number) for number in NUMBERS}
@@ -136,7 +136,7 @@ def evenly(names: Sequence[str], count: int) -> list[str]:
 
 
 def summary(rows: Sequence[Row]) -> list[Row]:
-    """A row a number: means over the scenes that it and two views can do, and gains in pairs."""
+    """Return a row per number: means over scenes that also have two views, and paired gains."""
     two = {row["of"]: row for row in rows if row["views"] == 2 and "refused" not in row}
     lines = []
     for number in NUMBERS:
