@@ -12,7 +12,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from itertools import groupby
 from typing import Any, ClassVar
 
 import cv2
@@ -38,13 +37,11 @@ WEBP_QUALITY = 75
 class Column:
     """A column of a table: numbers are aligned right, text is aligned left.
 
-    ``help`` describes it, ``group`` is a heading shared by neighbouring columns, and ``note`` is
-    printed below the title.
+    ``help`` describes it, and ``note`` is printed below the title.
     """
 
     title: str
     help: str = ""
-    group: str = ""
     note: str = ""
     is_text: bool = False
 
@@ -121,14 +118,6 @@ class Table:
     def of_values(tree: Mapping[str, Any], title: str = "") -> Table:
         """Return a table of two columns without headings: the leaves of nested mappings."""
         return Table.of(["", Column("", is_text=True)], flatten(tree), title)
-
-    @property
-    def groups(self) -> list[tuple[str, int]]:
-        """Return the headings above the columns with their widths; empty if no column has one."""
-        spans = [
-            (name, len(list(columns))) for name, columns in groupby(c.group for c in self.columns)
-        ]
-        return spans if any(name for name, _ in spans) else []
 
     def as_text(self) -> str:
         """Return the table as text for a terminal, cells two spaces apart.

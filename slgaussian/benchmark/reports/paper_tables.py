@@ -100,10 +100,7 @@ def _table(table: Mapping[str, Any], run: _Run, protocol: str, notes: Sequence[s
             cells.append(Cell(text, below))
         name = run.name(line.get("method", ""))
         lines.append(Line(tuple(cells), name, "mean" if line["title"] == "overall" else ""))
-    heads = [
-        Column(column["title"], "", column.get("group", ""), run.name(column.get("method", "")))
-        for column in columns
-    ]
+    heads = [Column(column["title"], note=run.name(column.get("method", ""))) for column in columns]
     return Table((Column("", is_text=True), *heads), tuple(lines), table["title"], tuple(notes))
 
 

@@ -35,7 +35,6 @@ from slgaussian.benchmark.reports.paper_tables import paper_section
 from slgaussian.benchmark.reports.score_tables import (
     METRICS,
     SCORES,
-    conditions,
     fold_protocols,
     method_tables,
     metrics_table,
@@ -202,9 +201,8 @@ def _worst_section(
         text += f"{len(low)} with an IoU below {GOOD}, {len(outside)} with a point outside the "
         text += "labelled mask."
         blocks.append(Prose(text))
-    protocol = f"{escape(answers[0]['protocol'])} ({escape(conditions(answers[0]))})"
-    blocks.append(Prose(f"The lowest scores, a few per scene, by {protocol}:"))
-    blocks.append(Cards(worst))
+    protocol = escape(answers[0]["protocol"])
+    blocks += [Prose(f"The lowest scores, a few per scene, by {protocol}:"), Cards(worst)]
     if attribution:
         blocks += _attribution_blocks(attribution)
     return Section("Lowest scores", blocks, "worst", link="Lowest scores")
