@@ -6,7 +6,8 @@ view. The features are:
 - the *evidence* for the best object: its gap times the number of measurements that the text asks
   for, as a naive Bayes classifier sums log-odds. A gap is a mean, and a high mean of few
   measurements is more likely to be chance;
-- how many standard deviations the answer's objects *stand out* from the other objects;
+- how many standard deviations the answer's objects *stand out* from the other objects, less if
+  the others are fewer: what is not in a scene is often answered with nearly all of it;
 - the number of disconnected *parts* of the answer: objects that fit best by chance are scattered;
 - if the noun is a class of the classifier, the highest log-probability of that class in any object
   of the scene (*named*). It is the best indicator of absent objects.
@@ -124,7 +125,8 @@ def signs(
     -------
     Signs
         ``stands_out`` is the mean gap of the selected objects minus that of the others, in standard
-        deviations of the others; :data:`TYPICAL_STAND_OUT` with fewer than two others.
+        deviations of the others; :data:`TYPICAL_STAND_OUT` with fewer than two others. For S
+        selected objects and R < S - 1 others it is multiplied by (R + 1) / S.
     """
     best = float(gaps.max())
     if not selected.any():
@@ -132,6 +134,7 @@ def signs(
     rest, stands_out = gaps[~selected], TYPICAL_STAND_OUT
     if len(rest) >= 2:
         stands_out = float((gaps[selected].mean() - rest.mean()) / (rest.std() + STD_OFFSET))
+    stands_out *= min(1.0, (len(rest) + 1) / int(selected.sum()))
     return Signs(best * measurements, stands_out, math.log(max(parts, 1)), named)
 
 

@@ -33,6 +33,15 @@ def test_signs_are_evidence_deviations_above_the_rest_and_parts():
     assert at.parts == pytest.approx(np.log(2))
 
 
+def test_an_answer_of_nearly_all_objects_stands_out_less():
+    gaps, taken = np.append(np.full(90, 0.2), [0.02, 0.0, -0.02]), np.arange(93) < 90
+    deviation = np.sqrt(2 * 0.02**2 / 3)
+    whole = signs(gaps, taken, 4, 1).stands_out
+    assert whole == pytest.approx(0.2 / (deviation + STD_OFFSET) * 4 / 90)
+    few = signs(gaps[87:], taken[87:], 4, 1).stands_out  # 3 of 6: no less
+    assert few == pytest.approx(0.2 / (deviation + STD_OFFSET))
+
+
 def test_without_an_answer_the_best_one_is_looked_at():
     gaps = np.array([-0.3, -0.1, -0.3, -0.3])
     at = signs(gaps, np.zeros(4, bool), 3, 0)
