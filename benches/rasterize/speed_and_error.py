@@ -30,7 +30,7 @@ from benches.rasterize.plain_loop import splat_in_order
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import threads
 from slgaussian.predict.planesweep import PlaneSweep
-from slgaussian.rasterize import PRESETS, Settings, plan, rasterize
+from slgaussian.rasterize import PRESETS, Settings, rasterize
 from slgaussian.scene import Camera, Sample
 from slgaussian.system import memory_status, reset_peak_memory
 
@@ -157,7 +157,6 @@ def size_rows(subject: Subject) -> list[dict]:
 JOBS: dict[str, Callable[[Subject], object]] = {
     "one picture": Subject.drawn,
     "forward and backward": lambda subject: both_ways(subject)(),
-    "plan of one view": lambda subject: plan(subject.gaussians, subject.camera),
 }
 
 

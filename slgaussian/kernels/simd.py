@@ -34,7 +34,6 @@ class _Vector(types.Type):
 
 _F32, _F64, _MASK = _Vector(types.float32), _Vector(types.float64), _Vector(types.boolean)
 _LLVM = {
-    types.uint16: ir.IntType(16),
     types.float32: ir.FloatType(),
     types.float64: ir.DoubleType(),
     types.boolean: ir.IntType(1),
@@ -138,47 +137,28 @@ def _address(context, builder, array_type, array, index):
     return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
 
-def _load(half):
-    @intrinsic
-    def load(typing, array, index):
-        def lower(context, builder, signature, args):
-            value = builder.load(_address(context, builder, signature.args[0], args[0], args[1]))
-            value.align = array.dtype.bitwidth // 8
-            if half:
-                value = builder.bitcast(value, ir.VectorType(ir.HalfType(), LANES))
-                value = builder.fpext(value, ir.VectorType(ir.FloatType(), LANES))
-            return value
+@intrinsic
+def vload(typing, array, index):
+    """Return the vector at ``array[index : index + LANES]``; ``array`` is 1-D and contiguous."""
 
-        return (_F32 if half else _Vector(array.dtype))(array, types.intp), lower
+    def lower(context, builder, signature, args):
+        value = builder.load(_address(context, builder, signature.args[0], args[0], args[1]))
+        value.align = array.dtype.bitwidth // 8
+        return value
 
-    return load
+    return _Vector(array.dtype)(array, types.intp), lower
 
 
-def _store(half):
-    @intrinsic
-    def store(typing, array, index, vector):
-        def lower(context, builder, signature, args):
-            value = args[2]
-            if half:
-                value = builder.fptrunc(value, ir.VectorType(ir.HalfType(), LANES))
-                value = builder.bitcast(value, ir.VectorType(ir.IntType(16), LANES))
-            place = _address(context, builder, signature.args[0], args[0], args[1])
-            builder.store(value, place).align = array.dtype.bitwidth // 8
-            return context.get_dummy_value()
+@intrinsic
+def vstore(typing, array, index, vector):
+    """Write ``vector`` to ``array[index : index + LANES]``."""
 
-        return types.none(array, types.intp, vector), lower
+    def lower(context, builder, signature, args):
+        place = _address(context, builder, signature.args[0], args[0], args[1])
+        builder.store(args[2], place).align = array.dtype.bitwidth // 8
+        return context.get_dummy_value()
 
-    return store
-
-
-vload, vload_half = _load(half=False), _load(half=True)
-"""``vload(array, index)``: the vector at ``array[index : index + LANES]``, 1-D and contiguous.
-
-``vload_half`` reads float16 stored as uint16, as Numba does not support float16, into float32.
-"""
-
-vstore, vstore_half = _store(half=False), _store(half=True)
-"""``vstore(array, index, vector)`` writes ``array[index : index + LANES]``; the second float16."""
+    return types.none(array, types.intp, vector), lower
 
 
 @intrinsic

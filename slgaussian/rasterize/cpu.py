@@ -35,22 +35,17 @@ def render(
 
     A Gaussian that is not drawn has no gradient.
     """
-    gaussians, values = to_kernel_arrays(gaussians, values)
-    geometry = [getattr(gaussians, name) for name in GEOMETRY]
+    arrays = {
+        name: getattr(gaussians, name).to("cpu", torch.float32).contiguous() for name in GEOMETRY
+    }
+    gaussians = replace(gaussians, **arrays)
+    values = values.to("cpu", torch.float32).contiguous()
     image, alpha, depth, middle, *elected = _Splatting.apply(
-        *geometry, values, gaussians, eye_of(camera, settings), settings, median, labels
+        *arrays.values(), values, gaussians, eye_of(camera, settings), settings, median, labels
     )
     return Render(
         image, alpha, depth, middle if median else None, *(elected if labels is not None else [])
     )
-
-
-def to_kernel_arrays(gaussians: Gaussians, values: torch.Tensor) -> tuple[Gaussians, torch.Tensor]:
-    """Convert geometry and values to contiguous float32 on the CPU."""
-    geometry = {
-        name: getattr(gaussians, name).to("cpu", torch.float32).contiguous() for name in GEOMETRY
-    }
-    return replace(gaussians, **geometry), values.to("cpu", torch.float32).contiguous()
 
 
 class _Splatting(torch.autograd.Function):

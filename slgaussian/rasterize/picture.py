@@ -96,9 +96,12 @@ def splatted(
     """Project, bin and draw; return the images of :func:`slgaussian.rasterize.blend.draw`, splats,
     boxes, bins and limits.
 
-    ``geometry`` are the arrays :data:`GEOMETRY` of ``gaussians``, contiguous float32.
+    ``geometry`` are the arrays :data:`GEOMETRY` of ``gaussians``, contiguous float32. Raises
+    InputError naming the first Gaussian with an invalid number.
     """
-    splats, boxes = checked(gaussians, geometry, values, eye)
+    splats, boxes, sensible = project(geometry, values, eye)
+    if not sensible:
+        check_inputs(gaussians, values)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
     named = np.empty(0, np.int32) if labels is None else np.ascontiguousarray(labels)
@@ -107,19 +110,3 @@ def splatted(
         splats, boxes, values, bins, eye.width, eye.height, *limits, median, named, most_label
     )
     return drawn, splats, boxes, bins, limits
-
-
-def checked(
-    gaussians: Gaussians, geometry: list[np.ndarray], values: np.ndarray, eye: Eye
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the splats and boxes of :func:`slgaussian.rasterize.project.project`.
-
-    Raises
-    ------
-    InputError
-        Naming the first Gaussian with an invalid number.
-    """
-    splats, boxes, sensible = project(geometry, values, eye)
-    if not sensible:
-        check_inputs(gaussians, values)
-    return splats, boxes

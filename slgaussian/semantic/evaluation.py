@@ -10,7 +10,7 @@ from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.language.bank import MemoryBank
-from slgaussian.rasterize.planned import plan
+from slgaussian.rasterize import rasterize
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.decode import Decoder, NearestCode
 from slgaussian.semantic.lesson import Lesson
@@ -55,8 +55,6 @@ def novel_labels(
 ) -> dict[str, np.ndarray]:
     """Render and decode the object ids of the target views, as a field would.
 
-    Uses :mod:`slgaussian.rasterize.planned` and :mod:`slgaussian.semantic.decode`.
-
     Parameters
     ----------
     lesson : Lesson
@@ -89,9 +87,9 @@ def novel_labels(
     }
     predicted: dict[str, list[np.ndarray]] = {name: [] for name in liftings}
     for camera in lesson.cameras:
-        planned = plan(lesson.gaussians, camera)
         for name, features in lifted.items():
-            predicted[name].append(decode(planned.render(features).numpy())[0])
+            rendered = rasterize(lesson.gaussians, features, camera).values
+            predicted[name].append(decode(rendered.numpy())[0])
     return {name: np.stack(views) for name, views in predicted.items()}
 
 

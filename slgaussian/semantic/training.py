@@ -42,7 +42,7 @@ from slgaussian.kernels.seeding import seed_for
 from slgaussian.kernels.threads import fixed
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
-from slgaussian.rasterize.planned import plan
+from slgaussian.rasterize import rasterize
 from slgaussian.semantic.batch_sampler import Draw, draw_batch
 from slgaussian.semantic.branch import (
     DIMENSION,
@@ -218,6 +218,7 @@ def loss_of(
     -------
     scalar tensor
         Zero, without gradient, if there is no object or, for ``several``, none in ``labels``.
+        NaN, without gradient, if a feature is not finite.
     """
     paper = branch.architecture.name == "paper"
     views_with_codes = np.concatenate([labels, lesson.targets]) if paper else labels
@@ -228,16 +229,17 @@ def loss_of(
     matches = lesson.matches if branch.architecture.cross_view else None
     images = input_images(labels, maps.ids, drawn, matches)
     features = features_of(branch, images, lesson.gaussians.source)
+    if not features.isfinite().all():
+        return torch.tensor(torch.nan)
     total, counted = torch.zeros(()), 0
     for view in views:
         target = torch.from_numpy(code_images(lesson.targets[view], maps.ids, drawn))
-        planned = plan(lesson.gaussians, lesson.cameras[view])
-        rendered = planned.render(features)
+        rendered = rasterize(lesson.gaussians, features, lesson.cameras[view])
         if paper:
-            error = (rendered - target)[..., :DIMENSION]
+            error = (rendered.values - target)[..., :DIMENSION]
             weight = torch.ones_like(target[..., -1:])
         else:
-            error = rendered - planned.alpha[..., None] * target
+            error = rendered.values - rendered.alpha[..., None] * target
             weight = target[..., -1:]
         total = total + (weight * error.square()).sum()
         counted += int(weight.sum()) * error.shape[-1]

@@ -13,12 +13,10 @@ from slgaussian.kernels.simd import (
     vexp2,
     vfloor,
     vload,
-    vload_half,
     vlog2,
     vnarrow,
     vsqrt,
     vstore,
-    vstore_half,
     vsum,
     vwhere,
     vwiden,
@@ -86,16 +84,6 @@ def _of_one(out, a):
 @numba.njit
 def _move(source, start, target, end):
     vstore(target, end, vload(source, start))
-
-
-@numba.njit
-def _narrow(out, a):
-    vstore_half(out, 0, vload(a, 0))
-
-
-@numba.njit
-def _widen(out, a):
-    vstore(out, 0, vload_half(a, 0))
 
 
 @numba.njit
@@ -187,16 +175,6 @@ def test_load_and_store_at_any_place(dtype):
         _move(source, start, target, end)
         expected[end : end + LANES] = source[start : start + LANES]
         np.testing.assert_array_equal(target, expected)
-
-
-@pytest.mark.parametrize("size", [1.0, 1e-3, 1e-6, 1e-9, 1e4, 1e6])
-def test_halves_round_as_numpy_does(size):
-    """Below the smallest normal half, and past the largest, too."""
-    with np.errstate(over="ignore"):
-        expected = (size * A).astype(np.float16)
-    (bits,) = rows_of(_narrow, 1, (size * A).astype(np.float32), dtype=np.uint16)
-    np.testing.assert_array_equal(bits.view(np.float16), expected)
-    np.testing.assert_array_equal(rows_of(_widen, 1, bits)[0], expected.astype(np.float32))
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

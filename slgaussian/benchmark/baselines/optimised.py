@@ -23,7 +23,6 @@ from slgaussian.cameras.relative import Relative
 from slgaussian.gaussians import SH_C0, Gaussians, rotation_matrices
 from slgaussian.kernels.threads import LARGE_THREADS, fixed
 from slgaussian.rasterize import rasterize
-from slgaussian.rasterize.planned import plan
 from slgaussian.scene import View
 
 LEAST_POINTS = 1000
@@ -123,7 +122,6 @@ def optimise_codes(
 
     ``codes`` is float32 [V, H, W, D]; pixels without a code are zero and are ignored.
     """
-    plans = [plan(gaussians, view.camera) for view in views]
     targets = torch.from_numpy(codes)
     labelled = targets.abs().sum(-1, keepdim=True) > 0
     carried = torch.zeros(len(gaussians), codes.shape[-1], requires_grad=True)
@@ -131,7 +129,8 @@ def optimise_codes(
     with fixed(LARGE_THREADS):
         for step in range(steps):
             k = step % len(views)
-            loss = ((plans[k].render(carried) - targets[k]).abs() * labelled[k]).mean()
+            drawn = rasterize(gaussians, carried, views[k].camera).values
+            loss = ((drawn - targets[k]).abs() * labelled[k]).mean()
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

@@ -10,7 +10,6 @@ from slgaussian.benchmark import metrics
 from slgaussian.benchmark.baselines import optimised
 from slgaussian.benchmark.baselines.drawn import draw_picture
 from slgaussian.rasterize import rasterize
-from slgaussian.rasterize.planned import plan
 
 
 def test_gaussians_fit_their_photographs_better_with_more_steps(room):
@@ -59,7 +58,7 @@ def test_codes_are_recovered_through_the_renderer(room):
     codes = np.eye(4, 3, dtype=np.float32)[ids]
     codes *= (ids < 2)[..., None]  # one id in three has none
     carried = optimised.optimise_codes(gaussians, views, codes, 500)
-    drawn = plan(gaussians, views[0].camera).render(torch.from_numpy(carried)).numpy()
+    drawn = rasterize(gaussians, torch.from_numpy(carried), views[0].camera).values.numpy()
     known = codes[0].any(-1)
     assert (drawn[known].argmax(-1) == codes[0][known].argmax(-1)).mean() > 0.97
 
