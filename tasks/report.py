@@ -34,7 +34,7 @@ class Scored:
     others: Mapping[str, ArtifactRef]
 
 
-@stage("report", version=12)
+@stage("report", version=13)
 def report(
     run: RunContext,
     scenes: Sequence[Scored],

@@ -149,7 +149,7 @@ SHOWN = "corrupted"
 """Labels in the pictures: with uncorrupted labels the liftings look almost the same."""
 
 
-@stage("training_report", version=5)
+@stage("training_report", version=6)
 def training_report(
     run: RunContext,
     judgements: ArtifactRef,

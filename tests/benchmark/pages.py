@@ -1,11 +1,11 @@
-"""Pages read back as a browser and a reader meet them."""
+"""Parsers of HTML and Markdown reports."""
 
 import re
 from html.parser import HTMLParser
 
 
 class Page(HTMLParser):
-    """Collects tags, attributes and text; complains about tags that do not nest."""
+    """Collect tags, attributes and text; assert that tags nest."""
 
     VOID = ("meta", "img", "br", "input")
 
@@ -42,7 +42,7 @@ class Page(HTMLParser):
 
 
 def check_alone(html: str) -> None:
-    """The page needs no network, its pictures are in it, and a script is its own and makes none."""
+    """Check that a page is self-contained: no network, embedded pictures, at most one script."""
     page = Page(html)
     assert not {"link", "iframe"} & set(page.tags)
     assert html.count("<script>") == page.tags.count("script") <= 1
@@ -55,7 +55,7 @@ def check_alone(html: str) -> None:
 
 
 def tables_of(markdown: str) -> list[list[list[str]]]:
-    """The tables of a Markdown text; every row of one has as many cells as its heading."""
+    """Return the tables of a Markdown text; check that rows have as many cells as the heading."""
     tables, rows = [], []
     for line in [*markdown.splitlines(), ""]:
         if line.startswith("|"):

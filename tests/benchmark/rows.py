@@ -1,4 +1,4 @@
-"""Rows of samples of which a test names only what it asks for."""
+"""Rows of the spec ``samples`` with default values."""
 
 from slgaussian.storage.specs import load_spec
 
@@ -17,6 +17,6 @@ SETTINGS = {
 
 
 def sample(scene: str, query: str = "q", **columns: object) -> dict:
-    """A row with every column of the spec."""
+    """Return a row with all columns of the spec."""
     empty = dict.fromkeys(load_spec("samples").columns)
     return empty | SETTINGS | {"scene": scene, "query": query} | columns

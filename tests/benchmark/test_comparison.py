@@ -1,4 +1,4 @@
-"""Runs compared: what differs, by how much, and where; and methods ranked."""
+"""Comparison of runs: differences of settings, scores and costs, and ranking of methods."""
 
 import json
 from pathlib import Path
@@ -29,7 +29,7 @@ MANIFEST = {
 
 
 def leave(folder: Path, result, change=lambda row: row, manifest=MANIFEST) -> Path:
-    """What a run leaves in a folder, of rows that may be changed first."""
+    """Write the output folder of a run, with changed rows."""
     rows = [change(dict(row)) for row in result.rows]
     rows = [row for row in rows if row is not None]
     write_samples(rows, folder)
@@ -44,13 +44,13 @@ def compared(*folders):
 
 
 def counts_of(report) -> list[list[str]]:
-    """Of each run: scenes, methods, samples, those in A too, and those of them that changed."""
+    """Return the counts of each run: scenes, methods, samples, common with A, changed."""
     (table,) = section(report, "Runs")
     return [[cell.value for cell in line.cells[2:]] for line in table.lines]
 
 
 def section(report, title: str):
-    """The blocks of the section whose title begins so; none if there is none."""
+    """Return the blocks of the section with this start of its title; empty if there is none."""
     return next((own.blocks for own in report.sections if own.title.startswith(title)), [])
 
 
@@ -142,7 +142,6 @@ def test_costs_of_both_stand_side_by_side(tmp_path, result):
         ("d, slgaussian: query in a new view, s", "0.5000", "0.2500"),
         ("d, slgaussian: memory, MB", "200", "200"),
         ("stage field, all scenes, s", "2.00", "1.00"),
-        ("machine", "–", "–"),
         ("processor", "P0.5", "P0.25"),
         ("workers", "2", "2"),
     ]

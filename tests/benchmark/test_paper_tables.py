@@ -1,4 +1,4 @@
-"""The paper's numbers stand as it prints them; ours only where its data set was run."""
+"""Tables of the paper: printed numbers, and numbers of a run on the same data."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def by_title(tables, start: str):
 
 
 def cells(table, label: str):
-    """The paper's number and this run's of a line."""
+    """Return the printed numbers and the numbers of the run in a line."""
     (line,) = [line for line in table.lines if line.cells[0].value == label]
     return [(cell.value, cell.below) for cell in line.cells[1:]]
 
@@ -40,7 +40,7 @@ def numbers(place: int, title: str) -> list[float]:
 
 @pytest.mark.parametrize("place", [0, 1])
 def test_the_overall_numbers_are_the_means_of_the_scenes(place):
-    """So the paper says, and so a slip of the pen would show: to the half of its last digit."""
+    """The paper says so; this finds typing errors. Tolerance: half of the last digit."""
     *scenes, overall = (np.array(line["numbers"]) for line in TABLES[place]["lines"])
     np.testing.assert_allclose(np.mean(scenes, 0), overall, atol=0.0051)
 

@@ -1,4 +1,4 @@
-"""The report of a run: its content, its order, and both of its forms."""
+"""The report of a run as HTML and Markdown."""
 
 import re
 from dataclasses import replace
@@ -34,7 +34,7 @@ def truth(room):
 
 
 def scene_of(result: SceneResult, truth, *rivals, name: str = "") -> Scene:
-    """A scene of a report, with rows of other methods."""
+    """Return a scene of a report, with rows of other methods."""
     name = name or result.scene
     rows = [{**row, "scene": name} for rows in (result.rows, *rivals) for row in rows]
     return Scene(
@@ -49,7 +49,7 @@ def scene_of(result: SceneResult, truth, *rivals, name: str = "") -> Scene:
 
 
 def half_as_good(result) -> list[dict]:
-    """Rows of another method, every score of it half as high."""
+    """Return rows of another method with half the scores."""
     names = ("iou", "boundary_iou", "class_iou")
     halves = [{k: row[k] / 2 for k in names if row[k] is not None} for row in result.rows]
     method = {"method": "query-2d"}
@@ -58,7 +58,7 @@ def half_as_good(result) -> list[dict]:
 
 @pytest.fixture(scope="module")
 def both(result, truth) -> Report:
-    """The report of one scene by two methods."""
+    """Make the report of one scene by two methods."""
     return run_report.run_report([scene_of(result, truth, half_as_good(result))], MANIFEST)
 
 

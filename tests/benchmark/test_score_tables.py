@@ -1,4 +1,4 @@
-"""Tables of scores: what is best, conditions and samples, and verdicts on differences."""
+"""Tables of scores: best values, settings, numbers of samples, significance of differences."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from slgaussian.benchmark.statistics import LEAST, compare
 
 
 def rows_of(method: str, *ious: float, **columns) -> list[dict]:
-    """One query a scene."""
+    """Return a row per scene."""
     named = {"method": method, **columns}
     return [sample(f"s{k}", iou=iou, **named) for k, iou in enumerate(ious)]
 
@@ -29,7 +29,7 @@ def tables_of(*groups):
 
 
 def column_of(table, title):
-    """The cells below a title by method."""
+    """Return the cells of a column by method."""
     place = [column.title for column in table.columns].index(title)
     return {line.cells[0].value: line.cells[place] for line in table.lines}
 
@@ -91,7 +91,7 @@ def test_a_difference_is_judged_as_it_is_printed():
 
 
 def claim(ours, theirs, places=None):
-    """The words and mark of one method against another, by IoU of a query a scene."""
+    """Return text and mark of the difference of two methods, from one IoU per scene."""
     rows = rows_of("mine", *ours), rows_of("query-2d, depth", *theirs)
     for method_rows in rows:
         for row, place in zip(method_rows, places or [None] * len(method_rows), strict=True):
@@ -105,7 +105,7 @@ STEADY = np.array([0.01, -0.01, 0.02, 0.0, -0.02, 0.01, 0.0, -0.01])
 
 
 def test_scenes_are_compared_in_pairs_and_of_few_places_nothing_is_claimed():
-    """Methods whose own intervals overlap by far, one always a little better."""
+    """The intervals of the methods overlap, but one is better in every scene."""
     theirs = np.linspace(0.1, 0.9, 8)
     assert claim(theirs + 0.02 + STEADY / 4, theirs)[1] == "better"
     text = "too few places for a test"

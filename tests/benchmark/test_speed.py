@@ -1,4 +1,4 @@
-"""The Pareto front against its definition, and the section of what a run cost."""
+"""The Pareto front against its definition, and the section of costs."""
 
 import math
 from dataclasses import replace

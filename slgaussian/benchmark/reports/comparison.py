@@ -196,23 +196,24 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
     Data are listed in one line: the scenes that are missing or differ in a manifest from the
     first manifest that contains them.
     """
-    flat = [dict(flatten({k: v for k, v in m.items() if k != "data"})) for m in manifests]
-    names = dict.fromkeys(name for values in flat for name in values)
-    lines = [[name, *(values.get(name, NO_VALUE) for values in flat)] for name in names]
+    lines = _side_by_side([dict(flatten({**m, "data": {}})) for m in manifests])
     data = [manifest.get("data", {}) for manifest in manifests]
     first: dict[str, Any] = {}
     for by_scene in data:
         first = by_scene | first
-    differing = [
-        [scene for scene, content in first.items() if by_scene.get(scene) != content]
-        for by_scene in data
-    ]
-    texts = [
-        ", ".join(scenes[:LISTED]) + (f" and {rest} more" if (rest := len(scenes[LISTED:])) else "")
-        for scenes in differing
-    ]
-    lines.append(["data: missing or different scenes", *(text or "none" for text in texts)])
+    texts = []
+    for by_scene in data:
+        scenes = [scene for scene, content in first.items() if by_scene.get(scene) != content]
+        rest = f" and {len(scenes) - LISTED} more" if scenes[LISTED:] else ""
+        texts.append(", ".join(scenes[:LISTED]) + rest or "none")
+    lines.append(["data: missing or different scenes", *texts])
     return [line for line in lines if len(set(line[1:])) > 1]
+
+
+def _side_by_side(values: Sequence[Mapping[str, str]]) -> list[list[str]]:
+    """Return a row for each name in any of several mappings: the name, and the value in each."""
+    names = dict.fromkeys(name for by_name in values for name in by_name)
+    return [[name, *(by_name.get(name, NO_VALUE) for by_name in values)] for name in names]
 
 
 def rank_methods(named: Mapping[str, Run]) -> list[Table]:
@@ -245,25 +246,25 @@ def rank_methods(named: Mapping[str, Run]) -> list[Table]:
 
 def _costs_table(runs: Sequence[Run]) -> Table:
     """Return a table of seconds, memory and machines of the runs."""
-    costs = [{(cost.dataset, cost.method): cost for cost in run.costs} for run in runs]
-    rows: list[list[str | None]] = []
-    for key in costs[0]:
-        for name, (title, unit, digits) in COSTS.items():
-            values = [getattr(by_key.get(key), name, None) for by_key in costs]
-            if None not in values:
-                cells = [number(value, digits, unit) for value in values]
-                rows.append([f"{', '.join(key)}: {title}", *cells])
-    stages = [run.times.get("seconds_by_stage", {}) for run in runs]
-    for stage in (name for name in stages[0] if all(name in seconds for seconds in stages)):
-        seconds = (number(by_stage[stage], 2) for by_stage in stages)
-        rows.append([f"stage {stage}, all scenes, s", *seconds])
-    for name in ("machine", "processor", "workers"):
-        rows.append([name, *(run.times.get("host", {}).get(name) for run in runs)])
     note = (
         "Medians over scenes, measured when each result was computed. Times of different machines, "
         "or of machines under load, are not comparable."
     )
+    rows = _side_by_side([_costs_by_name(run) for run in runs])
     return Table.of(["Cost", *ascii_uppercase[: len(runs)]], rows, notes=[note])
+
+
+def _costs_by_name(run: Run) -> dict[str, str]:
+    costs = {}
+    for cost in run.costs:
+        for name, (title, unit, digits) in COSTS.items():
+            text = number(getattr(cost, name), digits, unit)
+            costs[f"{cost.dataset}, {cost.method}: {title}"] = text
+    for stage, seconds in run.times.get("seconds_by_stage", {}).items():
+        costs[f"stage {stage}, all scenes, s"] = number(seconds, 2)
+    host = run.times.get("host", {})
+    costs |= {name: host.get(name) for name in ("machine", "processor", "workers")}
+    return {name: text for name, text in costs.items() if text is not None}
 
 
 def _changes_table(first: Run, second: Run) -> Table | None:
