@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import getpass
 import os
 import platform
@@ -11,6 +10,11 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
 
 HANDS_OVER_SOCKETS = sys.platform != "win32"
 """Whether a process can pass an open socket to a process that it starts."""
@@ -40,27 +44,15 @@ def user() -> str:
         return str(os.getuid()) if hasattr(os, "getuid") else "unknown"
 
 
-def memory_status(name: str) -> int:
-    """Return bytes from /proc/self/status, such as ``VmRSS`` (resident) or ``VmHWM`` (its peak).
+def peak_memory() -> int | None:
+    """Return the largest resident memory of this process so far, bytes; None on Windows.
 
-    ``getrusage`` is not used because a process inherits its peak from the parent process. OSError
-    on all systems but Linux, which have no such file.
+    On Linux it includes that of the parent process when it started this one.
     """
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(f"{name}:"):
-            return 1024 * int(line.split()[1])
-    raise OSError(f"/proc/self/status: has no {name}")
-
-
-def reset_peak_memory() -> None:
-    """Reset ``VmHWM`` to the current resident memory; OSError on all systems but Linux."""
-    Path("/proc/self/clear_refs").write_text("5")
-
-
-def trim_memory() -> None:
-    """Return freed memory to the operating system, if the C library supports it."""
-    with suppress(OSError, TypeError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
+    if resource is None:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else 1024 * peak
 
 
 def after_fork(forget: Callable[[], object]) -> None:

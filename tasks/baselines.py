@@ -8,7 +8,6 @@ from typing import Any
 from slgaussian.benchmark.baselines import load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, evaluate
-from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.components.method import Method
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import compiling
@@ -58,18 +57,9 @@ def baselines(
         settings={part.name: part.values() for part in (method.proposer, method.lifting)},
         classes=tuple(dict.fromkeys([*texts, *settings.queries])),
     )
-    peak = Peak()
     begun = compiling.clock()
-    with peak.watched():
-        answering = load_method(of, **own)(inputs)
+    answering = load_method(of, **own)(inputs)
     prepared = compiling.clock() - begun
-    result = evaluate(
-        answering,
-        views,
-        label_maps,
-        scene_truth,
-        settings,
-        peak=peak,
-    )
+    result = evaluate(answering, views, label_maps, scene_truth, settings)
     costs = [{**row, "prepare_seconds": prepared} for row in result.costs]
     return run.store.put("scene_result", result_to_arrays(result), {"costs": costs})

@@ -23,7 +23,6 @@ from prefect.cache_policies import NO_CACHE
 from prefect.states import Completed, State
 from prefect.utilities.annotations import quote
 
-from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.components.component import Component
 from slgaussian.components.config import Config
 from slgaussian.errors import InputError
@@ -32,6 +31,7 @@ from slgaussian.kernels import compiling, threads
 from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactRef, DamagedError
+from slgaussian.system import peak_memory
 from tasks.context import RunContext, StageEvent, current_run
 
 
@@ -211,10 +211,10 @@ class Stage:
         provenance = Provenance(self.name, self.version, settings, specs, passed)
         threads.limit(run.workers)
         compiling.watch()
-        peak, compiled = Peak(), compiling.spent()
+        compiled = compiling.spent()
         start, worked = compiling.clock(), time.process_time()
         try:
-            with compiling.report_to(run.report), record_provenance(provenance), peak.watched():
+            with compiling.report_to(run.report), record_provenance(provenance):
                 ref = self.compute(run, **arguments)
         except DamagedError as error:
             run.store.remove([error.uri])  # so that its stage computes it again
@@ -223,7 +223,7 @@ class Stage:
             "seconds": compiling.clock() - start,
             "processor_seconds": time.process_time() - worked - compiling.spent() + compiled,
             "compiling": compiling.spent() - compiled,
-            "grown": peak.grown,
+            "peak": peak_memory(),
             "processor": threads.processor(),
             "workers": run.workers,
         }

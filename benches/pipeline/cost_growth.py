@@ -19,8 +19,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from benches.common.harness import parser, publish, table
-from slgaussian import system
-from slgaussian.benchmark import resident_memory
+from benches.common.resident_memory import give_back, memory_status, reset_peak_memory
 
 RANGES: Mapping[str, tuple[float, ...]] = {
     "texts": (1, 10, 100, 1000),
@@ -151,14 +150,14 @@ def point(axis: str, size: float) -> dict[str, float]:
     job(axis, RANGES[axis][0])()
     work = job(axis, size)
     spent: list[float] = []
-    resident_memory.give_back()
-    baseline = system.memory_status("VmRSS")
-    system.reset_peak_memory()
+    give_back()
+    baseline = memory_status("VmRSS")
+    reset_peak_memory()
     while not spent or (len(spent) < TIMES and spent[0] < SHORT):
         start = time.process_time()
         work()
         spent.append(time.process_time() - start)
-    increase = max(system.memory_status("VmHWM") - baseline, 0)
+    increase = max(memory_status("VmHWM") - baseline, 0)
     return {"size": size, "seconds": float(np.median(spent)), "megabytes": increase / 1e6}
 
 

@@ -32,7 +32,7 @@ import pyarrow as pa
 import torch
 
 from benches.common.harness import parser, publish, table
-from slgaussian.system import memory_status, reset_peak_memory
+from benches.common.resident_memory import memory_status, reset_peak_memory
 from tests.small_files import FORMATS, new_folder, trial, verdict
 
 ROOM = 2**30

@@ -19,6 +19,7 @@ import torch
 
 from benches.common.harness import error, parser, publish, table
 from benches.common.photograph_pairs import SIZE
+from benches.common.resident_memory import memory_status
 from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian import datasets
 from slgaussian.cameras.paths import between
@@ -26,7 +27,6 @@ from slgaussian.kernels import threads
 from slgaussian.predict import load_predictor
 from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.rasterize import rasterize
-from slgaussian.system import memory_status
 
 ROUNDS = 3
 PRECISIONS = ("float32", "bfloat16")

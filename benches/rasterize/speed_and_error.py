@@ -26,13 +26,13 @@ import torch
 
 from benches.common.harness import error, ms, parser, publish, table, times_in_turn
 from benches.common.photograph_pairs import DATA_HELP, load_samples, photographs
+from benches.common.resident_memory import memory_status, reset_peak_memory
 from benches.rasterize.plain_loop import splat_in_order
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import threads
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import PRESETS, Settings, rasterize
 from slgaussian.scene import Camera, Sample
-from slgaussian.system import memory_status, reset_peak_memory
 
 DEFAULT = Settings()
 FINE = {"alpha_min": 2.0**-20, "sigmas": math.inf, "pass_min": 0.0}

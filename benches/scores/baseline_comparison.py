@@ -15,20 +15,19 @@ import pyarrow.parquet as pq
 
 from benches.common.harness import Format, parser, publish, table
 from benches.common.photograph_pairs import data_folder
+from benches.common.resident_memory import give_back, memory_status, reset_peak_memory
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import read_truth
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.index import read_index
-from slgaussian.benchmark.resident_memory import give_back
 from slgaussian.build import build_memory_bank, label_views, lift_field, predict
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from slgaussian.masks import load_proposer
-from slgaussian.system import memory_status, reset_peak_memory
 
 SETS = {"office": "office", "procedural": "rooms"}
 """Data sets, and their names in the table."""

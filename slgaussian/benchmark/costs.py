@@ -28,8 +28,8 @@ class Cost:
     prepare, build : float or None
         Seconds per scene for the method, and for the field that all methods share: medians over
         scenes.
-    grown, peak : int or None
-        Largest increase of the process's memory by a scene, and its largest memory, bytes.
+    peak : int or None
+        Largest memory of the process, bytes.
     """
 
     dataset: str
@@ -39,7 +39,6 @@ class Cost:
     further_query: float | None = None
     prepare: float | None = None
     build: float | None = None
-    grown: int | None = None
     peak: int | None = None
 
     @property
@@ -64,11 +63,7 @@ def costs_of(rows: Iterable[Row]) -> list[Cost]:
 def _cost(dataset: str, method: str, rows: Sequence[Row]) -> Cost:
     frames = list({(row["scene"], row["frame"]): row for row in rows}.values())
     scenes = list({row["scene"]: row for row in rows}.values())
-    memory = [
-        (row["peak_bytes"] - row["held_bytes"], row["peak_bytes"])
-        for row in scenes
-        if None not in (row.get("peak_bytes"), row.get("held_bytes"))
-    ]
+    peaks = [row["peak_bytes"] for row in scenes if row.get("peak_bytes") is not None]
     return Cost(
         dataset,
         method,
@@ -77,8 +72,7 @@ def _cost(dataset: str, method: str, rows: Sequence[Row]) -> Cost:
         further_query=_median(row.get("query_seconds") for row in rows),
         prepare=_median(row.get("prepare_seconds") for row in scenes),
         build=_median(row.get("build_seconds") for row in scenes),
-        grown=max((grown for grown, _ in memory), default=None),
-        peak=max((peak for _, peak in memory), default=None),
+        peak=max(peaks, default=None),
     )
 
 
@@ -97,15 +91,15 @@ class StageCost:
         Total of all artifacts, without compiling kernels.
     middle : float
         Median over artifacts.
-    grown : int or None
-        Largest increase of memory, bytes; None if unknown.
+    peak : int or None
+        Largest memory of the process until their end, bytes; None if unknown.
     compiling : float
         Additional seconds for compiling kernels, once per installation.
     """
 
     seconds: float
     middle: float
-    grown: int | None = None
+    peak: int | None = None
     compiling: float = 0.0
 
     @staticmethod
@@ -113,11 +107,11 @@ class StageCost:
         """Summarise the metadata of artifacts; earlier versions wrote only ``seconds``."""
         artifacts = list(metas)
         seconds = [meta["seconds"] for meta in artifacts]
-        grown = [meta["grown"] for meta in artifacts if meta.get("grown") is not None]
+        peaks = [meta["peak"] for meta in artifacts if meta.get("peak") is not None]
         return StageCost(
             sum(seconds),
             median(seconds) if seconds else 0.0,
-            max(grown, default=None),
+            max(peaks, default=None),
             sum(meta.get("compiling", 0.0) for meta in artifacts),
         )
 
@@ -153,7 +147,7 @@ class Times:
         return {
             "spec": load_spec("run_times").label,
             "seconds_by_stage": {name: cost.seconds for name, cost in self.stages.items()},
-            "memory_by_stage": {name: cost.grown for name, cost in self.stages.items()},
+            "memory_by_stage": {name: cost.peak for name, cost in self.stages.items()},
             "seconds_of_compiling": self.compiling,
             "host": dict(self.host),
             "artifacts_by_machine": dict(self.machines),

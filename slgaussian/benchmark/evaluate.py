@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from slgaussian import system
 from slgaussian.benchmark import metrics, pictures
 from slgaussian.benchmark.annotations import Truth, boxes_of
 from slgaussian.benchmark.answering import Answering, AnsweringView, Result, understands
@@ -22,7 +23,6 @@ from slgaussian.benchmark.protocols import (
     ScoringProtocol,
     load_protocol,
 )
-from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.benchmark.scores import scene_means
 from slgaussian.cameras.paths import between
 from slgaussian.errors import InputError
@@ -154,7 +154,6 @@ def evaluate(
     settings: EvaluationSettings | None = None,
     *,
     gaussians: Gaussians | None = None,
-    peak: Peak | None = None,
 ) -> SceneResult:
     """Query a method with all labelled texts in every target view, and score its answers.
 
@@ -175,8 +174,6 @@ def evaluate(
         Further queries, and columns of the rows.
     gaussians : Gaussians, optional
         Gaussians of the context views' pixels, whose depths are scored and drawn.
-    peak : Peak, optional
-        Peak memory of the method's preparation of the scene.
 
     Returns
     -------
@@ -192,7 +189,7 @@ def evaluate(
     _check_truth(sample, truth.masks)
     settings = settings or EvaluationSettings()
     queries, drawn = settings.queries, settings.drawn
-    recorder = _Recorder(sample.scene, settings, peak or Peak())
+    recorder = _Recorder(sample.scene, settings)
     for target in sample.targets:
         with recorder.timed():
             view = field.render(target.camera)
@@ -236,8 +233,7 @@ def evaluate(
 class _Recorder:
     """Collector of rows, pictures and costs of a scene."""
 
-    def __init__(self, scene: str, settings: EvaluationSettings, peak: Peak):
-        self.peak = peak
+    def __init__(self, scene: str, settings: EvaluationSettings):
         rules, self.drawn = settings.rules, settings.drawn
         self._names = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
         self.rules, self.query_rules = rules, dict(rules)
@@ -259,11 +255,10 @@ class _Recorder:
 
     @contextmanager
     def timed(self) -> Iterator[None]:
-        """Measure memory and seconds (``latest``) of the method inside the block."""
-        with self.peak.watched():
-            start = compiling.clock()
-            yield
-            self.latest = compiling.clock() - start
+        """Measure the seconds (``latest``) of the method inside the block."""
+        start = compiling.clock()
+        yield
+        self.latest = compiling.clock() - start
 
     def measure(self, name: str, value: float) -> None:
         self._measured.setdefault(name, []).append(value)
@@ -413,7 +408,7 @@ class _Recorder:
     def result(self) -> SceneResult:
         leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]
         means = {name: float(np.mean(values)) for name, values in self._measured.items()}
-        memory = {"held_bytes": self.peak.before, "peak_bytes": self.peak.most}
+        memory = {"peak_bytes": system.peak_memory()}
         return SceneResult(
             **self._names,
             rows=self.rows,

@@ -132,7 +132,7 @@ def test_costs_of_both_stand_side_by_side(tmp_path, result):
     for folder, seconds in zip(folders, (0.5, 0.25), strict=True):
         named = dict.fromkeys(load_spec("times").columns)
         named |= {"dataset": "d", "scene": "s", "frame": "f", "query": "q", "method": "slgaussian"}
-        cost = {"view_seconds": seconds, "held_bytes": 10**8, "peak_bytes": 3 * 10**8}
+        cost = {"view_seconds": seconds, "peak_bytes": 3 * 10**8}
         write_costs([named | cost], folder)
         stages, host = {"field": 4 * seconds}, {"processor": f"P{seconds}", "workers": "2"}
         times = {"seconds_by_stage": stages, "host": host}
@@ -140,7 +140,7 @@ def test_costs_of_both_stand_side_by_side(tmp_path, result):
     (table,) = section(compared(*folders), "Costs")
     assert [tuple(cell.value for cell in line.cells) for line in table.lines] == [
         ("d, slgaussian: query in a new view, s", "0.5000", "0.2500"),
-        ("d, slgaussian: memory, MB", "200", "200"),
+        ("d, slgaussian: memory, MB", "300", "300"),
         ("stage field, all scenes, s", "2.00", "1.00"),
         ("processor", "P0.5", "P0.25"),
         ("workers", "2", "2"),

@@ -1,4 +1,3 @@
-import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -7,14 +6,12 @@ import pytest
 
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
-from slgaussian.benchmark.costs import costs_of
 from slgaussian.benchmark.evaluate import (
     NOT_UNDERSTOOD,
     EvaluationSettings,
     evaluate,
     truth_from_instances,
 )
-from slgaussian.benchmark.resident_memory import Peak
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
 from slgaussian.language import langsplat
@@ -302,29 +299,6 @@ def test_what_an_answer_costs_is_told_apart_by_what_was_there_before(room, monke
         assert row["cold_seconds"] == (1101 if row["frame"] == "view_01" else None)
         assert row["view_seconds"] == 101
         assert row["query_seconds"] == (None if row["query"] == "qqwx" else 1)
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="the system does not say what is held")
-def test_memory_is_what_the_method_takes_and_not_what_scores_it_or_was_there(room):
-    class Hungry:
-        def render(self, camera):
-            ballast = np.ones(2**25)  # a quarter of a GiB for a moment
-            return room.field.render(camera) if ballast.any() else None
-
-    def grown(method, peak=None):
-        settings = EvaluationSettings(drawn=False)
-        truth = Truth(room.truth)
-        found = evaluate(method, room.sample, room.label_maps, truth, settings, peak=peak)
-        (cost,) = costs_of({**row, **NOTHING_ELSE} for row in found.costs)
-        return cost.grown
-
-    there, gone = np.ones(2**25), np.ones(2**26)
-    del gone
-    assert grown(room.field) < 2**27 < 2**28 <= grown(Hungry()) < 2**28 + 2**27
-    peak = Peak()
-    with peak.watched():
-        prepared = np.ones(2**25)
-    assert grown(room.field, peak) >= 2**28 and len(prepared) == len(there)
 
 
 @pytest.mark.parametrize(

@@ -36,8 +36,8 @@ def test_scores_stand_beside_costs_and_hard_cases_beside_their_machine(result):
         {"machine": "a machine", "processor": "this"},
         {"this": 5, "another": 12},
         [
-            Cost(name, "slgaussian", None, 0.5, 0.1, None, 2.0, 300_000_000, 1_500_000_000),
-            Cost(name, other, view_query=0.1, grown=500_000_000),
+            Cost(name, "slgaussian", None, 0.5, 0.1, None, 2.0, 1_500_000_000),
+            Cost(name, other, view_query=0.1),
             Cost(name, "query-2d", view_query=6.0),
         ],
         [good, replace(good, case="on its edge", error=math.nan)],
@@ -55,8 +55,8 @@ def test_scores_stand_beside_costs_and_hard_cases_beside_their_machine(result):
     assert [line[1:3] for line in paper[5:]] == [["18", "6.0000"], ["9", "1.5000"], ["6", "1.5000"]]
     front_of = [(line[0], line[1], line[2], *line[5:]) for line in scores[1:]]
     assert front_of == [
-        ("slgaussian", f"{result.scene_metrics['iou']:.3f}", "20.0", "0.5000", "300", "yes"),
-        (other, "0.000", "–", "0.1000", "500", "yes"),
+        ("slgaussian", f"{result.scene_metrics['iou']:.3f}", "20.0", "0.5000", "yes"),
+        (other, "0.000", "–", "0.1000", "yes"),
     ]
     assert stages[1] == ["field", "0.75", "1.25", "25 %", "64"]
     assert "of 2 hard cases" in text and "**1 above the bound**: on its edge (rasteriser" in text

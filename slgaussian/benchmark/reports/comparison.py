@@ -49,7 +49,7 @@ CHANGED = 8
 COSTS = {
     "prepare": ("preparation of a scene, s", 1.0, 4),
     "view_query": ("query in a new view, s", 1.0, 4),
-    "grown": ("memory, MB", 1e6, 0),
+    "peak": ("memory, MB", 1e6, 0),
 }
 """Compared fields of :class:`Cost`: description, unit and digits."""
 

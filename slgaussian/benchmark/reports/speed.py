@@ -28,14 +28,14 @@ COSTS = (
     "**Pareto front**: no other method has at least the same score in at most the same time. Times "
     "are medians over scenes of wall time on this machine; other scenes may have run at the same "
     "time. **Build**: from photographs to a field, which methods share. **Prepare**: additional "
-    "work of the method for each scene. **Memory**: largest increase by a scene. If methods have "
+    "work of the method for each scene. If methods have "
     "fields of their own, the time of the front is building plus query."
 )
 
 STAGES = (
     "**Per scene**: median; for baselines, median over methods and scenes. **Memory**: largest "
-    "increase during the stage. Times were measured when the result was computed, possibly in an "
-    "earlier run."
+    "memory of the process until its end. Both were measured when the result was computed, "
+    "possibly in an earlier run."
 )
 
 
@@ -109,13 +109,12 @@ def _scores_by_cost(
             number(cost.build, 2),
             number(cost.prepare, 3),
             number(cost.view_query, 4),
-            number(cost.grown, 0, 1e6),
             "yes" if is_on_front else "",
         ]
         for cost, is_on_front in zip(ranked, on_front, strict=True)
     ]
     heads = ["Method", "IoU", "PSNR, dB", "Build, s", "Prepare, s", "Query in a new view, s",
-             "Memory, MB", "Pareto front"]  # fmt: skip
+             "Pareto front"]  # fmt: skip
     points = [
         (cost.method, values[cost.method], time, is_on_front)
         for cost, time, is_on_front in zip(ranked, seconds, on_front, strict=True)
@@ -169,7 +168,7 @@ def _stages_table(times: Times) -> Table:
             number(cost.middle, 2),
             number(cost.seconds, 2),
             f"{100 * cost.seconds / total:.0f} %",
-            number(cost.grown, 0, 1e6),
+            number(cost.peak, 0, 1e6),
         ]
         for stage, cost in times.stages.items()
     ]
