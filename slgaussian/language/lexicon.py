@@ -70,7 +70,7 @@ class Lexicon:
     classifier: str = "none"
     name: ClassVar[str] = "lexicon"
     calibration: ClassVar[Calibration] = Calibration(
-        mask=Curve(1.96, 1.886, -0.288, 0.364, -4.691),
+        mask=Curve(1.482, 1.426, -0.218, 0.275, -3.312),
         point=Curve(2.314, 1.252, -0.536, 0.45, -2.762),
     )
 
