@@ -18,7 +18,7 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import SceneSettings, Settings
-from flows.results import check_places, field_place, manifest, write_artifacts, write_fields
+from flows.results import check_places, field_place, manifest, write_fields
 from flows.runners.batches import Failure, Outcome, SceneTask, map_scenes, map_shown, write_failures
 from flows.runners.progress import Progress
 from flows.runners.session import (
@@ -197,7 +197,6 @@ def _compute(
             SceneTask("this machine", check_numerics, (), "numerics"),
         ]
         outcome = map_shown(last, workers, 1, "last tasks", verbose)
-        refs.outcomes.append(outcome)
         refs.failures += outcome.failures
         refs.report = outcome.refs.get("all scenes", {}).get("report")
         refs.hard_cases = outcome.refs.get("this machine", {}).get("numerics")
@@ -228,7 +227,6 @@ def _write(
     """Write all outputs; return the results without images, of which there may be thousands."""
     out = settings.out
     write_failures(out, refs.failures)
-    write_artifacts(out, store, refs.outcomes)
     results, costs = [], []
     scored = [
         (scene_refs.scene, ref)
@@ -322,7 +320,7 @@ class _Refs:
     by scene and name of the sweep's combination, empty for the field of the method and baselines.
     ``stages`` has the costs of each stage when its artifacts were computed, possibly in an earlier
     run, and ``machines`` the number of artifacts by processor. ``hard_cases`` are the numerical
-    errors on this machine, and ``outcomes`` have all artifacts.
+    errors on this machine.
     """
 
     scored: list[Scored]
@@ -332,7 +330,6 @@ class _Refs:
     machines: dict[str, int]
     manifest: dict[str, Any]
     failures: list[Failure]
-    outcomes: list[Outcome]
     report: ArtifactRef | None = None
     hard_cases: ArtifactRef | None = None
 
@@ -384,7 +381,6 @@ def _gather(
         dict(made_on),
         manifest(settings, scenes, stages, ours.refs, rows | {v.name: v.row for v in variants}),
         [failure for outcome in outcomes for failure in outcome.failures],
-        outcomes,
     )
 
 

@@ -17,7 +17,6 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import CorpusSettings
-from flows.results import write_artifacts
 from flows.runners.batches import Failure, Outcome, SceneTask, map_shown, write_failures
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import open_workers
@@ -43,11 +42,10 @@ FILES = {"views": "views.parquet", "pairs": "pairs.parquet", "lessons": "lessons
 
 @dataclass(frozen=True)
 class Prepared:
-    """Result of a run: number of rows of each table, failures, and all artifacts."""
+    """Result of a run: number of rows of each table, and failures."""
 
     rows: dict[str, int]
     failures: list[Failure]
-    outcome: Outcome
 
     @property
     def message(self) -> str:
@@ -162,8 +160,7 @@ def _write(
     failures = [failure for failure in failures if failure.scene not in withdrawn]
     failures.sort(key=lambda failure: (failure.scene, failure.reason))
     write_failures(out, failures)
-    write_artifacts(out, store, [outcome])
-    return Prepared(rows, failures, outcome)
+    return Prepared(rows, failures)
 
 
 def _join(

@@ -1,9 +1,9 @@
-"""Outputs of a run besides scores: fields, the table of its artifacts, and its manifest."""
+"""Outputs of a run besides scores: its fields and its manifest."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import pyarrow as pa
 
 from flows.config import TABLES, Method, SceneSettings, Settings
-from flows.runners.batches import Outcome
 from slgaussian import __version__
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.benchmark.baselines import Row
@@ -19,10 +18,9 @@ from slgaussian.benchmark.outputs import file_name, write_table
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.datasets.labelled_sets import is_published
 from slgaussian.errors import InputError
-from slgaussian.io import file_sha256, write_atomic
+from slgaussian.io import file_sha256
 from slgaussian.kernels import threads
 from slgaussian.storage import field_folder
-from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.housekeeping import CONCURRENT_READS
 from slgaussian.storage.provenance import software
 from slgaussian.storage.specs import load_spec
@@ -131,67 +129,6 @@ class _FieldFolder:
         field_folder.write(
             self.folder, self.text, lambda spec, file: store.link_or_copy(self.parts[spec], file)
         )
-
-
-def write_artifacts(out: Path, store: ArtifactStore, outcomes: Sequence[Outcome]) -> None:
-    """Write the table of all artifacts, also those of failed scenes, to folder ``out``.
-
-    OSError if it cannot be written.
-    """
-    spec = load_spec("artifacts")
-    rows = [row for outcome in outcomes for row in _rows(outcome, store)]
-    table = pa.Table.from_pylist(rows, schema=spec.schema)
-    spec.check_table(table, str(out / "artifacts.parquet"))
-    write_atomic(out / "artifacts.parquet", encode_table(table, spec))
-
-
-def _rows(outcome: Outcome, store: ArtifactStore) -> Iterator[dict[str, Any]]:
-    for scene, stages in sorted((outcome.partial | outcome.refs).items()):
-        for stage, ref in stages.items():
-            of_stage = {
-                "scene": scene,
-                "stage": stage,
-                "stage_version": ref.meta["stage_version"],
-                "cached": ref.meta.get("cached", False),
-            }
-            yield of_stage | {
-                "inputs": sorted(_digests(ref.meta)),
-                "spec": ref.spec,
-                "uri": ref.uri,
-                "digest": ref.digest,
-                "bytes": ref.meta.get("bytes", _size(store, ref.uri)),
-                "seconds": ref.meta["seconds"],
-                "processor": ref.meta.get("processor"),
-            }
-            for uri in ref.meta.get("parts", ()):
-                yield of_stage | {
-                    "spec": uri.split("/")[0],
-                    "uri": uri,
-                    "digest": Path(uri).stem,
-                    "part_of": ref.digest,
-                    "inputs": [],
-                    "bytes": _size(store, uri),
-                }
-
-
-def _digests(meta: Mapping[str, Any]) -> set[str]:
-    """Return the digests of all input artifacts of a stage, also of nested arguments."""
-    digests = set(meta.get("inputs", {}).values())
-    waiting = [meta.get("settings", {})]
-    while waiting:
-        value = waiting.pop()
-        if isinstance(value, Mapping):
-            if value.keys() == {"spec", "digest"}:
-                digests.add(value["digest"])
-            waiting += value.values()
-        elif isinstance(value, list):
-            waiting += value
-    return digests
-
-
-def _size(store: ArtifactStore, uri: str) -> int | None:
-    stamp = store.stamp(uri)
-    return None if stamp is None else int(stamp.split()[0])
 
 
 def manifest(

@@ -20,7 +20,6 @@ from prefect.states import State
 from flows import corpus
 from flows.config import RetrainSettings, Training
 from flows.history import History, first_names
-from flows.runners.batches import Outcome
 from flows.runners.session import check_folder, completed, run_session
 from flows.training import Parted, parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
@@ -171,8 +170,7 @@ def _learn_what_is_new(
 
     lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
     learnt = learn(
-        lessons, config, store, verbose,
-        clips=clips, failed=left_out.keys(), before=[prepared.outcome],
+        lessons, config, store, verbose, clips=clips, failed=left_out.keys(),
     )  # fmt: skip
     versions = Versions(config.models)
     used = versions.current()
@@ -214,15 +212,13 @@ def learn(
     verbose: bool = False,
     clips: pa.Table | None = None,
     failed: Collection[str] = (),
-    before: Sequence[Outcome] = (),
 ) -> Learnt:
     """Train on lessons from the weights in use, and promote the result if it is better.
 
     The candidate, the version in use, ``hard`` and ``filled`` are evaluated on the same held-out
     lessons. The candidate is promoted if it is significantly better than all others
     (:func:`slgaussian.benchmark.significance.gate`), and stored in any case. If lessons and
-    settings are unchanged, nothing is trained. ``before`` are earlier outcomes of the same command,
-    for its table of artifacts.
+    settings are unchanged, nothing is trained.
 
     ``clips`` are the clips of the corpus, spec ``clips``, and ``failed`` the names of unreadable
     clips and chunks. If training clips of the version in use were withdrawn or changed, training
@@ -251,7 +247,7 @@ def learn(
             forgotten = forgotten_by(versions, incumbent, clips, failed)
     arguments = settings.codes, settings.seed, None if forgotten else start, store, verbose
     trained = train_on(lessons, settings, *arguments, rival=start)
-    trained.write(settings.out, store, before)
+    trained.write(settings.out)
     judgements = trained.judgements
     decision = gate(judgements, rivals)
     facts = {**description, "scores": _scores(judgements), "forgotten": list(forgotten)}

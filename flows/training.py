@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,8 +14,7 @@ from prefect import flow
 from prefect.states import State
 
 from flows.config import Training, TrainSettings
-from flows.results import write_artifacts
-from flows.runners.batches import Outcome, SceneTask, compute_scene
+from flows.runners.batches import SceneTask, compute_scene
 from flows.runners.environment import home_of
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, writing
@@ -69,22 +68,15 @@ class Parted:
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """Result of a training: weights as a safetensors file, metrics, scores and report.
-
-    ``outcome`` has all artifacts.
-    """
+    """Result of a training: weights as a safetensors file, metrics, scores and report."""
 
     weights: bytes
     metrics: pa.Table
     judgements: pa.Table
     report: bytes
-    outcome: Outcome
 
-    def write(self, out: Path, store: ArtifactStore, before: Sequence[Outcome] = ()) -> None:
-        """Write the :data:`FILES` and the table of artifacts; InputError if that fails.
-
-        ``before`` are earlier outcomes of the same command.
-        """
+    def write(self, out: Path) -> None:
+        """Write the :data:`FILES`; InputError if that fails."""
         contents = {
             "weights": self.weights,
             "metrics": encode_table(self.metrics, load_spec("metrics")),
@@ -94,7 +86,6 @@ class Trained:
         with writing(out):
             for name, data in contents.items():
                 write_atomic(out / FILES[name], data)
-            write_artifacts(out, store, [*before, self.outcome])
 
 
 @flow(name="slgaussian-train", persist_result=False)
@@ -126,7 +117,7 @@ def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Traine
         )
     common = config.codes, config.seed, start, store, verbose
     trained = train_on(lessons, config, *common, architecture=chosen)
-    trained.write(config.out, store)
+    trained.write(config.out)
     return trained
 
 
@@ -236,7 +227,6 @@ def train_on(
         metrics,
         judgements,
         store.get(artifacts["training_report"])["html"].tobytes(),
-        Outcome({"branch": artifacts}),
     )
 
 

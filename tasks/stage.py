@@ -113,8 +113,7 @@ class Stage:
     Returns the ref of the result. Its ``meta`` has the ``settings``, the digests of ``inputs``, the
     ``seconds`` of wall time and ``processor_seconds`` without those of ``compiling`` kernels, the
     ``processor``, the number of ``workers``, the bytes by which memory has ``grown`` (None if
-    unknown), the ``stage_version``, and ``cached`` for a cached result. Files that a stage writes
-    name the stage, its version and the settings.
+    unknown). Files that a stage writes name the stage, its version and the settings.
     """
 
     __qualname__: str
@@ -191,14 +190,13 @@ class Stage:
         records = Records(run.store)
         refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in refs)
         if not refresh and (stored := records.find(run.key)) is not None:
-            meta = {**stored.meta, "stage_version": self.version, "cached": True}
             message = "found in the store"
-            result = StageResult(replace(stored, meta=meta))
-            return Completed(name="Cached", message=message, data=result)
+            return Completed(name="Cached", message=message, data=StageResult(stored))
         ref = self._computed(run, self._keyed(arguments), arguments)
         records.keep(run.key, ref)
-        volatile = {"stage_version": self.version} | ({"refreshed": True} if refresh else {})
-        return StageResult(replace(ref, meta={**ref.meta, **volatile}))
+        if refresh:
+            ref = replace(ref, meta={**ref.meta, "refreshed": True})
+        return StageResult(ref)
 
     def _computed(
         self, run: RunContext, keyed: Mapping[str, Any], arguments: Mapping[str, Any]

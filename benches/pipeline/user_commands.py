@@ -103,8 +103,7 @@ class Recorder:
 def digests(path: Path) -> dict[str, str]:
     """Return the SHA-256 of a file, or of each file under a folder, by relative path.
 
-    For a file that contains times, only its existence is recorded; for ``artifacts.parquet``, the
-    stages and the digests of their artifacts.
+    For a file that contains times, only its existence is recorded.
     """
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
     return {str(p.relative_to(path)) if p != path else p.name: _digest(p) for p in files}
@@ -113,13 +112,6 @@ def digests(path: Path) -> dict[str, str]:
 def _digest(path: Path) -> str:
     if TIMED.fullmatch(path.name):
         return "present"
-    if path.name == "artifacts.parquet":
-        import pyarrow.parquet as pq
-
-        rows = pq.read_table(path, columns=["scene", "stage", "spec", "digest"]).to_pylist()
-        # Measured seconds are a separate artifact.
-        lines = sorted(json.dumps(row) for row in rows if "times" not in row["spec"])
-        return hashlib.sha256("\n".join(lines).encode()).hexdigest()
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -86,11 +86,7 @@ def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     folder, missing, _ = first
     before = files_below(folder / "out", ("log",))
     score(settings_for(folder, missing), ArtifactStore(folder / "store"))
-    table = pq.read_table(folder / "out" / "artifacts.parquet")
-    assert set(table["cached"].to_pylist()) == {True}
-    del before["artifacts.parquet"]  # which says just that
-    after = files_below(folder / "out", ("log",))
-    assert {name: after[name] for name in after if name != "artifacts.parquet"} == before
+    assert files_below(folder / "out", ("log",)) == before
     told = capsys.readouterr().err
     assert "room  8 stages cached" in told
     assert " in " not in told.split("left out at")[1].split("\n", 1)[1]
@@ -115,34 +111,22 @@ def test_every_artifact_says_which_stage_made_it(first):
     assert seen == {*(stage.name for stage in STAGES), "baselines", "numerics", "report"}
 
 
-def test_the_table_of_artifacts_leads_from_a_file_back_to_the_photographs(first):
+def test_a_file_leads_back_to_the_photographs(first):
     folder, _, _ = first
     store = ArtifactStore(folder / "store")
-    rows = pq.read_table(folder / "out" / "artifacts.parquet").to_pylist()
-    by_digest = {row["digest"]: row for row in rows if not row["part_of"]}
-    for row in rows:
-        assert row["bytes"] == len(store.read(row["uri"]))
-        assert row["uri"].startswith(f"{row['spec']}/") and row["digest"] in row["uri"]
-        assert (row["part_of"] is None) == (row["seconds"] is not None)
-        assert set(row["inputs"]) <= by_digest.keys()
-    own = {row["stage"]: row for row in rows if row["scene"] == "room" and not row["part_of"]}
-    assert own.keys() == {stage.name for stage in STAGES}
-    assert {stage.name: stage.version for stage in STAGES} == {
-        name: row["stage_version"] for name, row in own.items()
-    }
-    places = [row for row in rows if row["part_of"] == own["field"]["digest"]]
-    assert {row["spec"]: row["inputs"] for row in places} == {
-        "gaussians": [],
-        "bank": [],
-        "objects": [],
-    }
-    waiting, seen = [own["attribution"]["digest"]], set()
+    refs = {record.ref.digest: record.ref for some in Records(store).all() for record in some}
+    waiting = [ref.digest for ref in refs.values() if ref.spec == "attribution"]
+    seen = {}
     while waiting:
-        row = by_digest[waiting.pop()]
-        seen.add(row["stage"])
-        waiting += row["inputs"]
-    assert seen == own.keys() - {"benchmark"}
-    sample = read_metadata(store.read(own["ingest"]["uri"]))
+        ref = refs[waiting.pop()]
+        seen[ref.spec] = ref
+        waiting += ref.meta["inputs"].values()
+    assert seen.keys() == {ref.spec for ref in refs.values()} - {
+        "scene_result",
+        "hard_cases",
+        "report",
+    }
+    sample = read_metadata(store.read(seen["sample"].uri))
     assert (sample["source"], sample["licence"]) == datasets.SOURCES["procedural"]
 
 
@@ -157,7 +141,6 @@ def test_documents_are_what_their_specs_say(first):
     files = inspect(out)
     assert [file["problem"] for file in files if file["problem"]] == []
     assert {Path(file["path"]).name for file in files} >= {
-        "artifacts.parquet",
         "manifest.json",
         "times.json",
         "field.json",
@@ -247,17 +230,21 @@ def test_a_query_setting_recomputes_the_benchmark_alone(first, capsys):
 
 
 # The last test of the file: it leaves the run that the others look at harmed.
-def test_what_is_damaged_is_made_again_and_never_handed_out(first):
+def test_what_is_damaged_is_made_again_and_never_handed_out(first, monkeypatch):
     """Every artifact at once: fields are links to some, reports and masks are written of others."""
     folder, missing, _ = first
-    hidden = ("log", "artifacts", "times", "report.")  # they say when, or how fast
+    hidden = ("log", "times", "report.")  # they say when, or how fast
     store = ArtifactStore(folder / "store")
     settings = settings_for(folder, missing, store=store.root)
     score(settings, store)
     before = files_below(folder / "out", hidden)
     # Other tests leave artifacts of other configurations in this store: no run makes those again.
-    table = pq.read_table(folder / "out" / "artifacts.parquet", columns=["uri"])
-    artifacts = {uri: Path(store.path, uri).read_bytes() for uri in table["uri"].to_pylist()}
+    used = []
+    with monkeypatch.context() as patch:
+        find = Records.find
+        patch.setattr(Records, "find", lambda *key: used.append(find(*key)) or used[-1])
+        score(settings, store)
+    artifacts = {uri: Path(store.path, uri).read_bytes() for ref in used for uri in ref.uris}
     for number, (name, data) in enumerate(artifacts.items()):
         file = Path(store.path, name)
         stamp = file.stat().st_mtime_ns
