@@ -55,33 +55,27 @@ def gc(
     store: options.Store = None,
     yes: Annotated[bool, typer.Option("--yes", help="Remove files instead of listing.")] = False,
     age: Annotated[float, typer.Option(min=0, help="Days; more recent files stay.")] = 1.0,
-    superseded: Annotated[
-        bool, typer.Option("--superseded", help="Also results of other versions of the stages.")
-    ] = False,
-    keep: Annotated[
-        list[Path] | None, typer.Option(help="Table like lessons.parquet, whose artifacts stay.")
-    ] = None,
 ) -> None:
     """List unreferenced files in a store, and remove them with --yes.
 
-    Artifacts in a record stay, with their parts, so the next run finds all its results. Temporary
-    files of killed programs are removed too. Runs may continue meanwhile, as their files are more
-    recent than --age.
+    Artifacts in a record stay, with their parts, so the next run finds all its results. Results of
+    other versions of the stages, which this installation never reads, and temporary files of killed
+    programs are removed too. Runs may continue meanwhile, as their files are more recent than
+    --age.
 
     \b
     slgaussian store gc --store s3://bucket/slg --yes
-    slgaussian store gc --superseded --keep corpus/lessons.parquet --age 7 --yes
+    slgaussian store gc --age 7 --yes
     """
     from rich.filesize import decimal
 
     from slgaussian.storage.housekeeping import collect
 
-    stages = _stage_versions() if superseded else None
     with _opened(store) as opened:
-        garbage = collect(opened, age * DAY, stages, keep or (), yes)
+        garbage = collect(opened, age * DAY, _stage_versions(), yes)
     kinds = {
         "artifacts that nothing refers to": garbage.artifacts,
-        "records that are superseded or unreadable": garbage.records,
+        "records of other versions of the stages, or unreadable": garbage.records,
         "unfinished files": garbage.unfinished,
     }
     some = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
@@ -108,18 +102,13 @@ def verify(
     from slgaussian.storage import housekeeping
 
     with _opened(store) as opened:
-        state = housekeeping.verify(opened, remove, _stage_versions())
+        state = housekeeping.verify(opened, remove)
     for reason in state.damaged.values():
         typer.echo(f"damaged: {reason}")
     done = " and removed: the next run recomputes them" if state.damaged and remove else ""
     typer.echo(f"{state.sound} artifacts are intact, {len(state.damaged)} files are damaged{done}")
     if state.missing:
         typer.echo(f"{state.missing} artifacts are missing; runs recompute them on demand")
-    if state.superseded:
-        typer.echo(
-            f"{state.superseded} artifacts were written by other versions of the stages, and are "
-            "no longer read; `slgaussian store gc --superseded` removes them"
-        )
     if state.damaged and not remove:
         typer.echo("give --remove to delete them: the next run recomputes them")
         raise typer.Exit(1)

@@ -7,18 +7,14 @@ refer to, by some hundred bytes each.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import chain
-from pathlib import Path
 
-import pyarrow as pa
-
-from slgaussian.errors import InputError, SpecError
-from slgaussian.storage.records import FOLDER, Record, Records
+from slgaussian.errors import SpecError
+from slgaussian.storage.records import FOLDER, Records
 from slgaussian.storage.specs import spec_names
 from slgaussian.storage.store import ArtifactStore, File, ref_of
-from slgaussian.storage.tables import read_table
 
 CONCURRENT_READS = 4
 """Number of artifacts of a remote store read concurrently; each may take 100 MB of memory."""
@@ -51,11 +47,7 @@ class Garbage:
 
 
 def collect(
-    store: ArtifactStore,
-    age: float,
-    versions: Mapping[str, int] | None = None,
-    keep: Collection[Path] = (),
-    delete: bool = False,
+    store: ArtifactStore, age: float, versions: Mapping[str, int], delete: bool = False
 ) -> Garbage:
     """Find unreferenced files of a store, and with ``delete`` remove them.
 
@@ -69,29 +61,21 @@ def collect(
     store : ArtifactStore
     age : float
         Seconds.
-    versions : dict, optional
+    versions : dict
         Current versions of the stages. Records of other versions of these stages, which this
-        installation never reads, and artifacts that only they refer to are then garbage too.
-    keep : paths
-        Parquet tables with a column ``uri``, such as ``lessons.parquet``, whose artifacts stay.
+        installation never reads, and artifacts that only they refer to are garbage.
 
     Raises
     ------
     InputError
-        If the store cannot be read or written, or a file of ``keep`` is not such a table.
+        If the store cannot be read or written.
     """
     bound = store.clock() - age
     garbage = Garbage()
     referred = set[bytes]()
-    for table in keep:
-        try:
-            referred.update(map(_name, read_table(table, ["uri"])["uri"].to_pylist()))
-        except (OSError, ValueError, pa.ArrowException, KeyError) as error:
-            raise InputError(
-                f"{table}: cannot be read ({error}); expected a Parquet table with a column uri"
-            ) from error
     for record in chain.from_iterable(Records(store).all()):
-        if record.file.written < bound and not _is_current(record, versions):
+        is_current = record.version == versions.get(record.stage, record.version)
+        if record.file.written < bound and (record.ref is None or not is_current):
             garbage.records += 1
             garbage.bytes += record.file.size
             if delete:
@@ -134,29 +118,22 @@ class Damage:
         Messages about damaged artifacts and records, by path.
     missing : int
         Number of missing artifacts that a record refers to; runs recompute them on demand.
-    superseded : int
-        Number of artifacts that break the current specs and belong only to other stage versions;
-        nothing reads them.
     """
 
     sound: int = 0
     damaged: dict[str, str] = field(default_factory=dict)
     missing: int = 0
-    superseded: int = 0
 
 
-def verify(
-    store: ArtifactStore, remove: bool = False, versions: Mapping[str, int] | None = None
-) -> Damage:
+def verify(store: ArtifactStore, remove: bool = False) -> Damage:
     """Read all artifacts and records of a store and check them by their specs and digests.
 
-    With ``remove``, damaged files are deleted, so that the next run recomputes them. ``versions``
-    are the current versions of the stages, as for :func:`collect`. InputError if the store cannot
-    be read, or with ``remove`` not written.
+    Artifacts of earlier versions of their specs count as damaged; :func:`collect` removes them too.
+    With ``remove``, damaged files are deleted, so that the next run recomputes them. InputError if
+    the store cannot be read, or with ``remove`` not written.
     """
     damage = Damage()
     present: set[bytes] = set()
-    in_use: dict[str, bool] = {}
 
     def problem_of(file: File) -> str | None:
         ref = ref_of(file.uri)
@@ -182,23 +159,10 @@ def verify(
             place = f"{store.root}/{record.file.uri}"
             damage.damaged[record.file.uri] = f"{place}: found no record, expected a ref as JSON"
         for uri in record.named:
-            if uri in damage.damaged:
-                in_use[uri] = in_use.get(uri, False) or _is_current(record, versions)
-            else:
-                damage.missing += _name(uri) not in present
-    for uri, used in in_use.items():
-        if not used:
-            del damage.damaged[uri]
-            damage.superseded += 1
+            damage.missing += uri not in damage.damaged and _name(uri) not in present
     if remove:
         store.remove(damage.damaged)
     return damage
-
-
-def _is_current(record: Record, versions: Mapping[str, int] | None) -> bool:
-    """Return whether a record is readable and has the current version of its stage, if known."""
-    version = (versions or {}).get(record.stage, record.version)
-    return record.ref is not None and record.version == version
 
 
 def _name(uri: str) -> bytes:

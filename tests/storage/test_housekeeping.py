@@ -3,17 +3,15 @@
 import json
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from contents import failures, labels
 
-from slgaussian.errors import InputError
 from slgaussian.storage.housekeeping import collect, verify
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore
 
-KEYS = {stage: f"{stage}/v{version}/{stage * 9:f<64.64}" for stage, version in [("a", 1), ("b", 2)]}
+VERSIONS = {"a": 1, "b": 2}
+KEYS = {stage: f"{stage}/v{version}/{stage * 9:f<64.64}" for stage, version in VERSIONS.items()}
 
 
 def names(store: ArtifactStore) -> set[str]:
@@ -34,41 +32,31 @@ def test_only_what_nothing_refers_to_goes(store):
     store.write("digests/abc.json", b"{}")
     store.write("notes.txt", b"of the user")
     before = names(store)
-    found = collect(store, age=-60)
+    found = collect(store, -60, VERSIONS)
     assert (found.artifacts, found.records, found.kept) == (1, 0, 4)
     assert found.bytes == len(store.read(uris["loose"]))
     assert names(store) == before
-    assert collect(store, age=-60, delete=True) == found
+    assert collect(store, -60, VERSIONS, delete=True) == found
     assert names(store) == before - {uris["loose"]}
-    assert collect(store, age=-60, delete=True).artifacts == 0
+    assert collect(store, -60, VERSIONS, delete=True).artifacts == 0
     assert all(Records(store).find(key) for key in KEYS.values())
 
 
 def test_what_is_young_stays(store):
     uris = filled(store)
-    found = collect(store, age=3600, delete=True)
+    found = collect(store, 3600, VERSIONS, delete=True)
     assert (found.artifacts, found.young) == (0, 1)
     assert uris["loose"] in names(store)
 
 
 def test_records_of_other_versions_go_with_what_only_they_name(store):
     uris = filled(store)
-    assert collect(store, -60, versions={"b": 2, "other": 1}).records == 0
-    found = collect(store, -60, versions={"a": 1, "b": 3}, delete=True)
+    assert collect(store, -60, {"b": 2, "other": 1}).records == 0
+    found = collect(store, -60, {"a": 1, "b": 3}, delete=True)
     assert (found.records, found.artifacts) == (1, 4)
     kept = {uri for uri in names(store) if not uri.startswith("keys/")}
     assert kept == {uris["a"]}
     assert Records(store).find(KEYS["b"]) is None
-
-
-def test_what_a_table_of_the_user_names_stays(local, tmp_path):
-    uris = filled(local)
-    pq.write_table(pa.table({"uri": [uris["loose"]], "more": [1]}), tmp_path / "lessons.parquet")
-    assert collect(local, -60, keep=[tmp_path / "lessons.parquet"], delete=True).artifacts == 0
-    (tmp_path / "text").write_text("no table")
-    with pytest.raises(InputError, match="text: cannot be read"):
-        collect(local, -60, keep=[tmp_path / "text"], delete=True)
-    assert uris["loose"] in names(local)
 
 
 def test_what_killed_programs_left_goes(local):
@@ -87,8 +75,8 @@ def test_what_killed_programs_left_goes(local):
     others = Path(local.path) / "checkpoints" / ".going-on.tmp"
     others.parent.mkdir()
     others.write_bytes(b"not ours")
-    assert collect(local, age=3600, delete=True).unfinished == 0
-    assert collect(local, age=-60, delete=True).unfinished == 3
+    assert collect(local, 3600, VERSIONS, delete=True).unfinished == 0
+    assert collect(local, -60, VERSIONS, delete=True).unfinished == 3
     assert not any(path.exists() for path in left)
     assert others.exists()
 
@@ -109,17 +97,6 @@ def test_damage_is_found_removed_and_then_made_again(store):
     verify(store, remove=True)
     assert not names(store) & set(found.damaged)
     assert Records(store).find(KEYS["b"]) is None
-
-
-def test_what_only_another_version_made_is_superseded_and_not_damaged(store):
-    uris = filled(store)
-    whole = store.read(uris["part"])
-    store.fs.pipe_file(f"{store.path}/{uris['part']}", whole[:90] + b"?" + whole[91:])
-    for versions, damaged in (({"b": 2}, 1), ({"a": 9}, 1), ({"b": 3}, 0)):
-        found = verify(store, versions=versions)
-        assert (len(found.damaged), found.superseded) == (damaged, 1 - damaged)
-    verify(store, remove=True, versions={"b": 3})
-    assert uris["part"] in names(store)
 
 
 RECORDS = {
@@ -148,5 +125,5 @@ def test_a_bad_record_is_no_result_and_is_named(local, data):
     (Path(local.path) / record.file.uri).write_bytes(data)
     assert Records(local).find(KEYS["a"]) is None
     assert list(verify(local).damaged) == [record.file.uri]
-    assert collect(local, -60, delete=True).records == 1
+    assert collect(local, -60, VERSIONS, delete=True).records == 1
     assert names(local) == set()
