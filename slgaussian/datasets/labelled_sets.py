@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from slgaussian.datasets import colmap, llff
-from slgaussian.errors import InputError, did_you_mean
+from slgaussian.errors import InputError
 from slgaussian.scene import Scene
 
 LABELS = {"lerf_ovs": "label/{scene}", "ovs3d": "{scene}/segmentations"}
@@ -41,8 +41,6 @@ PUBLISHED = {
 LERF-OVS is evaluated so by OpenGaussian (https://github.com/yanmin-wu/OpenGaussian); of 3D-OVS
 these are the scenes of the paper's table 2, with the views that have masks in other evaluations."""
 
-CAMERAS = {"colmap": colmap, "llff": llff}
-
 
 def read_lerf_ovs(path: str | Path, scene: str) -> Scene:
     """Read one scene of LERF-OVS as :func:`slgaussian.datasets.colmap.read` does.
@@ -62,31 +60,14 @@ def read_lerf_ovs(path: str | Path, scene: str) -> Scene:
     return colmap.read(_find_scene(path, scene, lerf_ovs_scenes(path)))
 
 
-def read_ovs3d(path: str | Path, scene: str, cameras: str | None = None) -> Scene:
-    """Read one scene of 3D-OVS.
+def read_ovs3d(path: str | Path, scene: str) -> Scene:
+    """Read one scene of 3D-OVS; arguments and errors as of :func:`read_lerf_ovs`.
 
-    Parameters
-    ----------
-    path, scene
-        As in :func:`read_lerf_ovs`.
-    cameras : {"colmap", "llff"}, optional
-        Source of the cameras: the model in ``sparse``, the default if it exists, because it has the
-        lens and the principal point; or ``poses_bounds.npy``, which 3D-OVS uses.
-
-    Raises
-    ------
-    InputError
-        If there is no such scene, or it cannot be read.
+    The cameras are those of the model in ``sparse`` if it exists, because it has the lens and the
+    principal point; else those of ``poses_bounds.npy``, which 3D-OVS uses.
     """
     folder = _find_scene(path, scene, ovs3d_scenes(path))
-    if cameras is None:
-        cameras = "colmap" if (folder / "sparse").is_dir() else "llff"
-    if cameras not in CAMERAS:
-        raise InputError(
-            f"cameras: found {cameras!r}, expected one of {', '.join(CAMERAS)}"
-            f"{did_you_mean(cameras, CAMERAS)}"
-        )
-    return CAMERAS[cameras].read(folder)
+    return (colmap if (folder / "sparse").is_dir() else llff).read(folder)
 
 
 def is_published(format: str, scene: str, frames: Iterable[str]) -> bool:

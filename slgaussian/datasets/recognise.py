@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from slgaussian.datasets import colmap, llff, nerfstudio, npz, re10k, re10k_text, unposed
 from slgaussian.datasets.photographs import image_folder, photographs_of
 from slgaussian.datasets.sparse import model_files
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, Scene, View
+from slgaussian.scene import Camera, Scene
 
 EXPECTED = (
     f"{nerfstudio.FILE} or another JSON file of nerfstudio's form, {llff.FILE}, a COLMAP model "
-    "(cameras and images, .bin or .txt, as in sparse/0), a folder of RealEstate10K chunks with its "
-    f"{re10k.INDEX}, one of its camera files (.txt) with frames beside it, an NPZ with depth and "
-    "cameras, or the folder of a scene that holds one of them"
+    "(cameras and images, .bin or .txt, as in sparse/0), a camera file of RealEstate10K (.txt) "
+    "with frames beside it, an NPZ with depth and cameras, or the folder of a scene that holds one "
+    "of them"
 )
 
 
@@ -30,7 +28,7 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
         File or folder, see :data:`EXPECTED`.
     photographs : sequence of str
         Photographs, or folders, whose views are needed. For COLMAP and LLFF they may be outside the
-        scene's folder ``images``; for RealEstate10K they are named ``<clip>/<frame>``.
+        scene's folder ``images``.
 
     For a folder of photographs without cameras, the cameras are estimated.
 
@@ -49,7 +47,10 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
         existing = [photo for photo in photographs if Path(photo).exists()] or [str(place.parent)]
         return npz.read(place, existing), unposed.folder_of(unposed.named(existing))
     if format == "re10k":
-        return _clip(place, photographs), place
+        raise InputError(
+            f"{place}: holds clips of RealEstate10K, expected one scene; `slgaussian ingest` and "
+            '`dataset` read all of them, and `run` one by format = "re10k" and options.key'
+        )
     if format == "re10k_text":
         return re10k_text.read(place), re10k_text.frames_of(place)
     reader = {"colmap": colmap, "llff": llff}[format]
@@ -134,23 +135,6 @@ def _root(scene: Path, files: Sequence[Path]) -> Path | None:
             if file.as_posix().endswith(f"/{name}"):
                 return file.parents[len(PurePosixPath(name).parts) - 1]
     return None
-
-
-def _clip(place: Path, photographs: Sequence[str]) -> Scene:
-    keys = sorted({name.rpartition("/")[0] for name in photographs})
-    index = re10k.read_index(place)
-    if len(keys) != 1 or keys[0] not in index:
-        raise InputError(
-            f"{place}: name views of one clip as CLIP/FRAME, as in {next(iter(index), 'CLIP')}/0; "
-            f"found {', '.join(photographs) or 'none'}"
-        )
-    clip = re10k.read(place, keys[0])
-
-    def read(name: str) -> View:
-        return replace(clip.read(name.rpartition("/")[2]), name=name)
-
-    cameras: dict[str, Any] = {f"{keys[0]}/{name}": camera for name, camera in clip.cameras.items()}
-    return replace(clip, cameras=cameras, read=read)
 
 
 def _scenes_in(folder: Path) -> list[str]:

@@ -45,7 +45,6 @@ _SCALES = [f"scale_{i}" for i in range(3)]
 _ROTATIONS = [f"rot_{i}" for i in range(4)]
 _NEEDED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
 
-_SMOOTHING = "filter_3D"
 _HARMLESS = re.compile(
     r"red|green|blue|alpha|\w*(label|class|segment|cluster|instance|object|track|part)s?(_?ids?)?|"
     r"source|index|(\w*_)?ids?|(f_sem|obj_dc|sem\w*|seg\w*|ins_feat|language_feature\w*)_\d+|"
@@ -174,8 +173,7 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     It may be ASCII or binary of either byte order, with columns of any numeric type in any order.
     Missing ``f_rest_*`` mean view-independent colours; without an integer ``source`` the Gaussians
     are numbered from 0. Rotations are normalised, normals are dropped, and infinite logits give
-    opacities 0 and 1. ``filter_3D``, the 3D smoothing filter of Mip-Splatting and related methods,
-    is applied to scales and opacities.
+    opacities 0 and 1.
 
     Parameters
     ----------
@@ -213,7 +211,7 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: has {len(rest)} properties f_rest_*, expected one of "
             f"{', '.join(map(str, REST))}; write it again with harmonics of degree 0 to 3"
         )
-    used = {*_NEEDED, *_NORMALS, *rest, *semantic, _SMOOTHING}
+    used = {*_NEEDED, *_NORMALS, *rest, *semantic}
     if unknown := [name for name in fields if name not in used and not _HARMLESS.fullmatch(name)]:
         raise InputError(
             f"{path}: has {_some(unknown)}, by which its Gaussians may have to be drawn otherwise "
@@ -238,14 +236,11 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     sh[:, 0] = read(_DC)
     sh[:, 1:] = read(rest).reshape(n, 3, higher).transpose(0, 2, 1)
     source = _whole(table["source"]) if "source" in names else None
-    scales, opacities = read(_SCALES, np.exp), read(["opacity"], expit)[:, 0]
-    if _SMOOTHING in names:
-        scales, opacities = _smoothed(scales, opacities, read([_SMOOTHING]))
     arrays = {
         "means": read(_MEANS),
-        "scales": scales,
+        "scales": read(_SCALES, np.exp),
         "quats": (quats / lengths).astype(np.float32),
-        "opacities": opacities,
+        "opacities": read(["opacity"], expit)[:, 0],
         "sh": sh,
         "source": np.arange(n, dtype=np.int32) if source is None else source,
     }
@@ -306,19 +301,6 @@ def _finite(
             "Gaussian; remove it, or write the file again"
         )
     return values
-
-
-def _smoothed(
-    scales: np.ndarray, opacities: np.ndarray, widths: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Convolve Gaussians with isotropic ones of standard deviations ``widths`` [N, 1].
-
-    The peak opacity decreases so that the integral of each Gaussian is constant (Yu et al.,
-    "Mip-Splatting", CVPR 2024, eq. 9).
-    """
-    wide = np.hypot(scales.astype(np.float64), widths)
-    share = np.divide(scales, wide, out=np.ones_like(wide), where=wide > 0).prod(1)
-    return wide.astype(np.float32), (opacities * share).astype(np.float32)
 
 
 def _advice(path: str | Path, missing: Sequence[str], names: Sequence[str]) -> str:

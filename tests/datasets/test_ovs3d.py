@@ -48,9 +48,6 @@ class TestCameras:
         shots = {name: Shot(3 - i, place=(0.1 * i, 0, 0)) for i, name in enumerate(NAMES)}
         write_model(folder / "bed/sparse/0", shots)
         assert load("ovs3d", folder, "bed").cameras["01.jpg"].K[0, 2] == 47.3
-        assert load("ovs3d", folder, "bed", cameras="llff").cameras["01.jpg"].K[0, 2] == WIDTH / 2
-        with pytest.raises(InputError, match="cameras: found 'nerf', expected one of colmap, llff"):
-            load("ovs3d", folder, "bed", cameras="nerf")
 
 
 class TestMasks:
