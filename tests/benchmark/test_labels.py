@@ -131,14 +131,14 @@ MISSING = object()
     [
         ("info", MISSING, "info is missing"),
         ("objects.0.bbox", MISSING, "objects.0.bbox is missing"),
-        ("objects.0.category", " ", "objects.0.category is ' '"),
+        ("objects.0.category", " ", "objects.0.category: found ' '"),
         ("objects.0.segmentation", [TRIANGLE], "objects.0.segmentation"),
         ("objects.0.segmentation", TRIANGLE[:2], "objects.0.segmentation"),
-        ("objects.0.segmentation.1.1", float("nan"), "objects.0.segmentation.1.1 is nan"),
+        ("objects.0.segmentation.1.1", float("nan"), "objects.0.segmentation.1.1: found nan"),
         ("objects.0.bbox", [1, 2, 3], "objects.0.bbox"),
-        ("objects.0.bbox.3", 1e12, "objects.0.bbox.3 is 1"),
+        ("objects.0.bbox.3", 1e12, "objects.0.bbox.3: found 1"),
         ("objects.0.holes", [[[1, 2], [3, 4]]], "objects.0"),
-        ("info.width", float("inf"), "info.width is inf"),
+        ("info.width", float("inf"), "info.width: found inf"),
         ("info.name", "frame_2.png", "drawn on 'frame_2.png'"),
     ],
 )
