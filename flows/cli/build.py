@@ -192,7 +192,7 @@ def cameras(
 
 def _pairs_text(estimate: EstimatedCameras) -> str:
     """Tabulate the pairs of photographs: matches, inliers, angles and verdict."""
-    from flows.cli.tables import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
 
     place = {name: number for number, name in enumerate([*estimate.cameras, *estimate.left_out])}
     rows: list[Sequence[str]] = [("pair", "matches", "agree", "angle", "off by", "verdict")]
@@ -222,8 +222,8 @@ def masks(
     slgaussian field a.jpg b.jpg --tracker precomputed --set precomputed.folder=ids/ -o field/
     """
     from flows.cli.photographs import load_photographs
-    from flows.cli.tables import table_text
     from slgaussian.benchmark import pictures
+    from slgaussian.benchmark.reports.text_table import table_text
     from slgaussian.build import predict
     from slgaussian.cameras.quality import camera_doubt
     from slgaussian.io import atomic_folder

@@ -67,7 +67,7 @@ def list_(
     """
     from flows.cli.open_field import open_field, refusals, sort_texts
     from flows.cli.pictures import check_picture, write_picture
-    from flows.cli.tables import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
 
     if out is not None:
         check_picture(out)

@@ -41,8 +41,8 @@ def train(
     judgements = run_flow("train", settings, verbose).judgements
     import numpy as np
 
-    from flows.cli.tables import table_text
     from flows.training import FILES
+    from slgaussian.benchmark.reports.text_table import table_text
     from slgaussian.benchmark.significance import clip_scores, gate
 
     kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
@@ -105,7 +105,7 @@ def versions(
     slgaussian versions models --use 3 --why "sharper in the kitchen"
     slgaussian versions models --roll-back
     """
-    from flows.cli.tables import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
     from slgaussian.semantic.versions import Versions, user_and_host, version_name
 
     folder = Versions(models)

@@ -20,9 +20,8 @@ import numpy as np
 from markdown_it import MarkdownIt
 from markupsafe import Markup
 from PIL import Image
-from rich.console import Console
-from rich.table import Table as RichTable
-from rich.text import Text as RichText
+
+from slgaussian.benchmark.reports.text_table import table_text
 
 NO_VALUE = "–"
 
@@ -126,23 +125,11 @@ class Table:
         """
         titles = [column.title for column in self.columns]
         rows = [titles, *([cell.text for cell in line.cells] for line in self.lines)]
-        text = _align(rows, [column.is_text for column in self.columns])
+        sides = "".join("<" if column.is_text else ">" for column in self.columns)
+        text = table_text(rows, sides, wrap=False)
         if len(text.partition("\n")[0]) > TERMINAL_WIDTH and len(self.lines) < len(self.columns):
-            transposed = [list(column) for column in zip(*rows, strict=True)]
-            return _align(transposed, [True, *[False] * len(self.lines)])
+            return table_text(zip(*rows, strict=True), wrap=False)
         return text
-
-
-def _align(rows: Sequence[Sequence[str]], is_left: Sequence[bool]) -> str:
-    """Format rows of cells, the first of which is the header, in aligned columns."""
-    table = RichTable(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    for title, left in zip(rows[0], is_left, strict=True):
-        table.add_column(RichText(title), justify="left" if left else "right", no_wrap=True)
-    for row in rows[1:]:
-        table.add_row(*map(RichText, row))
-    out = io.StringIO()
-    Console(file=out, width=10_000, color_system=None).print(table)
-    return "\n".join(row.rstrip() for row in out.getvalue().splitlines())
 
 
 def number(value: float | None, digits: int, unit: float = 1) -> str | None:

@@ -7,13 +7,14 @@ from rich.console import Console
 from rich.table import Table
 
 UNBOUNDED = 10_000
-"""Width of tables that are not printed to a terminal."""
+"""Width of tables that are not wrapped."""
 
 
-def table_text(rows: Iterable[Sequence[str]], sides: str = "<") -> str:
-    """Return rows of cells, with the header first, as text in columns.
+def table_text(rows: Iterable[Sequence[str]], sides: str = "<", wrap: bool = True) -> str:
+    """Return rows of cells, with the header first, as text in columns two spaces apart.
 
-    ``sides`` has the alignment of each column, ``<`` (left) or ``>`` (right, the default).
+    ``sides`` has the alignment of each column, ``<`` (left) or ``>`` (right, the default). Cells
+    are wrapped to the width of the terminal if ``wrap`` and standard output is one.
     """
     header, *body = rows
     table = Table(box=None, pad_edge=False)
@@ -21,7 +22,7 @@ def table_text(rows: Iterable[Sequence[str]], sides: str = "<") -> str:
         table.add_column(title, justify="left" if side == "<" else "right")
     for cells in body:
         table.add_row(*cells)
-    width = None if sys.stdout.isatty() else UNBOUNDED
+    width = None if wrap and sys.stdout.isatty() else UNBOUNDED
     console = Console(width=width, markup=False, emoji=False, highlight=False)
     with console.capture() as text:
         console.print(table)
