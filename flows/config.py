@@ -390,10 +390,10 @@ class Training(TrainingConfig):
     widths: Widths | None = Field(
         None,
         description="Channels of the branch at full resolution, half, a quarter ...; default: "
-        "those of the initial weights, else 8,16,24,32.",
+        "those of the initial weights, else 16,32,64,64.",
     )
     hidden: int | None = Field(
-        None, ge=1, description="Width of the hidden layer for each pixel; likewise, else 32."
+        None, ge=1, description="Width of the hidden layer for each pixel; likewise, else 64."
     )
 
 
@@ -414,12 +414,6 @@ class TrainSettings(Training):
         "separated",
         examples=["separated", "grid"],
         description="Sampling of ID codes: separated or grid.",
-    )
-    architecture: Literal["several", "paper"] = Field(
-        "several",
-        examples=["several", "paper"],
-        description="Network and loss: several, with labels of other views as input, or paper, as "
-        "published.",
     )
     seed: int = _METHOD["seed"]
     store: str = _CORPUS["store"]

@@ -108,15 +108,7 @@ def _train(config: TrainSettings, store: ArtifactStore, verbose: bool) -> Traine
     start = None if config.start is None else find_weights(config.start)
     store.check_writable()
     check_folder(config.out)
-    chosen = Architecture(config.architecture)
-    began = None if start is None else load_branch(start).architecture.name
-    if "architecture" in config.model_fields_set and began not in (None, chosen.name):
-        raise InputError(
-            f"{start}: its weights have another architecture than {config.architecture!r}; leave "
-            "out --architecture, or --from"
-        )
-    common = config.codes, config.seed, start, store, verbose
-    trained = train_on(lessons, config, *common, architecture=chosen)
+    trained = train_on(lessons, config, config.codes, config.seed, start, store, verbose)
     trained.write(config.out)
     return trained
 
@@ -177,19 +169,16 @@ def train_on(
     start: Path | None,
     store: ArtifactStore,
     verbose: bool,
-    architecture: Architecture | None = None,
     rival: Path | None = None,
 ) -> Trained:
-    """Train from the weights ``start``, or random ones of an architecture; evaluate and report.
+    """Train from the weights ``start``, or random ones; evaluate and report.
 
     The weights ``rival``, by default ``start``, are evaluated too, as ``before``. Stages that were
     computed before are read from the store, and an interrupted training is resumed. The metadata of
     the weights describe their training data and scores.
     """
     find_device(options.device)
-    architecture = architecture or Architecture()
-    if start is not None:
-        architecture = load_branch(start).architecture
+    architecture = Architecture() if start is None else load_branch(start).architecture
     chosen = options.model_dump(include={"widths", "hidden"}, exclude_none=True)
     architecture = replace(architecture, **chosen)
     began, before = (_kept(file, store) for file in (start, rival or start))
@@ -237,12 +226,10 @@ def _kept(weights: Path | None, store: ArtifactStore) -> ArtifactRef | None:
 
 
 def _metrics(course: pa.Table, judgements: pa.Table) -> dict[str, Any]:
-    """Return the mean loss of the last steps, and the IoU by kind of labels and lifting."""
+    """Return the mean loss of the last steps, and the IoU by lifting."""
     last = course["loss"].to_numpy()[-max(1, course.num_rows // LAST) :]
-    means = judgements.group_by(["labels", "lifting"]).aggregate([("iou", "mean")])
-    iou: dict[str, dict[str, float]] = {}
-    for row in means.sort_by([("labels", "ascending"), ("lifting", "ascending")]).to_pylist():
-        iou.setdefault(row["labels"], {})[row["lifting"]] = row["iou_mean"]
+    means = judgements.group_by("lifting").aggregate([("iou", "mean")]).sort_by("lifting")
+    iou = dict(zip(means["lifting"].to_pylist(), means["iou_mean"].to_pylist(), strict=True))
     return {"loss": float(last.mean()), "held out iou": iou}
 
 

@@ -14,10 +14,8 @@ import pyarrow as pa
 
 from slgaussian.benchmark.reports import training
 from slgaussian.benchmark.reports.training import Example
-from slgaussian.kernels.seeding import rng_for
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.branch import Branch, BranchLifting, load_branch, save_branch
-from slgaussian.semantic.corruption import corrupt
 from slgaussian.semantic.evaluation import label_iou, novel_labels
 from slgaussian.semantic.hard import Filled, HardIndex
 from slgaussian.semantic.lesson import Lesson
@@ -60,7 +58,7 @@ def branch_from_arrays(arrays: Arrays) -> Branch:
         return load_branch(file)
 
 
-@stage("train", version=3, unkeyed=("checkpoints",))
+@stage("train", version=4, unkeyed=("checkpoints",))
 def train(
     run: RunContext,
     lessons: ArtifactRef,
@@ -96,11 +94,7 @@ def train(
     return ref
 
 
-LABELS = ("as found", "corrupted")
-"""Kinds of context labels on which liftings are evaluated."""
-
-
-@stage("judge", version=3)
+@stage("judge", version=4)
 def judge(
     run: RunContext,
     lessons: ArtifactRef,
@@ -116,12 +110,9 @@ def judge(
     rows: list[dict[str, Any]] = []
     for index, (clip, lesson) in enumerate(zip(stored.clips, stored, strict=True)):
         run.report(f"lesson {index + 1} of {len(stored)}")
-        for kind in LABELS:
-            labels = labels_of(lesson, kind, seed)
-            for name, iou in label_iou(lesson, lifts, labels, codes, seed).items():
-                judged = None if math.isnan(iou) else iou
-                row = {"sample": lesson.sample, "clip": clip, "labels": kind, "lifting": name}
-                rows.append({**row, "iou": judged})
+        for name, iou in label_iou(lesson, lifts, codes, seed).items():
+            row = {"sample": lesson.sample, "clip": clip, "lifting": name}
+            rows.append({**row, "iou": None if math.isnan(iou) else iou})
     table = pa.Table.from_pylist(rows, schema=load_spec("judgements").schema)
     return store.put("judgements", table, {"lessons": len(stored)})
 
@@ -138,18 +129,7 @@ def liftings(
     return {"hard": HardIndex(), "filled": Filled(), **learnt}
 
 
-def labels_of(lesson: Lesson, kind: str, seed: int) -> np.ndarray:
-    """Return the context labels of a kind of :data:`LABELS`, int32 [V, H, W]."""
-    if kind == "as found":
-        return lesson.labels
-    return corrupt(lesson.labels, rng_for(seed, lesson.content, "corrupted"))
-
-
-SHOWN = "corrupted"
-"""Labels in the pictures: with uncorrupted labels the liftings look almost the same."""
-
-
-@stage("training_report", version=6)
+@stage("training_report", version=7)
 def training_report(
     run: RunContext,
     judgements: ArtifactRef,
@@ -186,7 +166,7 @@ def _examples(
     ious: dict[str, dict[str, float]] = {}
     for row in judgements.to_pylist():
         by_object = ious.setdefault(row["sample"], {})
-        if row["labels"] == SHOWN and row["iou"] is not None:
+        if row["iou"] is not None:
             by_object[row["lifting"]] = row["iou"]
     places = {sample: index for index, sample in enumerate(ious)}
     judged = [sample for sample, by_object in ious.items() if by_object]
@@ -196,14 +176,12 @@ def _examples(
     drawn_lessons = []
     for sample in chosen:
         lesson = lessons[places[sample]]
-        labels = labels_of(lesson, SHOWN, seed)
-        predicted = novel_labels(lesson, lifts, labels, codes, seed)
+        predicted = novel_labels(lesson, lifts, codes, seed)
         middle = len(lesson.targets) // 2
         drawn_lessons.append(
             Example(
                 sample,
-                SHOWN,
-                labels[0],
+                lesson.labels[0],
                 lesson.targets[middle],
                 {name: views[middle] for name, views in predicted.items()},
                 ious[sample],

@@ -351,7 +351,7 @@ def read_checkpoints(folder: Path) -> None:
 
 
 SMALL = Architecture(widths=(4, 6), hidden=8)
-RUN = {"architecture": {"widths": [4, 6], "hidden": 8, "others": True}, "steps": 3}
+RUN = {"architecture": {"widths": [4, 6], "hidden": 8}, "steps": 3}
 
 
 def trained() -> tuple[Branch, torch.optim.Optimizer]:

@@ -14,7 +14,7 @@ from flows.read_config import checked, read_retraining
 from slgaussian.errors import InputError
 
 
-@options.configured("preset", "steps", "seed", "store", "architecture", model=TrainSettings)
+@options.configured("preset", "steps", "seed", "store", model=TrainSettings)
 def train(
     ctx: typer.Context,
     lessons: Annotated[Path, options.field_option("lessons", TrainSettings)],
@@ -45,13 +45,10 @@ def train(
     from slgaussian.benchmark.reports.text_table import table_text
     from slgaussian.benchmark.significance import clip_scores, gate
 
-    kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
-    scores = {kind: clip_scores(judgements, kind) for kind in kinds}
-    liftings = list(dict.fromkeys(judgements["lifting"].to_pylist()))
-    rows = [["lifting", *(f"IoU, labels {kind}" for kind in kinds)]]
-    rows += [[name, *(f"{np.mean(scores[k][name]):.4f}" for k in kinds)] for name in liftings]
-    typer.echo(table_text(rows))
-    for rival in liftings:
+    scores = clip_scores(judgements)
+    rows = [[name, f"{np.mean(of_clips):.4f}"] for name, of_clips in scores.items()]
+    typer.echo(table_text([["lifting", "IoU"], *rows]))
+    for rival in scores:
         if rival in ("hard", "filled", "before"):
             typer.echo(gate(judgements, {rival: rival}).why)
     typer.echo(f"weights  {out / FILES['weights']}")

@@ -21,7 +21,7 @@ class Verdict:
     why: str
 
 
-def clip_scores(judgements: pa.Table, labels: str | None = None) -> dict[str, list[float]]:
+def clip_scores(judgements: pa.Table) -> dict[str, list[float]]:
     """Return the mean IoU of every lifting on every clip, with the clips in one order.
 
     Lessons of one clip show one scene and are not independent, so a clip is one sample.
@@ -29,8 +29,6 @@ def clip_scores(judgements: pa.Table, labels: str | None = None) -> dict[str, li
     Parameters
     ----------
     judgements : table of spec ``judgements``
-    labels : str, optional
-        Kind of labels to use; default all, with equal weight.
 
     Returns
     -------
@@ -39,7 +37,7 @@ def clip_scores(judgements: pa.Table, labels: str | None = None) -> dict[str, li
     """
     by_clip: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for row in judgements.to_pylist():
-        if row["iou"] is not None and labels in (None, row["labels"]):
+        if row["iou"] is not None:
             by_clip[row["lifting"]][row["clip"]].append(row["iou"])
     return {
         lifting: [float(np.mean(scores[clip])) for clip in sorted(scores)]
@@ -47,11 +45,9 @@ def clip_scores(judgements: pa.Table, labels: str | None = None) -> dict[str, li
     }
 
 
-def gain(
-    judgements: pa.Table, rival: str, labels: str | None = None, of: str = "branch"
-) -> Comparison:
+def gain(judgements: pa.Table, rival: str, of: str = "branch") -> Comparison:
     """Compare the lifting ``of`` with ``rival``; InputError without a clip."""
-    scores = clip_scores(judgements, labels)
+    scores = clip_scores(judgements)
     return compare(scores.get(of, []), scores.get(rival, []))
 
 
@@ -59,9 +55,9 @@ def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
     """Decide whether ``branch`` is significantly better than each of several liftings.
 
     This decides whether retrained weights may be promoted. The interval of the paired bootstrap
-    against each of them must be above 0, with :data:`LEAST` clips or more; uncorrupted and
-    corrupted labels have equal weight. Each test is at the full level (an intersection-union test,
-    Berger 1982). The sentence is about the rival with the smallest lower bound.
+    against each of them must be above 0, with :data:`LEAST` clips or more. Each test is at the full
+    level (an intersection-union test, Berger 1982). The sentence is about the rival with the
+    smallest lower bound.
 
     Parameters
     ----------

@@ -36,9 +36,6 @@ class TrainingConfig(Config):
     steps: int = Field(1500, ge=1, description="Number of training steps.")
     batch: int = Field(1, ge=1, description="Number of lessons per step.")
     rate: float = Field(3e-3, gt=0, description="Largest learning rate.")
-    corrupted: float = Field(
-        0.75, ge=0, le=1, description="Fraction of the steps with corrupted labels."
-    )
     device: str = Field(
         "cpu", description="PyTorch device of the network; devices other than cpu are untested."
     )

@@ -12,22 +12,16 @@ from slgaussian.language import load_codes
 from slgaussian.language.bank import MemoryBank
 from slgaussian.rasterize import rasterize
 from slgaussian.semantic import Lifting
-from slgaussian.semantic.decode import Decoder, NearestCode
+from slgaussian.semantic.decode import Decoder
 from slgaussian.semantic.lesson import Lesson
 
 
 def label_iou(
-    lesson: Lesson,
-    liftings: Mapping[str, Lifting],
-    labels: np.ndarray | None = None,
-    codes: str = "separated",
-    seed: int = 0,
-    decoder: type[Decoder] | type[NearestCode] = Decoder,
+    lesson: Lesson, liftings: Mapping[str, Lifting], codes: str = "separated", seed: int = 0
 ) -> dict[str, float]:
     """Compute the mean IoU of :func:`novel_labels` with the target labels.
 
-    Unlabelled target pixels are ignored. The objects are always those of ``lesson.labels``: one
-    that corrupted ``labels`` lack counts as IoU 0.
+    Unlabelled target pixels, and objects that no context view shows, are ignored.
 
     Returns
     -------
@@ -37,7 +31,7 @@ def label_iou(
     object_ids = np.unique(lesson.labels)
     object_ids = object_ids[object_ids > 0]
     scores = {}
-    for name, views in novel_labels(lesson, liftings, labels, codes, seed, decoder).items():
+    for name, views in novel_labels(lesson, liftings, codes, seed).items():
         ious: list[float] = []
         for predicted, target in zip(views, lesson.targets, strict=True):
             ious += _ious(np.where(target > 0, predicted, 0), target, object_ids)
@@ -46,12 +40,7 @@ def label_iou(
 
 
 def novel_labels(
-    lesson: Lesson,
-    liftings: Mapping[str, Lifting],
-    labels: np.ndarray | None = None,
-    codes: str = "separated",
-    seed: int = 0,
-    decoder: type[Decoder] | type[NearestCode] = Decoder,
+    lesson: Lesson, liftings: Mapping[str, Lifting], codes: str = "separated", seed: int = 0
 ) -> dict[str, np.ndarray]:
     """Render and decode the object ids of the target views, as a field would.
 
@@ -60,27 +49,22 @@ def novel_labels(
     lesson : Lesson
     liftings : {name: Lifting}
         All get the same labels and codes.
-    labels : int32 [V, H, W], optional
-        Context labels given to the liftings; by default the lesson's own.
     codes : str
         Name of the code strategy; codes have one to three dimensions.
     seed : int
         Seed of the codes.
-    decoder
-        Class of the decoder; the default is that of a field.
 
     Returns
     -------
     {name: int32 [T, H, W]}
         Ids, 0 for none.
     """
-    labels = lesson.labels if labels is None else labels
-    maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
+    maps = LabelMaps(lesson.labels, np.ones(lesson.labels.shape, np.float32))
     ids = maps.ids
     drawn = load_codes(codes)(maps, rng_for(seed, lesson.content, "judge"))
-    nothing = np.zeros((len(ids), len(labels), 1), np.float32)
+    nothing = np.zeros((len(ids), len(lesson.labels), 1), np.float32)
     bank = MemoryBank(ids, drawn, nothing, np.zeros(nothing.shape[:2], bool))
-    decode = decoder(bank)
+    decode = Decoder(bank)
     lifted = {
         name: lift(lesson.gaussians, maps, bank).require_features()
         for name, lift in liftings.items()

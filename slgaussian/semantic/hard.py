@@ -36,11 +36,10 @@ class Filled:
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; the weight is 1 or, still unlabelled, 0."""
-        from slgaussian.semantic.cross_view_labels import match_across_views
+        from slgaussian.semantic.cross_view_labels import fill_from_other_views
 
-        matches = match_across_views(gaussians, label_maps.labels.shape)
-        filled = replace(label_maps, labels=matches.fill(label_maps.labels))
-        return HardIndex()(gaussians, filled, bank)
+        filled = fill_from_other_views(label_maps.labels, gaussians)
+        return HardIndex()(gaussians, replace(label_maps, labels=filled), bank)
 
 
 def code_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> np.ndarray:

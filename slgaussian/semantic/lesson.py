@@ -19,7 +19,6 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
 from slgaussian.scene import Camera
-from slgaussian.semantic.cross_view_labels import CrossViewLabels, match_across_views
 
 GEOMETRY = ("means", "scales", "quats", "opacities", "source")
 """Arrays of the Gaussians that a lesson stores; colours are not needed."""
@@ -88,11 +87,6 @@ class Lesson:
         cameras = [np.stack([camera.K for camera in self.cameras])]
         cameras.append(np.stack([camera.c2w for camera in self.cameras]))
         return content_of(self.labels, self.targets, *cameras)
-
-    @cached_property
-    def matches(self) -> CrossViewLabels:
-        """Match of each context pixel in another context view."""
-        return match_across_views(self.gaussians, self.labels.shape)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by name, in the layout of ``data_specs/lesson.toml``."""

@@ -2,13 +2,7 @@
 
 The base Gaussians are frozen and the loss is a mean squared error on the splatted features (paper,
 Implementation Details). Codes are drawn anew whenever a lesson is used, so the network cannot
-memorise codes; the paper does not state this. The loss of the network ``several`` differs further.
-It counts only target pixels whose object is present in the context labels, since no other object
-can be predicted; and the target is the code times the accumulated alpha of the Gaussians, since the
-branch must not compensate for missing opacity.
-
-By default the context labels are corrupted in most steps (:mod:`slgaussian.semantic.corruption`),
-and the targets stay clean. With consistent labels there is little to learn beyond copying them.
+memorise codes; the paper does not state this.
 
 All computation is in float32. bfloat16 halves the network's time, a tenth of a step, on CPUs with
 bfloat16 matrix multiplication, and is slower on others.
@@ -36,6 +30,7 @@ import numpy as np
 import pyarrow as pa
 import torch
 from pydantic import Field
+from torch.nn import functional as F
 
 from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import seed_for
@@ -55,7 +50,6 @@ from slgaussian.semantic.branch import (
 )
 from slgaussian.semantic.checkpoints import load_checkpoint, save_checkpoint, table_of
 from slgaussian.semantic.configs import TrainingConfig
-from slgaussian.semantic.hard import code_images
 from slgaussian.semantic.lesson import Lesson
 
 WARM_UP = 0.05
@@ -191,22 +185,18 @@ def find_device(name: str) -> torch.device:
 def loss_of(
     branch: Branch,
     lesson: Lesson,
-    labels: np.ndarray,
     views: Sequence[int],
     codes: str,
     rng: Any,
 ) -> torch.Tensor:
-    """Compute the mean squared error over the chosen target views of a lesson.
+    """Compute the mean squared error over all pixels of the chosen target views of a lesson.
 
-    For the network ``paper`` it is the paper's, over all pixels: rendered codes against the codes
-    of the targets, (0, 0, 0) where they have no object. For ``several`` see the module.
+    Rendered codes are compared with those of the targets, (0, 0, 0) where they have no object.
 
     Parameters
     ----------
     branch : Branch
     lesson : Lesson
-    labels : int32 [V, H, W]
-        Context labels, the branch's input: the lesson's own labels, or corrupted ones.
     views : sequence of int
         Indices of the target views.
     codes : str
@@ -217,33 +207,22 @@ def loss_of(
     Returns
     -------
     scalar tensor
-        Zero, without gradient, if there is no object or, for ``several``, none in ``labels``.
-        NaN, without gradient, if a feature is not finite.
+        Zero, without gradient, if there is no object; NaN if a feature is not finite.
     """
-    paper = branch.architecture.name == "paper"
-    views_with_codes = np.concatenate([labels, lesson.targets]) if paper else labels
-    maps = LabelMaps(views_with_codes, np.ones(views_with_codes.shape, np.float32))
+    labels = np.concatenate([lesson.labels, lesson.targets])
+    maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     if len(maps.ids) == 0:
         return torch.zeros(())
     drawn = load_codes(codes)(maps, rng)
-    matches = lesson.matches if branch.architecture.cross_view else None
-    images = input_images(labels, maps.ids, drawn, matches)
-    features = features_of(branch, images, lesson.gaussians.source)
+    images = input_images(lesson.labels, maps.ids, drawn)
+    features = features_of(branch, images, lesson.gaussians.source)[:, :DIMENSION]
     if not features.isfinite().all():
         return torch.tensor(torch.nan)
-    total, counted = torch.zeros(()), 0
-    for view in views:
-        target = torch.from_numpy(code_images(lesson.targets[view], maps.ids, drawn))
-        rendered = rasterize(lesson.gaussians, features, lesson.cameras[view])
-        if paper:
-            error = (rendered.values - target)[..., :DIMENSION]
-            weight = torch.ones_like(target[..., -1:])
-        else:
-            error = rendered.values - rendered.alpha[..., None] * target
-            weight = target[..., -1:]
-        total = total + (weight * error.square()).sum()
-        counted += int(weight.sum()) * error.shape[-1]
-    return total / counted if counted else torch.zeros(())
+    targets = input_images(lesson.targets[list(views)], maps.ids, drawn)
+    rendered = [
+        rasterize(lesson.gaussians, features, lesson.cameras[view]).values for view in views
+    ]
+    return F.mse_loss(torch.stack(rendered), targets)
 
 
 def _step(
@@ -256,8 +235,7 @@ def _step(
     optimiser.zero_grad()
     losses = []
     for draw in drawn:
-        arguments = draw.lesson, draw.labels, draw.views, settings.codes, draw.rng
-        loss = loss_of(branch, *arguments) / len(drawn)
+        loss = loss_of(branch, draw.lesson, draw.views, settings.codes, draw.rng) / len(drawn)
         if loss.requires_grad:
             loss.backward()
         losses.append(float(loss.detach()))
@@ -278,7 +256,6 @@ def _step(
         "step": step + 1,
         "epoch": drawn[0].epoch,
         "sample": names,
-        "corrupted": any(draw.corrupted for draw in drawn),
         "loss": value,
         "norm": length,
         "rate": rate,

@@ -48,15 +48,8 @@ def uninterrupted(tmp_path_factory) -> Path:
 
 
 def test_it_learns_and_its_metrics_say_so(tmp_path):
-    settings = SETTINGS.model_copy(
-        update={"steps": 36, "every": 36, "corrupted": 1.0, "rate": 1e-2}
-    )
-    # An untrained branch is the control already and gains nothing in so few steps: begin worse.
-    start = make_branch(SETTINGS.architecture, 9)
-    state = torch.Generator().manual_seed(0)
-    for parameter in start.parameters():
-        parameter.data += 0.1 * torch.randn(parameter.shape, generator=state)
-    trained = train(LESSONS, settings, tmp_path, start)
+    settings = SETTINGS.model_copy(update={"steps": 36, "every": 36, "rate": 1e-2})
+    trained = train(LESSONS, settings, tmp_path)
     load_spec("metrics").check_table(trained.metrics, "metrics")
     assert trained.metrics.equals(pq.read_table(tmp_path / METRICS))
     losses = trained.metrics["loss"].to_numpy()
@@ -101,8 +94,7 @@ def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
     branch = make_branch(settings.architecture, 4)
     losses = []
     for drawn in draw_batch(LESSONS, settings, 0):
-        asked = drawn.lesson, drawn.labels, drawn.views, settings.codes, drawn.rng
-        losses.append(loss_of(branch, *asked))
+        losses.append(loss_of(branch, drawn.lesson, drawn.views, settings.codes, drawn.rng))
     gradients = torch.autograd.grad(sum(losses) / len(losses), list(branch.parameters()))
     length = torch.cat([gradient.ravel() for gradient in gradients]).norm()
     trained = train(LESSONS, settings, tmp_path, branch)
@@ -168,7 +160,7 @@ def test_a_loss_that_is_no_number_stops_with_the_sample_named(tmp_path):
 @pytest.mark.parametrize(
     "wrong",
     [{"steps": 0}, {"every": 0}, {"targets": 0}, {"rate": 0.0}, {"rate": np.inf}, {"clip": -1.0},
-     {"decay": -1.0}, {"corrupted": 1.5}, {"rate": np.nan}],
+     {"decay": -1.0}, {"rate": np.nan}],
 )  # fmt: skip
 def test_settings_out_of_range_are_refused(wrong):
     with pytest.raises(InputError, match=f"training {next(iter(wrong))}: found"):
@@ -183,12 +175,8 @@ def test_without_lessons_or_a_folder_nothing_is_trained(tmp_path):
         train(LESSONS, SETTINGS, tmp_path / "file" / "under")
 
 
-def test_what_cannot_be_answered_is_not_asked(tmp_path):
-    branch, mine = make_branch(SETTINGS.architecture), lesson()
-    rng = np.random.default_rng(0)
-    nothing = np.zeros_like(mine.labels)
-    assert loss_of(branch, mine, nothing, [0], "separated", rng) == 0
-    unknown = replace(mine, targets=np.full_like(mine.targets, 9))
-    assert loss_of(branch, unknown, mine.labels, [0, 1], "separated", rng) == 0
-    trained = train([replace(mine, labels=nothing)], SETTINGS, tmp_path)
+def test_a_lesson_without_objects_has_no_loss(tmp_path):
+    mine = lesson()
+    nothing = replace(mine, labels=np.zeros_like(mine.labels), targets=np.zeros_like(mine.targets))
+    trained = train([nothing], SETTINGS, tmp_path)
     assert trained.metrics["loss"].to_pylist() == [0.0] * SETTINGS.steps

@@ -45,12 +45,11 @@ SMOOTH = 0.02
 class Example:
     """One target view of a held-out lesson; all pictures are object ids int32 [H, W].
 
-    ``context`` is the first context view as input of the liftings, ``truth`` the target labels, and
+    ``context`` are the labels of the first context view, ``truth`` those of the target, and
     ``predicted`` the result of each lifting, with the IoU of the lesson in ``ious``.
     """
 
     sample: str
-    labels: str
     context: np.ndarray
     truth: np.ndarray
     predicted: Mapping[str, np.ndarray]
@@ -76,8 +75,8 @@ def training_report(
     ]
     if examples:
         note = (
-            "Corrupted labels; the largest, median and smallest gain of the branch. IoU: mean over "
-            "all target views of the lesson."
+            "The largest, median and smallest gain of the branch. IoU: mean over all target views "
+            "of the lesson."
         )
         blocks: list[Block] = [Prose(note)]
         for example in examples:
@@ -89,19 +88,14 @@ def training_report(
 
 
 def scores_table(judgements: pa.Table) -> Table:
-    """Return the mean IoU of each lifting by kind of labels, and the gain of the branch over it."""
-    kinds = list(dict.fromkeys(judgements["labels"].to_pylist()))
-    scores = {kind: clip_scores(judgements, kind) for kind in kinds}
-    rows = []
-    for name in dict.fromkeys(judgements["lifting"].to_pylist()):
-        row: list[Cell | str | None] = [name]
-        for kind in kinds:
-            cell = comparison_cell(gain(judgements, name, kind), 4)
-            row += [f"{np.mean(scores[kind][name]):.4f}", None if name == "branch" else cell]
-        rows.append([*row, ABOUT[name]])
-    heads = [head for kind in kinds for head in (f"IoU, labels {kind}", "Branch minus lifting")]
+    """Return the mean IoU of each lifting, and the gain of the branch over it."""
+    rows: list[list[Cell | str | None]] = []
+    for name, scores in clip_scores(judgements).items():
+        cell = None if name == "branch" else comparison_cell(gain(judgements, name), 4)
+        rows.append([name, f"{np.mean(scores):.4f}", cell, ABOUT[name]])
+    heads = ["Lifting", "IoU", "Branch minus lifting", Column("", is_text=True)]
     note = f"Intervals: {LEVEL:.0%} paired bootstrap over clips; unreliable below {LEAST} clips."
-    return Table.of(["Lifting", *heads, Column("", is_text=True)], rows, notes=[note])
+    return Table.of(heads, rows, notes=[note])
 
 
 def _loss_curve(metrics: pa.Table) -> Figure:
@@ -109,17 +103,12 @@ def _loss_curve(metrics: pa.Table) -> Figure:
     figure = Figure((7.4, 3.0), layout="constrained")
     axes = figure.subplots()
     width = max(1, round(SMOOTH * len(steps)))
-    for corrupted, colour, name in ((False, "#12833f", "as found"), (True, "#3b5bdb", "corrupted")):
-        chosen = metrics["corrupted"].to_numpy() == corrupted
-        if not chosen.any():
-            continue
-        axes.plot(steps[chosen], loss[chosen], ".", ms=2, alpha=0.25, color=colour)
-        smooth = np.convolve(loss[chosen], np.ones(width) / width, "valid")
-        axes.plot(steps[chosen][width - 1 :], smooth, color=colour, label=f"labels {name}")
+    axes.plot(steps, loss, ".", ms=2, alpha=0.25, color="#12833f")
+    smooth = np.convolve(loss, np.ones(width) / width, "valid")
+    axes.plot(steps[width - 1 :], smooth, color="#12833f")
     if (loss > 0).any():
         axes.set_yscale("log")
     axes.set(xlabel="step", ylabel="loss")
-    axes.legend(frameon=False)
     rate = axes.twinx()
     rate.plot(steps, metrics["rate"].to_numpy(), color="#b3bac6", lw=1)
     rate.set_ylabel("learning rate", color="#667085")
@@ -129,7 +118,7 @@ def _loss_curve(metrics: pa.Table) -> Figure:
 
 def _pictures(example: Example) -> list[Picture]:
     images = {
-        f"context view, labels {example.labels}": example.context,
+        "context view": example.context,
         "target view": example.truth,
     }
     images |= {
