@@ -13,7 +13,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -147,8 +147,7 @@ class ArtifactStore:
         An existing file is written again, which repairs damage and renews its time, so that
         :func:`slgaussian.storage.housekeeping.collect` does not remove it before it has a record.
         If files of the same content have different provenance, the provenance that sorts first is
-        kept, so the bytes do not depend on which process wrote first. ``meta`` of the ref also has
-        the ``bytes`` of the file.
+        kept, so the bytes do not depend on which process wrote first.
 
         Raises
         ------
@@ -158,7 +157,7 @@ class ArtifactStore:
             If the store cannot be written.
         """
         digest, data = encode_artifact(spec, content, f"new {spec} artifact")
-        ref, is_new = ArtifactRef(spec, address(spec, digest), digest), True
+        ref, is_new = ArtifactRef(spec, address(spec, digest), digest, dict(meta or {})), True
         while True:
             stored = None
             with suppress(SpecError):  # missing or damaged
@@ -175,7 +174,7 @@ class ArtifactStore:
                 continue
             if self.cache is not None:
                 self.cache.put(ref.uri, data)
-            return replace(ref, meta={**(meta or {}), "bytes": len(data)})
+            return ref
 
     def get(self, ref: ArtifactRef) -> Any:
         """Read an artifact, arrays by name or a table, and check its spec and digest.

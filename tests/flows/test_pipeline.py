@@ -106,7 +106,6 @@ def test_every_artifact_says_which_stage_made_it(first):
             )
             assert said["made"]["settings"] == record.ref.meta["settings"]
             assert said["made"]["of"].keys() == record.ref.meta["inputs"].keys()
-            assert record.ref.meta["bytes"] == len(store.read(record.ref.uri))
             seen.add(record.stage)
     assert seen == {*(stage.name for stage in STAGES), "baselines", "numerics", "report"}
 
