@@ -308,8 +308,8 @@ def main() -> None:
                 "right": ("not here is right", ".0%"),
             },
         ),
-        "Constants fitted to all places. Those of the mask that ship are of an earlier fit, of which "
-        "only slope and offset were fitted anew: it finds fewer absent things.",
+        "Constants fitted to all places. Those of the mask that ship are of an earlier fit, of "
+        "which only slope and offset were fitted anew: it finds fewer absent things.",
         table(
             constants,
             {
