@@ -36,7 +36,7 @@ class File:
 class Config(BaseModel):
     """Base class of immutable, validated settings."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
     def __init__(self, **values: Any) -> None:
         """Validate the values; InputError if a field is unknown or a value is invalid."""
