@@ -412,7 +412,7 @@ FORMATS = {
     "Parquet": Format(make_tables, read_tables, ("*.parquet",)),
     "ply": Format(make_ply, lambda f: each(load_ply, f.iterdir()), ("*.ply",)),
     "checkpoints": Format(make_checkpoints, read_checkpoints, ("*.ckpt",)),
-    "weights": Format(make_weights, read_weights, ("*.safetensors", "*.parquet")),
+    "weights": Format(make_weights, read_weights, ("*.safetensors", "*.pt")),
     "versions": Format(make_versions, read_versions, ("*.json", "versions/*")),
 }
 

@@ -175,8 +175,12 @@ def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> byt
     ``trained`` is the provenance of the weights, as JSON data.
     """
     tensors = {name: t.detach().contiguous() for name, t in branch.state_dict().items()}
-    metadata = {} if trained is None else {"trained": dict(trained)}
-    return encode_tensors(tensors, {"architecture": asdict(branch.architecture), **metadata})
+    statement: dict[str, Any] = {"architecture": asdict(branch.architecture)}
+    if trained is not None:
+        statement["trained"] = dict(trained)
+    # One entry only: safetensors writes several in an order that differs from run to run.
+    note = {"slgaussian": json.dumps(statement, sort_keys=True)}
+    return safetensors.torch.save(dict(sorted(tensors.items())), note)
 
 
 def load_branch(path: str | Path) -> Branch:
@@ -187,13 +191,7 @@ def load_branch(path: str | Path) -> Branch:
     InputError
         If the file cannot be read, or is not a branch.
     """
-    return branch_of(*read_tensors(path), path)
-
-
-def branch_of(
-    tensors: Mapping[str, torch.Tensor], statement: Mapping[str, Any], path: str | Path
-) -> Branch:
-    """Build the branch from its named tensors and metadata; see :func:`load_branch`."""
+    tensors, statement = read_tensors(path)
     try:
         values = {**statement["architecture"], "widths": tuple(statement["architecture"]["widths"])}
         if values.pop("name", "paper") != "paper" or "others" in values:
@@ -211,7 +209,7 @@ def branch_of(
     try:
         with torch.device("meta"):
             branch = make_branch(architecture)
-        branch.load_state_dict(dict(tensors), assign=True)
+        branch.load_state_dict(tensors, assign=True)
     except (RuntimeError, TypeError, ValueError, OverflowError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[-1].strip()[:200]
         raise InputError(
@@ -221,15 +219,8 @@ def branch_of(
     return branch.eval()
 
 
-def encode_tensors(tensors: Mapping[str, torch.Tensor], statement: Mapping[str, Any]) -> bytes:
-    """Encode tensors as a safetensors file; ``statement`` is JSON data for its metadata."""
-    # One entry only: safetensors writes several in an order that differs from run to run.
-    note = {"slgaussian": json.dumps(statement, sort_keys=True)}
-    return safetensors.torch.save(dict(sorted(tensors.items())), note)
-
-
 def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Inverse of :func:`encode_tensors`; the metadata of other programs' files is empty.
+    """Read tensors and metadata of :func:`save_branch`; those of other programs have no metadata.
 
     Raises
     ------

@@ -112,7 +112,7 @@ def train(
         to a resumed training: only their number is checked.
     settings : TrainingSettings
     folder : Path
-        For ``checkpoint.safetensors`` and ``metrics.parquet``; created if missing.
+        For ``checkpoint.pt``; created if missing.
     start : Branch, optional
         Initial weights; by default random ones from the seed.
     progress : callable, optional
@@ -138,8 +138,7 @@ def train(
             )
         branch.load_state_dict(start.state_dict())
     run = dict(settings) | {
-        # In the form in which JSON returns it: tuples become lists.
-        "architecture": {**asdict(architecture), "widths": list(architecture.widths)},
+        "architecture": asdict(architecture),
         "lessons": len(lessons),
         "start": hashlib.sha256(save_branch(branch)).hexdigest(),
     }
@@ -154,16 +153,16 @@ def train(
     optimiser = torch.optim.AdamW(
         branch.parameters(), lr=settings.rate, weight_decay=settings.decay, foreach=False
     )
-    resumed = load_checkpoint(folder, branch, optimiser, run)
-    rows, start_time = resumed.rows, time.perf_counter()
+    rows = load_checkpoint(folder, branch, optimiser, run)
+    resumed, start_time = len(rows), time.perf_counter()
     with fixed(settings.threads):
-        for step in range(resumed.step, settings.steps):
+        for step in range(resumed, settings.steps):
             drawn = draw_batch(lessons, settings, step)
             rows.append(_step(branch.train(), optimiser, drawn, settings, step))
             if (step + 1) % settings.every == 0 or step + 1 == settings.steps:
                 save_checkpoint(folder, branch, optimiser, run, rows)
             if progress is not None:
-                rate = (step + 1 - resumed.step) / (time.perf_counter() - start_time)
+                rate = (step + 1 - resumed) / (time.perf_counter() - start_time)
                 progress(Progress(step + 1, settings.steps, rows[-1]["loss"], rate))
     return Trained(branch.cpu().eval(), table_of(rows))
 

@@ -113,7 +113,7 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, caps
     assert one == ["hard", "filled", "branch"]
     page = made["report.html"].decode()
     assert "http" not in page and page.count("data:image/svg+xml") == 1
-    assert not list((tmp_path / "store" / "checkpoints").rglob("*.safetensors"))
+    assert not list((tmp_path / "store" / "checkpoints").rglob("*.pt"))
 
     # Another order, and other chunks, are no other lessons.
     again = table.take(np.arange(12)[::-1]).set_column(0, table.schema.field(0), [["x"] * 12])
@@ -135,7 +135,7 @@ def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, caps
         argv, cwd=root, stderr=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
     )
     places = tmp_path / "killed" / "store" / "checkpoints"
-    while not list(places.rglob("checkpoint.safetensors")):
+    while not list(places.rglob("checkpoint.pt")):
         assert process.poll() is None, process.stderr.read().decode()
         time.sleep(0.01)
     process.send_signal(signal.SIGKILL)

@@ -8,13 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import torch
 from drawn_lessons import lesson
 from train_and_die import LESSONS, SETTINGS
 
-from slgaussian.errors import InputError, SpecError
+from slgaussian.errors import InputError
 from slgaussian.kernels.threads import kernels_on
 from slgaussian.semantic.batch_sampler import draw_batch
 from slgaussian.semantic.branch import (
@@ -22,7 +21,7 @@ from slgaussian.semantic.branch import (
     make_branch,
     save_branch,
 )
-from slgaussian.semantic.checkpoints import CHECKPOINT, METRICS
+from slgaussian.semantic.checkpoints import CHECKPOINT
 from slgaussian.semantic.training import TrainingSettings, loss_of, train
 from slgaussian.storage.specs import load_spec
 
@@ -51,7 +50,6 @@ def test_it_learns_and_its_metrics_say_so(tmp_path):
     settings = SETTINGS.model_copy(update={"steps": 36, "every": 36, "rate": 1e-2})
     trained = train(LESSONS, settings, tmp_path)
     load_spec("metrics").check_table(trained.metrics, "metrics")
-    assert trained.metrics.equals(pq.read_table(tmp_path / METRICS))
     losses = trained.metrics["loss"].to_numpy()
     # Measured with four seeds: 0.43 to 0.48.
     assert losses[-12:].mean() < 0.6 * losses[:12].mean(), (losses[-12:].mean(), losses[:12].mean())
@@ -135,16 +133,17 @@ def test_another_training_in_the_folder_is_refused(tmp_path, uninterrupted):
     with pytest.raises(InputError, match="start"):
         train(LESSONS, SETTINGS, uninterrupted, make_branch(SETTINGS.architecture, 9))
     assert bytes_in(uninterrupted) == before
+
+
+def test_damaged_checkpoints_are_refused(tmp_path, uninterrupted):
+    state = torch.load(uninterrupted / CHECKPOINT)
+    moments = {**state["optimiser"], "state": {0: {"exp_avg": torch.zeros(5)}}}
+    for damaged in ({"run": 1}, {"branch": {}}, {"optimiser": moments}, {"metrics": b""}):
+        torch.save({**state, **damaged}, tmp_path / CHECKPOINT)
+        with pytest.raises(InputError, match=f"{CHECKPOINT}: is damaged"):
+            train(LESSONS, SETTINGS, tmp_path)
     (tmp_path / CHECKPOINT).write_bytes(save_branch(make_branch(SETTINGS.architecture)))
-    with pytest.raises(InputError, match="does not say of which"):
-        train(LESSONS, SETTINGS, tmp_path)
-
-
-@pytest.mark.parametrize("name", [CHECKPOINT, METRICS])
-def test_damaged_files_are_refused(tmp_path, uninterrupted, name):
-    for file, data in bytes_in(uninterrupted).items():
-        (tmp_path / file).write_bytes(data[:-50] if file == name else data)
-    with pytest.raises((InputError, SpecError), match=name):
+    with pytest.raises(InputError, match=f"{CHECKPOINT}: is damaged"):
         train(LESSONS, SETTINGS, tmp_path)
 
 
