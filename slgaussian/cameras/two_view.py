@@ -72,7 +72,8 @@ MIRRORED = 3
 """A photograph is mirrored if mirroring it multiplies the agreeing matches by this factor."""
 
 SUSPECT = 0.35
-"""Fraction of agreeing matches below which mirroring is tested."""
+"""Fraction of agreeing matches below which mirroring is tested before a pose is accepted: by chance
+a mirrored photograph can have a quarter, and a pose without doubt."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +251,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     pose = replace(pose, estimate=measured, probability=probability)
     mostly_flat = flat.sum() > MOSTLY * count
     if probability < (SURE if mostly_flat else UNSURE):
-        return _mirrored(pose) or _refused(
+        return _refused(
             pose,
             "different positions of the cameras explain the matches about as well, as happens with "
             "repeated patterns, flat things and little overlap",
@@ -357,9 +358,9 @@ def _refused(pose: PairPose, reason: str, advice: str) -> PairPose:
 
 
 def _refuse_few(pose: PairPose) -> PairPose:
-    """Refuse a pair with too few agreeing matches; the reason may be a mirrored photograph."""
+    """Refuse a pair with too few agreeing matches."""
     matches = pose.estimate.matches
-    return _mirrored(pose) or _refused(
+    return _refused(
         pose,
         f"too few points are found that both show ({pose.estimate.inliers} of {matches} matches "
         f"agree, expected {LEAST} or more)",
