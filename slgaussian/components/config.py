@@ -144,17 +144,15 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     cause = first.get("ctx", {}).get("error")
     if isinstance(cause, InputError):  # by a config in a field, which names its own field
         return str(cause) if len(loc) < 2 else f"{key}: {cause}"
-    place = f"{title} {key}".strip()
     if cause and not loc:  # by a validator of the whole model
-        return f"{place}: {cause}".removeprefix(": ")
-    is_field = is_config and len(loc) == 1
+        return f"{title}: {cause}" if title else str(cause)
+    place = f"{title} {key}".strip() or "content"
     if first["type"] == "missing":
-        return f"{place} is missing" + (f", expected {expected(model, key)}" if is_field else "")
-    value = f"{first['input']!r:.60}"
-    if cause or not is_field:  # by a validator, or in a list
+        return f"{place} is missing"
+    value = f"{place}: found {first['input']!r:.60}"
+    if cause or not is_config or len(loc) > 1:
         message = str(cause or first["msg"])
-        text = f"{place}: found {value}; {message[0].lower()}{message[1:]}"
-        return text.removeprefix(": ")
+        return f"{value}; {message[0].lower()}{message[1:]}"
     choices = [choice for option in _options(model, key) for choice in option.get("enum", ())]
     near = did_you_mean(first["input"], choices)
-    return f"{place}: found {value}, expected {expected(model, key)}{near}"
+    return f"{value}, expected {expected(model, key)}{near}"

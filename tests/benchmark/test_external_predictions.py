@@ -227,7 +227,7 @@ def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, result, judged):
         ("[", "is not valid JSON"),
         ("[]", "found an empty one"),
         ("{}", "found dict"),
-        ("[3]", r"\[0\]: found 3; "),
+        ("[3]", r"\[0\]: content: found 3; "),
         (json.dumps([entries[0], entries[0]]), r"\[1\], .* is there twice"),
     ):
         file.write_text(content)
