@@ -18,7 +18,6 @@ from slgaussian.errors import check_type
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
-from slgaussian.kernels import compiling
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank, build_bank
@@ -92,7 +91,6 @@ def build_field(
     method = method or Method()
     check_type(method, Method, "build_field: expected a Method, such as slg.Method(encoder='clip')")
     method.check()
-    compiling.watch()
     sample, graph, left_out = select_usable(sample)
     for name, reason in left_out.items():
         warnings.warn(f"{name} is left out: {reason}", stacklevel=2)

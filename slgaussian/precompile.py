@@ -19,13 +19,21 @@ from pathlib import Path
 from slgaussian.kernels import threads
 
 
+def announce() -> bool:
+    """Return whether no kernel is cached yet; then print a sentence to standard error."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    if folder is None or next(Path(folder).glob("*/*.nbc"), None):
+        return False
+    print("compiling kernels for this processor, once, up to a minute", file=sys.stderr)
+    return True
+
+
 def begin() -> subprocess.Popen[bytes] | None:
-    """Start the second process if no kernel is cached yet and there is a second core, else None.
+    """Start the second process if :func:`announce` and there is a second core, else return None.
 
     It prints nothing and ends by itself.
     """
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    if folder is None or threads.cores() < 2 or next(Path(folder).glob("*/*.nbc"), None):
+    if not announce() or threads.cores() < 2:
         return None
     quiet = subprocess.DEVNULL
     begun = subprocess.Popen(

@@ -208,11 +208,10 @@ class Stage:
         passed = frozenset(digests.values())
         provenance = Provenance(self.name, self.version, settings, specs, passed)
         threads.limit(run.workers)
-        compiling.watch()
         compiled = compiling.spent()
         start, worked = compiling.clock(), time.process_time()
         try:
-            with compiling.report_to(run.report), record_provenance(provenance):
+            with record_provenance(provenance):
                 ref = self.compute(run, **arguments)
         except DamagedError as error:
             run.store.remove([error.uri])  # so that its stage computes it again

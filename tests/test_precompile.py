@@ -37,11 +37,12 @@ LATER = (
 
 @pytest.mark.whole
 @pytest.mark.skipif(threads.cores() < 2, reason="needs two cores")
-def test_nothing_that_was_compiled_ahead_is_compiled_again(tmp_path, monkeypatch):
+def test_nothing_that_was_compiled_ahead_is_compiled_again(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     begun = precompile.begin()
     assert begun is not None and begun.wait(300) == 0
     assert precompile.begin() is None  # there are kernels now
+    assert capsys.readouterr().err.count("compiling kernels") == 1
     done = subprocess.run(
         [sys.executable, "-c", AFTERWARDS], capture_output=True, text=True, env=dict(os.environ)
     )

@@ -1,9 +1,6 @@
 """The command line. Commands import large packages only when they run, so `--help` is fast."""
 
-import sys
 import warnings
-from collections.abc import Callable
-from functools import cache
 from typing import Annotated, Any
 
 import typer
@@ -13,7 +10,6 @@ from flows.cli import ask, build, corpus, doctor, objects, run, score, show, sto
 from flows.cli.help import Group, usage_sentence
 from slgaussian import __version__
 from slgaussian.errors import SLGaussianError
-from slgaussian.kernels import compiling
 
 COMMANDS = {
     "Build a field and query it": (
@@ -66,15 +62,8 @@ def main() -> None:
     """Run the command line; errors for users are printed in one sentence, with exit status 2."""
     warnings.showwarning = _show_warning
 
-    @cache
-    def waiting() -> Callable[[str], None]:  # its imports are slow, and rarely needed
-        from flows.runners.progress import Waiting
-
-        return Waiting(sys.stderr)
-
     try:
-        with compiling.report_to(lambda text: waiting()(text)):
-            status = app(prog_name="slgaussian", standalone_mode=False)
+        status = app(prog_name="slgaussian", standalone_mode=False)
     except TyperException as error:
         typer.echo(f"error: {usage_sentence(error)}", err=True)
         raise SystemExit(error.exit_code) from None

@@ -13,6 +13,7 @@ import numpy as np
 
 from flows.config import RULES, TABLES, Method, table_of
 from flows.read_config import checked, layered, preset_values
+from slgaussian import precompile
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
@@ -47,6 +48,7 @@ def open_field(
     chosen = {name: value for name, value in fields.items() if name in RULES}
     Rules(**chosen)
     field = SemanticField.load(folder)
+    precompile.announce()
     encoder = field.settings["encoder"]
     places = fields[encoder] if encoder in values else {}
     fixed = values.keys() - (RULES if rules else set()) - {encoder}

@@ -22,9 +22,6 @@ from tasks.context import StageEvent
 REMIND = 30.0
 """Seconds between lines with counts, in the log and without a terminal."""
 
-PATIENCE = 60.0
-"""Seconds between messages of :class:`Waiting` without a terminal."""
-
 
 class Progress:
     """Counter of a run's scenes and stages, displayed on a stream and logged.
@@ -197,23 +194,6 @@ class Progress:
             logger.info(self.counts())
             if not self.console.is_terminal:
                 self.line(f"{self.counts()}  {self._working()}".rstrip())
-
-
-class Waiting:
-    """Display of a waiting command: a transient line on a terminal, elsewhere occasional lines."""
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self.console, self.last = console(stream), -PATIENCE
-        self.status = self.console.status("")
-
-    def __call__(self, text: str) -> None:
-        """Display a message; an empty text ends it."""
-        if self.console.is_terminal:
-            self.status.update(one_line(text))
-            self.status.start() if text else self.status.stop()
-        elif text and time.monotonic() - self.last >= PATIENCE:
-            self.last = time.monotonic()
-            self.console.print(one_line(text))
 
 
 def console(stream: TextIO | None = None) -> Console:

@@ -17,7 +17,6 @@ from slgaussian.components.registry import resolve
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, first_not_finite
 from slgaussian.io import short_repr
-from slgaussian.kernels import compiling
 from slgaussian.rasterize.render_settings import Settings, find_settings
 from slgaussian.scene import Camera
 
@@ -112,7 +111,6 @@ def rasterize(
         If ``values`` or ``labels`` has the wrong shape, a label or a parameter is out of range,
         NaN or infinite (named with its index), or the backend lacks a requested feature.
     """
-    compiling.watch()
     settings = find_settings(settings)
     if values is None:
         from slgaussian.rasterize.harmonics import colors

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from slgaussian.gaussians import SH_C0, Gaussians
-from slgaussian.kernels import compiling
 from slgaussian.rasterize.api import Render, check_inputs
 from slgaussian.rasterize.blend import draw
 from slgaussian.rasterize.project import Eye, eye_of, project
@@ -61,7 +60,6 @@ def picture(
     InputError
         If a number is invalid, naming the first Gaussian with one.
     """
-    compiling.watch()
     settings = find_settings(settings)
     arrays = gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]

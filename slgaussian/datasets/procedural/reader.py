@@ -11,7 +11,6 @@ from slgaussian.datasets.procedural import raycast
 from slgaussian.datasets.procedural.rooms import FOCUS, MOST_OBJECTS, Room, furnish
 from slgaussian.datasets.procedural.shading import photograph
 from slgaussian.errors import InputError
-from slgaussian.kernels import compiling
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Camera, Scene, View
 
@@ -66,7 +65,6 @@ def read(
     InputError
         If an argument is out of range.
     """
-    compiling.watch()
     limits: dict[str, tuple[float, float, float]] = {
         "objects": (objects, 1, MOST_OBJECTS),
         "views": (views, 2, 1000),
