@@ -47,9 +47,6 @@ STATUS = {
 
 LOCK = ".retrain.lock"
 
-BY = "slgaussian retrain"
-"""Author of a promotion in the history of versions."""
-
 FEW = 3
 """Largest number of names in a message."""
 
@@ -257,7 +254,6 @@ def learn(
         decision.better,
         decision.why,
         None if forgotten else incumbent,
-        BY,
         rival=incumbent,
         clips=None
         if clips is None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import os
 import platform
 import signal
@@ -34,14 +33,6 @@ def processor() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].replace("(R)", "").replace("(TM)", "").strip()
     return platform.processor() or platform.machine()
-
-
-def user() -> str:
-    """Return the user's name, or the numeric id if there is no name, as in a container."""
-    try:
-        return getpass.getuser()
-    except (ImportError, KeyError, OSError):
-        return str(os.getuid()) if hasattr(os, "getuid") else "unknown"
 
 
 def peak_memory() -> int | None:

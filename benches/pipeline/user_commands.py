@@ -204,7 +204,7 @@ def corpus(recorder: Recorder, _data: Path | None) -> None:
     recorder.run("pack more", "ingest", "procedural:4-7", *chunks, out="corpus/chunks")
     # One step of training does not improve the weights.
     recorder.run("retrain, refused", "retrain", *retrain, "--steps", "1", out=models)
-    recorder.run("roll back", "versions", models, "--roll-back", out=models)
+    recorder.run("use none", "versions", models, "--use", "none", out=models)
     recorder.run("versions", "versions", models, answer=True)
 
 

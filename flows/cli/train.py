@@ -87,39 +87,28 @@ def retrain(
 def versions(
     models: Annotated[Path, typer.Argument(help="Folder of versions.")],
     use: Annotated[str | None, typer.Option(help="Use this version, or `none`.")] = None,
-    roll_back: Annotated[
-        bool, typer.Option("--roll-back", help="Use the parent of the version in use.")
-    ] = False,
-    why: Annotated[str | None, typer.Option(help="Reason, for the history.")] = None,
 ) -> None:
     """List the weights of `retrain`, or choose the version in use.
 
-    Prints the history of the versions in use: time, user and reason. You may use a version that the
-    gate refused, or stop using one that it promoted.
+    You may use a version that the gate refused, or stop using one that it promoted.
 
     \b
     slgaussian versions models
-    slgaussian versions models --use 3 --why "sharper in the kitchen"
-    slgaussian versions models --roll-back
+    slgaussian versions models --use 3
+    slgaussian versions models --use none
     """
     from slgaussian.benchmark.reports.text_table import table_text
-    from slgaussian.semantic.versions import Versions, user_and_host, version_name
+    from slgaussian.semantic.versions import Versions
 
     folder = Versions(models)
     by_number = {version.number: version for version in folder.all()}
-    if use is not None and roll_back:
-        raise InputError("versions: --use and --roll-back both choose a version; give one of them")
-    if why is not None and use is None and not roll_back:
-        raise InputError("versions: --why needs --use or --roll-back")
     if use is not None:
         if use != "none" and not (use.isdecimal() and int(use) in by_number):
             numbers = ", ".join(map(str, by_number)) or "no version"
             raise InputError(
                 f"--use: found {use}, expected one of the versions there ({numbers}), or none"
             )
-        folder.use(None if use == "none" else by_number[int(use)], user_and_host(), why or "")
-    if roll_back:
-        folder.roll_back(user_and_host(), why or "")
+        folder.use(None if use == "none" else by_number[int(use)])
     if not by_number:
         typer.echo(f"{models}: no version")
         return
@@ -131,9 +120,3 @@ def versions(
         rows.append([f"{version.number}{mark}", *facts])
     typer.echo(table_text(rows, "<>>>><"))
     typer.echo("none is in use" if current is None else f"* in use: version {current.number}")
-    for change in folder.history():
-        reason = f": {change.why}" if change.why else ""
-        typer.echo(
-            f"{version_name(change.version)} in use since {change.when} instead of "
-            f"{version_name(change.before)}, by {change.by}{reason}"
-        )

@@ -2,10 +2,9 @@
 
 ``versions/000003.parquet`` is the record of version 3, a row of spec ``versions``, written once and
 never changed; ``versions/000003.clips.parquet`` lists its training clips, spec ``clips``;
-``weights/<digest>.safetensors`` are its weights; ``current.json`` names the version in use and the
-history of its changes: when, which version, by whom, and why. Files are written atomically and
-``current.json`` last, so after a crash at any moment the version in use exists and is the last in
-the history. Concurrent additions get different numbers.
+``weights/<digest>.safetensors`` are its weights; ``current.json`` has the number of the version in
+use. Files are written atomically and ``current.json`` last, so after a crash at any moment the
+version in use exists. Concurrent additions get different numbers.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ import hashlib
 import json
 import os
 import re
-import socket
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -29,7 +27,6 @@ from slgaussian.io import file_sha256, write_atomic
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.locks import hold_lock
 from slgaussian.storage.specs import load_spec
-from slgaussian.system import user
 
 POINTER = "current.json"
 
@@ -65,29 +62,6 @@ class Version:
     facts: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Change:
-    """A change of the version in use.
-
-    Attributes
-    ----------
-    when : str
-        UTC, ISO 8601, by the clock of the changing machine; only the list gives the order.
-    version, before : int
-        Number of the version in use after and before the change; 0 for none.
-    by : str
-        User and machine, or the command that promoted it.
-    why : str
-        One sentence; empty if no reason was given.
-    """
-
-    when: str
-    version: int
-    before: int
-    by: str
-    why: str
-
-
 class Versions:
     """The versions in a folder, which is created by the first addition."""
 
@@ -113,15 +87,8 @@ class Versions:
         SpecError
             If ``current.json`` is damaged or names a missing version.
         """
-        number, _ = self._pointer()
+        number = self._current_number()
         return self.version(number) if number else None
-
-    def history(self) -> list[Change]:
-        """Return all changes of the version in use, the oldest first; SpecError as :meth:`current`.
-
-        Changes made before histories were recorded are missing.
-        """
-        return self._pointer()[1]
 
     def version(self, number: int) -> Version:
         """Return the version with a number; SpecError if its record is damaged or missing."""
@@ -163,7 +130,6 @@ class Versions:
         promote: bool,
         why: str,
         parent: Version | None = None,
-        by: str = "",
         rival: Version | None = None,
         clips: pa.Table | None = None,
     ) -> Version:
@@ -179,8 +145,6 @@ class Versions:
             Reason for ``promote`` being true or false, one sentence.
         parent : Version, optional
             The version that training started from.
-        by : str
-            User or command that decided, for the history.
         rival : Version, optional
             The version in use that they were compared with, by default ``parent``. If another
             version has been put to use since, they are not promoted, whatever ``promote`` says,
@@ -210,7 +174,7 @@ class Versions:
                     why,
                     facts,
                 )
-                now, _ = self._pointer()
+                now = self._current_number()
                 if promote and now != before:
                     reason = f"{version_name(now)} came into use while it was trained; {why}"
                     version = replace(version, promoted=False, why=reason)
@@ -225,10 +189,10 @@ class Versions:
                     "use stays"
                 ) from error
             if version.promoted:
-                self._use(version, by, why)
+                self._use(version)
         return version
 
-    def use(self, version: Version | None, by: str, why: str = "") -> None:
+    def use(self, version: Version | None) -> None:
         """Put a version to use, or none at all (None).
 
         Raises
@@ -237,62 +201,35 @@ class Versions:
             If the folder cannot be written, or the version's weights are damaged (SpecError).
         """
         with self._locked():
-            self._use(version, by, why)
+            self._use(version)
 
-    def roll_back(self, by: str, why: str = "") -> Version | None:
-        """Put the parent of the version in use to use, and return it (None if it has none).
-
-        Raises
-        ------
-        InputError
-            If no version is in use.
-        """
-        with self._locked():
-            current = self.current()
-            if current is None:
-                raise InputError(f"{self.folder}: cannot roll back, as nothing is in use")
-            parent = self.version(current.parent) if current.parent else None
-            self._use(parent, by, why)
-        return parent
-
-    def _use(self, version: Version | None, by: str, why: str) -> None:
+    def _use(self, version: Version | None) -> None:
         number = 0
         if version is not None:
             self.weights(version)
             number = version.number
-        before, history = self._pointer()
-        if before == number:
-            return  # no change, no entry in the history
-        when = datetime.now(UTC).isoformat(timespec="seconds")
-        history.append(Change(when, number, before, by, why))
-        statement = {"version": number, "history": [asdict(change) for change in history]}
         try:
-            write_atomic(self.folder / POINTER, json.dumps(statement, indent=1).encode())
+            write_atomic(self.folder / POINTER, json.dumps({"version": number}).encode())
         except OSError as error:
             raise InputError(
-                f"{self.folder}: cannot be written ({error.strerror or error}); "
-                f"{version_name(before)} stays in use"
+                f"{self.folder}: cannot be written ({error.strerror or error}); the version in use "
+                "stays"
             ) from error
 
-    def _pointer(self) -> tuple[int, list[Change]]:
+    def _current_number(self) -> int:
+        """Return the number of the version in use; 0 for none."""
         file = self.folder / POINTER
         if not file.exists():
-            return 0, []
+            return 0
         try:
-            content = strict_json.parse(file.read_bytes())
-            number, entries = content["version"], content.get("history", [])
-            history = [Change(**entry) for entry in entries]
-            numbers = [number, *(n for change in history for n in (change.version, change.before))]
-            texts = [t for change in history for t in (change.when, change.by, change.why)]
-            if bad := [n for n in numbers if type(n) is not int or n < 0]:
-                raise ValueError(f"version {bad[0]!r:.40} is no whole number from 0 on")
-            if bad := [text for text in texts if not isinstance(text, str)]:
-                raise ValueError(f"{bad[0]!r:.40} in its history is no text")
-            return number, history
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            number = strict_json.parse(file.read_bytes())["version"]
+            if type(number) is not int or number < 0:
+                raise ValueError(f"version {number!r:.40} is no whole number from 0 on")
+            return number
+        except (OSError, ValueError, KeyError, TypeError) as error:
             raise SpecError(
-                f'{file}: cannot be read ({error!r:.200}); write {{"version": NUMBER}} into it, '
-                "0 for none"
+                f"{file}: cannot be read ({error!r:.200}); choose a version by `slgaussian "
+                f"versions {self.folder} --use NUMBER`"
             ) from error
 
     def _locked(self) -> AbstractContextManager[None]:
@@ -320,11 +257,6 @@ class Versions:
 def version_name(number: int) -> str:
     """Name a version in words; 0 means none."""
     return f"version {number}" if number else "no version"
-
-
-def user_and_host() -> str:
-    """Return ``user@host``."""
-    return f"{user()}@{socket.gethostname()}"
 
 
 def find_weights(place: str | Path) -> Path:
