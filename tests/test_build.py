@@ -44,9 +44,9 @@ def test_settings_that_no_part_takes_are_one_sentence(settings, sentence):
 def test_files_are_written_down_by_content(tmp_path):
     file = tmp_path / "weights.ckpt"
     file.write_bytes(b"weights")
-    settings = {"mvsplat": {"checkpoint": str(file), "depth_candidates": 64}}
+    settings = {"mvsplat": {"checkpoint": str(file), "precision": "bfloat16"}}
     digest = hashlib.sha256(b"weights").hexdigest()
-    expected = {"checkpoint": digest, "precision": "float32", "depth_candidates": 64}
+    expected = {"checkpoint": digest, "precision": "bfloat16"}
     assert Method("mvsplat", settings=settings).identity()["mvsplat"] == expected
     assert settings["mvsplat"]["checkpoint"] == str(file)
 

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -25,31 +24,22 @@ from slgaussian import datasets
 from slgaussian.cameras.paths import between
 from slgaussian.kernels import threads
 from slgaussian.predict import load_predictor
-from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.rasterize import rasterize
 
 ROUNDS = 3
 PRECISIONS = ("float32", "bfloat16")
-CANDIDATES = (128, 64, 32, "auto")
 TIMES = ("load", "seconds", "cpu")
 
 
-def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
+def measure(checkpoint: str, precision: str, out: str) -> None:
     """Print times and peak memory of one prediction as JSON; write the prediction to ``out``."""
     scene = datasets.load("procedural", seed=0, height=SIZE[0], width=SIZE[1])
     names = list(scene.cameras)
     sample = scene.sample([names[0], names[-1]], near=1.0, far=100.0)
     start = time.perf_counter()
-    predict = load_predictor(
-        "mvsplat",
-        checkpoint=checkpoint,
-        precision=precision,
-        depth_candidates=candidates if candidates == "auto" else int(candidates),
-    )
-    row = {"load": time.perf_counter() - start, "precision": precision, "candidates": candidates}
+    predict = load_predictor("mvsplat", checkpoint=checkpoint, precision=precision)
+    row = {"load": time.perf_counter() - start, "precision": precision}
     cameras = [view.camera for view in sample.context]
-    if candidates == "auto":
-        row["candidates"] += f": {needed_candidates(cameras, 1.0, 100.0, CANDIDATES[0])}"
     predict(sample.resized(64, 96))
     start = time.perf_counter(), time.process_time()
     gaussians = predict(sample)
@@ -64,20 +54,20 @@ def measure(checkpoint: str, precision: str, candidates: str, out: str) -> None:
 
 
 def rows(checkpoint: str, folder: Path) -> list[dict]:
-    best: dict[tuple[str, str], dict] = {}
+    best: dict[str, dict] = {}
     for _ in range(ROUNDS):
-        for setting in product(PRECISIONS, map(str, CANDIDATES)):
-            out = folder / f"{'_'.join(setting)}.npz"
-            words = [sys.executable, "-m", __spec__.name, checkpoint, "--one", *setting, str(out)]
+        for precision in PRECISIONS:
+            out = folder / f"{precision}.npz"
+            words = [sys.executable, "-m", __spec__.name, checkpoint, "--one", precision, str(out)]
             # OpenMP's waiting threads are busy by default, and CPU time would be no work.
             env = os.environ | {"OMP_WAIT_POLICY": "PASSIVE"}
             done = subprocess.run(words, env=env, stdout=subprocess.PIPE, check=True)
             row = json.loads(done.stdout)
-            before = best.setdefault(setting, row)
-            best[setting] = row | {key: min(row[key], before[key]) for key in TIMES}
-            print(f"{', '.join(setting)}: {row['seconds']:.1f} s", file=sys.stderr)
-            best[setting] |= errors(out, folder / "float32_128.npz")
-    first = best["float32", "128"]
+            before = best.setdefault(precision, row)
+            best[precision] = row | {key: min(row[key], before[key]) for key in TIMES}
+            print(f"{precision}: {row['seconds']:.1f} s", file=sys.stderr)
+            best[precision] |= errors(out, folder / "float32.npz")
+    first = best["float32"]
     return [row | {"share": row["cpu"] / first["cpu"]} for row in best.values()]
 
 
@@ -94,7 +84,6 @@ def errors(predicted: Path, exact: Path) -> dict[str, float]:
 
 COLUMNS = {
     "precision": ("precision", str),
-    "candidates": ("candidates", str),
     "load": ("load, s", ".2f"),
     "seconds": ("s", ".2f"),
     "cpu": ("CPU, s", ".2f"),
@@ -110,7 +99,7 @@ COLUMNS = {
 def main() -> None:
     arguments = parser(__doc__, "mvsplat.md")
     arguments.add_argument("checkpoint", nargs="?", metavar="CHECKPOINT", help="such as re10k.ckpt")
-    arguments.add_argument("--one", nargs=3, help="used by itself")
+    arguments.add_argument("--one", nargs=2, help="used by itself")
     args = arguments.parse_args()
     if args.one:
         measure(args.checkpoint, *args.one)

@@ -37,10 +37,6 @@ class MVSplatConfig(ComponentConfig, title="mvsplat"):
     precision: Literal["float32", "bfloat16"] = Field(
         "float32", description="Of mvsplat's layers: float32 or bfloat16."
     )
-    depth_candidates: Annotated[int, Field(ge=2)] | Literal["auto"] = Field(
-        128, description="Depths that mvsplat compares, 2 to 128, or 'auto': as many as the pair "
-        "needs.",
-    )  # fmt: skip
 
 
 class PrecomputedGeometryConfig(PrecomputedConfig, title="precomputed"):

@@ -68,7 +68,7 @@ def digest_of(name: str, place: Path) -> str:
 SAM = {"preset": "sam", "points": 3}
 CASES = {
     # Name: kind, the setting that names its files, other settings, those that its identity adds.
-    "mvsplat": ("predictor", "checkpoint", {"depth_candidates": 8}, {"precision": "float32"}),
+    "mvsplat": ("predictor", "checkpoint", {"precision": "bfloat16"}, {}),
     "sam": ("proposer", "model", SAM, {"level": "all", "batch": 16}),
     "sam2": ("proposer", "model", SAM, {"level": "all", "batch": 16}),
     "clip": (
@@ -191,11 +191,11 @@ def test_a_field_by_mvsplat_has_a_gaussian_at_every_pixel_but_the_edge(
     photos, places, tmp_path, monkeypatch
 ):
     words = ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={places['mvsplat']}"]
-    words += ["--set", "mvsplat.depth_candidates=auto", "-o", tmp_path / "field"]
+    words += ["--set", "mvsplat.precision=bfloat16", "-o", tmp_path / "field"]
     assert run(monkeypatch, *field_words(photos, *words)) == 0
     field = SemanticField.load(tmp_path / "field")
     assert field.settings["predictor"] == "mvsplat"
-    assert field.settings["mvsplat"]["depth_candidates"] == "auto"
+    assert field.settings["mvsplat"]["precision"] == "bfloat16"
     assert str(places["mvsplat"].parent) not in (tmp_path / "field" / "field.json").read_text()
     view, pixel = np.divmod(field.gaussians.source.numpy(), 70 * 90)
     row, column = np.divmod(pixel, 90)
@@ -331,12 +331,11 @@ def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(tmp
     (tmp_path / "clip.bin").touch()
     file = tmp_path / "run.toml"
     file.write_text(TABLES)
-    read = read_toml(file, {"mvsplat": {"precision": "float32", "depth_candidates": "64"}})
+    read = read_toml(file, {"mvsplat": {"precision": "float32"}})
     weights = str(tmp_path / "weights")
     assert read.mvsplat.model_dump() == {
         "checkpoint": tmp_path / "weights/re10k.ckpt",
         "precision": "float32",
-        "depth_candidates": 64,
     }
     assert (read.clip.model, read.clip.tokenizer) == (str(tmp_path / "clip.bin"), "a/b")
     assert (read.sam.model, read.sam2.model) == (weights, "facebook/sam2.1-hiera-tiny")

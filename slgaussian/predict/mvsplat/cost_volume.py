@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,12 +18,6 @@ a gigabyte."""
 
 MIN_DEPTH = 1e-3
 """Lower bound of depth in the target view, against division by zero."""
-
-REDUCED = 4
-"""Downsampling factor of the features."""
-
-SPARSE = 64
-"""Stride of the pixels that determine the number of candidates."""
 
 
 def spread(near: float, far: float, count: int) -> torch.Tensor:
@@ -67,28 +60,6 @@ def correlate(
                 add_warped(*lines, maps[i], maps[j], disparities, volume[i])
     volume *= 1 / (channels**0.5 * (views - 1))
     return volume
-
-
-def needed_candidates(cameras: Sequence[Camera], near: float, far: float, maximum: int) -> int:
-    """Return the number of disparities at which steps are one pixel of the feature map.
-
-    A bilinear sample changes linearly between two pixels, so only fewer than one candidate for each
-    pixel loses information. The step is the 99th percentile over pixels and candidates inside
-    another view; the result is at most ``maximum``.
-    """
-    h, w = cameras[0].height // REDUCED, cameras[0].width // REDUCED
-    disparities = spread(near, far, maximum)
-    longest = [1.0]
-    for reference in cameras:
-        for target in cameras:
-            if target is not reference:
-                start, offset = path(reference, target, (h, w))
-                x, y = positions(start[:, ::SPARSE], offset, disparities)
-                inside = (x >= 0) & (x <= w - 1) & (y >= 0) & (y <= h - 1)
-                steps = torch.hypot(x.diff(), y.diff())[inside[:, 1:] & inside[:, :-1]]
-                if len(steps):
-                    longest.append(float(steps.quantile(0.99)) * (maximum - 1))
-    return min(math.ceil(max(longest)) + 1, maximum)
 
 
 def path(reference: Camera, target: Camera, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

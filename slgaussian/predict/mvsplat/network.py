@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-import torch.nn.functional as F
 from torch import nn
 
 from slgaussian.predict.mvsplat.backbone import Backbone
@@ -31,7 +30,6 @@ class Network(nn.Module):
         cameras: Sequence[Camera],
         near: float,
         far: float,
-        candidates: int | None = None,
     ) -> Pixelwise:
         """Predict disparity, opacity and raw Gaussian parameters of every pixel.
 
@@ -43,23 +41,9 @@ class Network(nn.Module):
             Poses in the units of ``near`` and ``far``.
         near, far : float
             Depth range of the search.
-        candidates : int, optional
-            Number of evenly spaced disparities to correlate at, interpolated linearly to those of
-            training; all of them by default.
         """
-        trained = self.config.candidates
-        disparities = spread(near, far, trained).to(images.device)
+        disparities = spread(near, far, self.config.candidates).to(images.device)
         local, matched = self.backbone(images)
-        searched = spread(near, far, candidates or trained).to(images.device)
         with torch.autocast(images.device.type, enabled=False):
-            correlation = interpolate(correlate(matched, cameras, searched), trained)
+            correlation = correlate(matched, cameras, disparities).permute(0, 3, 1, 2)
         return self.depth_predictor(images, local, matched, correlation, disparities)
-
-
-def interpolate(correlation: torch.Tensor, count: int) -> torch.Tensor:
-    """Resample [V, h, w, D] linearly along the disparities to [V, count, h, w]."""
-    views, h, w, depths = correlation.shape
-    lines = correlation.view(views, h * w, depths)
-    if depths != count:
-        lines = F.interpolate(lines, size=count, mode="linear", align_corners=True)
-    return lines.view(views, h, w, count).permute(0, 3, 1, 2)

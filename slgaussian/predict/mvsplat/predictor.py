@@ -21,7 +21,6 @@ from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.mvsplat.adapter import gaussians_of
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.config import PUBLISHED, Config
-from slgaussian.predict.mvsplat.cost_volume import needed_candidates
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Camera, Sample, View
@@ -48,9 +47,6 @@ class MVSplat(MVSplatConfig):
 
     **Precision.** Disparity, depth probabilities and geometry are float32 whatever the layers are.
 
-    **Candidates.** Views are correlated at ``depth_candidates`` disparities, interpolated to 128
-    as in training; "auto" takes one for each pixel of motion over the feature map.
-
     **Colour.** ``sh`` has 16 coefficients: colours depend on the viewing direction.
 
     Attributes
@@ -75,12 +71,6 @@ class MVSplat(MVSplatConfig):
             raise InputError(
                 "mvsplat checkpoint: none given; download re10k.ckpt from where MVSplat's README "
                 "says, and give its path, as in --set mvsplat.checkpoint=re10k.ckpt"
-            )
-        maximum = self.config.candidates
-        if self.depth_candidates != "auto" and self.depth_candidates > maximum:
-            raise InputError(
-                f"mvsplat depth_candidates: found {self.depth_candidates!r}, expected 2 to "
-                f'{maximum} or "auto"'
             )
         device = resolve_device(self.device)
         network = load_network(self.checkpoint, self.config)
@@ -139,13 +129,10 @@ class MVSplat(MVSplatConfig):
         stacked = np.stack([view.image for view in views])
         device = next(self.network.parameters()).device
         images = torch.from_numpy(stacked).permute(0, 3, 1, 2).to(device)
-        candidates = self.depth_candidates
-        if candidates == "auto":
-            candidates = needed_candidates(cameras, near, far, self.config.candidates)
         bfloat16 = self.precision == "bfloat16"
         with torch.no_grad(), inside(self.network):
             with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                output = self.network(images.float().div_(255), cameras, near, far, candidates)
+                output = self.network(images.float().div_(255), cameras, near, far)
             lifted = [
                 gaussians_of(disparity, raw, camera, self.config)
                 for disparity, raw, camera in zip(

@@ -127,8 +127,6 @@ def test_bfloat16_is_near(predict, checkpoint):
     [
         ({"checkpoint": None}, "checkpoint"),
         ({"precision": "float16"}, "precision"),
-        ({"depth_candidates": 1}, "depth_candidates"),
-        ({"depth_candidates": 129}, "depth_candidates"),
         ({"device": "abacus"}, "device"),
     ],
 )

@@ -73,13 +73,6 @@ def test_correlation_is_that_of_warped_features(rig):
     assert (anywhere - plain).abs().max() < 2e-4
 
 
-def test_candidates_are_a_pixel_apart():
-    pair = camera(size=(416, 576), focal=500), camera(size=(416, 576), focal=500, x=0.2)
-    # Over all disparities a point moves by 0.2 * 125 * 0.99 = 24.75 pixels of the features.
-    assert cost_volume.needed_candidates(pair, 1.0, 100.0, 128) == 26
-    assert cost_volume.needed_candidates(pair, 0.1, 10.0, 128) == 128
-
-
 def test_strips_leave_no_seams(network, monkeypatch):
     generator = torch.Generator().manual_seed(0)
     images, features, detail, coarse = (
