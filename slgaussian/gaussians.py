@@ -237,12 +237,6 @@ def rotation_matrices(quats: torch.Tensor) -> torch.Tensor:
     return torch.stack(rows, -1).reshape(*quats.shape[:-1], 3, 3)
 
 
-def covariances(gaussians: Gaussians) -> torch.Tensor:
-    """Compute the world-space covariance R S S^T R^T of each Gaussian, [N, 3, 3]."""
-    factor = rotation_matrices(gaussians.quats) * gaussians.scales[:, None, :]
-    return factor @ factor.mT
-
-
 def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray:
     """Compute depth maps of the context views from the Gaussians of their pixels.
 

@@ -15,7 +15,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("attribution", version=5)
+@stage("attribution", version=6)
 def attribution(
     run: RunContext,
     sample: ArtifactRef,

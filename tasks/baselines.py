@@ -23,7 +23,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("baselines", version=6)
+@stage("baselines", version=7)
 def baselines(
     run: RunContext,
     sample: ArtifactRef,

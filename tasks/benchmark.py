@@ -22,7 +22,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("benchmark", version=12)
+@stage("benchmark", version=13)
 def benchmark(
     run: RunContext,
     sample: ArtifactRef,

@@ -1,11 +1,12 @@
-"""Gaussians: rotations, covariances and depth maps."""
+"""Gaussians: rotations and depth maps."""
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians, covariances, rgb_to_sh, source_depths
+from slgaussian.gaussians import Gaussians, rgb_to_sh, rotation_matrices, source_depths
 from slgaussian.scene import Camera
 
 
@@ -22,11 +23,10 @@ def some(n=7, seed=0) -> Gaussians:
     )
 
 
-def test_covariance_has_the_squared_scales_as_eigenvalues():
-    made = some()
-    eigenvalues = torch.linalg.eigvalsh(covariances(made).double())
-    expected = (made.scales.double() ** 2).sort(dim=1).values
-    assert (eigenvalues - expected).abs().max() < 1e-6  # float32 products, values up to 1.2
+def test_rotation_matrices_of_quaternions_of_any_length():
+    quats = 3 * some().quats
+    expected = Rotation.from_quat(quats.numpy(), scalar_first=True).as_matrix()
+    np.testing.assert_allclose(rotation_matrices(quats), expected, atol=1e-6)
 
 
 def test_gaussians_of_arrays_need_no_tensor():

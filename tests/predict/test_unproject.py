@@ -5,7 +5,7 @@ import pytest
 import torch
 from textured_planes import NORMAL, Plane, camera, sample
 
-from slgaussian.gaussians import covariances, rotation_matrices, source_depths
+from slgaussian.gaussians import rotation_matrices, source_depths
 from slgaussian.predict.unproject import normals, unproject
 
 # Written out, not imported: a slip in the module must show here.
@@ -67,7 +67,8 @@ def test_a_disc_covers_its_pixel_evenly(lifted):
     _, gaussians = lifted
     first = CAMERAS[0]
     some = torch.arange(0, 120 * 160, 97)
-    sigma = covariances(gaussians)[some].double().numpy()
+    factor = rotation_matrices(gaussians.quats[some]) * gaussians.scales[some][:, None]
+    sigma = (factor @ factor.mT).double().numpy()
     means = gaussians.means[some].double().numpy()
     # Project the covariance by finite differences of the true projection.
     J = np.stack(

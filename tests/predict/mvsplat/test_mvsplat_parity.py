@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from slgaussian.gaussians import Gaussians, covariances
+from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.predict.mvsplat import adapter
 from slgaussian.predict.mvsplat.config import PUBLISHED
 from slgaussian.rasterize import harmonics
@@ -86,13 +86,14 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     cycled = torch.from_numpy(harmonics.rotation_matrix(adapter.CYCLE)).float()
     sh = torch.full((count, 3, 25), torch.nan)
     sh[..., :16] = gaussians.sh.mT @ cycled.T
+    factor = rotation_matrices(gaussians.quats) * gaussians.scales[:, None]
     observed |= {
         "depths": 1 / message.disparity,
         "densities": message.opacity,
         "raw_gaussians": raw,
         "scales_local": gaussians.scales,
         "means": gaussians.means,
-        "covariances": covariances(gaussians),
+        "covariances": factor @ factor.mT,
         "harmonics": sh,
         "opacities": gaussians.opacities,
     }
