@@ -14,14 +14,11 @@ file: ``MKL_CBWR=AUTO`` makes MKL, PyTorch's linear algebra, independent of it.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import hashlib
 import os
 import platform
 import re
-import sys
 import threading
-import warnings
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -116,22 +113,8 @@ def limit(workers: int = 1) -> int:
 
 
 def allotted() -> int:
-    """Return the number of threads for kernels of the calling thread: all cores, or :func:`limit`.
-
-    :func:`kernels_on` overrides it temporarily.
-    """
+    """Return the number of threads for kernels of the calling thread, by default all cores."""
     return getattr(_local, "size", 0) or cores()
-
-
-@contextlib.contextmanager
-def kernels_on(count: int) -> Iterator[None]:
-    """Run kernels of the calling thread on ``count`` threads within the block."""
-    before = getattr(_local, "size", 0)
-    _local.size = count
-    try:
-        yield
-    finally:
-        _local.size = before
 
 
 @contextlib.contextmanager
@@ -159,28 +142,10 @@ def inside(network: nn.Module) -> contextlib.AbstractContextManager[None]:
     return fixed(LARGE_THREADS if weights >= LARGE else 1)
 
 
-def indifferent_to_alignment() -> bool:
-    """Return whether PyTorch's linear algebra is independent of memory alignment.
-
-    False if MKL computed before :mod:`slgaussian` was imported, as it reads its mode once. True if
-    PyTorch is built on another library.
-    """
-    import torch
-
-    try:
-        libraries = Path(torch.__file__).parent / "lib"
-        mode = ctypes.CDLL(str(libraries / "libtorch_cpu.so")).mkl_serv_cbwr_get(-1)
-    except (OSError, AttributeError):
-        return True
-    return mode != 1  # MKL_CBWR_BRANCH_OFF
-
-
 def kernels() -> dict[str, str]:
     """Return the properties of this machine that determine the last bits of results.
 
-    ``processor`` is the target of LLVM, ``torch`` the instruction set of PyTorch's kernels, ``mkl``
-    the mode of its linear algebra, and ``openblas`` the processor that NumPy's linear algebra
-    detects.
+    ``processor`` is the target of LLVM, and ``torch`` the instruction set of PyTorch's kernels.
     """
     import llvmlite.binding
     import torch
@@ -189,28 +154,4 @@ def kernels() -> dict[str, str]:
         "machine": platform.machine(),
         "processor": llvmlite.binding.get_host_cpu_name(),
         "torch": torch.backends.cpu.get_cpu_capability(),
-        "mkl": os.environ["MKL_CBWR"],
-        "openblas": _openblas(),
     }
-
-
-def _openblas() -> str:
-    import numpy
-
-    # Beside the package in wheels; elsewhere NumPy may use another library.
-    for file in sorted(Path(numpy.__file__).parent.parent.glob("numpy.libs/*openblas*")):
-        with contextlib.suppress(OSError, AttributeError):
-            name = ctypes.CDLL(str(file)).scipy_openblas_get_corename64_
-            name.restype = ctypes.c_char_p
-            return name().decode()
-    return "unknown"
-
-
-# It is harmless to have imported PyTorch before, but not to have computed with it.
-if "torch" in sys.modules and not indifferent_to_alignment():
-    warnings.warn(
-        "PyTorch has computed before slgaussian was imported, so the last bits of networks may "
-        "differ from run to run; import slgaussian first, or set MKL_CBWR=AUTO",
-        RuntimeWarning,
-        stacklevel=2,
-    )

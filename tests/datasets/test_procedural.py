@@ -15,8 +15,8 @@ from slgaussian.datasets.procedural.names import (
     look,
 )
 from slgaussian.errors import InputError
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.scene import View
+from tests.kernel_threads import kernels_on
 
 SMALL = {"height": 64, "width": 96}
 SEEDS = range(4)

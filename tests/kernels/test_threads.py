@@ -1,8 +1,5 @@
 """What networks say depends on numbers alone: not on threads, nor on where weights begin."""
 
-import os
-import subprocess
-import sys
 import threading
 
 import pytest
@@ -89,27 +86,3 @@ def test_what_one_thread_fixes_another_does_not_see():
         assert torch.get_num_threads() == 3
     worker.join()
     assert view == {"before": 2, "while": 2}
-
-
-def said_by(program: str, **environment: str) -> str:
-    clean = {k: v for k, v in os.environ.items() if k != "MKL_CBWR"}
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        env=clean | environment,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return done.stderr
-
-
-USED = "import torch; torch.ones(64, 64) @ torch.ones(64, 64); import slgaussian"
-
-
-@pytest.mark.skipif(
-    "mkl" not in torch.__config__.show().lower(), reason="PyTorch is built without MKL here"
-)
-def test_only_who_computed_before_is_told():
-    assert "import slgaussian first, or set MKL_CBWR=AUTO" in said_by(USED)
-    assert "slgaussian" not in said_by(USED, MKL_CBWR="AUTO")
-    assert "slgaussian" not in said_by("import torch; import slgaussian")

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from slgaussian.kernels.jit import kernel
-from slgaussian.kernels.threads import allotted, cores, kernels_on
+from slgaussian.kernels.threads import allotted, cores
 from slgaussian.kernels.work_sharing import share, share_items, take
+from tests.kernel_threads import kernels_on
 
 
 @kernel

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.language.codes import grid_codes
 from slgaussian.language.nearest import nearest_code
+from tests.kernel_threads import kernels_on
 
 
 def by_comparing_all(values: np.ndarray, codes: np.ndarray) -> np.ndarray:

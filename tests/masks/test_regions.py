@@ -4,9 +4,9 @@ from drawn_views import SIZE, canvas, main_label, paste, view
 
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.regions import Regions
+from tests.kernel_threads import kernels_on
 
 BALL = (30, 70, 20, 60)
 BOX = (50, 100, 90, 140)

@@ -14,10 +14,10 @@ import pytest
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians, source_depths
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.depth_hypotheses import MAX_DEPTH
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.scene import Sample, View
+from tests.kernel_threads import kernels_on
 from tests.predict.hard_pairs import (
     LEFT,
     RIGHT,

@@ -15,10 +15,10 @@ import pytest
 
 from benches.views.numbers_of_views import Row, at_targets
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.predict.view_graph import link_views, select_usable
 from slgaussian.scene import Sample
+from tests.kernel_threads import kernels_on
 from tests.predict import twists
 
 pytestmark = pytest.mark.whole

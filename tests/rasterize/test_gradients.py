@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from slgaussian.gaussians import Gaussians
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.rasterize import PRESETS, Render, Settings, rasterize
 from slgaussian.scene import Camera
+from tests.kernel_threads import kernels_on
 from tests.rasterize.hard_cases import camera, case, cloud, rotated, splats
 
 EXACT = PRESETS["exact"]

@@ -8,11 +8,11 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.predict.unproject import unproject
 from slgaussian.rasterize import rasterize
 from slgaussian.rasterize.merging import MOST, merge
 from slgaussian.scene import Camera
+from tests.kernel_threads import kernels_on
 from tests.rasterize.hard_cases import camera
 
 H, W = 42, 54

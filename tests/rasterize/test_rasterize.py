@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.rasterize import PRESETS, Settings, rasterize
 from slgaussian.rasterize.harmonics import colors
 from slgaussian.scene import Camera
+from tests.kernel_threads import kernels_on
 from tests.rasterize.hard_cases import (
     ALL_CUT,
     bounds,

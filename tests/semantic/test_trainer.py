@@ -14,7 +14,6 @@ from drawn_lessons import lesson
 from train_and_die import LESSONS, SETTINGS
 
 from slgaussian.errors import InputError
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.semantic.batch_sampler import draw_batch
 from slgaussian.semantic.branch import (
     Architecture,
@@ -24,6 +23,7 @@ from slgaussian.semantic.branch import (
 from slgaussian.semantic.checkpoints import CHECKPOINT
 from slgaussian.semantic.training import TrainingSettings, loss_of, train
 from slgaussian.storage.specs import load_spec
+from tests.kernel_threads import kernels_on
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,11 +5,11 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from slgaussian.benchmark.baselines.dense import DenseView, cosines
-from slgaussian.kernels.threads import kernels_on
 from slgaussian.kernels.work_sharing import share
 from slgaussian.language import langsplat
 from slgaussian.language.reader import TextReader
 from slgaussian.language.rules import Rules
+from tests.kernel_threads import kernels_on
 
 # Written out, not imported: a slip in the module must show here.
 BEST_SHARE, NEAR_BEST = 0.01, 0.6
