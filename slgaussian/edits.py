@@ -1,8 +1,7 @@
 """A user's edits of a field, stored in its folder: taught words, names, removed objects.
 
-They are two optional files: ``words.npz``, which fields of other scenes can load too
-(:mod:`slgaussian.language.taught`), and ``edits.npz``. The Gaussians are not modified, so every
-edit can be undone.
+They are two optional files, ``words.npz`` and ``edits.npz``. The Gaussians are not modified, so
+every edit can be undone.
 """
 
 from __future__ import annotations
@@ -76,21 +75,22 @@ def read(
         If a file is damaged, its words have another encoder, or an object is not in the field.
     """
     taught, names, removed = TaughtWords(), {}, frozenset[int]()
-    if (folder / WORDS).is_file():
-        try:
-            taught = TaughtWords.load(folder / WORDS, encoder)
-        except InputError as error:
-            raise SpecError(str(error)) from error
+    file = folder / WORDS
+    if file.is_file():
+        taught = TaughtWords.from_bytes(_content(file), str(file), encoder)
     file = folder / EDITS
     if file.is_file():
-        try:
-            data = file.read_bytes()
-        except OSError as error:
-            raise SpecError(f"{file}: {error.strerror}; {REPAIR}") from error
-        arrays = decode_arrays(data, load_spec("edits"), str(file), repair=REPAIR)
+        arrays = decode_arrays(_content(file), load_spec("edits"), str(file), repair=REPAIR)
         strange = np.setdiff1d(np.concatenate([arrays["named"], arrays["removed"]]), ids)
         if len(strange):
             raise SpecError(f"{file}: object {strange[0]} is not in this field; {REPAIR}")
         named = zip(arrays["named"].tolist(), arrays["names"].tolist(), strict=True)
         names, removed = dict(named), frozenset(arrays["removed"].tolist())
     return taught, names, removed
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise SpecError(f"{file}: cannot be read ({error.strerror})") from error

@@ -338,14 +338,6 @@ class SemanticField:
         """Return the field without a taught word; InputError if it is not taught."""
         return self.changed(taught=self.taught.without(word))
 
-    def taking(self, words: TaughtWords) -> SemanticField:
-        """Return the field with additional words from another field.
-
-        InputError if they have another encoder.
-        """
-        words.check_encoder(encoder_identity(self.settings), "these taught words")
-        return self.changed(taught=self.taught.merged(words))
-
     def named(self, object_id: int, name: str) -> SemanticField:
         """Return the field with a name for an object; an empty name deletes it.
 

@@ -165,16 +165,6 @@ def test_edits_are_saved_beside_the_field_and_taken_away_again(field, tmp_path):
     assert {file.name for file in folder.iterdir()} == set(before)
 
 
-def test_words_pass_to_another_field_of_the_encoder(field, tmp_path):
-    field.teach("zorp", BLUE).save(tmp_path / "field")
-    words = field.taught.load(tmp_path / "field/words.npz")
-    there = field.taking(words).render(field.cameras["b"])
-    assert there.query("zorp").objects[0][0] == BLUE
-    other = dataclasses.replace(field, settings={**field.settings, "encoder": "clip"})
-    with pytest.raises(InputError, match="these taught words: are of the encoder 'lexicon'"):
-        other.taking(words)
-
-
 @pytest.mark.parametrize("name", ["words.npz", "edits.npz"])
 def test_damaged_edits_are_one_sentence(field, tmp_path, name):
     field.teach("zorp", RED).without([BLUE]).save(tmp_path / "field")

@@ -36,7 +36,6 @@ def query(
     view: options.Views = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
-    words: options.Words = None,
     out: options.Picture = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -61,7 +60,7 @@ def query(
     if out is not None:
         check_picture(out)
     rules, opened = open_field(
-        field, options.settings_from(ctx, Method, preset=ctx.params["preset"]), words
+        field, options.settings_from(ctx, Method, preset=ctx.params["preset"])
     )
     crops = {str(file): _read_crop(file) for file in like or ()}
     accepted, refused = sort_texts(opened, texts)
@@ -231,7 +230,6 @@ def segment(
     view: options.View = None,
     between: options.Between = None,
     camera: options.CameraFile = None,
-    words: options.Words = None,
     out: options.Picture = None,
     as_json: options.AsJson = False,
 ) -> None:
@@ -257,7 +255,7 @@ def segment(
 
     if out is not None:
         check_picture(out)
-    rules, opened = opening.open_field(field, options.settings_from(ctx, Method), words)
+    rules, opened = opening.open_field(field, options.settings_from(ctx, Method))
     accepted, refused = opening.sort_texts(opened, texts)
     chosen = opening.choose_cameras(field, opened.cameras, view and [view], camera, between)
     ((name, shot),) = chosen.items()

@@ -46,7 +46,6 @@ def list_(
     ctx: typer.Context,
     field: options.Folder,
     texts: options.Texts = None,
-    words: options.Words = None,
     out: options.Picture = None,
     show_all: Annotated[
         bool, typer.Option("--all", help="List all objects, not only the largest.")
@@ -71,7 +70,7 @@ def list_(
 
     if out is not None:
         check_picture(out)
-    rules, opened = open_field(field, options.settings_from(ctx, Method), words)
+    rules, opened = open_field(field, options.settings_from(ctx, Method))
     accepted, refused = sort_texts(opened, texts or [], untold=False)
     things = opened.inventory(accepted or None, **rules)
     largest = sorted(things, key=lambda thing: -thing.gaussians)
@@ -109,7 +108,7 @@ def teach(
     """Teach a field a new word by pointing at an object.
 
     The word is stored in the field, and queried like any other. Point at more objects or in other
-    views to add examples. Other fields use the words with --words field/words.npz.
+    views to add examples.
 
     \b
     slgaussian objects teach field/ fox --at 312 140
@@ -174,7 +173,6 @@ def remove(
     field: options.Folder,
     texts: Annotated[list[str], typer.Argument(metavar="OBJECT", help="Texts, names, or ids.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the field without it.")],
-    words: options.Words = None,
 ) -> None:
     """Write a copy of a field without some of its objects.
 
@@ -196,7 +194,7 @@ def remove(
             f"{out}: is the field itself, and removal cannot be undone; choose another folder"
         )
     check_target(out)
-    rules, opened = open_field(field, options.settings_from(ctx, Method), words)
+    rules, opened = open_field(field, options.settings_from(ctx, Method))
     hits = {text: find_objects(opened, text, rules) for text in texts}
     labels, removed = opened.labels(), set[int]()
     for text, objects_hit in hits.items():
@@ -218,7 +216,6 @@ def extract(
     field: options.Folder,
     text: Annotated[str, typer.Argument(metavar="OBJECT", help="A text, a name, or an id.")],
     out: Annotated[Path, typer.Option("--out", "-o", help=".ply file, or folder for a field.")],
-    words: options.Words = None,
 ) -> None:
     """Write the objects of a query alone, as a field or .ply file.
 
@@ -236,7 +233,7 @@ def extract(
     ply = out.suffix.lower() == ".ply"
     if not ply:
         check_target(out)
-    rules, opened = open_field(field, options.settings_from(ctx, Method), words)
+    rules, opened = open_field(field, options.settings_from(ctx, Method))
     hits = find_objects(opened, text, rules)
     alone = opened.dropped().only(id_ for id_, _ in hits)
     if not len(alone.gaussians):

@@ -18,7 +18,6 @@ from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
 from slgaussian.language.rules import Rules
-from slgaussian.language.taught import TaughtWords, encoder_identity
 from slgaussian.scene import Camera, Scene
 from slgaussian.storage.field_folder import read_about
 from slgaussian.storage.local_copies import cached_arrays
@@ -28,19 +27,19 @@ RENDERED = ("rgb", "ids", "confidence", "alpha", "depth")
 
 
 def open_field(
-    folder: Path, settings: Mapping[str, Any], words: Path | None = None, rules: bool = True
+    folder: Path, settings: Mapping[str, Any], rules: bool = True
 ) -> tuple[dict[str, Any], SemanticField]:
     """Return the rules in ``settings``, and the field with its encoder loaded.
 
     Settings are fields of :class:`slgaussian.language.rules.Rules` unless ``rules`` is false,
     ``preset``, of which only the rules are used, and under the name of the field's encoder the
-    current locations of its files. ``words`` is a file of taught words to use with the field.
+    current locations of its files.
 
     Raises
     ------
     InputError
-        If a setting is unknown, invalid or without effect, or the folder, the encoder's files or
-        the words cannot be read.
+        If a setting is unknown, invalid or without effect, or the folder or the encoder's files
+        cannot be read.
     """
     values = dict(settings)
     preset = preset_values(values.pop("preset"), "query") if "preset" in values else {}
@@ -60,8 +59,6 @@ def open_field(
         )
     field = replace(field, places={**field.places, **places})
     field.encoder  # noqa: B018  (loads it, so that a missing encoder fails before rendering)
-    if words is not None:
-        field = field.taking(TaughtWords.load(words, encoder_identity(field.settings)))
     return chosen, field
 
 

@@ -101,7 +101,6 @@ Cameras = Annotated[
 ]
 Folder = Annotated[Path, typer.Argument(metavar="FIELD", help="Folder of a field.")]
 FieldOrPly = Annotated[Path, typer.Argument(metavar="FIELD|PLY", help="Field, or any 3DGS .ply.")]
-Words = Annotated[Path | None, typer.Option(help="Words taught elsewhere: words.npz of a field.")]
 View = Annotated[str | None, typer.Option(help="Name or number from 0. [default: 0]")]
 Views = Annotated[
     list[str] | None,

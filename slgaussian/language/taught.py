@@ -19,18 +19,16 @@ groups work as for other words.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
-from slgaussian.io import short_repr, write_atomic
+from slgaussian.io import short_repr
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.storage.encoding import decode_arrays, encode_artifact
 from slgaussian.storage.specs import load_spec
@@ -49,7 +47,7 @@ Answers are about as good from 0.1 to 0.6."""
 LONGEST = 80
 """Largest number of letters of a word."""
 
-REPAIR = "teach the words again, or use another copy of the file"
+REPAIR = "remove the file, and teach the words again"
 
 
 def _texts() -> np.ndarray:
@@ -152,7 +150,7 @@ class TaughtWords:
             If the word is empty or too long, or the existing words have another encoder.
         """
         word = normal(word)
-        self.check_encoder(encoder, "the taught words")
+        self.check_encoder(encoder)
         vector, new_rivals = _half(feature[None]), _half(rivals)
         width = vector.shape[1]
         if len(self.words) and self.features.shape[1] != width:
@@ -190,26 +188,6 @@ class TaughtWords:
             rivals=self.rivals[stay],
         )
 
-    def merged(self, other: TaughtWords) -> TaughtWords:
-        """Return the union with ``other``; a word of both has the examples of both.
-
-        Raises
-        ------
-        InputError
-            If their encoders differ.
-        """
-        if not len(other.words):
-            return self
-        if not len(self.words):
-            return other
-        self.check_encoder(other.encoder, "the taught words")
-        arrays = {
-            f.name: np.concatenate([getattr(self, f.name), getattr(other, f.name)])
-            for f in fields(self)
-            if f.name != "encoder"
-        }
-        return TaughtWords(self.encoder, **arrays)
-
     def leads(self, word: str, looks: np.ndarray) -> np.ndarray:
         """Compute the module's lead, float64 [P], of regions with unit vectors ``looks`` [P, C].
 
@@ -230,12 +208,12 @@ class TaughtWords:
         likeness = np.einsum("pc,ec->pe", directions, _directions(self.features[examples], common))
         return SCALE * (likeness.max(1) - EVEN)
 
-    def check_encoder(self, encoder: str, what: str) -> None:
-        """Raise InputError, naming ``what``, if these words have another encoder."""
+    def check_encoder(self, encoder: str) -> None:
+        """Raise InputError if these words have another encoder."""
         if self.encoder and encoder != self.encoder:
             raise InputError(
-                f"{what}: are of the encoder {_brief(self.encoder)}, but this field's is "
-                f"{_brief(encoder)}; teach them in a field of this one"
+                f"taught words: are of the encoder {_brief(self.encoder)}, but this field's is "
+                f"{_brief(encoder)}"
             )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
@@ -252,56 +230,27 @@ class TaughtWords:
         """Encode the words as the bytes of a file, deterministically."""
         return encode_artifact(SPEC, self.to_arrays(), "taught words")[1]
 
-    def save(self, path: str | Path) -> None:
-        """Write the words to a ``.npz`` file, which other fields of this encoder can load.
-
-        InputError if it cannot be written.
-        """
-        try:
-            write_atomic(path, self.to_bytes())
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written ({error.strerror})") from error
-
     @staticmethod
-    def load(path: str | Path, encoder: str | None = None) -> TaughtWords:
-        """Read the words of a file.
-
-        Parameters
-        ----------
-        path : path or str
-            File of :meth:`save`, such as ``words.npz`` of a field folder.
-        encoder : str, optional
-            Required :func:`encoder_identity`.
+    def from_bytes(data: bytes, file: str, encoder: str) -> TaughtWords:
+        """Decode :meth:`to_bytes`; ``file`` is the name for messages.
 
         Raises
         ------
-        InputError
-            If the file does not exist, or its words have another encoder.
         SpecError
-            If it is damaged.
+            If the file is damaged, or its words are not of ``encoder`` (:func:`encoder_identity`).
         """
-        try:
-            data = Path(path).read_bytes()
-        except OSError as error:
-            raise InputError(
-                f"{path}: cannot be read ({error.strerror}); give a file of taught words, such as "
-                f"words.npz of a field folder"
-            ) from error
-        arrays = decode_arrays(data, load_spec(SPEC), os.fspath(path), repair=REPAIR)
-        # Files of version 1 may have counter-examples, which are no longer used.
-        positive = arrays.get("positive", np.ones(len(arrays["words"]), bool))
+        arrays = decode_arrays(data, load_spec(SPEC), file, repair=REPAIR)
         try:
             words = TaughtWords(
-                _without_nulls(str(arrays["encoder"])),
-                arrays["words"][positive],
-                arrays["features"][positive].astype(np.float32),
+                str(arrays["encoder"]),
+                arrays["words"],
+                arrays["features"].astype(np.float32),
                 arrays["rival_words"],
                 arrays["rivals"].astype(np.float32),
             )
+            words.check_encoder(encoder)
         except InputError as error:
-            raise SpecError(f"{path}: {error}; {REPAIR}") from error
-        if encoder is not None:
-            words.check_encoder(encoder, os.fspath(path))
+            raise SpecError(f"{file}: {error}; {REPAIR}") from error
         return words
 
 
@@ -332,15 +281,6 @@ def encoder_identity(settings: Mapping[str, Any]) -> str:
     identity = {"encoder": name, **dict(settings.get(name, {}))}
     identity.pop("classifier", None)
     return json.dumps({k: v for k, v in identity.items() if v is not None}, sort_keys=True)
-
-
-def _without_nulls(encoder: str) -> str:
-    """Convert the identity in an old file to the current form of :func:`encoder_identity`."""
-    try:
-        identity = json.loads(encoder)
-        return encoder_identity({"encoder": identity["encoder"], identity.pop("encoder"): identity})
-    except (ValueError, LookupError, TypeError, AttributeError):
-        return encoder
 
 
 def _brief(encoder: str) -> str:

@@ -31,7 +31,6 @@ def place(tmp_path_factory):
         ("query field red --threshold 2", "threshold"),
         ("query field red --set absent=lerf", "expected one of skip, zero"),
         ("query field", "nothing to look for: give a TEXT, or a picture with --like"),
-        ("query field red --words nowhere.npz", "nowhere.npz: cannot be read"),
         ("query field red --camera none.json", "none.json: cannot be read"),
         ("query no red", "no: no field.json there"),
         ("segment field red -o a", "found 'no suffix'"),

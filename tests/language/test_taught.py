@@ -1,7 +1,5 @@
 """Words by example: what they hold, how they score, and their file."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -40,8 +38,9 @@ def unit(seed: int, count: int = 1) -> np.ndarray:
     return vectors.astype(np.float32)
 
 
-def taught(word: str = "fox", seed: int = 0) -> TaughtWords:
-    return TaughtWords().with_example(word, unit(seed)[0], unit(100 + seed, 6), THIS)
+def taught(word: str = "fox", seed: int = 0, before: TaughtWords | None = None) -> TaughtWords:
+    words = before or TaughtWords()
+    return words.with_example(word, unit(seed)[0], unit(100 + seed, 6), THIS)
 
 
 @pytest.fixture(scope="module")
@@ -131,21 +130,8 @@ def test_an_example_given_again_is_there_once_and_no_rival():
     assert len(second.rivals) == 3  # neither example, and no rival twice
 
 
-def test_a_file_of_before_is_read_without_its_counter_examples(tmp_path):
-    words = taught().with_example("fox", unit(3)[0], unit(4, 2), THIS)
-    arrays = words.to_arrays() | {
-        "encoder": np.array('{"encoder": "lexicon", "synonyms": null}'),
-        "positive": np.array([True, False]),
-    }
-    spec = replace(load_spec("words"), version=1)
-    (tmp_path / "words.npz").write_bytes(encode_arrays(arrays, spec))
-    again = TaughtWords.load(tmp_path / "words.npz", THIS)
-    assert again.examples("fox") == 1
-    np.testing.assert_array_equal(again.features, words.features[:1])
-
-
 def test_a_word_that_is_forgotten_leaves_nothing():
-    words = taught().merged(taught("owl", 3))
+    words = taught("owl", 3, taught())
     assert list(words) == ["fox", "owl"] and "FOX" in words and "" not in words
     left = words.without("fox")
     assert list(left) == ["owl"] and set(left.rival_words) == {"owl"}
@@ -154,50 +140,31 @@ def test_a_word_that_is_forgotten_leaves_nothing():
         left.without("fox")
 
 
-def test_merging_keeps_the_examples_of_both():
-    both = taught(seed=1).merged(taught(seed=2))
-    assert both.examples("fox") == 2 and len(both.rivals) == 12
-    assert TaughtWords().merged(both) is both and both.merged(TaughtWords()) is both
-
-
-def test_a_file_gives_the_same_words_and_the_same_bytes(tmp_path):
-    words = taught().merged(taught("brass owl", 5))
-    words.save(tmp_path / "a.npz")
-    again = TaughtWords.load(tmp_path / "a.npz", THIS)
+def test_a_file_gives_the_same_words_and_the_same_bytes():
+    words = taught("brass owl", 5, taught())
+    again = TaughtWords.from_bytes(words.to_bytes(), "words.npz", THIS)
     for name, array in words.to_arrays().items():
         np.testing.assert_array_equal(again.to_arrays()[name], array)
     looks = unit(40, 3).astype(np.float64)
     np.testing.assert_array_equal(again.leads("fox", looks), words.leads("fox", looks))
-    again.save(tmp_path / "b.npz")
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert again.to_bytes() == words.to_bytes()
 
 
-def test_words_of_another_encoder_are_refused(tmp_path):
-    taught().save(tmp_path / "words.npz")
-    says = r"words\.npz: are of the encoder 'lexicon', but this field's is 'clip' \(model 1f2e\)"
+def test_words_of_another_encoder_are_refused():
+    says = r"are of the encoder 'lexicon', but this field's is 'clip' \(model 1f2e\)"
+    with pytest.raises(SpecError, match=r"words\.npz: .*" + says):
+        TaughtWords.from_bytes(taught().to_bytes(), "words.npz", OTHER)
     with pytest.raises(InputError, match=says):
-        TaughtWords.load(tmp_path / "words.npz", OTHER)
-    with pytest.raises(InputError, match="are of the encoder 'lexicon'"):
         taught().with_example("owl", unit(1)[0], unit(2, 2), OTHER)
     with pytest.raises(InputError, match="12 wide, found looks"):
         taught().leads("fox", np.ones((2, 5)))
 
 
-@pytest.mark.parametrize("damage", ["cut", "text", "length", "gone"])
-def test_a_damaged_file_is_one_sentence(tmp_path, damage):
-    file = tmp_path / "words.npz"
-    taught().save(file)
-    if damage == "cut":
-        file.write_bytes(file.read_bytes()[:-40])
-    elif damage == "text":
-        file.write_text("fox")
-    elif damage == "gone":
-        file.unlink()
-    else:
-        arrays = {**taught().to_arrays(), "rivals": np.ones((6, WIDTH), np.float16)}
-        np.savez(file, **arrays)
-    with pytest.raises(InputError if damage == "gone" else SpecError, match=r"words\.npz: "):
-        TaughtWords.load(file)
+def test_vectors_of_another_length_are_one_sentence():
+    arrays = {**taught().to_arrays(), "rivals": np.ones((6, WIDTH), np.float16)}
+    data = encode_arrays(arrays, load_spec("words"))
+    with pytest.raises(SpecError, match=r"words\.npz: .*no unit vector"):
+        TaughtWords.from_bytes(data, "words.npz", THIS)
 
 
 @pytest.mark.parametrize("word", ["", "  ", "a" * 81])
