@@ -24,7 +24,6 @@ from slgaussian.benchmark.external_predictions import (
 )
 from slgaussian.benchmark.outputs import (
     clear_predictions,
-    write_costs,
     write_predictions,
     write_samples,
 )
@@ -98,11 +97,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     for result, predicted in zip(results, masks, strict=True):
         write_predictions(result.rows, predicted, out / "predictions")
     write_samples(rows, out)
-    names = "scene", "frame", "query", "method"
-    rows_by_query = {tuple(row[name] for name in names): row for row in rows}
-    write_costs(
-        [{**rows_by_query[key], "query_seconds": s} for key, s in tally.seconds.items()], out
-    )
+    (out / "times.parquet").unlink(missing_ok=True)  # of an earlier release
     return Scores(results, predictions, tally, messages)
 
 

@@ -22,9 +22,9 @@ class Cost:
     Attributes
     ----------
     dataset, method : str
-    cold_query, view_query, further_query : float or None
-        Seconds of the first query of a scene, of the first query in a further view, and of a
-        further query in that view: medians over scenes, views and queries.
+    view_query, further_query : float or None
+        Seconds of the first query in a view, with its rendering, and of a further query in it, both
+        without what is computed once per scene: medians over views and queries.
     prepare, build : float or None
         Seconds per scene for the method, and for the field that all methods share: medians over
         scenes.
@@ -34,7 +34,6 @@ class Cost:
 
     dataset: str
     method: str
-    cold_query: float | None = None
     view_query: float | None = None
     further_query: float | None = None
     prepare: float | None = None
@@ -67,7 +66,6 @@ def _cost(dataset: str, method: str, rows: Sequence[Row]) -> Cost:
     return Cost(
         dataset,
         method,
-        cold_query=_median(row.get("cold_seconds") for row in frames),
         view_query=_median(row.get("view_seconds") for row in frames),
         further_query=_median(row.get("query_seconds") for row in rows),
         prepare=_median(row.get("prepare_seconds") for row in scenes),

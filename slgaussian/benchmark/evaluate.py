@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from dataclasses import field as dataclass_field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -190,12 +189,14 @@ def evaluate(
     settings = settings or EvaluationSettings()
     queries, drawn = settings.queries, settings.drawn
     recorder = _Recorder(sample.scene, settings)
+    texts = list(dict.fromkeys([*(t for of in truth.masks.values() for t in of), *queries]))
+    if texts:
+        recorder.warm_up(field.render(sample.context[0].camera), texts)
     for target in sample.targets:
         with recorder.timed():
             view = field.render(target.camera)
         masks, boxes = (of.get(target.name, {}) for of in (truth.masks, truth.boxes))
         recorder.ask(view, target.name, target.image, masks, boxes)
-        recorder.time_warm(partial(field.render, target.camera))
         recorder.measure("psnr", metrics.psnr(view.rgb, target.image))
         recorder.measure("ssim", metrics.ssim(view.rgb, target.image))
         if view.depth.any():
@@ -218,7 +219,6 @@ def evaluate(
             recorder.ask(
                 view, frame, view.rgb, dict.fromkeys(queries, nothing), {}, has_truth=False
             )
-            recorder.time_warm(partial(field.render, camera))
 
     if gaussians is not None:
         recorder.look_at_depths(sample, gaussians)
@@ -322,11 +322,7 @@ class _Recorder:
         self, view: AnsweringView, frame: str, queries: Sequence[str], texts: Sequence[str]
     ) -> dict[str, Result]:
         """Query the view with ``texts``, the understood ones of ``queries``, and time it."""
-        seconds: dict[str, float | None] = {
-            "view_seconds": None,
-            "query_seconds": None,
-            "cold_seconds": None,
-        }
+        seconds: dict[str, float | None] = {"view_seconds": None, "query_seconds": None}
         hits: Sequence[Result] = []
         if texts:
             rendered = self.latest
@@ -342,21 +338,12 @@ class _Recorder:
             self.costs.append(row if query in texts else row | {"query_seconds": None})
         return dict(zip(texts, hits, strict=True))
 
-    def time_warm(self, render: Callable[[], AnsweringView]) -> None:
-        """Time the first query of the last view again in a new rendering, if it was the first.
-
-        Then everything computed once per scene or per process is cached.
-        """
-        timed = [row for row in self.costs if row["view_seconds"] is not None]
-        rows = [row for row in timed if row["frame"] == self.costs[-1]["frame"]]
-        if not rows or len(rows) < len(timed):
-            return
-        start = compiling.clock()
-        text = next(row["query"] for row in rows if row["query_seconds"] is not None)
-        self._answers(render(), [text])
-        warm = compiling.clock() - start
-        for row in rows:
-            row |= {"cold_seconds": row["view_seconds"], "view_seconds": warm}
+    def warm_up(self, view: AnsweringView, texts: Sequence[str]) -> None:
+        """Answer one of ``texts`` untimed: then all that is computed once per scene is cached."""
+        for text in texts:
+            if understands(view.reader, text):
+                self._answers(view, [text])
+                return
 
     def _answers(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:
         hits = view.query_all(texts, **self.query_rules)

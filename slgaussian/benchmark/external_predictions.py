@@ -5,13 +5,11 @@ A folder has the layout of a benchmark's masks, ``<method>/<protocol>/<scene>/<f
 masks, each scored by every protocol::
 
     [{"method": "mine", "scene": "desk", "frame": "0007.png", "query": "red mug",
-      "size": [416, 576], "counts": "01ccQm1W6e...", "point": [130, 88.5], "score": 0.83,
-      "seconds": 0.21}, ...]
+      "size": [416, 576], "counts": "01ccQm1W6e...", "point": [130, 88.5]}, ...]
 
 ``size`` is height and width, and ``counts`` are COCO run lengths as a string or a list
 (:mod:`slgaussian.formats.rle`). The other keys are optional: ``method`` defaults to the name of the
-file, ``point`` is the predicted pixel (x, y), ``score`` the confidence, 0 to 1, and ``seconds`` the
-time of the answer. Unknown keys are ignored.
+file, and ``point`` is the predicted pixel (x, y). Unknown keys are ignored.
 
 Metrics of relevancies are not computed, and metrics of the point only if it is given.
 """
@@ -63,14 +61,11 @@ class Prediction:
     read : function (height, width) -> bool [height, width]
         Raises InputError if the mask cannot be read, or has another size.
     point : (x, y) or None
-    score, seconds : float or None
     """
 
     where: str
     read: Callable[[int, int], np.ndarray]
     point: tuple[float, float] | None = None
-    score: float | None = None
-    seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -148,14 +143,12 @@ class Tally:
     """Counts of used and missing masks.
 
     ``asked`` is the number of samples with ground truth, of which those in ``missing`` have no
-    mask. ``used`` are the keys of evaluated masks, and ``seconds`` are given times by scene, frame,
-    query and method.
+    mask. ``used`` are the keys of evaluated masks.
     """
 
     asked: int = 0
     missing: list[str] = field(default_factory=list)
     used: set[Key] = field(default_factory=set)
-    seconds: dict[tuple[str, str, str, str], float] = field(default_factory=dict)
 
     def unused(self, predictions: Predictions) -> list[str]:
         """List the masks that belong to no sample."""
@@ -261,7 +254,6 @@ def _score_scene(
                     "protocol": protocol.label,
                     "height": mask.shape[0],
                     "width": mask.shape[1],
-                    "score": None if prediction is None else prediction.score,
                     "point_x": x,
                     "point_y": y,
                     "note": ABSENT if absent else NOT_GIVEN if prediction is None else "",
@@ -293,8 +285,6 @@ def _look_up(
         tally.used.add(key)
         prediction = predictions.masks[key]
         looked_up.append((prediction, prediction.read(*truth.shape)))
-        if prediction.seconds is not None:
-            tally.seconds[scene, frame, text, row["method"]] = prediction.seconds
     return looked_up
 
 
@@ -364,8 +354,6 @@ class _Entry(BaseModel):
     size: Annotated[list[PositiveInt], Field(min_length=2, max_length=2)]
     counts: Any = None
     point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
-    score: Annotated[float, Field(ge=0, le=1)] | None = None
-    seconds: Annotated[float, Field(ge=0)] | None = None
 
     def read(self, where: str, height: int, width: int) -> np.ndarray:
         _check_size(where, self.size, height, width)  # before allocating an array of that size
@@ -392,7 +380,7 @@ def _read_file(place: Path) -> Predictions:
             raise InputError(f"{where} is there twice")
         x, y = mask.point or (None, None)
         point = None if x is None or y is None else (x, y)
-        masks[key] = Prediction(where, partial(mask.read, where), point, mask.score, mask.seconds)
+        masks[key] = Prediction(where, partial(mask.read, where), point)
     return Predictions(place, masks)
 
 

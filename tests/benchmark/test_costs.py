@@ -16,12 +16,12 @@ def row(scene, frame, query, **known):
 
 ROWS = [
     # Two texts of one frame: what is of the frame or of the scene counts once.
-    row("a", "1", "x", query_seconds=1.0, view_seconds=10.0, cold_seconds=50.0, build_seconds=7.0,
+    row("a", "1", "x", query_seconds=1.0, view_seconds=10.0, build_seconds=7.0,
         peak_bytes=130),
-    row("a", "1", "y", query_seconds=3.0, view_seconds=10.0, cold_seconds=50.0, build_seconds=7.0,
+    row("a", "1", "y", query_seconds=3.0, view_seconds=10.0, build_seconds=7.0,
         peak_bytes=130),
     row("a", "2", "x", view_seconds=30.0, build_seconds=7.0, peak_bytes=130),
-    row("b", "1", "x", query_seconds=8.0, view_seconds=20.0, cold_seconds=90.0, build_seconds=9.0,
+    row("b", "1", "x", query_seconds=8.0, view_seconds=20.0, build_seconds=9.0,
         peak_bytes=150),
 ]  # fmt: skip
 
@@ -29,8 +29,8 @@ ROWS = [
 def test_medians_are_over_what_was_measured_and_peaks_the_greatest():
     other = row("a", "1", "x", method="other", query_seconds=2.0, prepare_seconds=4.0)
     ours, theirs = costs_of([*ROWS, other])
-    assert ours == Cost("d", "ours", 70.0, 20.0, 3.0, None, 8.0, 150)
-    assert theirs == Cost("d", "other", None, None, 2.0, 4.0, None, None)
+    assert ours == Cost("d", "ours", 20.0, 3.0, None, 8.0, 150)
+    assert theirs == Cost("d", "other", None, 2.0, 4.0, None, None)
     assert costs_of([]) == []
 
 

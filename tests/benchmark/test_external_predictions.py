@@ -67,7 +67,7 @@ def as_file(path, result, protocol="slgaussian@2", text=True, **more):
         mask = result.predictions.get((protocol, row["frame"], row["query"]))
         if row["protocol"] == protocol and mask is not None and row["frame"] == "view_01":
             counts = encode(mask)
-            entry = {name: row[name] for name in ("scene", "frame", "query", "score")}
+            entry = {name: row[name] for name in ("scene", "frame", "query")}
             if row["point_x"] is not None:
                 entry["point"] = [row["point_x"], row["point_y"]]
             if not text:
@@ -110,7 +110,7 @@ def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, 
     rows = by_key(again.rows)
     assert len(rows) == len(judged.truth.masks["view_01"])
     for key, row in rows.items():
-        names = ("iou", "boundary_iou", "point_x", "point_y", "score")
+        names = ("iou", "boundary_iou", "point_x", "point_y")
         assert [row[name] for name in names] == [theirs[key][name] for name in names]
         if row["point_x"] is not None:  # a text that is not understood has none
             assert [row[n] for n in OF_POINTS] == [theirs[key][n] for n in OF_POINTS]
@@ -121,16 +121,14 @@ def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, 
 
 
 def test_texts_that_compete_say_which_wins_by_both_protocols(tmp_path, result, judged):
-    place = as_file(tmp_path / "own.json", result, "3d-ovs@2", method="ours", seconds=0.5)
-    (again,), tally, _ = scored(place, judged, "slgaussian", "3d-ovs")
+    place = as_file(tmp_path / "own.json", result, "3d-ovs@2", method="ours")
+    (again,), _, _ = scored(place, judged, "slgaussian", "3d-ovs")
     theirs = by_key(result.rows)
     for (protocol, *rest), row in by_key(again.rows).items():
         assert row["class_iou"] == theirs["slgaussian@2", *rest]["class_iou"]
         if protocol == "3d-ovs@2":
             assert row["accuracy"] == theirs[protocol, *rest]["accuracy"] > 0
     assert again.method == "ours"
-    assert set(tally.seconds.values()) == {0.5} and len(tally.seconds) >= 4
-    assert all(key[3] == "ours" for key in tally.seconds)
 
 
 def test_masks_that_overlap_do_not_compete(tmp_path, result, judged):
@@ -206,7 +204,6 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged):
         ({"size": [104.0, 144]}, "size.0: found 104.0; "),
         ({"counts": "0"}, "its counts add up to 0 pixels, expected 14976; write the mask again"),
         ({"point": [3]}, "point: found [3]; "),
-        ({"score": 1.5}, "score: found 1.5; "),
         ({"query": ""}, "query: found ''; "),
     ],
 )

@@ -36,7 +36,7 @@ def test_scores_stand_beside_costs_and_hard_cases_beside_their_machine(result):
         {"machine": "a machine", "processor": "this"},
         {"this": 5, "another": 12},
         [
-            Cost(name, "slgaussian", None, 0.5, 0.1, None, 2.0, 1_500_000_000),
+            Cost(name, "slgaussian", 0.5, 0.1, None, 2.0, 1_500_000_000),
             Cost(name, other, view_query=0.1),
             Cost(name, "query-2d", view_query=6.0),
         ],

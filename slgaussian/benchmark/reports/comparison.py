@@ -101,7 +101,8 @@ def _read_document(file: Path) -> dict[str, Any]:
     return content
 
 
-def _read_rows(spec: str, file: Path) -> list[Row]:
+def _read_rows(name: str, file: Path) -> list[Row]:
+    """Read a table of a spec without the columns that only earlier releases wrote."""
     if not file.is_file():
         return []
     try:
@@ -109,7 +110,9 @@ def _read_rows(spec: str, file: Path) -> list[Row]:
     except (OSError, ValueError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{file}: cannot be read ({reason}); {EXPECTED}") from error
-    load_spec(spec).check_table(table, str(file))
+    spec = load_spec(name)
+    table = table.select([column for column in table.column_names if column in spec.columns])
+    spec.check_table(table, str(file))
     rows: list[Row] = table.to_pylist()
     return rows
 
