@@ -266,7 +266,7 @@ def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     return run.store.put("truth", truth_to_arrays(scene_truth, views))
 
 
-@stage("geometry", version=12)
+@stage("geometry", version=13)
 def geometry(
     run: RunContext,
     sample: ArtifactRef,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from textured_planes import camera
 
+from slgaussian.predict import background
 from slgaussian.predict.background import continue_surfaces
 
 # Written out, not imported: a slip in the module must show here.
@@ -72,14 +73,16 @@ def test_a_view_goes_on_beyond_its_border():
     assert np.array_equal(np.stack([column, row], 1), nearest)
 
 
-def test_the_wall_goes_on_behind_the_rim_of_a_box():
+@pytest.mark.parametrize("reach", [1, 2, 6])
+def test_the_wall_goes_on_behind_a_box_as_far_as_it_reaches(reach, monkeypatch):
+    monkeypatch.setattr(background, "REACH", reach)
     walls, colors = scene(CAMERAS[:1], True)
     splats = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
     pixels, z = CAMERAS[0].project(splats.means.numpy().astype(np.float64))
     column, row = np.floor(pixels).astype(int).T
     behind = (column >= 28) & (column < 60) & (row >= 20) & (row < 40)
     # The outermost of the 5 x 8 blocks that the box covers.
-    assert behind.sum() == 2 * 8 + 2 * 3
+    assert behind.sum() == 5 * 8 - max(5 - 2 * reach, 0) * max(8 - 2 * reach, 0)
     assert np.allclose(z[behind], 4, rtol=1e-5)
     inner = (column >= 40) & (column < 50) & (row >= 28) & (row < 32)
-    assert not inner.any()
+    assert inner.any() == (reach > 2)
