@@ -11,13 +11,14 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from slgaussian.errors import InputError, listed
+from slgaussian.errors import InputError
 from slgaussian.formats.images import MOST_PIXELS
 from slgaussian.formats.resampling import Fit, Window
 from slgaussian.io import short_repr
@@ -309,8 +310,8 @@ class Sample:
     Raises
     ------
     InputError
-        If context views differ in size, are one picture with two poses, share one position (no
-        baseline), or form groups that cannot see a common point.
+        If context views differ in size, are one picture with two poses, or all share one position
+        (no baseline).
     """
 
     scene: str
@@ -498,66 +499,27 @@ class Scene:
         return view if size == "original" else view.resized(*_fit(*least, size))
 
 
-def shared_view(a: Camera, b: Camera, depth: float | np.ndarray) -> float:
-    """Compute the fraction of ``a``'s image, 0 to 1, that projects into ``b`` from ``depth``.
-
-    ``depth`` is a scalar or a [9, 9] map of z-depths on a regular grid over ``a``'s image.
-    """
-    n = 9
-    u, v = np.meshgrid((np.arange(n) + 0.5) / n * a.width, (np.arange(n) + 0.5) / n * a.height)
-    local = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(a.K).T
-    points = a.center + (local * np.broadcast_to(depth, u.shape)[..., None]) @ a.c2w[:3, :3].T
-    pixels, z = b.project(points)
-    return float(b.shows(pixels, z).mean())
-
-
 def _check_views(scene: str, views: Sequence[View]) -> None:
-    """Raise InputError if two views are one picture with two poses, or views are not connected.
-
-    Views are connected by pairs with a baseline that may see a common point.
-    """
-    joined = np.eye(len(views))
-    together = ""
-    for i, a in enumerate(views):
-        for j, b in enumerate(views[i + 1 :], i + 1):
-            baseline = float(np.linalg.norm(a.camera.center - b.camera.center))
-            size = max(np.abs(a.camera.center).max(), np.abs(b.camera.center).max(), 1e-12)
-            if baseline <= 1e-9 * size:
-                together = together or (
-                    f"{a.name!r} and {b.name!r} were taken from the same position (no baseline), "
-                    "so depth cannot be found; choose two photographs taken some way apart"
-                )
-                continue
-            blank = (a.image == a.image[0, 0]).all()
-            if not blank and np.array_equal(a.image, b.image):
-                raise InputError(
-                    f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their "
-                    "poses differ; one of the two photographs is the wrong file"
-                )
-            joined[i, j] = _may_overlap(a.camera, b.camera, baseline)
-    from scipy.sparse.csgraph import connected_components
-
-    count, piece = connected_components(joined, directed=False)
-    if count == 1:
-        return
-    pieces = [[v.name for v, at in zip(views, piece, strict=True) if at == k] for k in range(count)]
-    raise InputError(
-        f"scene {scene!r}: "
-        + (
-            together
-            or f"{listed(pieces)} do not overlap at any depth; choose views that see the same "
-            "things, and check that their poses are camera-to-world and follow the axes of their "
-            "file format"
+    """Raise InputError if all views share a position, or two are one picture with two poses."""
+    apart = False
+    for a, b in combinations(views, 2):
+        baseline = float(np.linalg.norm(a.camera.center - b.camera.center))
+        size = max(np.abs(a.camera.center).max(), np.abs(b.camera.center).max(), 1e-12)
+        if baseline <= 1e-9 * size:
+            continue
+        apart = True
+        blank = (a.image == a.image[0, 0]).all()
+        if not blank and np.array_equal(a.image, b.image):
+            raise InputError(
+                f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their "
+                "poses differ; one of the two photographs is the wrong file"
+            )
+    if not apart:
+        raise InputError(
+            f"scene {scene!r}: {views[0].name!r} and {views[1].name!r} were taken from the same "
+            "position (no baseline), so depth cannot be found; choose two photographs taken some "
+            "way apart"
         )
-    )
-
-
-def _may_overlap(a: Camera, b: Camera, baseline: float) -> bool:
-    """Test whether two cameras see a common point at a depth that two views can resolve."""
-    return any(
-        min(shared_view(a, b, depth), shared_view(b, a, depth)) > 0
-        for depth in baseline * np.geomspace(0.5, 1e4, 40)
-    )
 
 
 def _fit(height: int, width: int, size: Size) -> tuple[int, int]:

@@ -15,7 +15,8 @@ import numpy as np
 
 from benches.common.photograph_pairs import read_pairs
 from slgaussian import datasets
-from slgaussian.scene import Scene, View, shared_view
+from slgaussian.datasets.pair_selection import overlaps
+from slgaussian.scene import Scene, View
 
 WALK_PAIRS = 80
 WALK_GAP = 4
@@ -87,10 +88,10 @@ def _walk(scene: Scene) -> tuple[list[View], Callable[[int, int], bool]]:
 
     def usable(first: int, second: int) -> bool:
         a, b = views[first].camera, views[second].camera
-        shared = min(shared_view(a, b, depths[first]), shared_view(b, a, depths[second]))
+        shares = overlaps([a, b], np.array([depths[first], depths[second]]))
         baseline = np.linalg.norm(a.center - b.center)
         enough = LEAST_BASELINE * (depths[first] + depths[second]) / 2
-        return shared >= LEAST_SHARED and bool(baseline >= enough)
+        return min(shares[0, 1], shares[1, 0]) >= LEAST_SHARED and bool(baseline >= enough)
 
     return views, usable
 

@@ -206,7 +206,7 @@ def surround(
 
 
 def overlaps(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
-    """Compute :func:`slgaussian.scene.shared_view` of N views in every other, float64 [N, N].
+    """Compute how much of N views every other shows, float64 [N, N].
 
     Row a, column b: the fraction of image a that projects into b if all lies at ``depths[a]``.
     """

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.pair_selection import Pair, Views, choose, overlaps, schedule
 from slgaussian.errors import InputError
-from slgaussian.scene import Camera, shared_view
+from slgaussian.scene import Camera
+from tests.datasets.plain_overlap import shared_view
 
 K = np.array([[80.0, 0, 48], [0, 80, 32], [0, 0, 1]])
 

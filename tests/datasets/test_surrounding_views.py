@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from slgaussian.datasets.configs import Rule
 from slgaussian.datasets.pair_selection import Views, surround
-from slgaussian.scene import Camera, shared_view
+from slgaussian.scene import Camera
+from tests.datasets.plain_overlap import shared_view
 
 DEPTH = 3.0
 

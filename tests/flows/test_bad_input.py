@@ -90,7 +90,11 @@ BAD = {
         "frame 'images/view_02.png': camera c2w: its 3x3 part is not a rot",
     ),
     "same camera": (turned(0), "ingest", "taken from the same position"),
-    "looks away": (turned(180, move=1.1), "ingest", "do not overlap at any depth"),
+    "looks away": (
+        turned(180, move=1.1),
+        "geometry",
+        "views do not overlap or have too little texture",
+    ),
 }
 
 
