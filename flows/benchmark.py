@@ -157,14 +157,13 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
     with open_workers(config.runner, config.workers, store, refresh) as workers:
         progress = Progress(len(scenes), len(STAGES), verbose=verbose)
         for text in (f"with {', '.join(part.name for part in method.components)}", *notes):
-            progress.note(text)
+            progress.line(text)
         refs = _compute(config, scenes, variants, workers, progress)
     for scene, data in refs.manifest.get("data", {}).items():
         for name, reason in data["left_out"].items():
-            progress.note(f"warning: {scene}: {name} has no camera and is left out: {reason}")
+            progress.line(f"warning: {scene}: {name} has no camera and is left out: {reason}")
     with writing(config.out):
-        results = _write(config, store, refs, progress.note)
-    progress.summary()
+        results = _write(config, store, refs, progress.line)
     page = None if refs.report is None else config.out / "report.html"
     return RunResult(results, refs.failures, page, _example(refs, config.out))
 

@@ -204,5 +204,4 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
 
     with Progress(len(scenes), 1) as progress:
         packed.chunks = re10k.write(out, clips(), int(settings.chunk_mb * 1e6))
-    progress.summary()
     return packed

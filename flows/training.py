@@ -201,7 +201,6 @@ def train_on(
     task = SceneTask("branch", learn_and_judge, arguments)
     with _TrainingProgress(1, len(STAGES), verbose=verbose) as progress:
         artifacts, failure = compute_scene(task, store, 1, progress.update)
-    progress.summary()
     if failure is not None:
         raise InputError(failure.reason)
     course = ArtifactRef("metrics", **artifacts["train"].meta["metrics"])
@@ -255,7 +254,7 @@ def learn_and_judge(
 class _TrainingProgress(Progress):
     """Progress of a single task, whose failure is raised at the end."""
 
-    def say_failed(self, text: str, traceback: str) -> None:
+    def report_failure(self, text: str, traceback: str) -> None:
         """Print only the traceback, as the reason is in the raised error."""
         if self.verbose and traceback:
             self.line(traceback)

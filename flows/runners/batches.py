@@ -249,9 +249,7 @@ def map_shown(
     if not scene_tasks:
         return Outcome()
     with Progress(len(scene_tasks), stages, verbose, unit=unit) as progress:
-        outcome = map_scenes(scene_tasks, workers, progress)
-    progress.summary()
-    return outcome
+        return map_scenes(scene_tasks, workers, progress)
 
 
 def _sendable(

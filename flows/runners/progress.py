@@ -1,12 +1,11 @@
-"""Progress of a run: one line for each scene, and a bar with counts, rate and remaining time."""
+"""Progress of a run: a line for each finished scene, and a bar with rate and remaining time."""
 
 from __future__ import annotations
 
 import logging
 import sys
-import threading
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import TextIO
 
@@ -19,15 +18,14 @@ from flows.runners import logger
 from slgaussian.errors import one_line
 from tasks.context import StageEvent
 
-REMIND = 30.0
-"""Seconds between lines with counts, in the log and without a terminal."""
+MESSAGE_SECONDS = 30.0
+"""Seconds without a line, after which a long stage's message is one, without a terminal."""
 
 
 class Progress:
     """Counter of a run's scenes and stages, displayed on a stream and logged.
 
-    A context manager that updates a bar on a terminal, and elsewhere prints a line every
-    :data:`REMIND` seconds.
+    A context manager that shows a bar on a terminal, and prints a line at its end.
 
     Parameters
     ----------
@@ -53,14 +51,9 @@ class Progress:
         self.steps, self.total = 0, scenes * stages
         self.done, self.failed = 0, 0
         self.console = console(stream)
-        self.start = time.perf_counter()
+        self.start = self.last_line = time.perf_counter()
         self.active: dict[str, str] = {}
-        self.message = ""
         self.of_scene: defaultdict[str, list[StageEvent]] = defaultdict(list)
-        self.seconds: defaultdict[str, float] = defaultdict(float)
-        self.computed: Counter[str] = Counter()
-        self.cached: Counter[str] = Counter()
-        self.over = threading.Event()
         line = Column(ratio=1, no_wrap=True, overflow="ellipsis")
         self.bar = RichProgress(
             TextColumn("{task.description}", markup=False, table_column=line),
@@ -74,126 +67,93 @@ class Progress:
         self.bar_task = self.bar.add_task("", total=self.total)
 
     def __enter__(self) -> Progress:
-        logger.info("%d %s, %d stages", self.scenes, self.unit, self.total)
         self.bar.start()
-        threading.Thread(target=self._remind, daemon=True).start()
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self.over.set()
+    def __exit__(self, error: object, *_: object) -> None:
         self.bar.stop()
-        logger.info(self.counts())
+        if error is None:
+            seconds = f"{time.perf_counter() - self.start:.1f} s in all"
+            self.line(", ".join([*self._counts(), seconds]))
 
     def update(self, event: StageEvent) -> None:
         """Count and display a change of state of a stage."""
         scene, stage = event.scene, event.stage
         match event.state:
             case "running":
-                self.active[scene], self.message = stage, event.message
+                text = f"{scene}: {stage}" + (f" ({event.message})" if event.message else "")
+                self.active[scene] = text
+                silent = time.perf_counter() - self.last_line
+                if event.message and silent > MESSAGE_SECONDS and not self.console.is_terminal:
+                    self.line(text)
             case "completed" | "cached":
                 self._finished(event)
             case "repeated":
-                text = f"{scene}  {stage}  again: its artifact was damaged"
-                logger.warning(text)
-                self.line(text)
+                self.line(f"{scene}  {stage}  again: its artifact was damaged", logging.WARNING)
                 self.steps -= 1
                 done = self.of_scene[scene]
                 done.remove(next(earlier for earlier in done if earlier.stage == stage))
             case "failed":
                 self._failed(event)
-        self._show()
+        texts = self._counts()
+        if self.scenes > 1 and self.done:
+            rate = 60 * self.done / (time.perf_counter() - self.start)
+            texts.append(f"{rate:.3g} {self.unit} a minute")
+        text = one_line(", ".join([*texts, *self.active.values()]))
+        self.bar.update(self.bar_task, completed=self.steps, total=self.total, description=text)
 
     def lost(self, event_text: str, scenes: Sequence[str]) -> None:
         """Report a worker that died or raised an error, and uncount its scenes."""
-        text = f"a worker {event_text}; its scenes are tried again, one at a time"
-        logger.warning("%s: %s", text, ", ".join(scenes))
         for scene in scenes:
             self.active.pop(scene, None)
-            self.steps -= len(self.of_scene.pop(scene, ()))
-        self.line(text)
+            stages = len(self.of_scene.pop(scene, ()))
+            self.steps -= stages
+            self.done -= stages == self.stages
+        self.line(
+            f"a worker {event_text}; its scenes are tried again, one at a time: "
+            f"{', '.join(scenes)}",
+            logging.WARNING,
+        )
 
-    def line(self, text: str) -> None:
-        """Print a permanent line; control characters are escaped."""
+    def line(self, text: str, level: int = logging.INFO) -> None:
+        """Print and log permanent lines; control characters are escaped."""
+        logger.log(level, text)
+        self.last_line = time.perf_counter()
         for part in text.split("\n"):
             self.console.print(one_line(part))
 
-    def note(self, text: str) -> None:
-        """Print and log a line about the whole run."""
-        logger.info(text)
-        self.line(text)
-
-    def summary(self) -> None:
-        """Print the time of each stage, and the total."""
-        if self.scenes > 1:
-            for stage in self.seconds:
-                computed, cached = self.computed[stage], self.cached[stage]
-                texts = [f"{computed} in {self.seconds[stage]:.1f} s"] if computed else []
-                texts += [f"{cached} cached"] if cached else []
-                self.line(f"{stage:<12} {', '.join(texts)}")
-        self.line(f"{'all':<12} {time.perf_counter() - self.start:.1f} s")
-
-    def counts(self) -> str:
-        """Return counts and rate in a line."""
-        elapsed = max(1e-3, time.perf_counter() - self.start)
-        texts = [f"{self.done}/{self.scenes} {self.unit}"] if self.scenes > 1 else []
-        texts += [f"{self.failed} failed"] if self.failed else []
-        texts.append(f"{self.steps}/{self.total} stages")
-        if self.scenes > 1 and self.done:
-            texts.append(f"{60 * self.done / elapsed:.3g} {self.unit} a minute")
-        return ", ".join(texts)
+    def _counts(self) -> list[str]:
+        failed = [f"{self.failed} failed"] if self.failed else []
+        return [f"{self.done}/{self.scenes} {self.unit}", *failed] if self.scenes > 1 else []
 
     def _finished(self, event: StageEvent) -> None:
-        scene, stage, cached = event.scene, event.stage, event.state == "cached"
-        text = f"{scene}  {stage}  {'cached' if cached else f'{event.seconds:.1f} s'}"
-        logger.log(logging.DEBUG if cached else logging.INFO, text)
+        scene, cached = event.scene, event.state == "cached"
         self.active.pop(scene, None)
         self.steps += 1
-        (self.cached if cached else self.computed)[stage] += 1
-        self.seconds[stage] += 0.0 if cached else event.seconds
-        self.of_scene[scene].append(event)
-        if self.verbose or self.scenes == 1:
-            self.line(text)
-        if len(self.of_scene[scene]) == self.stages:
-            self._went_through(scene)
-
-    def _went_through(self, scene: str) -> None:
         events = self.of_scene[scene]
-        computed = [event for event in events if event.state != "cached"]
-        rest = len(events) - len(computed)
-        texts = [" · ".join(f"{event.stage} {event.seconds:.1f} s" for event in computed)]
-        texts += [f"{rest} stages cached"] if rest else []
-        self.done += 1
-        if not self.verbose and self.scenes > 1:
-            self.line(f"{scene}  {' · '.join(filter(None, texts))}")
+        events.append(event)
+        self.done += len(events) == self.stages
+        if self.verbose or self.scenes == 1:
+            self.line(f"{scene}  {event.stage}  {'cached' if cached else f'{event.seconds:.1f} s'}")
+        elif len(events) == self.stages:
+            computed = [event for event in events if event.state != "cached"]
+            texts = [f"{event.stage} {event.seconds:.1f} s" for event in computed]
+            if rest := len(events) - len(computed):
+                texts.append(f"{rest} stages cached")
+            self.line(f"{scene}  {' · '.join(texts)}")
 
     def _failed(self, event: StageEvent) -> None:
-        scene, stage = event.scene, event.stage
-        text = f"{scene}  left out at {stage}: {event.message}"
-        logger.error("\n".join(filter(None, (text, event.traceback))))
+        scene = event.scene
         self.active.pop(scene, None)
         self.failed += 1
         self.total -= self.stages - len(self.of_scene[scene])
-        self.say_failed(text, event.traceback)
+        self.report_failure(f"{scene}  left out at {event.stage}: {event.message}", event.traceback)
 
-    def say_failed(self, text: str, traceback: str) -> None:
-        """Print that a scene was left out."""
-        self.line(text)
-        if self.verbose and traceback:
-            self.line(traceback)
-
-    def _working(self) -> str:
-        stages = ", ".join(f"{scene}: {stage}" for scene, stage in list(self.active.items()))
-        return one_line(f"{stages}, {self.message}" if self.message else stages)
-
-    def _show(self) -> None:
-        text = f"{self.counts()}  {self._working()}"
-        self.bar.update(self.bar_task, completed=self.steps, total=self.total, description=text)
-
-    def _remind(self) -> None:
-        while not self.over.wait(REMIND):
-            logger.info(self.counts())
-            if not self.console.is_terminal:
-                self.line(f"{self.counts()}  {self._working()}".rstrip())
+    def report_failure(self, text: str, traceback: str) -> None:
+        """Print that a scene was left out, and log the traceback, which ``verbose`` prints."""
+        self.line(text, logging.ERROR)
+        if traceback:
+            (self.line if self.verbose else logger.error)(traceback)
 
 
 def console(stream: TextIO | None = None) -> Console:

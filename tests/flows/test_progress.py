@@ -34,20 +34,33 @@ def test_a_stream_that_is_no_terminal_gets_lines_only():
     stream = io.StringIO()
     with Progress(4, 2, stream=stream) as progress:
         two_done_one_failed(progress)
-    assert stream.getvalue().splitlines() == [
+    *lines, last = stream.getvalue().splitlines()
+    assert lines == [
         "a  2 stages cached",
         "b  ingest 2.0 s · masks 2.0 s",
         "c  left out at ingest: too dark",
     ]
+    assert last.startswith("2/4 scenes, 1 failed, ") and last.endswith(" s in all")
+
+
+@pytest.mark.parametrize(("stream", "lines"), [(io.StringIO(), 1), (Terminal(), 0)])
+def test_a_long_stage_without_a_terminal_gives_a_sign_of_life(stream, lines, monkeypatch):
+    now = 0.0
+    monkeypatch.setattr("time.perf_counter", lambda: now)
+    progress = Progress(1, 1, stream=stream)
+    for now in range(0, 60, 20):
+        progress.update(StageEvent("branch", "train", "running", f"step {now}"))
+    assert stream.getvalue() == lines * "branch: train (step 40)\n"
 
 
 def test_a_terminal_shows_counts_and_what_is_worked_on():
     stream = Terminal()
     with Progress(4, 2, stream=stream) as progress:
         two_done_one_failed(progress)
-        assert progress.counts().startswith("2/4 scenes, 1 failed, 4/6 stages, ")
+        assert (progress.steps, progress.total) == (4, 6)
         progress.bar.refresh()
-        assert "d: ingest, half of it" in stream.getvalue()
+        assert "2/4 scenes, 1 failed, " in stream.getvalue()
+        assert "d: ingest (half of it)" in stream.getvalue()
     assert "b  ingest 2.0 s · masks 2.0 s" in stream.getvalue()
     # It draws on its own stream and leaves the cursor where it was, and visible.
     assert stream.getvalue().count("\x1b[?25l") == stream.getvalue().count("\x1b[?25h") == 1
@@ -63,8 +76,9 @@ def test_what_a_terminal_would_obey_is_shown_and_markup_is_text():
 def test_what_is_lost_or_repeated_is_counted_once():
     progress = Progress(2, 2, stream=io.StringIO())
     progress.update(StageEvent("a", "ingest", "completed"))
+    progress.update(StageEvent("a", "masks", "completed"))
     progress.lost("died (killed)", ["a"])
-    assert (progress.steps, progress.total) == (0, 4)
+    assert (progress.done, progress.steps, progress.total) == (0, 0, 4)
     for scene, stage, state in (
         ("a", "ingest", "completed"),
         ("a", "masks", "completed"),

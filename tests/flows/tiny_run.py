@@ -42,9 +42,7 @@ def run_tiny(
             return map_scenes(scene_tasks, opened, progress)
 
     WORK.append(work)
-    outcome = call_flow(tiny_flow)
-    progress.summary()
-    return outcome
+    return call_flow(tiny_flow)
 
 
 def three_scenes(log: Path, sleep: float = 0.0) -> dict[str, tuple]:
