@@ -23,7 +23,7 @@ from flows.history import History, first_names
 from flows.runners.session import check_folder, completed, run_session
 from flows.training import Parted, parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
-from slgaussian.datasets.new_clips import changes, clips_of, drift
+from slgaussian.datasets.new_clips import changes, clips_of
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.semantic.versions import Version, Versions, version_name
 from slgaussian.storage.encoding import table_digest
@@ -102,7 +102,7 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
     ``Refused``, ``Regressed``, ``LeftOut``, ``NothingNew`` or ``Busy``; an error fails the run. A
-    record and a Prefect artifact have the new, changed and withdrawn clips, drift, scores and the
+    record and a Prefect artifact have the new, changed and withdrawn clips, the scores and the
     decision.
 
     Raises
@@ -158,12 +158,6 @@ def _learn_what_is_new(
     new = sorted(left_out.keys() - left_out_before)
     record["left out"] = sorted(left_out)
     record["newly left out"] = {name: left_out[name] for name in first_names(new)["first"]}
-    record["drift"] = [
-        asdict(measurement)
-        for measurement in drift(
-            before, _clips_named(clips, {*changed_clips.arrived, *changed_clips.changed})
-        )
-    ]
 
     lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
     learnt = learn(
@@ -187,9 +181,6 @@ def _learn_what_is_new(
     if new:
         name = new[0]
         messages.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
-    drifted = [measurement["measure"] for measurement in record["drift"] if measurement["drifted"]]
-    if drifted:
-        messages.append(f"new clips differ from earlier ones in {', '.join(drifted)}")
     record |= {"outcome": _outcome(learnt, bool(new)), "messages": messages}
     return clips
 
@@ -257,7 +248,7 @@ def learn(
         rival=incumbent,
         clips=None
         if clips is None
-        else _clips_named(clips, set(lessons.learnt["clip"].to_pylist())),
+        else clips.filter(pc.is_in(clips["clip"], pc.unique(lessons.learnt["clip"]))),
     )
     done = "promoted" if added.promoted else "stored, not promoted"
     anew = ""
@@ -290,10 +281,6 @@ def shorten(names: Sequence[str]) -> str:
     """List the first names, and the number of the others."""
     rest = f" and {len(names) - FEW} more" if len(names) > FEW else ""
     return f"{', '.join(names[:FEW])}{rest}"
-
-
-def _clips_named(clips: pa.Table, names: Collection[str]) -> pa.Table:
-    return clips.filter(pc.is_in(clips["clip"], pa.array(sorted(names), pa.string())))
 
 
 def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:

@@ -117,6 +117,8 @@ def encode_table(table: pa.Table, spec: Spec, digest: str = "") -> bytes:
 def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa.Table:
     """Read a table of :func:`encode_table`, including files of older versions without metadata.
 
+    Columns that only an older version of the spec had are left out.
+
     Raises
     ------
     SpecError
@@ -128,6 +130,8 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
         table.validate(full=True)
         label = (table.schema.metadata or {}).get(b"spec", b"").decode() or None
     spec.check_stated(label, file, repair)
+    if label != spec.label:
+        table = table.select([name for name in table.column_names if name in spec.columns])
     spec.check_table(table, file)
     return table
 

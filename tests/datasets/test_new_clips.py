@@ -1,10 +1,8 @@
-"""What came, changed and went: by content, damage apart from withdrawal, drift beyond noise."""
+"""What came, changed and went: by content, damage apart from withdrawal."""
 
-import numpy as np
 import pyarrow as pa
-import pytest
 
-from slgaussian.datasets.new_clips import LEAST, changes, clips_of, contents, drift
+from slgaussian.datasets.new_clips import changes, clips_of, contents
 from slgaussian.storage.specs import load_spec
 
 
@@ -16,7 +14,7 @@ def views(clips: dict[str, int], moved: float = 0.0, digest: str = "a") -> pa.Ta
         for frame in range(count):
             row = {field.name: 0.0 if field.type == pa.float64() else 1 for field in spec}
             row |= {"chunk": f"{clip[0]}.torch", "clip": clip, "frame": frame, "w2c_03": moved}
-            rows.append({**row, "digest": f"{digest}{frame}", "depth": None, "blur": frame / 10})
+            rows.append({**row, "digest": f"{digest}{frame}", "depth": None})
     return pa.Table.from_pylist(rows, schema=spec)
 
 
@@ -25,7 +23,6 @@ def test_a_clip_is_its_photographs_and_cameras_in_order():
     load_spec("clips").check_table(made, "clips")
     assert made["clip"].to_pylist() == ["a1", "b1"] and made["views"].to_pylist() == [2, 3]
     assert made["chunk"].to_pylist() == ["a.torch", "b.torch"]
-    assert made["blur"].to_pylist() == pytest.approx([0.05, 0.1])
     shuffled = views({"b1": 3, "a1": 2}).take([4, 2, 0, 3, 1])
     assert clips_of(shuffled).equals(made)
     others = [views({"a1": 2}, moved=1e-9), views({"a1": 2}, digest="b"), views({"a1": 3})]
@@ -42,24 +39,3 @@ def test_what_is_gone_with_its_chunk_was_not_withdrawn():
     assert found.withdrawn == ("a1",) and found.damaged == ("a2", "b1")
     nothing = changes(now, now, {"e1"})
     assert not any(vars(nothing).values())
-
-
-def clips(blur: np.ndarray) -> pa.Table:
-    rows = [
-        {"clip": str(i), "chunk": "", "content": "", "views": 9, "blur": b, "mean": 0.5 + b / 99,
-         "clipped": 0.0}
-        for i, b in enumerate(blur.tolist())
-    ]  # fmt: skip
-    return pa.Table.from_pylist(rows, schema=load_spec("clips").schema)
-
-
-def test_drift_is_said_beyond_noise_and_not_of_a_few():
-    rng = np.random.default_rng(0)
-    known = clips(rng.normal(0.3, 0.02, 40))
-    blur, exposure, clipped = drift(known, clips(rng.normal(0.4, 0.02, LEAST)))
-    assert blur.drifted and exposure.drifted and not clipped.drifted
-    low, middle, high = blur.known
-    assert low < middle < high < blur.come == pytest.approx(0.4, abs=0.02)
-    assert not any(one.drifted for one in drift(known, clips(rng.normal(0.3, 0.02, 40))))
-    assert not any(one.drifted for one in drift(known, clips(np.full(LEAST - 1, 0.9))))
-    assert drift(known, clips(np.empty(0))) == [] == drift(clips(np.empty(0)), known)

@@ -12,8 +12,6 @@ from pathlib import Path
 from string import ascii_uppercase
 from typing import Any
 
-import pyarrow as pa
-
 from slgaussian.benchmark.costs import Cost, costs_of
 from slgaussian.benchmark.documents import read_json
 from slgaussian.benchmark.outputs import mask_path
@@ -36,8 +34,8 @@ from slgaussian.benchmark.reports.score_tables import (
 )
 from slgaussian.benchmark.scores import grouped, of_first_protocol, sample_key
 from slgaussian.errors import InputError
+from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.tables import read_table
 
 Row = Mapping[str, Any]
 
@@ -84,7 +82,9 @@ def read_run(folder: str | Path) -> Run:
     Raises
     ------
     InputError
-        If ``samples.parquet`` is missing, or it or the manifest is invalid.
+        If ``samples.parquet`` is missing or cannot be read, or the manifest is invalid.
+    SpecError
+        If a table is damaged or breaks its spec.
     """
     folder = Path(folder)
     if not (folder / "samples.parquet").is_file():
@@ -102,17 +102,12 @@ def _read_document(file: Path) -> dict[str, Any]:
 
 
 def _read_rows(name: str, file: Path) -> list[Row]:
-    """Read a table of a spec without the columns that only earlier releases wrote."""
     if not file.is_file():
         return []
     try:
-        table = read_table(file)
-    except (OSError, ValueError, pa.ArrowException) as error:
-        reason = " ".join(str(error).split())
-        raise InputError(f"{file}: cannot be read ({reason}); {EXPECTED}") from error
-    spec = load_spec(name)
-    table = table.select([column for column in table.column_names if column in spec.columns])
-    spec.check_table(table, str(file))
+        table = decode_table(file.read_bytes(), load_spec(name), str(file), "run it again")
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); {EXPECTED}") from error
     rows: list[Row] = table.to_pylist()
     return rows
 
