@@ -24,14 +24,12 @@ SPREAD = 0.5
 MARGIN = 0.07
 """Width of the extrapolated margin, as a share of the longer side of the image."""
 
-REACH = 6
-"""Number of blocks by which a surface is extrapolated behind a nearer one. Novel views of things
-gain 1.1 dB over a reach of 1, places 0.4, office and rooms 0.2; context views lose up to 0.13, as
-these Gaussians shine through the foreground. With 7 and 12 blocks the gains are the same."""
-
+REACH = 12
 EDGE = 6.0
-"""Depth step within :data:`REACH` blocks, in candidate steps, from which the far surface is
-extrapolated behind the near one."""
+"""Largest number of blocks by which a surface is extrapolated behind a nearer one, and the smallest
+difference of their depths, in candidate steps. One step is about one pixel of parallax, and between
+the views no more is disoccluded than the parallax: a block that is farther from the edge, in
+pixels, than the difference in steps is left out."""
 
 BEHIND = 0.03
 """Relative depth by which a point must lie behind the surface of a view to count as occluded."""
@@ -68,7 +66,7 @@ def continue_surfaces(
     parts = []
     for i, camera in enumerate(cameras):
         beyond = _blocks_beyond_borders(colors[i], inverse_depths[i])
-        behind = _blocks_behind_edges(colors[i], inverse_depths[i], EDGE * steps[i])
+        behind = _blocks_behind_edges(colors[i], inverse_depths[i], steps[i])
         opacity = np.repeat([OPACITY_BEYOND, OPACITY_BEHIND], [len(beyond[0]), len(behind[0])])
         centre, pixel, rgb = (np.concatenate(p) for p in zip(beyond, behind, strict=True))
         column, row = pixel.T
@@ -110,18 +108,22 @@ def _blocks_beyond_borders(color: np.ndarray, inverse_depth: np.ndarray) -> tupl
 
 
 def _blocks_behind_edges(
-    color: np.ndarray, inverse_depth: np.ndarray, edge: float
+    color: np.ndarray, inverse_depth: np.ndarray, step: float
 ) -> tuple[np.ndarray, ...]:
-    """Return blocks at depth edges likewise, with the farthest pixel of the blocks around."""
+    """Return blocks behind depth edges likewise, each with a pixel of the farther surface.
+
+    ``step`` is the distance between candidates of inverse depth.
+    """
     H, W = (-(-size // BLOCK) for size in inverse_depth.shape)
     ragged = [(0, -size % BLOCK) for size in inverse_depth.shape]
     padded = np.pad(inverse_depth, ragged, "edge").reshape(H, BLOCK, W, BLOCK)
     tiles = padded.transpose(0, 2, 1, 3).reshape(H, W, BLOCK * BLOCK)
     farthest = tiles.argmin(-1)
     rows, columns = np.arange(H)[:, None], np.arange(W)
-    best, best_row = tiles.min(-1), rows * BLOCK + farthest // BLOCK
-    best_column = columns * BLOCK + farthest % BLOCK
-    for _ in range(REACH):
+    nearest, best = tiles.max(-1), tiles.min(-1)
+    best_row, best_column = rows * BLOCK + farthest // BLOCK, columns * BLOCK + farthest % BLOCK
+    chosen, pixels = np.zeros((H, W), bool), np.zeros((H, W, 2), np.int64)
+    for ring in range(REACH):
         around = np.pad(np.stack([best, best_row, best_column]), ((0, 0), (1, 1), (1, 1)), "edge")
         for dy in range(3):
             for dx in range(3):
@@ -130,10 +132,12 @@ def _blocks_behind_edges(
                 best = np.where(farther, w, best)
                 best_row = np.where(farther, row, best_row)
                 best_column = np.where(farther, column, best_column)
-    y, x = np.nonzero(tiles.max(-1) - best > edge)
+        new = ~chosen & (nearest - best > max(EDGE, BLOCK * ring) * step)
+        chosen |= new
+        pixels[new] = np.stack([best_column[new], best_row[new]], 1)
+    y, x = np.nonzero(chosen)
     centre = (np.stack([x, y], 1) + 0.5) * BLOCK
-    pixel = np.stack([best_column[y, x], best_row[y, x]], 1).astype(np.int64)
-    pixel = np.minimum(pixel, np.array(inverse_depth.shape)[::-1] - 1)
+    pixel = np.minimum(pixels[y, x], np.array(inverse_depth.shape)[::-1] - 1)
     return centre, pixel, color[pixel[:, 1], pixel[:, 0]]
 
 
