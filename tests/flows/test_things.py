@@ -137,8 +137,8 @@ def test_a_field_is_asked_by_picture(field, tmp_path, ask, monkeypatch, capsys):
     red, answer = sorted([answer, red], key=lambda first: first["kind"])
     assert answer["kind"] == "picture" and red["kind"] == "known"
     assert [first["id"] for first in answer["objects"]] == [BLUE] and status == 3
-    # Of two objects, neither stands out enough to be sure.
-    assert (answer["verdict"], red["verdict"]) == ("not sure", "not sure")
+    # The colour of the picture fits one object exactly; the word leaves some doubt.
+    assert (answer["verdict"], red["verdict"]) == ("found", "not sure")
     (tmp_path / "broken.png").write_bytes(b"no picture")
     assert run(monkeypatch, "query", field, "--like", tmp_path / "broken.png") == 2
     assert "broken.png" in said(capsys)
