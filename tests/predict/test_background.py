@@ -86,5 +86,8 @@ def test_the_wall_goes_on_behind_a_box_as_far_as_parallax_shows_it(most, step, r
     # The outermost of the 5 x 8 blocks that the box covers.
     assert behind.sum() == 5 * 8 - max(5 - 2 * reach, 0) * max(8 - 2 * reach, 0)
     assert np.allclose(z[behind], 4, rtol=1e-5)
+    K = CAMERAS[0].K
+    width = 0.5 * BLOCK * 4 / np.sqrt(K[0, 0] * K[1, 1])
+    assert np.allclose(splats.scales.numpy()[behind, :2], width, rtol=1e-5)
     inner = (column >= 40) & (column < 50) & (row >= 28) & (row < 32)
     assert inner.any() == (reach > 2)
