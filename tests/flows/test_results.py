@@ -101,10 +101,10 @@ def test_a_store_that_is_cleared_takes_no_field_along(field, store, tmp_path):
     key = f"field/v3/{'0' * 64}"
     Records(store).keep(key, ref)
     results.write_fields(store, {"room": ref}, {}, out)
-    assert collect(store, age=-60, delete=True).kept == 4
+    assert collect(store, -60, {"field": 3}, delete=True).kept == 4
     assert verify(store).sound == 4
     store.remove([f"keys/field/v3/00/{'0' * 64}.json"])
-    assert collect(store, age=-60, delete=True).artifacts == 4
+    assert collect(store, -60, {"field": 3}, delete=True).artifacts == 4
     assert repr(SemanticField.load(out / "fields" / "room")) == repr(field)
     with pytest.raises(DamagedError, match="found nothing"):
         results.write_fields(store, {"room": ref}, {}, out)
