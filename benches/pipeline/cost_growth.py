@@ -26,7 +26,7 @@ RANGES: Mapping[str, tuple[float, ...]] = {
     "objects": (5, 50, 500),
     "Gaussians": (50_000, 200_000, 1_000_000, 5_000_000),
     "pixels": (0.1, 0.2, 0.4, 0.8, 2.0),
-    "views": (2, 3, 4, 6),
+    "views": (2, 6, 12, 25, 50),
 }
 """Varied quantities and their values; pixels are megapixels per view."""
 

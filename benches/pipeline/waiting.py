@@ -95,7 +95,10 @@ def in_turn(
     for turn in range(rounds + (not first)):
         for k, folder in enumerate(folders):
             with tempfile.TemporaryDirectory() as empty:
-                env = {**os.environ, "NUMBA_CACHE_DIR": empty} if first else None
+                env = dict(os.environ)
+                env.pop("PYTHONDONTWRITEBYTECODE", None)  # an installation has its bytecode
+                if first:
+                    env["NUMBA_CACHE_DIR"] = empty
                 command = [*program(folder), *(word.replace("{}", str(k)) for word in words)]
                 cost = costing(command, cwd=folder, env=env)
             if turn or first:
