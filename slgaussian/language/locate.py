@@ -13,7 +13,8 @@ def central_point(region: np.ndarray) -> tuple[int, int]:
     Euclidean distance to the nearest pixel outside, pixels beyond the image included. Distances
     are float32, and any of several equal ones may be taken.
     """
-    mask = np.ascontiguousarray(region).view(np.uint8)
+    x, y, w, h = cv2.boundingRect(region.view(np.uint8))
+    mask = np.ascontiguousarray(region[y : y + h, x : x + w]).view(np.uint8)
     _, parts, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4, ltype=cv2.CV_32S)
     largest = 1 + stats[1:, cv2.CC_STAT_AREA].argmax()
     left, top, width, height, _ = stats[largest].tolist()
@@ -21,4 +22,4 @@ def central_point(region: np.ndarray) -> tuple[int, int]:
     inside = np.pad(part.view(np.uint8), 1)
     depth = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     row, column = np.unravel_index(depth.argmax(), depth.shape)
-    return left + int(column) - 1, top + int(row) - 1
+    return x + left + int(column) - 1, y + top + int(row) - 1
