@@ -1,6 +1,6 @@
 """Waiting times at the command line, compared with an earlier commit in turn.
 
-    python -m benches.pipeline.waiting DATA EARLIER [-o docs/measured] [--rounds 7] [--only NAME]
+    python -m benches.pipeline.waiting DATA EARLIER [-o docs/measured] [--rounds 5] [--only NAME]
 
 DATA holds photographs with cameras and pairs.json, as the office set does. EARLIER is a folder with
 a checkout of another commit; it uses the packages that are installed here. Each command runs once
@@ -137,7 +137,7 @@ def main() -> None:
     arguments = parser(__doc__, "waiting.md")
     arguments.add_argument("data", type=photographs)
     arguments.add_argument("earlier", type=Path)
-    arguments.add_argument("--rounds", type=int, default=7)
+    arguments.add_argument("--rounds", type=int, default=5)
     arguments.add_argument("--only", nargs="*", help="rows of the table, by their names")
     args = arguments.parse_args()
     folders = (ROOT, args.earlier.resolve())
@@ -165,14 +165,13 @@ def main() -> None:
         rows = []
         for name, words in commands.items():
             if wanted(name):
-                rounds = min(3, args.rounds) if words[0] == "field" else args.rounds
-                rows.append(row_of(name, *in_turn(words, folders, rounds)))
+                rows.append(row_of(name, *in_turn(words, folders, args.rounds)))
                 print(rows[-1], file=sys.stderr)
         if any(map(wanted, QUERIES)):
             costs = query_in_turn(f"{place}/{{}}", folders, args.rounds)
             rows += [row_of(name, *costs[name]) for name in QUERIES]
         if wanted(FIRST):
-            rows.append(row_of(FIRST, *in_turn(field, folders, min(3, args.rounds), first=True)))
+            rows.append(row_of(FIRST, *in_turn(field, folders, args.rounds, first=True)))
     publish(
         args.out,
         "waiting.md",
