@@ -136,7 +136,7 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(
     table = {line.split("  ")[0]: line for line in told.out.split("\n\n")[0].splitlines()}
     ious = [row["iou"] for key, row in again.items() if key[:2] == ("colours", "slgaussian@2")]
     assert f"{np.mean([iou for iou in ious if iou is not None]):.3f}" in table["colours"]
-    assert "slgaussian@2: masks as given" in told.out
+    assert "protocol slgaussian@2" in told.out
     # The folder is one that compare reads, and it finds no difference.
     assert run(monkeypatch, "compare", made, out) == 0
     told = capsys.readouterr().out
@@ -154,7 +154,7 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
         mask = np.asarray(Image.open(file).convert("L")) > 127
         # Without an index the scene is called as the folder is.
         point = [row["point_x"], row["point_y"]] if row["point_x"] is not None else None
-        entry = {"scene": labelled.name, "frame": frame, "query": query, "score": row["score"]}
+        entry = {"scene": labelled.name, "frame": frame, "query": query}
         counts = encode(mask)
         entries.append({**entry, "size": [64, 64], "counts": counts, "point": point})
     (tmp_path / "mine.json").write_text(json.dumps(entries[:-1] + [{**entries[0], "frame": "x"}]))
@@ -172,7 +172,7 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
             assert (row["iou"], row["hit_box"]) == (0, None)
             continue
         theirs = of_run["colours", "slgaussian@2", "desk", *key[-2:]]
-        names = ["iou", "boundary_iou", "score", "point_x"]
+        names = ["iou", "boundary_iou", "point_x"]
         names += ["hit_mask", "hit_box"] if row["point_x"] is not None else []
         assert [row[name] for name in names] == [theirs[name] for name in names]
     # A second time with fewer masks leaves none of the first.

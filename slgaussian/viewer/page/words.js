@@ -128,6 +128,7 @@ function computeConfidence(gaps, taken, top, measurements, named) {
     const spread = Math.sqrt(mean(rest.map((gap) => (gap - center) ** 2)));
     standOut = (mean(selected) - center) / (spread + evenOut);
   }
+  standOut *= Math.min(1, (rest.length + 1) / selected.length);
   const features = [top * measurements, standOut, Math.log(Math.max(parts(taken), 1)), named, 1];
   const probability = (curve) =>
     1 / (1 + Math.exp(-curve.reduce((sum, c, k) => sum + c * features[k], 0)));
