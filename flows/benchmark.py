@@ -84,15 +84,10 @@ LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 class RunResult:
     """Results of a run.
 
-    Attributes
-    ----------
-    results : list of SceneResult
-        In the order of the scenes, for each scene our method first.
-    failures : list of Failure
-        Scenes and methods that were left out.
-    report : Path or None
-    ready : str
-        A command that queries the field of one of the scenes; empty if there is no field.
+    Attributes:
+        results: list of SceneResult. In the order of the scenes, for each scene our method first.
+        failures: list of Failure. Scenes and methods that were left out.
+        ready: A command that queries the field of one of the scenes; empty if there is no field.
     """
 
     results: list[SceneResult]
@@ -113,17 +108,12 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
     The final state names the scenes that were left out. On an external Prefect server, report and
     scores are also published as Prefect artifacts.
 
-    Parameters
-    ----------
-    config : Settings
-    verbose : bool
-        Print a line for every stage.
+    Args:
+        verbose: Print a line for every stage.
 
-    Raises
-    ------
-    InputError
-        If there are no scenes, a component is unknown, or the store or the output folder cannot be
-        written.
+    Raises:
+        InputError: If there are no scenes, a component is unknown, or the store or the output
+            folder cannot be written.
     """
     result = run_session("run", config, lambda store: _score(config, store, verbose))
     message = f"report: {result.report}" if result.report else "no report"

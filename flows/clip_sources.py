@@ -27,14 +27,10 @@ _PLACED = re.compile(r"([\w .-]+)=(.+)")
 class Source:
     """One scene or one chunk of the sources.
 
-    Attributes
-    ----------
-    location : str
-        As given by the user.
-    holds : PosedFolder, Room or str
-        A scene, or the file or fsspec URL of a chunk.
-    place : str
-        Name of the place that its clips show, if given.
+    Attributes:
+        location: As given by the user.
+        holds: PosedFolder, Room or str. A scene, or the file or fsspec URL of a chunk.
+        place: Name of the place that its clips show, if given.
     """
 
     location: str
@@ -54,10 +50,8 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
     RealEstate10K's camera files has one scene per file. Any other source is one scene named after
     its folder, which is read only later.
 
-    Raises
-    ------
-    InputError
-        If the seeds have another form.
+    Raises:
+        InputError: If the seeds have another form.
     """
     if source.startswith(ROOMS):
         height, width = settings.size
@@ -84,11 +78,9 @@ def sources_of(sources: Sequence[str], settings: PackSettings) -> list[Source]:
 
     ``PLACE=SOURCE`` names the place that the clips of a source show.
 
-    Raises
-    ------
-    InputError
-        If a source does not exist, a folder of chunks cannot be listed, or two scenes or chunks
-        have the same name.
+    Raises:
+        InputError: If a source does not exist, a folder of chunks cannot be listed, or two scenes
+            or chunks have the same name.
     """
     by_name: dict[str, Source] = {}
     for source in _all(sources, settings):
@@ -165,17 +157,11 @@ def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
     Clips that the folder already has are skipped. A source is left out if it or one of its views
     cannot be read.
 
-    Parameters
-    ----------
-    sources : sequence of str
-        Sources of :func:`sources_of`, but no chunks.
-    out : path
-    settings : PackSettings
+    Args:
+        sources: sequence of str. Sources of :func:`sources_of`, but no chunks.
 
-    Raises
-    ------
-    InputError
-        If a source is invalid, two have the same name, or the folder cannot be written.
+    Raises:
+        InputError: If a source is invalid, two have the same name, or the folder cannot be written.
     """
     existing = re10k.read_index(out) if (out / re10k.INDEX).exists() else {}
     scenes = [

@@ -59,10 +59,8 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
 
     Chunks, clips and frames that could not be used are in ``failures.parquet`` with the reasons.
 
-    Raises
-    ------
-    InputError
-        If there is no chunk, or the store or the output folder cannot be written.
+    Raises:
+        InputError: If there is no chunk, or the store or the output folder cannot be written.
     """
     prepared = run_session(
         "ingest", config,
@@ -75,10 +73,8 @@ def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepar
 def supervise_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
     """Make the lessons of a corpus: ``lessons.parquet``, and the tables of :func:`ingest_corpus`.
 
-    Raises
-    ------
-    InputError
-        As :func:`ingest_corpus`, and if a component of the method is unknown.
+    Raises:
+        InputError: As :func:`ingest_corpus`, and if a component of the method is unknown.
     """
     prepared = run_session("supervise", config, lambda store: supervise(config, store, verbose))
     return completed(prepared.message, prepared, prepared.failures)

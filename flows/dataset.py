@@ -71,11 +71,9 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
     The set then has exactly the samples of these sources with these settings. Shards whose samples
     are unchanged stay the same, byte for byte. Refused samples are in ``failures.parquet``.
 
-    Raises
-    ------
-    InputError
-        If a source is missing, a component is unknown, no sample is left, or the store or the
-        folder cannot be written.
+    Raises:
+        InputError: If a source is missing, a component is unknown, no sample is left, or the store
+            or the folder cannot be written.
     """
     result = run_session("dataset", config, lambda store: build(config, store, verbose))
     return completed(f"{result.samples} samples in {config.out}", result, result.failures)

@@ -27,10 +27,9 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
     Labels are those of the format, or are in the folder ``labels``, in one subfolder per scene if
     the format has several scenes.
 
-    Raises
-    ------
-    InputError
-        If the data cannot be read, nothing is labelled, or no labelled frame has a pair.
+    Raises:
+        InputError: If the data cannot be read, nothing is labelled, or no labelled frame has a
+            pair.
     """
     rule = Rule.of(settings)
     pairs: list[ScenePair] = []
@@ -58,10 +57,8 @@ def label_places(
 
     The folder is relative to ``labels``, or to ``data`` if the format includes labels.
 
-    Raises
-    ------
-    InputError
-        If the format reads no folder, or includes no labels and none are given.
+    Raises:
+        InputError: If the format reads no folder, or includes no labels and none are given.
     """
     datasets.check_format(format)
     if labels is None and format not in LABELS:

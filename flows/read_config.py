@@ -66,10 +66,8 @@ def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
 
     The file may have tables of unused components, so that components are easily exchanged.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, a key is unknown or a value is invalid.
+    Raises:
+        InputError: If the file cannot be read, a key is unknown or a value is invalid.
     """
     settings = checked(Settings, read_values(path, overrides), str(path))
     refuse_idle(overrides, settings, "run")
@@ -89,10 +87,8 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
 
     Relative paths in the file are relative to its folder, those of ``overrides`` are not.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read.
+    Raises:
+        InputError: If the file cannot be read.
     """
     try:
         values = tomllib.loads(path.read_text("utf-8-sig"))
@@ -107,10 +103,8 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
 def preset_values(preset: Any, source: str, of: str = "") -> dict[str, Any]:
     """Return the settings of a preset; ``of`` is the prefix of its file name.
 
-    Raises
-    ------
-    InputError
-        If there is no such preset.
+    Raises:
+        InputError: If there is no such preset.
     """
     folder = Path(__file__).parent / "presets"
     available = [name for name in PRESETS if (folder / f"{of}{name}.toml").is_file()]

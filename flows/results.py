@@ -58,14 +58,10 @@ def write_fields(
     does not have are removed. ``places`` are the locations of the encoder's files, and ``tell``
     receives messages about slow steps.
 
-    Raises
-    ------
-    DamagedError
-        If an artifact is missing or damaged.
-    InputError
-        If other content is at the path of a field, or the store does not answer.
-    OSError
-        If a folder cannot be written.
+    Raises:
+        DamagedError: If an artifact is missing or damaged.
+        InputError: If other content is at the path of a field, or the store does not answer.
+        OSError: If a folder cannot be written.
     """
     for folder in _earlier(out) - {file_name(scene) for scene in fields}:
         if (out / FIELDS / folder / field_folder.ABOUT).is_file():

@@ -58,13 +58,10 @@ NO_NETWORK = {"hard": "no network (hard)", "filled": "no network (filled)"}
 class Retraining:
     """Result of a retraining.
 
-    Attributes
-    ----------
-    outcome : str
-        One of :data:`STATUS`.
-    messages : tuple of str
-    record : Path or None
-        JSON file of the record; None if another retraining is running.
+    Attributes:
+        outcome: One of :data:`STATUS`.
+        messages: tuple of str
+        record: JSON file of the record; None if another retraining is running.
     """
 
     outcome: str
@@ -76,18 +73,13 @@ class Retraining:
 class Learnt:
     """Result of :func:`learn`.
 
-    Attributes
-    ----------
-    message : str
-        Summary in a sentence.
-    version : Version or None
-        The added version; None if nothing was new.
-    regressed : str
-        A message if the version in use before is worse than no network on the held-out lessons;
-        else empty.
-    forgotten : tuple of str
-        Training clips of the version in use that were withdrawn or changed since. If there are
-        any, training starts from scratch.
+    Attributes:
+        message: Summary in a sentence.
+        version: The added version; None if nothing was new.
+        regressed: A message if the version in use before is worse than no network on the held-out
+            lessons; else empty.
+        forgotten: tuple of str. Training clips of the version in use that were withdrawn or changed
+            since. If there are any, training starts from scratch.
     """
 
     message: str
@@ -105,10 +97,8 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
     record and a Prefect artifact have the new, changed and withdrawn clips, the scores and the
     decision.
 
-    Raises
-    ------
-    InputError
-        As in :func:`flows.corpus.supervise` and :func:`learn`, after it was recorded.
+    Raises:
+        InputError: As in :func:`flows.corpus.supervise` and :func:`learn`, after it was recorded.
     """
     check_folder(config.out)
     try:
@@ -212,11 +202,9 @@ def learn(
     clips and chunks. If training clips of the version in use were withdrawn or changed, training
     starts from scratch, so that they have no influence on new weights.
 
-    Raises
-    ------
-    InputError
-        As in :func:`flows.training.parted` and :func:`flows.training.train_on`; if the weights in
-        use had another fraction of held-out clips; or if a folder cannot be written.
+    Raises:
+        InputError: As in :func:`flows.training.parted` and :func:`flows.training.train_on`; if the
+            weights in use had another fraction of held-out clips; or if a folder cannot be written.
     """
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()

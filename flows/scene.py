@@ -148,10 +148,8 @@ def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
 
     ``all`` selects all that are not slow. Our own method, which is always scored, is not included.
 
-    Raises
-    ------
-    InputError
-        If there is no such method.
+    Raises:
+        InputError: If there is no such method.
     """
     for name in names:
         if name not in (*ROWS, "all"):

@@ -20,10 +20,9 @@ _SEEDS = re.compile(r"(\d+)(?:-(\d+))?")
 def seeds(text: str, source: str) -> range:
     """Parse the seeds of ``"FIRST-LAST"``, inclusive, or of one number.
 
-    Raises
-    ------
-    InputError
-        If the text has another form or the range is empty; the message begins with ``source``.
+    Raises:
+        InputError: If the text has another form or the range is empty; the message begins with
+            ``source``.
     """
     match = _SEEDS.fullmatch(text)
     first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
@@ -72,10 +71,9 @@ def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]
     Clips of a published index that are not in the data are omitted. If labels are given, clips and
     targets without labels are omitted too.
 
-    Raises
-    ------
-    InputError
-        If the index cannot be read, its format is not the given one, or no scene is left.
+    Raises:
+        InputError: If the index cannot be read, its format is not the given one, or no scene is
+            left.
     """
     if settings.data is None or settings.pairs is None:
         raise InputError("a labelled set needs data and pairs, and labels where it has none inside")

@@ -47,11 +47,9 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
 
     ``protocols`` default to those of the masks.
 
-    Raises
-    ------
-    InputError
-        If data, labels or masks cannot be read, no mask belongs to a query, or ``out`` is the
-        folder of a run or cannot be written. Then nothing is written.
+    Raises:
+        InputError: If data, labels or masks cannot be read, no mask belongs to a query, or ``out``
+            is the folder of a run or cannot be written. Then nothing is written.
     """
     for name in protocols:
         load_protocol(name)

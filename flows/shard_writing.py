@@ -45,12 +45,9 @@ def write_shards(
 
     Returns the number of shards of the set, the number of new ones, and the bytes of all.
 
-    Raises
-    ------
-    DamagedError
-        If an artifact is damaged.
-    OSError
-        If a file cannot be written.
+    Raises:
+        DamagedError: If an artifact is damaged.
+        OSError: If a file cannot be written.
     """
     rows: dict[str, dict[str, Any]] = {}
     wanted = {item.name: item for item in finished}

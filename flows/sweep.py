@@ -29,12 +29,9 @@ VIEWS, PRESET = "views", "preset"
 class Combination:
     """A run's settings with some fields changed.
 
-    Attributes
-    ----------
-    settings : Settings
-    fields : {field: value as text}
-    views : int or None
-        Number of context views, at least 2; None for those of each scene.
+    Attributes:
+        fields: {field: value as text}
+        views: Number of context views, at least 2; None for those of each scene.
     """
 
     settings: Settings
@@ -56,10 +53,8 @@ class Combination:
     def of(self, scene: SceneSettings) -> SceneSettings:
         """Return the scene with :attr:`views` context views.
 
-        Raises
-        ------
-        InputError
-            If it has no targets, or not enough views around them.
+        Raises:
+            InputError: If it has no targets, or not enough views around them.
         """
         if self.views is None:
             return scene
@@ -76,10 +71,8 @@ def combinations(settings: Settings) -> list[Combination]:
 
     A combination that equals the run itself is omitted.
 
-    Raises
-    ------
-    InputError
-        If a field is unknown or named twice, or a value is invalid.
+    Raises:
+        InputError: If a field is unknown or named twice, or a value is invalid.
     """
     axes = [_axis(text) for text in settings.sweep]
     names = [name for name, _ in axes]

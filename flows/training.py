@@ -92,11 +92,9 @@ class Trained:
 def train_branch(config: TrainSettings, verbose: bool = False) -> State[Trained]:
     """Train the semantic branch on the lessons in a folder; write weights, tables and report.
 
-    Raises
-    ------
-    InputError
-        If there are too few lessons, they are not in the store, the initial weights cannot be used,
-        the training fails, or a file cannot be written.
+    Raises:
+        InputError: If there are too few lessons, they are not in the store, the initial weights
+            cannot be used, the training fails, or a file cannot be written.
     """
     trained = run_session("train", config, lambda store: _train(config, store, verbose))
     return completed(f"weights: {config.out / FILES['weights']}", trained)
@@ -139,10 +137,8 @@ def parted(lessons: pa.Table, share: float) -> Parted:
 
     Their order does not depend on the chunks.
 
-    Raises
-    ------
-    InputError
-        If one of them is empty.
+    Raises:
+        InputError: If one of them is empty.
     """
     schema = load_spec("lessons").schema
     rows = [{**row, "chunk": None} for row in lessons.sort_by("sample").to_pylist()]

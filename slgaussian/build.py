@@ -33,15 +33,10 @@ from slgaussian.storage.statistics import FieldStatistics
 class Predicted(NamedTuple):
     """Output of a predictor for the context views.
 
-    Attributes
-    ----------
-    gaussians : Gaussians
-        With the array ``guessed``.
-    geometry : SceneGeometry
-    quality : Quality
-        Quality of the views.
-    depths : Depths or None
-        Numbers of depth candidates; None if the predictor does not count them.
+    Attributes:
+        gaussians: With the array ``guessed``.
+        quality: Quality of the views.
+        depths: Numbers of depth candidates; None if the predictor does not count them.
     """
 
     gaussians: Gaussians
@@ -61,31 +56,22 @@ def build_field(
     Views that show another place, or repeat another view, are excluded with a warning
     (:func:`slgaussian.predict.view_graph.select_usable`).
 
-    Parameters
-    ----------
-    sample : Sample
-        Its targets and ground truth are not used.
-    method : Method, optional
-        Components and their settings; the default, ``Method()``, needs no weights.
-    trust_cameras : bool
-        If true, accept cameras that the matches between the photographs contradict.
-    took : callable
-        Called with the name and seconds of each finished step.
+    Args:
+        sample: Its targets and ground truth are not used.
+        method: Components and their settings; the default, ``Method()``, needs no weights.
+        trust_cameras: If true, accept cameras that the matches between the photographs contradict.
+        took: Called with the name and seconds of each finished step.
 
-    Returns
-    -------
-    SemanticField
-        Its ``settings`` are :meth:`slgaussian.components.method.Method.identity` and: ``quality``,
-        the :class:`slgaussian.cameras.quality.Quality` of the views; ``verdict``, the expected
-        quality of the scene; ``account``, its
-        :class:`slgaussian.storage.statistics.FieldStatistics`; ``cameras``, if they were estimated,
-        the way in which they were.
+    Returns:
+        SemanticField: Its ``settings`` are :meth:`slgaussian.components.method.Method.identity`
+            and: ``quality``, the :class:`slgaussian.cameras.quality.Quality` of the views;
+            ``verdict``, the expected quality of the scene; ``account``, its
+            :class:`slgaussian.storage.statistics.FieldStatistics`; ``cameras``, if they were
+            estimated, the way in which they were.
 
-    Raises
-    ------
-    InputError
-        If a setting is out of range, a checkpoint does not fit, the views cannot be used, or the
-        cameras contradict the photographs.
+    Raises:
+        InputError: If a setting is out of range, a checkpoint does not fit, the views cannot be
+            used, or the cameras contradict the photographs.
     """
     check_type(sample, Sample, "build_field: expected a Sample, as slg.photographs returns it")
     method = method or Method()
@@ -116,10 +102,9 @@ def predict(
 ) -> Predicted:
     """Predict Gaussians from context views and their matches (paper, section 3.1).
 
-    Raises
-    ------
-    InputError
-        As :func:`slgaussian.cameras.check.refuse`, unless ``trust_cameras``, and as the predictor.
+    Raises:
+        InputError: As :func:`slgaussian.cameras.check.refuse`, unless ``trust_cameras``, and as the
+            predictor.
     """
     checks = check_pairs(sample.context, graph)
     if not trust_cameras:

@@ -61,18 +61,13 @@ def read(
 ) -> tuple[TaughtWords, dict[int, str], frozenset[int]]:
     """Read the taught words, names and removed objects of a field's folder, or empty ones.
 
-    Parameters
-    ----------
-    folder : path
-    encoder : str
-        From :func:`slgaussian.language.taught.encoder_identity`.
-    ids : int32 [N]
-        Ids of the field's objects.
+    Args:
+        encoder: From :func:`slgaussian.language.taught.encoder_identity`.
+        ids: int32 [N]. Ids of the field's objects.
 
-    Raises
-    ------
-    SpecError
-        If a file is damaged, its words have another encoder, or an object is not in the field.
+    Raises:
+        SpecError: If a file is damaged, its words have another encoder, or an object is not in the
+            field.
     """
     taught, names, removed = TaughtWords(), {}, frozenset[int]()
     file = folder / WORDS

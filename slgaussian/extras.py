@@ -10,10 +10,9 @@ PACKAGE = "slgaussian"
 def requirements(extra: str | None = None) -> list[Requirement]:
     """Return the requirements of the package, or the additional ones of an extra.
 
-    Raises
-    ------
-    importlib.metadata.PackageNotFoundError
-        If slgaussian runs from its sources and is not installed.
+    Raises:
+        importlib.metadata.PackageNotFoundError: If slgaussian runs from its sources and is not
+            installed.
     """
     declared = [Requirement(line) for line in requires(PACKAGE) or []]
     if extra is None:

@@ -52,23 +52,16 @@ HATCHING = np.array([96, 160], np.uint8)
 class FieldView:
     """A semantic field rendered for one camera.
 
-    Attributes
-    ----------
-    rgb : uint8 [H, W, 3]
-        Mean colour of the Gaussians; fades to black where ``alpha`` is below :data:`VISIBLE`.
-    ids : int32 [H, W]
-        Object ids, 0 for none.
-    confidence : float32 [H, W]
-        In [0, 1], about the blending weight of the object minus that of the next one; 0 without an
-        object. See :class:`slgaussian.semantic.decode.Decoder`.
-    alpha : float32 [H, W]
-        Accumulated opacity in [0, 1].
-    depth : float32 [H, W]
-        z-depth in scene units, 0 where empty.
-    field : SemanticField
-        The rendered field.
-    camera : Camera or None
-        The camera.
+    Attributes:
+        rgb: uint8 [H, W, 3]. Mean colour of the Gaussians; fades to black where ``alpha`` is below
+            :data:`VISIBLE`.
+        ids: int32 [H, W]. Object ids, 0 for none.
+        confidence: float32 [H, W]. In [0, 1], about the blending weight of the object minus that of
+            the next one; 0 without an object. See :class:`slgaussian.semantic.decode.Decoder`.
+        alpha: float32 [H, W]. Accumulated opacity in [0, 1].
+        depth: float32 [H, W]. z-depth in scene units, 0 where empty.
+        field: The rendered field.
+        camera: The camera.
     """
 
     rgb: np.ndarray
@@ -136,26 +129,18 @@ class FieldView:
 class SemanticField:
     """Gaussians with ID codes, and the memory bank with the features of each code's object.
 
-    Attributes
-    ----------
-    gaussians : Gaussians
-        With ``features``; see :class:`slgaussian.semantic.Lifting`.
-    bank : MemoryBank
-    cameras : mapping str -> Camera
-        The context cameras by view name.
-    settings : mapping
-        Names and settings of all components that built the field, written into each artifact. Files
-        are identified by their content.
-    places : {setting: path or name on the hub}
-        Location of the encoder's files, such as its ``model``, which are not part of the field.
-    taught : TaughtWords
-        Words taught by example; in queries they take precedence over the encoder.
-    names : {id: str}
-        Names of objects given by the user. In a query a name matches exactly these objects, and
-        takes precedence over taught words and the encoder.
-    removed : frozenset of int
-        Ids of objects that are neither rendered nor found. Their Gaussians remain, so that they can
-        be restored.
+    Attributes:
+        gaussians: With ``features``; see :class:`slgaussian.semantic.Lifting`.
+        cameras: mapping str -> Camera. The context cameras by view name.
+        settings: Names and settings of all components that built the field, written into each
+            artifact. Files are identified by their content.
+        places: {setting: path or name on the hub}. Location of the encoder's files, such as its
+            ``model``, which are not part of the field.
+        taught: Words taught by example; in queries they take precedence over the encoder.
+        names: {id: str}. Names of objects given by the user. In a query a name matches exactly
+            these objects, and takes precedence over taught words and the encoder.
+        removed: frozenset of int. Ids of objects that are neither rendered nor found. Their
+            Gaussians remain, so that they can be restored.
     """
 
     gaussians: Gaussians
@@ -177,12 +162,9 @@ class SemanticField:
     def encoder(self) -> Encoder:
         """The text encoder of the bank, loaded on first access.
 
-        Raises
-        ------
-        InputError
-            If one of its files is missing from ``places`` or has another content.
-        SpecError
-            If its vectors have another dimension than those of the bank.
+        Raises:
+            InputError: If one of its files is missing from ``places`` or has another content.
+            SpecError: If its vectors have another dimension than those of the bank.
         """
         part = Component.stored("encoder", self.settings, self.places)
         _check_places(part)
@@ -220,18 +202,14 @@ class SemanticField:
     def inventory(self, texts: Sequence[str] | None = None, **rules: Any) -> list[SceneObject]:
         """List every object with its best words, position and size, by id.
 
-        Parameters
-        ----------
-        texts : sequence of str, optional
-            Texts that describe objects, in addition to taught words. By default colours and nouns
-            of the encoder ``lexicon``, or common objects for other encoders.
-        rules
-            As in :meth:`FieldView.query`; they affect only the relevancies.
+        Args:
+            texts: sequence of str, optional. Texts that describe objects, in addition to taught
+                words. By default colours and nouns of the encoder ``lexicon``, or common objects
+                for other encoders.
+            rules: As in :meth:`FieldView.query`; they affect only the relevancies.
 
-        Raises
-        ------
-        InputError
-            If a text cannot be used.
+        Raises:
+            InputError: If a text cannot be used.
         """
         from slgaussian.objects import list_objects
 
@@ -325,10 +303,8 @@ class SemanticField:
 
         The other objects of the field become its rivals. See :mod:`slgaussian.language.taught`.
 
-        Raises
-        ------
-        InputError
-            If there is no such object, or the word is empty or too long.
+        Raises:
+            InputError: If there is no such object, or the word is empty or too long.
         """
         feature, rivals = self._features(object_id)
         identity = encoder_identity(self.settings)
@@ -528,10 +504,8 @@ class SemanticField:
         See :mod:`slgaussian.storage.field_folder`; ``beside`` are additional files by name. After
         edits alone (taught words, names, removals) :meth:`save_edits` is enough.
 
-        Raises
-        ------
-        InputError
-            If the folder cannot be written, or holds something that is not a field.
+        Raises:
+            InputError: If the folder cannot be written, or holds something that is not a field.
         """
         path = Path(path)
         field_folder.check_target(path)
@@ -551,12 +525,9 @@ class SemanticField:
     def save_edits(self, path: str | Path) -> None:
         """Write only taught words, names and removed objects to the folder of this field.
 
-        Raises
-        ------
-        InputError
-            If the folder holds another field, or cannot be written.
-        SpecError
-            If it is damaged.
+        Raises:
+            InputError: If the folder holds another field, or cannot be written.
+            SpecError: If it is damaged.
         """
         about, _ = field_folder.read_about(Path(path))
         if about.digests["bank"] != arrays_digest(self.bank.to_arrays()):
@@ -570,18 +541,14 @@ class SemanticField:
     def load(path: str | Path, encoder: Mapping[str, str | Path] | None = None) -> SemanticField:
         """Read a field folder.
 
-        Parameters
-        ----------
-        path : path or str
-        encoder : {setting: path or name on the hub}, optional
-            Current location of its encoder's files, if it has changed since the field was built,
-            as in ``{"model": "models/clip"}``. They are read by the first query.
+        Args:
+            encoder: {setting: path or name on the hub}, optional. Current location of its encoder's
+                files, if it has changed since the field was built, as in ``{"model":
+                "models/clip"}``. They are read by the first query.
 
-        Raises
-        ------
-        SpecError
-            If a file is missing or damaged, or the encoder does not match the bank; the message
-            names the file.
+        Raises:
+            SpecError: If a file is missing or damaged, or the encoder does not match the bank; the
+                message names the file.
         """
         path = Path(path)
         about, places = field_folder.read_about(path)
@@ -610,10 +577,8 @@ class SemanticField:
     ) -> SemanticField:
         """Make a field from its metadata and the arrays of ``gaussians`` and ``bank``.
 
-        Raises
-        ------
-        InputError
-            If the arrays are invalid or do not match; the message begins with the file.
+        Raises:
+            InputError: If the arrays are invalid or do not match; the message begins with the file.
         """
         with _naming_file("bank"):
             bank = MemoryBank.from_arrays(arrays["bank"])

@@ -59,31 +59,23 @@ class _Tensor(Generic[Held]):
 class Gaussians:
     """N anisotropic Gaussians in world space.
 
-    Attributes
-    ----------
-    means : float32 [N, 3]
-        Centres, scene units.
-    scales : float32 [N, 3]
-        Standard deviations along the local axes, scene units, positive.
-    quats : float32 [N, 4]
-        Rotations local-to-world, wxyz; any length but zero is accepted.
-    opacities : float32 [N]
-        In [0, 1].
-    sh : float32 [N, K, 3]
-        Spherical-harmonic colour, K = (degree + 1)^2.
-    source : int32 [N]
-        Flat index ``(view * H + row) * W + column`` of the context pixel of each Gaussian.
-    features : float32 [N, D] or None
-        Semantic features. In a field: the ID code (3-dimensional in the paper) times its weight,
-        and the weight; see :class:`slgaussian.semantic.Lifting`.
-    guessed : bool [N] or None
-        True if no second view confirms the depth (:func:`slgaussian.build.predict`). Predictors
-        set it for occluded Gaussians and those outside the views. None if unknown.
+    Attributes:
+        means: float32 [N, 3]. Centres, scene units.
+        scales: float32 [N, 3]. Standard deviations along the local axes, scene units, positive.
+        quats: float32 [N, 4]. Rotations local-to-world, wxyz; any length but zero is accepted.
+        opacities: float32 [N]. In [0, 1].
+        sh: float32 [N, K, 3]. Spherical-harmonic colour, K = (degree + 1)^2.
+        source: int32 [N]. Flat index ``(view * H + row) * W + column`` of the context pixel of each
+            Gaussian.
+        features: float32 [N, D] or None. Semantic features. In a field: the ID code (3-dimensional
+            in the paper) times its weight, and the weight; see
+            :class:`slgaussian.semantic.Lifting`.
+        guessed: bool [N] or None. True if no second view confirms the depth
+            (:func:`slgaussian.build.predict`). Predictors set it for occluded Gaussians and those
+            outside the views. None if unknown.
 
-    Raises
-    ------
-    InputError
-        If shapes disagree; :meth:`check` checks the values.
+    Raises:
+        InputError: If shapes disagree; :meth:`check` checks the values.
     """
 
     means: _Tensor[torch.Tensor] = _Tensor()
@@ -243,16 +235,12 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
     A pixel without a Gaussian, because those of other views cover its surface, has the depth of the
     nearest Gaussian of another view that projects to it or to one of its 8 neighbours.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-    cameras : sequence of V Camera
-        The context cameras, in order, all of one size.
+    Args:
+        cameras: sequence of V Camera. The context cameras, in order, all of one size.
 
-    Returns
-    -------
-    float32 [V, H, W]
-        z-depth in scene units; 0 without Gaussians, and in views none of whose pixels has one.
+    Returns:
+        float32 [V, H, W]: z-depth in scene units; 0 without Gaussians, and in views none of whose
+            pixels has one.
     """
     from scipy.ndimage import minimum_filter
 

@@ -70,10 +70,8 @@ def atomic_path(path: str | os.PathLike[str], new: bool = False) -> Iterator[str
 def atomic_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder, which replaces the folder ``path`` when the block ends.
 
-    Raises
-    ------
-    InputError
-        If it cannot be written; ``path`` is then unchanged.
+    Raises:
+        InputError: If it cannot be written; ``path`` is then unchanged.
     """
     try:
         draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
@@ -114,12 +112,9 @@ time resolution of up to 2 s, and a file may be written twice within it."""
 class KnownFile:
     """An external file, folder or model, identified by its content.
 
-    Attributes
-    ----------
-    place : str
-        Absolute path, or a name on the Hugging Face hub.
-    digest : str or None
-        SHA-256 of its content, hexadecimal; None if any content is accepted.
+    Attributes:
+        place: Absolute path, or a name on the Hugging Face hub.
+        digest: SHA-256 of its content, hexadecimal; None if any content is accepted.
     """
 
     place: str
@@ -135,11 +130,9 @@ class KnownFile:
     def checked(self, name: str, digest_of: Digest, otherwise: str = CHANGED) -> str:
         """Check that the content is unchanged, and return the place.
 
-        Raises
-        ------
-        InputError
-            If the content cannot be read or has changed. The message begins with ``name`` and the
-            place, and ends with ``otherwise`` for changed content.
+        Raises:
+            InputError: If the content cannot be read or has changed. The message begins with
+                ``name`` and the place, and ends with ``otherwise`` for changed content.
         """
         try:
             same = self.digest is None or digest_of(self.place) == self.digest

@@ -17,14 +17,13 @@ VISIBLE = 0.5
 class LabelMaps:
     """Object ids that are consistent across views (the S_i of the paper, section 3.2).
 
-    Attributes
-    ----------
-    labels : int32 [V, H, W]
-        Object ids above 0; 0 is unassigned. An id means the same object in every view.
-    margin : float32 [V, H, W]
-        Margin of the vote: (votes for the winner - votes for the runner-up) / replicas, in [0, 1].
-    computed : int, optional
-        Largest number of copies of a view that were segmented for the vote; None if unknown.
+    Attributes:
+        labels: int32 [V, H, W]. Object ids above 0; 0 is unassigned. An id means the same object in
+            every view.
+        margin: float32 [V, H, W]. Margin of the vote: (votes for the winner - votes for the
+            runner-up) / replicas, in [0, 1].
+        computed: Largest number of copies of a view that were segmented for the vote; None if
+            unknown.
     """
 
     labels: np.ndarray

@@ -35,26 +35,17 @@ LOOK = 320
 class SceneObject:
     """One object of a field.
 
-    Attributes
-    ----------
-    id : int
-    name : str or None
-        Name given by the user.
-    words : tuple of (str, float)
-        The texts that fit it best, with relevancies, best first; up to 0.5 a text fits no better
-        than the canonical phrases.
-    confidence : float
-        Mean of :attr:`slgaussian.field.FieldView.confidence` over its pixels in the context views;
-        0 if it is not visible.
-    gaussians : int
-        Number of Gaussians whose main object it is.
-    box : Box or None
-        Upright bounding box in scene units, aligned to the room; None without Gaussians.
-    metres : bool or None
-        True if scene units are metres. False for cameras estimated from photographs, which have no
-        scale. None for given cameras, whose unit is unknown.
-    views : tuple of str
-        The context views that show it.
+    Attributes:
+        name: Name given by the user.
+        words: tuple of (str, float). The texts that fit it best, with relevancies, best first; up
+            to 0.5 a text fits no better than the canonical phrases.
+        confidence: Mean of :attr:`slgaussian.field.FieldView.confidence` over its pixels in the
+            context views; 0 if it is not visible.
+        gaussians: Number of Gaussians whose main object it is.
+        box: Upright bounding box in scene units, aligned to the room; None without Gaussians.
+        metres: True if scene units are metres. False for cameras estimated from photographs, which
+            have no scale. None for given cameras, whose unit is unknown.
+        views: tuple of str. The context views that show it.
     """
 
     id: int

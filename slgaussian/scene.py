@@ -39,14 +39,11 @@ Size = tuple[int, int] | str
 class Estimated:
     """Uncertainty of an estimated camera.
 
-    Attributes
-    ----------
-    focal : (float, float)
-        90 % confidence interval of the focal length, relative to the estimate.
-    source : str
-        Source of the focal length: "EXIF", "matches", "guess" or "given".
-    confidence : float
-        Probability, 0 to 1, that the poses of the scene are correct to a few degrees.
+    Attributes:
+        focal: (float, float). 90 % confidence interval of the focal length, relative to the
+            estimate.
+        source: Source of the focal length: "EXIF", "matches", "guess" or "given".
+        confidence: Probability, 0 to 1, that the poses of the scene are correct to a few degrees.
     """
 
     focal: tuple[float, float]
@@ -57,10 +54,8 @@ class Estimated:
     def of(content: Any) -> Estimated:
         """Inverse of :func:`dataclasses.asdict`, also after a round trip through JSON.
 
-        Raises
-        ------
-        ValueError
-            If the content is invalid.
+        Raises:
+            ValueError: If the content is invalid.
         """
         try:
             low, high = map(float, content["focal"])
@@ -76,25 +71,17 @@ class Estimated:
 class Camera:
     """A pinhole camera.
 
-    Attributes
-    ----------
-    K : float64 [3, 3]
-        Intrinsics in pixels; pixel centres at +0.5.
-    c2w : float64 [4, 4]
-        Camera-to-world, OpenCV axes.
-    width, height : int
-        Image size in pixels.
-    near, far : float or None
-        Depth range along z in scene units, if known.
-    estimated : Estimated or None
-        Uncertainty, if the camera was estimated from photographs; None if it was given.
+    Attributes:
+        K: float64 [3, 3]. Intrinsics in pixels; pixel centres at +0.5.
+        c2w: float64 [4, 4]. Camera-to-world, OpenCV axes.
+        width, height: Image size in pixels.
+        near, far: Depth range along z in scene units, if known.
+        estimated: Uncertainty, if the camera was estimated from photographs; None if it was given.
 
-    Raises
-    ------
-    InputError
-        If a number is not finite, the pose is not a rotation and a translation, the focal length
-        or size is not positive, there are more than
-        :data:`slgaussian.formats.images.MOST_PIXELS` pixels, or near and far are out of order.
+    Raises:
+        InputError: If a number is not finite, the pose is not a rotation and a translation, the
+            focal length or size is not positive, there are more than
+            :data:`slgaussian.formats.images.MOST_PIXELS` pixels, or near and far are out of order.
     """
 
     K: np.ndarray
@@ -213,21 +200,16 @@ class Camera:
 class View:
     """One photograph with its camera and, where the data has them, its truths.
 
-    Attributes
-    ----------
-    name : str
-        Unique within the scene, usually the file path relative to the scene folder.
-    camera : Camera
-    image : uint8 [H, W, 3]
-        RGB, undistorted.
-    depth : float32 [H, W] or None
-        True z-depth in scene units, 0 where unknown. For evaluation only: no method may read it.
-    instances : int32 [H, W] or None
-        True object ids, 0 where none. For evaluation only.
-    opaque : bool [H, W] or None
-        False where the photograph is transparent: nothing is there. None where all is opaque.
-    window : Window or None
-        Part of the photograph that is shown, where it was resized or cropped; None for all of it.
+    Attributes:
+        name: Unique within the scene, usually the file path relative to the scene folder.
+        image: uint8 [H, W, 3]. RGB, undistorted.
+        depth: float32 [H, W] or None. True z-depth in scene units, 0 where unknown. For evaluation
+            only: no method may read it.
+        instances: int32 [H, W] or None. True object ids, 0 where none. For evaluation only.
+        opaque: bool [H, W] or None. False where the photograph is transparent: nothing is there.
+            None where all is opaque.
+        window: Part of the photograph that is shown, where it was resized or cropped; None for all
+            of it.
     """
 
     name: str
@@ -293,25 +275,17 @@ class View:
 class Sample:
     """Context views, the input of a predictor, and target views for evaluation.
 
-    Attributes
-    ----------
-    scene : str
-        Scene id for tables and messages; it does not affect results.
-    context : tuple of View
-        Two or more photographs of the same size.
-    targets : tuple of View
-        Held-out views, possibly none.
-    phrases : mapping int -> str
-        Name of each ground-truth instance id, if known.
-    found : mapping
-        Estimation of the cameras, from
-        :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`; empty if they were given.
+    Attributes:
+        scene: Scene id for tables and messages; it does not affect results.
+        context: tuple of View. Two or more photographs of the same size.
+        targets: tuple of View. Held-out views, possibly none.
+        phrases: mapping int -> str. Name of each ground-truth instance id, if known.
+        found: Estimation of the cameras, from
+            :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`; empty if they were given.
 
-    Raises
-    ------
-    InputError
-        If context views differ in size, are one picture with two poses, or all share one position
-        (no baseline).
+    Raises:
+        InputError: If context views differ in size, are one picture with two poses, or all share
+            one position (no baseline).
     """
 
     scene: str
@@ -366,19 +340,14 @@ def _no_sources(name: str) -> Sequence[Path]:
 class Scene:
     """A set of posed photographs, which are read on demand.
 
-    Attributes
-    ----------
-    name : str
-    cameras : mapping str -> Camera
-        Camera of every view by view name, in the order of the data set.
-    read : callable str -> View
-        Reads and undistorts one view.
-    phrases : mapping int -> str
-        Name of each ground-truth instance id, if known.
-    found : mapping
-        See :class:`Sample`.
-    sources : callable str -> sequence of Path
-        Returns the files of a view and its camera, by view name; some may not exist.
+    Attributes:
+        cameras: mapping str -> Camera. Camera of every view by view name, in the order of the data
+            set.
+        read: callable str -> View. Reads and undistorts one view.
+        phrases: mapping int -> str. Name of each ground-truth instance id, if known.
+        found: See :class:`Sample`.
+        sources: callable str -> sequence of Path. Returns the files of a view and its camera, by
+            view name; some may not exist.
     """
 
     name: str
@@ -407,10 +376,8 @@ class Scene:
     def find(self, name: str) -> str:
         """Return the full view name for ``name``, which may omit folders and the extension.
 
-        Raises
-        ------
-        InputError
-            If no view, or more than one, matches.
+        Raises:
+            InputError: If no view, or more than one, matches.
         """
         if name in self.cameras:
             return name
@@ -445,27 +412,21 @@ class Scene:
     ) -> Sample:
         """Read the named views, the context first, and resize them.
 
-        Parameters
-        ----------
-        context, targets : sequence of str
-            View names, as for :meth:`find`.
-        size : (height, width), "at most 312x432", "auto" or "original"
-            A pair scales and centre-crops. "at most" shrinks larger views to that number of pixels;
-            "auto" is at most :data:`PAPER_PIXELS`, since one Gaussian per pixel at full resolution
-            would be millions. Both keep the aspect ratio; if views differ in size, all are
-            centre-cropped to the smallest height and the smallest width.
-        near, far : float, optional
-            Depth range along z in scene units, for all views. By default that of each camera; if it
-            has none, the predictor estimates it.
-        judged : as ``size``, optional
-            Size of the targets, by default ``size``: fields of small photographs can be evaluated
-            at the resolution of other methods.
+        Args:
+            context, targets: sequence of str. View names, as for :meth:`find`.
+            size: (height, width), "at most 312x432", "auto" or "original". A pair scales and
+                centre-crops. "at most" shrinks larger views to that number of pixels; "auto" is at
+                most :data:`PAPER_PIXELS`, since one Gaussian per pixel at full resolution would be
+                millions. Both keep the aspect ratio; if views differ in size, all are
+                centre-cropped to the smallest height and the smallest width.
+            near, far: Depth range along z in scene units, for all views. By default that of each
+                camera; if it has none, the predictor estimates it.
+            judged: as ``size``, optional. Size of the targets, by default ``size``: fields of small
+                photographs can be evaluated at the resolution of other methods.
 
-        Raises
-        ------
-        InputError
-            If a view cannot be found or read, occurs twice in the context, or the views are not a
-            valid sample.
+        Raises:
+            InputError: If a view cannot be found or read, occurs twice in the context, or the views
+                are not a valid sample.
         """
         names = [self.find(name) for name in (*context, *targets)]
         for i, name in enumerate(names[: len(context)]):

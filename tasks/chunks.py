@@ -45,15 +45,11 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     The store caches it under ``digests/``. A file that changed within the last
     :data:`slgaussian.io.SETTLED` seconds, or has no time stamp, is read every time.
 
-    Parameters
-    ----------
-    store : ArtifactStore
-    file : path or fsspec URL
+    Args:
+        file: path or fsspec URL
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read or the store not written.
+    Raises:
+        InputError: If the file cannot be read or the store not written.
     """
     fs, path = fsspec.core.url_to_fs(os.fspath(file))
     try:
@@ -101,10 +97,8 @@ def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re1
 
     The chunk is an external file, or an artifact of spec ``packed``.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, two clips have one key, or its content has changed.
+    Raises:
+        InputError: If it cannot be read, two clips have one key, or its content has changed.
     """
 
     if isinstance(chunk, ArtifactRef):
@@ -134,11 +128,9 @@ def _packed(store: ArtifactStore, chunk: ArtifactRef) -> dict[str, re10k.Clip]:
 class Framing:
     """Common size and depth range of the views of a chunk.
 
-    Attributes
-    ----------
-    size : (height, width)
-    near, far : float, optional
-        Depth range along z in scene units; estimated from the views if None.
+    Attributes:
+        size: (height, width)
+        near, far: Depth range along z in scene units; estimated from the views if None.
     """
 
     size: tuple[int, int]
@@ -163,11 +155,8 @@ def left_out(scene: str, error: InputError) -> dict[str, str]:
 class PosedFolder:
     """A folder or file with the cameras of one scene, or with photographs alone.
 
-    Attributes
-    ----------
-    name : str
-        Name of its clip.
-    path : Path
+    Attributes:
+        name: Name of its clip.
     """
 
     name: str

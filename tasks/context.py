@@ -18,18 +18,12 @@ Value = TypeVar("Value")
 class StageEvent:
     """A change of state of one stage of one scene.
 
-    Attributes
-    ----------
-    scene, stage : str
-    state : str
-        ``running``, ``completed``, ``cached``, ``repeated`` (its artifact was damaged, and it is
-        computed again) or ``failed`` (the scene is left out).
-    message : str
-        Progress within a running stage, or the reason of a failure.
-    seconds : float
-        Wall time of a completed stage.
-    traceback : str
-        Of a failure that is a defect.
+    Attributes:
+        state: ``running``, ``completed``, ``cached``, ``repeated`` (its artifact was damaged, and
+            it is computed again) or ``failed`` (the scene is left out).
+        message: Progress within a running stage, or the reason of a failure.
+        seconds: Wall time of a completed stage.
+        traceback: Of a failure that is a defect.
     """
 
     scene: str
@@ -47,23 +41,15 @@ Notify = Callable[[StageEvent], None]
 class RunContext:
     """State that the stages of one scene share.
 
-    Attributes
-    ----------
-    store : ArtifactStore
-    scene : str
-        Name of the scene in events and in Prefect's page.
-    workers : int
-        Number of concurrent scenes on this machine.
-    notify : callable
-        Receives every :class:`StageEvent`.
-    refresh : frozenset of str
-        Names of stages to recompute, with the stages that depend on them.
-    refs : {stage: ArtifactRef}
-        Results of the stages so far.
-    stage, key : str
-        The running stage and its cache key.
-    results : {digest: StageResult}
-        The same results as Prefect task results.
+    Attributes:
+        scene: Name of the scene in events and in Prefect's page.
+        workers: Number of concurrent scenes on this machine.
+        notify: callable. Receives every :class:`StageEvent`.
+        refresh: frozenset of str. Names of stages to recompute, with the stages that depend on
+            them.
+        refs: {stage: ArtifactRef}. Results of the stages so far.
+        stage, key: The running stage and its cache key.
+        results: {digest: StageResult}. The same results as Prefect task results.
     """
 
     store: ArtifactStore

@@ -42,16 +42,14 @@ def example(
 ) -> ArtifactRef:
     """Encode a sample as a part of a tar file: spec ``example``.
 
-    Parameters
-    ----------
-    sample, gaussians, labels, bank : ArtifactRef
-        Results of earlier stages; ``labels`` of :func:`tasks.samples.all_masks`.
-    known : mapping
-        Properties that are stored with the sample. Its ``sample`` is the name of the members.
-    images : str
-        A key of :data:`SAVED`.
-
     ``meta["about"]`` has ``known`` and measures of quality.
+
+    Args:
+        sample, gaussians, labels, bank: Results of earlier stages; ``labels`` of
+            :func:`tasks.samples.all_masks`.
+        known: Properties that are stored with the sample. Its ``sample`` is the name of the
+            members.
+        images: A key of :data:`SAVED`.
     """
     store = run.store
     views = run.read(sample, sample_from_arrays)

@@ -58,10 +58,8 @@ def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: b
 
     Decoding ``targets`` takes as long as the context and is optional.
 
-    Raises
-    ------
-    InputError
-        If a view cannot be decoded, or the views do not make a sample.
+    Raises:
+        InputError: If a view cannot be decoded, or the views do not make a sample.
     """
 
     context = framed_views(clip, row["context"], framing)

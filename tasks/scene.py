@@ -53,20 +53,13 @@ COPY = 1.0
 class Photographs:
     """Views of a scene that form a sample, and the location of their files.
 
-    Attributes
-    ----------
-    scene : str
-        Name of the sample.
-    format : str
-        Format of :func:`slgaussian.datasets.load`.
-    path : Path, optional
-        Data of a format that reads files; identified by content.
-    options : mapping
-        Options of the format.
-    context, targets : tuple of str
-        Names of views.
-    size, near, far, judged
-        Arguments of :meth:`slgaussian.scene.Scene.sample`.
+    Attributes:
+        scene: Name of the sample.
+        format: Format of :func:`slgaussian.datasets.load`.
+        path: Data of a format that reads files; identified by content.
+        options: Options of the format.
+        context, targets: tuple of str. Names of views.
+        size, near, far, judged: Arguments of :meth:`slgaussian.scene.Scene.sample`.
     """
 
     scene: str
@@ -84,10 +77,8 @@ class Photographs:
     def inputs(self) -> dict[str, Any]:
         """Digests of the data by :func:`data_identity`, computed once.
 
-        Raises
-        ------
-        InputError
-            As :meth:`read`, if the scene cannot be read or lacks a view.
+        Raises:
+            InputError: As :meth:`read`, if the scene cannot be read or lacks a view.
         """
         return self.look()
 
@@ -185,18 +176,13 @@ def data_identity(
 ) -> dict[str, Any]:
     """Return the identity of data by content, for a cache key.
 
-    Parameters
-    ----------
-    files, cameras
-        Results of :func:`slgaussian.datasets.inputs`.
-    path : Path
-        Folder or file of the data.
+    Args:
+        files, cameras: Results of :func:`slgaussian.datasets.inputs`.
+        path: Folder or file of the data.
 
-    Returns
-    -------
-    dict
-        ``files``: SHA-256 by path below the folder, from :func:`digests_of`. ``cameras``: SHA-256
-        of the ordered, named cameras. ``licence``: from a file beside the data.
+    Returns:
+        dict: ``files``: SHA-256 by path below the folder, from :func:`digests_of`. ``cameras``:
+            SHA-256 of the ordered, named cameras. ``licence``: from a file beside the data.
     """
     folder = path if path.is_dir() else path.parent
     numbers = [

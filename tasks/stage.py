@@ -41,10 +41,8 @@ def cache_key(stage: str, version: int, arguments: Mapping[str, Any]) -> str:
     Two keys are equal if and only if stage, version and the content of the arguments are. The order
     of keys, the process, and the locations of files and store have no effect.
 
-    Raises
-    ------
-    InputError
-        If an argument has no canonical form (see :func:`canonical`).
+    Raises:
+        InputError: If an argument has no canonical form (see :func:`canonical`).
     """
     content = {name: canonical(value, name) for name, value in arguments.items()}
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -57,11 +55,9 @@ def canonical(value: Any, name: str = "value") -> Any:
     A dataclass or config becomes its fields. External data and components of the method have a
     method ``identity`` that returns such data.
 
-    Raises
-    ------
-    InputError
-        For values without a canonical form: arrays (pass a ref), paths (the file may change; use
-        its digest), sets, generators, NaN and objects.
+    Raises:
+        InputError: For values without a canonical form: arrays (pass a ref), paths (the file may
+            change; use its digest), sets, generators, NaN and objects.
     """
     if value is None or isinstance(value, (bool, str)) or type(value) is int:
         return value
@@ -142,12 +138,10 @@ class Stage:
     def __call__(self, *args: Any, **kwargs: Any) -> ArtifactRef:
         """Return the result for these arguments, from the cache or computed.
 
-        Raises
-        ------
-        InputError
-            If an argument has no canonical form, and as the function.
-        DamagedError
-            If a stored artifact that it reads is damaged or missing; the artifact is removed.
+        Raises:
+            InputError: If an argument has no canonical form, and as the function.
+            DamagedError: If a stored artifact that it reads is damaged or missing; the artifact is
+                removed.
         """
         run = current_run()
         run.stage = self.name
@@ -232,13 +226,10 @@ def stage(
 ) -> Callable[[Callable[..., ArtifactRef]], Stage]:
     """Make a function a :class:`Stage`.
 
-    Parameters
-    ----------
-    name : str
-    version : int
-        To be increased when the same arguments give another result.
-    unkeyed : collection of str
-        Parameters on which no result depends, such as locations or numbers of workers.
+    Args:
+        version: To be increased when the same arguments give another result.
+        unkeyed: collection of str. Parameters on which no result depends, such as locations or
+            numbers of workers.
     """
     return lambda compute: Stage(compute, name, version, unkeyed)
 

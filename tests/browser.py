@@ -69,10 +69,8 @@ class PageError(Exception):
 class Browser:
     """A Chromium with a profile of its own; a context manager that ends it.
 
-    Raises
-    ------
-    PageError
-        If it does not start; the message holds what it said.
+    Raises:
+        PageError: If it does not start; the message holds what it said.
     """
 
     def __init__(self, *options: str) -> None:
@@ -152,12 +150,11 @@ class Browser:
 class Tab:
     """A page that is open.
 
-    Attributes
-    ----------
-    requests : list of str
-        Every URL that it asked for, its own first; ``blob:`` and ``data:`` too.
-    complaints : list of str
-        Errors and warnings of the console, exceptions that nobody caught, and failed requests.
+    Attributes:
+        requests: list of str. Every URL that it asked for, its own first; ``blob:`` and ``data:``
+            too.
+        complaints: list of str. Errors and warnings of the console, exceptions that nobody caught,
+            and failed requests.
     """
 
     def __init__(self, protocol: _Protocol) -> None:

@@ -35,15 +35,10 @@ UNSURE_FOCAL = ("street",)
 class PosedPair:
     """Two photographs with their cameras.
 
-    Attributes
-    ----------
-    group : str
-        "office", "places", "fern" or "walk".
-    name : str
-        Unique among all pairs.
-    a, b : View
-    focal_known : bool
-        Whether the focal length of the cameras is reliable.
+    Attributes:
+        group: "office", "places", "fern" or "walk".
+        name: Unique among all pairs.
+        focal_known: Whether the focal length of the cameras is reliable.
     """
 
     group: str

@@ -38,24 +38,15 @@ _DROPPED = {"connection", "transfer-encoding", "keep-alive", "content-length"}
 class BadWeather:
     """A proxy on loopback in front of ``server``; ``url`` is its address.
 
-    Parameters
-    ----------
-    server : str
-        URL of the server.
-    share : float
-        Fraction of the requests that fail.
-    seed : int
-    hang : float
-        Seconds until the connection of a request that times out is closed.
-    faults : tuple of str
-        Some of :data:`FAULTS`.
+    Args:
+        server: URL of the server.
+        share: Fraction of the requests that fail.
+        hang: Seconds until the connection of a request that times out is closed.
+        faults: tuple of str. Some of :data:`FAULTS`.
 
-    Attributes
-    ----------
-    met : Counter
-        Number of requests by fault; ``""``: no fault.
-    full : bool
-        Whether to refuse all writes, as a server with a full disk does.
+    Attributes:
+        met: Counter. Number of requests by fault; ``""``: no fault.
+        full: bool. Whether to refuse all writes, as a server with a full disk does.
     """
 
     def __init__(

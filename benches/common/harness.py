@@ -48,10 +48,8 @@ def parser(doc: str | None, page: str = "") -> argparse.ArgumentParser:
 def measured() -> str:
     """Return date, commit and machine as a sentence, which begins each block of a page.
 
-    Raises
-    ------
-    subprocess.CalledProcessError
-        Outside a clone of the repository.
+    Raises:
+        subprocess.CalledProcessError: Outside a clone of the repository.
     """
     commit = _git("rev-parse", "--short", "HEAD")
     if _git("status", "--porcelain", "--", *CODE):
@@ -76,12 +74,10 @@ def _git(*words: str) -> str:
 def table(rows: Sequence[Mapping], columns: Mapping[str, tuple[str, Format]]) -> str:
     """Return a Markdown table.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        A missing key gives an empty cell.
-    columns : mapping of str to (str, Format)
-        Heading and format of each key. Numbers are aligned on the right, ``str`` on the left.
+    Args:
+        rows: sequence of mapping. A missing key gives an empty cell.
+        columns: mapping of str to (str, Format). Heading and format of each key. Numbers are
+            aligned on the right, ``str`` on the left.
     """
     heads = [heading for heading, _ in columns.values()]
     cells = [
@@ -108,15 +104,10 @@ def error(value: float) -> str:
 def publish(out: Path | None, page: str, command: str, *parts: str) -> None:
     """Print paragraphs and tables, and write them into their block of a page.
 
-    Parameters
-    ----------
-    out : Path or None
-        Folder of the page; None prints only.
-    page : str
-        File name, such as ``words.md``. A new block is appended.
-    command : str
-        Command that repeats this, such as ``python -m benches.language.words_known DATA``.
-    parts : str
+    Args:
+        out: Folder of the page; None prints only.
+        page: File name, such as ``words.md``. A new block is appended.
+        command: Command that repeats this, such as ``python -m benches.language.words_known DATA``.
     """
     name = command.split()[2].rpartition(".")[2]
     stamp = measured().removesuffix(".") + f", by `{command}`."
@@ -139,13 +130,9 @@ def times_in_turn(
 ) -> dict[str, float]:
     """Return median seconds of functions, run in turn so that other load affects all equally.
 
-    Parameters
-    ----------
-    contenders : mapping of str to callable
-        Functions to time; each runs once before that.
-    clock : callable
-    pick : callable
-        Statistic over rounds; ``min`` excludes interruptions by other processes.
+    Args:
+        contenders: mapping of str to callable. Functions to time; each runs once before that.
+        pick: Statistic over rounds; ``min`` excludes interruptions by other processes.
     """
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for work in contenders.values():

@@ -45,15 +45,12 @@ LIMIT = 3600.0
 class Result:
     """Outcome of one command.
 
-    Attributes
-    ----------
-    command : str
-    status : int
-        Exit status; negative if a signal ended it.
-    files : dict of str to str
-        SHA-256 of each file, by its path in the folder that the command wrote.
-    stdout : str
-        SHA-256 of its standard output if that is the result (``--json``, ``--help``), else empty.
+    Attributes:
+        status: Exit status; negative if a signal ended it.
+        files: dict of str to str. SHA-256 of each file, by its path in the folder that the command
+            wrote.
+        stdout: SHA-256 of its standard output if that is the result (``--json``, ``--help``), else
+            empty.
     """
 
     command: str

@@ -35,11 +35,9 @@ def open_field(
     ``preset``, of which only the rules are used, and under the name of the field's encoder the
     current locations of its files.
 
-    Raises
-    ------
-    InputError
-        If a setting is unknown, invalid or without effect, or the folder or the encoder's files
-        cannot be read.
+    Raises:
+        InputError: If a setting is unknown, invalid or without effect, or the folder or the
+            encoder's files cannot be read.
     """
     values = dict(settings)
     preset = preset_values(values.pop("preset"), "query") if "preset" in values else {}
@@ -101,10 +99,8 @@ def choose_cameras(
     Views are given by name or number from 0, default the first one, or as a camera ``between`` two
     views. They are views of the field ``source``, or of ``file`` if given.
 
-    Raises
-    ------
-    InputError
-        If a view does not exist, or both ``views`` and ``between`` are given.
+    Raises:
+        InputError: If a view does not exist, or both ``views`` and ``between`` are given.
     """
     if file is not None:
         from slgaussian.datasets.recognise import cameras_in

@@ -126,10 +126,8 @@ def settings_from(
     ``KEY=VALUE`` or ``TABLE.KEY=VALUE`` of ``--set``. A value is parsed as TOML if it is valid
     TOML, else it is text.
 
-    Raises
-    ------
-    InputError
-        If a text has another form, or a key is given twice.
+    Raises:
+        InputError: If a text has another form, or a key is given twice.
     """
     values |= {name: ctx.params[name] for name in model.model_fields.keys() & ctx.params.keys()}
     values = {name: value for name, value in values.items() if value not in (None, [], ())}

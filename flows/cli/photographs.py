@@ -36,17 +36,13 @@ def load_photographs(
     Photographs whose cameras cannot be estimated are left out with a warning; only one warning is
     printed unless ``verbose``.
 
-    Returns
-    -------
-    sample : Sample
-    places : dict str -> str
-        Of all chosen photographs, also those without a camera: absolute paths by name or, if no
-        file was given, names of views.
+    Returns:
+        sample: Sample
+        places: dict str -> str. Of all chosen photographs, also those without a camera: absolute
+            paths by name or, if no file was given, names of views.
 
-    Raises
-    ------
-    InputError
-        If an argument cannot be used.
+    Raises:
+        InputError: If an argument cannot be used.
     """
     if cameras is None and settings.predictor == "precomputed":
         cameras = _cameras_of(settings.precomputed.geometry)
@@ -96,15 +92,11 @@ def find_views(scene: Scene, photos: Sequence[str], folder: Path) -> list[tuple[
     A folder selects all photographs in it that have a camera. A photograph without an estimated
     camera is left out with a warning. Names of the scene's views are relative to ``folder``.
 
-    Returns
-    -------
-    list of (str, path)
-        Names of views, and files, which may be missing.
+    Returns:
+        list of (str, path): Names of views, and files, which may be missing.
 
-    Raises
-    ------
-    InputError
-        If a photograph, or all photographs in a folder, have no camera.
+    Raises:
+        InputError: If a photograph, or all photographs in a folder, have no camera.
     """
     names = {(folder / name).resolve(): name for name in scene.cameras}
     left_out = {(folder / name).resolve(): reason for name, reason in scene.left_out.items()}
@@ -143,10 +135,8 @@ def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings
     Only the error of the rendered target view can be measured. Cameras are estimated from all
     photographs if ``cameras`` is None.
 
-    Raises
-    ------
-    InputError
-        If there are fewer than three photographs, or one is missing or has no camera.
+    Raises:
+        InputError: If there are fewer than three photographs, or one is missing or has no camera.
     """
     if cameras is None:
         files = unposed.named(photos)

@@ -26,10 +26,8 @@ VP9 = "vp09"
 def check_picture(path: Path, kinds: Sequence[str] = PICTURES) -> None:
     """Check, before the work, that a file of one of these suffixes can be written to ``path``.
 
-    Raises
-    ------
-    InputError
-        If the name has another suffix, or no file can be created.
+    Raises:
+        InputError: If the name has another suffix, or no file can be created.
     """
     if path.suffix.lower() not in kinds:
         kind = "picture" if kinds is PICTURES else "film"

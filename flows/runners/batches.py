@@ -50,14 +50,9 @@ DEAD = {
 class SceneTask:
     """A scene, or a chunk, with its pipeline.
 
-    Attributes
-    ----------
-    scene : str
-    pipeline : callable
-        A module-level function that calls the stages, with ``arguments``.
-    arguments : tuple
-    first : str
-        The stage to which an error before the first stage is attributed.
+    Attributes:
+        pipeline: A module-level function that calls the stages, with ``arguments``.
+        first: The stage to which an error before the first stage is attributed.
     """
 
     scene: str
@@ -171,13 +166,10 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
 
     At most one batch per worker is submitted at a time, each with one scene in memory.
 
-    Raises
-    ------
-    DamagedError
-        At the end, if a scene needs a damaged artifact that belongs to another scene; the artifact
-        is deleted.
-    SLGaussianError
-        If the task runner accepts no more work.
+    Raises:
+        DamagedError: At the end, if a scene needs a damaged artifact that belongs to another scene;
+            the artifact is deleted.
+        SLGaussianError: If the task runner accepts no more work.
     """
     outcome = Outcome()
     damaged: DamagedError | None = None

@@ -152,10 +152,8 @@ class _Terminated(BaseException):
 def perform(command: str, config: Any, verbose: bool = False) -> Any:
     """Run the flow of a command, and return its result.
 
-    Raises
-    ------
-    SLGaussianError
-        As the flow, and if the Prefect server fails.
+    Raises:
+        SLGaussianError: As the flow, and if the Prefect server fails.
     """
     store = ArtifactStore(config.store)
     with orchestration(store) as wait_for_server:
@@ -174,10 +172,8 @@ def call_flow(flow: Flow[..., Any], *arguments: Any) -> Any:
     If the server fails after the work is done, e.g. because its disk is full, only the final state
     is lost.
 
-    Raises
-    ------
-    SLGaussianError
-        As the flow, and if the server fails before the work is done.
+    Raises:
+        SLGaussianError: As the flow, and if the server fails before the work is done.
     """
     from flows.runners.session import RESULTS
 

@@ -27,16 +27,11 @@ class Progress:
 
     A context manager that shows a bar on a terminal, and prints a line at its end.
 
-    Parameters
-    ----------
-    scenes, stages : int
-        Number of scenes, and of stages of each scene.
-    verbose : bool
-        Print a line for every stage, and tracebacks of unexpected errors.
-    stream : text stream, optional
-        Standard error by default.
-    unit : str
-        Plural noun for scenes.
+    Args:
+        scenes, stages: Number of scenes, and of stages of each scene.
+        verbose: Print a line for every stage, and tracebacks of unexpected errors.
+        stream: text stream, optional. Standard error by default.
+        unit: Plural noun for scenes.
     """
 
     def __init__(

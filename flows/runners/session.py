@@ -41,18 +41,12 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
     An artifact that is found damaged during export or by another scene is removed, and the work is
     repeated: that recomputes the artifact and finds the others in the store.
 
-    Parameters
-    ----------
-    command : str
-        Name of the command, for provenance.
-    config
-        The flow's configuration, with ``store`` and ``out`` at least.
-    work : callable
+    Args:
+        command: Name of the command, for provenance.
+        config: The flow's configuration, with ``store`` and ``out`` at least.
 
-    Raises
-    ------
-    SLGaussianError
-        As ``work``, and if a damaged artifact is not recomputed by it.
+    Raises:
+        SLGaussianError: As ``work``, and if a damaged artifact is not recomputed by it.
     """
     store = ArtifactStore(config.store)
     if deployment.id is not None:

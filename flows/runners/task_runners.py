@@ -65,15 +65,10 @@ if NO_EVENTS in os.environ:
 class Workers:
     """The workers of a flow; made by :func:`open_workers`.
 
-    Attributes
-    ----------
-    store : ArtifactStore
-        Store of the results.
-    count : int
-        Number of concurrent tasks.
-    refresh : frozenset of str
-        Stages to recompute.
-    runner : TaskRunner
+    Attributes:
+        store: Store of the results.
+        count: Number of concurrent tasks.
+        refresh: frozenset of str. Stages to recompute.
     """
 
     store: ArtifactStore
@@ -108,11 +103,9 @@ def open_workers(
 
     When a signal ends the block, workers are killed, so that the program ends immediately.
 
-    Raises
-    ------
-    InputError
-        As :func:`check_runner`, if the cluster refuses the connection, or no worker can do the
-        work.
+    Raises:
+        InputError: As :func:`check_runner`, if the cluster refuses the connection, or no worker can
+            do the work.
     """
     check_runner(name, store)
     stack = ExitStack()
@@ -148,14 +141,10 @@ def _task_runner(name: str, count: int) -> Any:
 def roll_call(root: str, probe: str, server: str) -> None:
     """Test store and server from a worker; InputError if it cannot do its work.
 
-    Parameters
-    ----------
-    root : str
-        The store.
-    probe : str
-        An existing file in the store.
-    server : str
-        URL of the Prefect server's API.
+    Args:
+        root: The store.
+        probe: An existing file in the store.
+        server: URL of the Prefect server's API.
     """
     store = ArtifactStore(root)
     try:
@@ -193,18 +182,13 @@ def _check_workers(name: str, workers: Workers) -> None:
 def check_runner(runner: str, store: ArtifactStore) -> None:
     """Check a runner as far as possible before its start.
 
-    Parameters
-    ----------
-    runner : str
-        See :data:`flows.config.Runner`.
-    store : ArtifactStore
-        Store of its workers.
+    Args:
+        runner: See :data:`flows.config.Runner`.
+        store: Store of its workers.
 
-    Raises
-    ------
-    InputError
-        If the package of the runner is not installed, its cluster does not answer, or its workers
-        could not reach the store or the Prefect server.
+    Raises:
+        InputError: If the package of the runner is not installed, its cluster does not answer, or
+            its workers could not reach the store or the Prefect server.
     """
     kind, _, address = runner.partition("://")
     if kind != "threads" and store.near and not store.local:

@@ -39,14 +39,11 @@ from slgaussian.scene import View
 class Truth:
     """Labels of the target views of one scene.
 
-    Attributes
-    ----------
-    masks : {view name: {category: bool [H, W]}}
-        A queried category without a pixel in the frame (not labelled there, or cropped away) has an
-        empty mask, so that it is reported.
-    boxes : {view name: {category: float64 [n, 4]}}
-        x0, y0, x1, y1 in pixels, one row per object. Empty if the labels have no boxes, which are
-        then computed from the masks.
+    Attributes:
+        masks: {view name: {category: bool [H, W]}}. A queried category without a pixel in the frame
+            (not labelled there, or cropped away) has an empty mask, so that it is reported.
+        boxes: {view name: {category: float64 [n, 4]}}. x0, y0, x1, y1 in pixels, one row per
+            object. Empty if the labels have no boxes, which are then computed from the masks.
     """
 
     masks: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
@@ -65,17 +62,13 @@ def read_labels(
     :meth:`slgaussian.formats.resampling.Window.mask`; a category that is cropped away has an empty
     mask.
 
-    Parameters
-    ----------
-    window : Window, optional
-        Part of the photograph that the view shows; by default the labelled frame is scaled to cover
-        the view and cropped about the centre.
+    Args:
+        window: Part of the photograph that the view shows; by default the labelled frame is scaled
+            to cover the view and cropped about the centre.
 
-    Raises
-    ------
-    InputError
-        If the labels of the view are missing, damaged, belong to another frame or have another
-        aspect ratio than its photograph.
+    Raises:
+        InputError: If the labels of the view are missing, damaged, belong to another frame or have
+            another aspect ratio than its photograph.
     """
     return _read_frame(Path(folder), view_name, width, height, window)[0]
 
@@ -83,10 +76,8 @@ def read_labels(
 def read_truth(folder: str | Path, categories: Sequence[str], targets: Sequence[View]) -> Truth:
     """Read the masks and boxes of ``categories`` in the target views.
 
-    Raises
-    ------
-    InputError
-        As :func:`read_labels`, for any of the views.
+    Raises:
+        InputError: As :func:`read_labels`, for any of the views.
     """
     masks: dict[str, dict[str, np.ndarray]] = {}
     boxes: dict[str, dict[str, np.ndarray]] = {}
@@ -117,10 +108,8 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     Frames are named by the path of their labels below the folder, without an extension. Categories
     of class masks are those of ``classes.txt``, also if a frame does not show them.
 
-    Raises
-    ------
-    InputError
-        If a label file is damaged.
+    Raises:
+        InputError: If a label file is damaged.
     """
     folder = Path(folder)
     if class_masks.are_in(folder):

@@ -39,19 +39,14 @@ def understands(reader: Reader, text: str) -> bool:
 class Result(Protocol):
     """Answer to a text in one image of ``height`` H and ``width`` W.
 
-    Attributes
-    ----------
-    text : str
-    mask : bool [H, W]
-        Pixels that the rules select.
-    relevancy : float32 [H, W]
-        In [0, 1]; 0.5 means as good as the canonical phrases; 0 where unknown.
-    point : (int, int) or None
-        Column and row (x, y) of the predicted location; None if no pixel is known.
-    score : float
-        Largest relevancy; 0 if no pixel is known.
-    unknown : tuple of str
-        Ignored words of the text.
+    Attributes:
+        mask: bool [H, W]. Pixels that the rules select.
+        relevancy: float32 [H, W]. In [0, 1]; 0.5 means as good as the canonical phrases; 0 where
+            unknown.
+        point: (int, int) or None. Column and row (x, y) of the predicted location; None if no pixel
+            is known.
+        score: Largest relevancy; 0 if no pixel is known.
+        unknown: tuple of str. Ignored words of the text.
     """
 
     @property
@@ -72,15 +67,10 @@ class Result(Protocol):
 class AnsweringView(Protocol):
     """A rendered view of a scene that answers texts.
 
-    Attributes
-    ----------
-    rgb : uint8 [H, W, 3]
-        Rendered colours at the camera's size.
-    ids : int32 [H, W]
-        Object ids, 0 for no object; all 0 for a method without objects.
-    depth : float32 [H, W]
-        z-depth in scene units, 0 where unknown.
-    reader : Reader
+    Attributes:
+        rgb: uint8 [H, W, 3]. Rendered colours at the camera's size.
+        ids: int32 [H, W]. Object ids, 0 for no object; all 0 for a method without objects.
+        depth: float32 [H, W]. z-depth in scene units, 0 where unknown.
     """
 
     @property

@@ -70,23 +70,15 @@ def attribute_errors(
 ) -> list[dict[str, Any]]:
     """Query a field with the labelled texts, and name the stage responsible for each miss.
 
-    Parameters
-    ----------
-    field : SemanticField
-        A field of ``sample``.
-    gaussians : Gaussians
-        Predicted Gaussians of the sample, before the field merged any.
-    sample : Sample
-        True depths of its context views are used where known.
-    truth : Truth
-        Queries with an empty mask are left out.
-    settings : EvaluationSettings, optional
-        Columns of the rows, and rules for answers.
+    Args:
+        field: A field of ``sample``.
+        gaussians: Predicted Gaussians of the sample, before the field merged any.
+        sample: True depths of its context views are used where known.
+        truth: Queries with an empty mask are left out.
+        settings: Columns of the rows, and rules for answers.
 
-    Returns
-    -------
-    list of dict
-        A row per frame and query, with the columns of the data spec ``attribution``.
+    Returns:
+        list of dict: A row per frame and query, with the columns of the data spec ``attribution``.
     """
     settings = settings or EvaluationSettings()
     rules = settings.rules
@@ -156,20 +148,14 @@ def best_prefix(
 ) -> np.ndarray:
     """Choose a prefix of the objects, sorted by falling score, whose union has the best IoU.
 
-    Parameters
-    ----------
-    scores : float [N]
-        Objects of equal score are chosen together.
-    inside, areas : int [N]
-        Pixels of each object inside the mask, and in total. Objects do not overlap; those without a
-        pixel are never chosen.
-    total : int
-        Pixels of the mask.
+    Args:
+        scores: float [N]. Objects of equal score are chosen together.
+        inside, areas: int [N]. Pixels of each object inside the mask, and in total. Objects do not
+            overlap; those without a pixel are never chosen.
+        total: Pixels of the mask.
 
-    Returns
-    -------
-    bool [N]
-        The shortest of equally good prefixes; empty if no object overlaps the mask.
+    Returns:
+        bool [N]: The shortest of equally good prefixes; empty if no object overlaps the mask.
     """
     chosen = np.zeros(len(scores), bool)
     visible = np.flatnonzero(areas > 0)
@@ -222,12 +208,10 @@ def context_truth(
     Each context pixel is projected into the target with its true depth, or with ``predicted`` float
     [V, H, W] where unknown, and gets the label there, unless it is occluded.
 
-    Returns
-    -------
-    labels : int32 [V, H, W]
-        Label 1 means no query applies; each other label stands for one set of queries.
-    members : bool [L + 1, Q]
-        Whether query q belongs to label l.
+    Returns:
+        labels: int32 [V, H, W]. Label 1 means no query applies; each other label stands for one set
+            of queries.
+        members: bool [L + 1, Q]. Whether query q belongs to label l.
     """
     sets = np.zeros(masks[0].shape, np.int64)
     for mask in masks:
@@ -258,15 +242,12 @@ def true_depths(sample: Sample) -> np.ndarray:
 def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray:
     """Return the flat index of the target pixel that shows the point of a context pixel, or -1.
 
-    Parameters
-    ----------
-    depths : float [V, H, W]
-        z-depth of the context views, 0 unknown. Occlusion in the target view is tested with its
-        true depth, or with these where it is unknown.
+    Args:
+        depths: float [V, H, W]. z-depth of the context views, 0 unknown. Occlusion in the target
+            view is tested with its true depth, or with these where it is unknown.
 
-    Returns
-    -------
-    int64 [V, H, W]
+    Returns:
+        int64 [V, H, W]
     """
     height, width = target.image.shape[:2]
     nearest = np.full(height * width, np.inf)

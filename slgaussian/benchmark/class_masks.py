@@ -62,11 +62,9 @@ def read(
     :func:`slgaussian.benchmark.annotations.read_labels`. A class that is cropped away, or not in
     the frame, has an empty mask.
 
-    Raises
-    ------
-    InputError
-        If a file is missing or damaged, contains only grey levels other than 0 and 255, or has
-        another aspect ratio than the photograph.
+    Raises:
+        InputError: If a file is missing or damaged, contains only grey levels other than 0 and 255,
+            or has another aspect ratio than the photograph.
     """
     names = classes(folder)
     masks = {}

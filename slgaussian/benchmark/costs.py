@@ -19,17 +19,13 @@ Row = Mapping[str, Any]
 class Cost:
     """Cost of a method on a data set; None if not measured.
 
-    Attributes
-    ----------
-    dataset, method : str
-    view_query, further_query : float or None
-        Seconds of the first query in a view, with its rendering, and of a further query in it, both
-        without what is computed once per scene: medians over views and queries.
-    prepare, build : float or None
-        Seconds per scene for the method, and for the field that all methods share: medians over
-        scenes.
-    peak : int or None
-        Largest memory of the process, bytes.
+    Attributes:
+        view_query, further_query: Seconds of the first query in a view, with its rendering, and of
+            a further query in it, both without what is computed once per scene: medians over views
+            and queries.
+        prepare, build: Seconds per scene for the method, and for the field that all methods share:
+            medians over scenes.
+        peak: Largest memory of the process, bytes.
     """
 
     dataset: str
@@ -83,16 +79,11 @@ def _median(values: Iterable[float | None]) -> float | None:
 class StageCost:
     """Cost of a stage, measured when its artifacts were computed.
 
-    Attributes
-    ----------
-    seconds : float
-        Total of all artifacts, without compiling kernels.
-    middle : float
-        Median over artifacts.
-    peak : int or None
-        Largest memory of the process until their end, bytes; None if unknown.
-    compiling : float
-        Additional seconds for compiling kernels, once per installation.
+    Attributes:
+        seconds: Total of all artifacts, without compiling kernels.
+        middle: Median over artifacts.
+        peak: Largest memory of the process until their end, bytes; None if unknown.
+        compiling: Additional seconds for compiling kernels, once per installation.
     """
 
     seconds: float
@@ -118,19 +109,14 @@ class StageCost:
 class Times:
     """Seconds of a run.
 
-    Attributes
-    ----------
-    stages : {stage: StageCost}
-    host : {name: text}
-        Description of the machine.
-    machines : {processor: int}
-        Number of artifacts computed on each processor; cached ones may be from other machines.
-    costs : sequence of Cost
-        Costs of each method on each data set.
-    hard_cases : sequence of HardCase
-        Measurements on this machine.
-    paper : str
-        Name of the method that is compared with the paper's costs; "" for none.
+    Attributes:
+        stages: {stage: StageCost}
+        host: {name: text}. Description of the machine.
+        machines: {processor: int}. Number of artifacts computed on each processor; cached ones may
+            be from other machines.
+        costs: sequence of Cost. Costs of each method on each data set.
+        hard_cases: sequence of HardCase. Measurements on this machine.
+        paper: Name of the method that is compared with the paper's costs; "" for none.
     """
 
     stages: Mapping[str, StageCost]

@@ -51,27 +51,22 @@ ABSENT = "not in this frame"
 class SceneResult:
     """All results of one scene and one method.
 
-    Attributes
-    ----------
-    scene, dataset, method : str
-    rows : list of dict
-        One per (frame, query, protocol), with the columns of the data spec ``samples``. A query
-        without ground truth has one row, of the first protocol.
-    scene_metrics : {name: float}
-        The scores of the first protocol (:func:`slgaussian.benchmark.scores.scene_means`), and
-        ``psnr``, ``ssim`` (means over targets), ``abs_rel``, ``delta125`` (context views),
-        ``bad2`` (the same, rectified pairs only), ``target_abs_rel``, ``target_delta125``
-        (rendered); metrics without ground truth are absent. ``near`` and ``far`` are the range of
-        the depth colours.
-    predictions : {(protocol, frame, query): bool [H, W]}
-        Mask of each row, with the row's protocol. Some protocols have no masks.
-    pictures : {name: uint8 [H, W, 3]}
-        ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds: ``input``, ``labels``, ``depth``,
-        ``true_depth``, ``depth_error`` (context views), ``photo``, ``render``, ``ids`` (targets
-        and viewpoints along the way), ``relevancy`` and ``mask`` (queries, by the first protocol).
-    costs : list of dict
-        One per (frame, query), with those columns of the data spec ``times`` that belong to the
-        scene and method. Not reproducible.
+    Attributes:
+        rows: list of dict. One per (frame, query, protocol), with the columns of the data spec
+            ``samples``. A query without ground truth has one row, of the first protocol.
+        scene_metrics: {name: float}. The scores of the first protocol
+            (:func:`slgaussian.benchmark.scores.scene_means`), and ``psnr``, ``ssim`` (means over
+            targets), ``abs_rel``, ``delta125`` (context views), ``bad2`` (the same, rectified pairs
+            only), ``target_abs_rel``, ``target_delta125`` (rendered); metrics without ground truth
+            are absent. ``near`` and ``far`` are the range of the depth colours.
+        predictions: {(protocol, frame, query): bool [H, W]}. Mask of each row, with the row's
+            protocol. Some protocols have no masks.
+        pictures: {name: uint8 [H, W, 3]}. ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds:
+            ``input``, ``labels``, ``depth``, ``true_depth``, ``depth_error`` (context views),
+            ``photo``, ``render``, ``ids`` (targets and viewpoints along the way), ``relevancy`` and
+            ``mask`` (queries, by the first protocol).
+        costs: list of dict. One per (frame, query), with those columns of the data spec ``times``
+            that belong to the scene and method. Not reproducible.
     """
 
     scene: str
@@ -90,23 +85,16 @@ class SceneResult:
 class EvaluationSettings:
     """Settings of the evaluation of one method.
 
-    Attributes
-    ----------
-    method : str
-        Name of the method in every row.
-    dataset : str
-        Data set of the scene; scores of different data sets are not averaged.
-    place : str, optional
-        Name of the place, if several scenes show one place and are not independent samples.
-    queries : sequence of str
-        Queries without ground truth, in the view midway between the first two context cameras.
-    rules : Rules
-        Rules for answers.
-    protocols : sequence of str
-        Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`. Pictures and scene metrics use
-        the first. Default: all, that of ``rules`` first.
-    drawn : bool
-        Whether to render pictures.
+    Attributes:
+        method: Name of the method in every row.
+        dataset: Data set of the scene; scores of different data sets are not averaged.
+        place: Name of the place, if several scenes show one place and are not independent samples.
+        queries: sequence of str. Queries without ground truth, in the view midway between the first
+            two context cameras.
+        rules: Rules for answers.
+        protocols: sequence of str. Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`.
+            Pictures and scene metrics use the first. Default: all, that of ``rules`` first.
+        drawn: Whether to render pictures.
     """
 
     method: str = "slgaussian"
@@ -120,10 +108,8 @@ class EvaluationSettings:
     def load_protocols(self) -> list[ScoringProtocol]:
         """Return the protocols in their order.
 
-        Raises
-        ------
-        InputError
-            If a name is unknown.
+        Raises:
+            InputError: If a name is unknown.
         """
         return [load_protocol(name) for name in self.protocols or PROTOCOLS]
 
@@ -158,32 +144,21 @@ def evaluate(
 
     Each query is answered once for all protocols.
 
-    Parameters
-    ----------
-    field : Answering
-        A field of ``sample``, or the scene of another method.
-    sample : Sample
-        Its targets have the photographs for comparison.
-    label_maps : LabelMaps
-        Label maps of the context views, for the pictures.
-    truth : Truth
-        An empty mask means that the frame has no ground truth for the query: it is queried and
-        reported, not scored. Missing boxes are computed from the masks.
-    settings : EvaluationSettings, optional
-        Further queries, and columns of the rows.
-    gaussians : Gaussians, optional
-        Gaussians of the context views' pixels, whose depths are scored and drawn.
+    Args:
+        field: A field of ``sample``, or the scene of another method.
+        sample: Its targets have the photographs for comparison.
+        label_maps: Label maps of the context views, for the pictures.
+        truth: An empty mask means that the frame has no ground truth for the query: it is queried
+            and reported, not scored. Missing boxes are computed from the masks.
+        settings: Further queries, and columns of the rows.
+        gaussians: Gaussians of the context views' pixels, whose depths are scored and drawn.
 
-    Returns
-    -------
-    SceneResult
-        A query that is not understood has a row with score 0.
+    Returns:
+        SceneResult: A query that is not understood has a row with score 0.
 
-    Raises
-    ------
-    InputError
-        If a frame of ``truth`` is not a target, a mask has another size than its view, a protocol
-        is unknown, or a relevancy has another size, NaN, or values outside [0, 1].
+    Raises:
+        InputError: If a frame of ``truth`` is not a target, a mask has another size than its view,
+            a protocol is unknown, or a relevancy has another size, NaN, or values outside [0, 1].
     """
     _check_truth(sample, truth.masks)
     settings = settings or EvaluationSettings()

@@ -54,13 +54,11 @@ _Name = Annotated[str, Field(min_length=1)]
 class Prediction:
     """A mask of another program.
 
-    Attributes
-    ----------
-    where : str
-        Name in messages.
-    read : function (height, width) -> bool [height, width]
-        Raises InputError if the mask cannot be read, or has another size.
-    point : (x, y) or None
+    Attributes:
+        where: Name in messages.
+        read: function (height, width) -> bool [height, width]. Raises InputError if the mask cannot
+            be read, or has another size.
+        point: (x, y) or None
     """
 
     where: str
@@ -72,12 +70,10 @@ class Prediction:
 class Predictions:
     """Masks of a folder or file.
 
-    Attributes
-    ----------
-    place : Path
-        The folder or file.
-    masks : {key: Prediction}
-        Scene, frame and query as written in the file or in the folder names.
+    Attributes:
+        place: The folder or file.
+        masks: {key: Prediction}. Scene, frame and query as written in the file or in the folder
+            names.
     """
 
     place: Path
@@ -121,13 +117,9 @@ class Predictions:
 class JudgedScene:
     """A scene and its ground truth.
 
-    Attributes
-    ----------
-    scene, dataset : str
-    place : str or None
-        See :class:`slgaussian.benchmark.evaluate.EvaluationSettings`.
-    truth : Truth
-        Its frames and queries are evaluated.
+    Attributes:
+        place: See :class:`slgaussian.benchmark.evaluate.EvaluationSettings`.
+        truth: Its frames and queries are evaluated.
     """
 
     scene: str
@@ -161,10 +153,8 @@ def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predic
 
     From a folder, only those of ``protocols`` are read, if given.
 
-    Raises
-    ------
-    InputError
-        If there are no masks, or a JSON file is damaged or has another structure.
+    Raises:
+        InputError: If there are no masks, or a JSON file is damaged or has another structure.
     """
     place = Path(place)
     if place.is_dir():
@@ -186,11 +176,9 @@ def score_predictions(
 
     A sample without a mask is scored as an empty mask. Results have no pictures and no times.
 
-    Raises
-    ------
-    InputError
-        If a mask is damaged or of another size than the truth, masks overlap in a protocol in which
-        the texts of a frame compete, or a protocol cannot score masks.
+    Raises:
+        InputError: If a mask is damaged or of another size than the truth, masks overlap in a
+            protocol in which the texts of a frame compete, or a protocol cannot score masks.
     """
     for judged in scenes:
         for method, present in predictions.methods.items():

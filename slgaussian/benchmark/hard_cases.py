@@ -38,16 +38,12 @@ EPS = float(np.finfo(np.float32).eps)
 class HardCase:
     """Measured error of one input.
 
-    Attributes
-    ----------
-    part : str
-        Computed component.
-    case, about : str
-        Name of the input, and its difficulty in a line.
-    measure : str
-        Meaning of ``error``.
-    error, bound : float
-        A case is good if the error is below the bound; NaN always counts as a failure.
+    Attributes:
+        part: Computed component.
+        case, about: Name of the input, and its difficulty in a line.
+        measure: Meaning of ``error``.
+        error, bound: A case is good if the error is below the bound; NaN always counts as a
+            failure.
     """
 
     part: str

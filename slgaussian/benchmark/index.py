@@ -43,20 +43,14 @@ VERSION = 2
 class ScenePair:
     """Two or more context views, the held-out target views, and the queries in the targets.
 
-    Attributes
-    ----------
-    scene : str
-        Name of the pair in tables and folders.
-    context, targets : tuple of str
-        View names, without overlap.
-    categories : tuple of str
-        Empty if the index has none: all labelled categories of the targets are queried.
-    labels : str
-        Folder of the labels, relative to the folder of all labels.
-    options : mapping
-        Arguments of the reader besides the path.
-    measured : {name: float}
-        Measures by which the pair was chosen.
+    Attributes:
+        scene: Name of the pair in tables and folders.
+        context, targets: tuple of str. View names, without overlap.
+        categories: tuple of str. Empty if the index has none: all labelled categories of the
+            targets are queried.
+        labels: Folder of the labels, relative to the folder of all labels.
+        options: Arguments of the reader besides the path.
+        measured: {name: float}. Measures by which the pair was chosen.
     """
 
     scene: str
@@ -72,16 +66,11 @@ class ScenePair:
 class Index:
     """An index file.
 
-    Attributes
-    ----------
-    pairs : tuple of ScenePair
-        In the order of the file.
-    format : str or None
-        Data format; None if not in the file.
-    rule : mapping
-        Rule by which the pairs were chosen, with its settings; empty if not in the file.
-    left_out : {name: str}
-        Reasons by labelled frame without a pair.
+    Attributes:
+        pairs: tuple of ScenePair. In the order of the file.
+        format: Data format; None if not in the file.
+        rule: Rule by which the pairs were chosen, with its settings; empty if not in the file.
+        left_out: {name: str}. Reasons by labelled frame without a pair.
     """
 
     pairs: tuple[ScenePair, ...]
@@ -93,11 +82,9 @@ class Index:
 def read_index(path: str | Path) -> Index:
     """Read an index in any of the three formats.
 
-    Raises
-    ------
-    InputError
-        If the file is missing, invalid or of a newer version, a target is also a context view, or a
-        list is too short or has duplicates.
+    Raises:
+        InputError: If the file is missing, invalid or of a newer version, a target is also a
+            context view, or a list is too short or has duplicates.
     """
     path = Path(path)
     content = read_json(path, "pair index")

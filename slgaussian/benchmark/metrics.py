@@ -56,17 +56,13 @@ def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float |
     a pixel without a label counts against the class predicted there. The mean over classes, frames
     and scenes is mIoU (:mod:`slgaussian.benchmark.scores`).
 
-    Parameters
-    ----------
-    labels : int [H, W]
-        ``k + 1`` where class ``k`` wins, 0 where none does.
-    truths : sequence of bool [H, W]
-        The mask of each class; masks may overlap.
+    Args:
+        labels: int [H, W]. ``k + 1`` where class ``k`` wins, 0 where none does.
+        truths: sequence of bool [H, W]. The mask of each class; masks may overlap.
 
-    Returns
-    -------
-    list of float or None
-        In [0, 1]; None for a class with an empty true mask, which is not a sample.
+    Returns:
+        list of float or None: In [0, 1]; None for a class with an empty true mask, which is not a
+            sample.
     """
     return [iou(labels == k + 1, truth) if truth.any() else None for k, truth in enumerate(truths)]
 
@@ -129,19 +125,15 @@ def depth_errors(
     A pixel without a prediction (0) has an error of its full depth, so that a method does not gain
     by leaving pixels empty.
 
-    Parameters
-    ----------
-    predicted, truth : float [H, W]
-        z-depth in one unit, 0 = none.
-    disparity_scale : float, optional
-        Focal length in pixels times baseline of a rectified pair: disparity = scale / depth.
+    Args:
+        predicted, truth: float [H, W]. z-depth in one unit, 0 = none.
+        disparity_scale: Focal length in pixels times baseline of a rectified pair: disparity =
+            scale / depth.
 
-    Returns
-    -------
-    dict
-        ``abs_rel`` mean of ``|d - t| / t``; ``delta125`` fraction with ``max(d/t, t/d) < 1.25``;
-        with a disparity scale, ``bad2`` fraction with a disparity error above 2 px, as in the
-        Middlebury stereo benchmark. Empty if no true depth is known.
+    Returns:
+        dict: ``abs_rel`` mean of ``|d - t| / t``; ``delta125`` fraction with ``max(d/t, t/d) <
+            1.25``; with a disparity scale, ``bad2`` fraction with a disparity error above 2 px, as
+            in the Middlebury stereo benchmark. Empty if no true depth is known.
     """
     is_known = truth > 0
     if not is_known.any():

@@ -29,14 +29,10 @@ from slgaussian.language.rules import Rules
 class Answer:
     """The answer of a method to one text in one view.
 
-    Attributes
-    ----------
-    relevancy : float [H, W]
-        In [0, 1]; 0 where unknown. Empty for an external mask.
-    mask : bool [H, W]
-        Pixels that the method selects by its rules.
-    point : (x, y) or None
-        Predicted location.
+    Attributes:
+        relevancy: float [H, W]. In [0, 1]; 0 where unknown. Empty for an external mask.
+        mask: bool [H, W]. Pixels that the method selects by its rules.
+        point: (x, y) or None. Predicted location.
     """
 
     relevancy: np.ndarray
@@ -48,15 +44,12 @@ class Answer:
 class Frame:
     """The answers of a method in one view, and the ground truth.
 
-    Attributes
-    ----------
-    answers, masks, boxes : sequences
-        For each query: an :class:`Answer`, the true mask bool [H, W], and the true boxes float
-        [n, 4] (x0, y0, x1, y1).
-    labels : int32 [H, W] or None
-        ``k + 1`` where query ``k`` wins over all others, 0 where none does; None if unknown.
-    external : bool
-        Whether masks are external: then there are no relevancies, and only some points.
+    Attributes:
+        answers, masks, boxes: sequences. For each query: an :class:`Answer`, the true mask bool [H,
+            W], and the true boxes float [n, 4] (x0, y0, x1, y1).
+        labels: int32 [H, W] or None. ``k + 1`` where query ``k`` wins over all others, 0 where none
+            does; None if unknown.
+        external: Whether masks are external: then there are no relevancies, and only some points.
     """
 
     answers: Sequence[Answer]
@@ -94,16 +87,12 @@ class Scored:
 class MaskSettings:
     """Settings of the mask selection, by the columns of the data spec ``samples``.
 
-    Attributes
-    ----------
-    selection : str
-        ``near-best`` and ``threshold`` are those of :class:`slgaussian.language.rules.Rules`;
-        ``stretched`` is LangSplat's, ``arg-max`` the best of several texts, ``none`` no mask;
-        ``given`` masks are external.
-    threshold, share : float or None
-        Parameters of the selection.
-    filter : int or None
-        Side of the mean filter, pixels.
+    Attributes:
+        selection: ``near-best`` and ``threshold`` are those of
+            :class:`slgaussian.language.rules.Rules`; ``stretched`` is LangSplat's, ``arg-max`` the
+            best of several texts, ``none`` no mask; ``given`` masks are external.
+        threshold, share: Parameters of the selection.
+        filter: Side of the mean filter, pixels.
     """
 
     selection: str
@@ -116,17 +105,12 @@ class MaskSettings:
 class ScoringProtocol:
     """A scoring protocol.
 
-    Attributes
-    ----------
-    name : str
-    version : int
-        Raised whenever a result may change.
-    mask_settings : function (Rules, int) -> MaskSettings
-        Settings for the rules of the query and the image width in pixels.
-    score_query : function (Frame, int, MaskSettings) -> Scored
-        Scores of query k of a frame.
-    scores_masks : bool
-        Whether it can score masks without relevancies.
+    Attributes:
+        version: Raised whenever a result may change.
+        mask_settings: function (Rules, int) -> MaskSettings. Settings for the rules of the query
+            and the image width in pixels.
+        score_query: function (Frame, int, MaskSettings) -> Scored. Scores of query k of a frame.
+        scores_masks: Whether it can score masks without relevancies.
     """
 
     name: str

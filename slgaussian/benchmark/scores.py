@@ -63,13 +63,9 @@ def of_first_protocol(rows: Sequence[Row]) -> list[Row]:
 class Metric:
     """A metric and the column of its samples.
 
-    Attributes
-    ----------
-    name : str
-    column : str
-        Column of the data spec ``samples``.
-    by_frame : bool
-        Whether the samples of a frame are averaged first.
+    Attributes:
+        column: Column of the data spec ``samples``.
+        by_frame: Whether the samples of a frame are averaged first.
     """
 
     name: str
@@ -107,10 +103,8 @@ def scene_means(rows: Iterable[Row]) -> dict[str, float]:
 def score_table(rows: Iterable[Row]) -> pa.Table:
     """Compute the table of spec ``scores`` from samples, by data set, method and protocol.
 
-    Raises
-    ------
-    InputError
-        If samples of one method and protocol have different settings.
+    Raises:
+        InputError: If samples of one method and protocol have different settings.
     """
     table: list[dict[str, Any]] = []
     for names, group in grouped(rows, *GROUPS).items():
@@ -134,13 +128,9 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
 class Difference:
     """Difference of two methods in one protocol and metric.
 
-    Attributes
-    ----------
-    dataset, protocol, metric : str
-    gain : Comparison
-        Comparison over scenes; its interval is meaningless if all scenes show one place.
-    samples : int
-        Number of samples that both have.
+    Attributes:
+        gain: Comparison over scenes; its interval is meaningless if all scenes show one place.
+        samples: Number of samples that both have.
     """
 
     dataset: str
@@ -157,10 +147,8 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
     protocol, evaluated at one size; settings may differ, because they may be compared. Scenes are
     resampled in pairs.
 
-    Raises
-    ------
-    InputError
-        If one of them has a sample twice, for example samples of two methods.
+    Raises:
+        InputError: If one of them has a sample twice, for example samples of two methods.
     """
     mine, theirs = (_by_sample(each) for each in (rows, baseline))
     pairs = [(mine[key], theirs[key]) for key in mine if key in theirs]

@@ -26,14 +26,11 @@ def clip_scores(judgements: pa.Table) -> dict[str, list[float]]:
 
     Lessons of one clip show one scene and are not independent, so a clip is one sample.
 
-    Parameters
-    ----------
-    judgements : table of spec ``judgements``
+    Args:
+        judgements: table of spec ``judgements``
 
-    Returns
-    -------
-    {lifting: list of float}
-        In the order of the table. Clips without any object are left out.
+    Returns:
+        {lifting: list of float}: In the order of the table. Clips without any object are left out.
     """
     by_clip: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for row in judgements.to_pylist():
@@ -59,11 +56,10 @@ def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
     level (an intersection-union test, Berger 1982). The sentence is about the rival with the
     smallest lower bound.
 
-    Parameters
-    ----------
-    judgements : table of spec ``judgements``
-    rivals : {lifting: its name in the sentence}
-        Rivals that were not evaluated are skipped; InputError if none was.
+    Args:
+        judgements: table of spec ``judgements``
+        rivals: {lifting: its name in the sentence}. Rivals that were not evaluated are skipped;
+            InputError if none was.
     """
     gains = _gains(judgements, rivals, "branch")
     if not gains:

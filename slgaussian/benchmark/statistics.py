@@ -31,15 +31,11 @@ by chance with probability 1/32, more than the 1/40 per tail that a 95 % interva
 class Comparison:
     """Mean difference of two methods on the same samples, with its interval.
 
-    Attributes
-    ----------
-    difference : float
-        Mean over the samples of the score minus the baseline.
-    low, high : float
-        Interval of the mean at level :data:`LEVEL`: a gain is significant if ``low`` is above 0.
-    samples : int
-    independent_samples : int
-        Number of independent groups (or samples), which are resampled first.
+    Attributes:
+        difference: Mean over the samples of the score minus the baseline.
+        low, high: Interval of the mean at level :data:`LEVEL`: a gain is significant if ``low`` is
+            above 0.
+        independent_samples: Number of independent groups (or samples), which are resampled first.
     """
 
     difference: float
@@ -56,19 +52,14 @@ def compare(
 ) -> Comparison:
     """Compare two methods by the paired bootstrap over samples.
 
-    Parameters
-    ----------
-    scores, baseline : sequence of float
-        Scores on the same samples, in one order. Samples without a score (NaN) are left out. For
-        samples that are not independent, such as those of one scene, the interval is too narrow
-        without ``groups``.
-    groups : sequence, optional
-        Group of each sample, see :func:`resample_counts`.
+    Args:
+        scores, baseline: sequence of float. Scores on the same samples, in one order. Samples
+            without a score (NaN) are left out. For samples that are not independent, such as those
+            of one scene, the interval is too narrow without ``groups``.
+        groups: Group of each sample, see :func:`resample_counts`.
 
-    Raises
-    ------
-    InputError
-        If the lengths differ or no sample has both scores.
+    Raises:
+        InputError: If the lengths differ or no sample has both scores.
     """
     if len(scores) != len(baseline):
         raise InputError(f"compare: found {len(scores)} and {len(baseline)} scores, expected pairs")

@@ -29,14 +29,10 @@ _CHUNK = 1 << 21
 class PosePrior:
     """Prior of camera poses, which fixes the world frame and the scale.
 
-    Attributes
-    ----------
-    R, centers : float64 [V, 3, 3], [V, 3]
-        World-to-camera rotations and camera centres.
-    turn : float
-        Standard deviation of each rotation about each axis, radians.
-    move : float64 [V]
-        Standard deviation of each centre along each axis, scene units.
+    Attributes:
+        R, centers: float64 [V, 3, 3], [V, 3]. World-to-camera rotations and camera centres.
+        turn: Standard deviation of each rotation about each axis, radians.
+        move: float64 [V]. Standard deviation of each centre along each axis, scene units.
     """
 
     R: np.ndarray
@@ -65,28 +61,19 @@ class Bundle:
 
     Without a pose prior the world is the frame of the first camera: its pose is the identity.
 
-    Attributes
-    ----------
-    R, t : float64 [V, 3, 3], [V, 3]
-        World to camera, OpenCV axes. Without a pose prior the length of ``t[1]`` is constant, which
-        fixes the scale.
-    centers : float64 [V, 2]
-        Principal points, pixels; constant.
-    group : int64 [V]
-        Index of the focal length and k1 of each view.
-    focals, k1 : float64 [G]
-        Pixels; first radial distortion (OpenCV's).
-    points : float64 [N, 3]
-    view, point : int64 [M]
-        View and point of each observation; each pair occurs at most once.
-    xy : float64 [M, 2]
-        Observed pixels.
-    focal_prior, focal_sigma : float64 [G]
-        Normal prior of the logarithm of each focal length: its centre in pixels, and its standard
-        deviation; 0 fixes the focal length, infinity removes the prior.
-    k1_sigma : float
-        Standard deviation of the zero-mean prior of each k1; 0 fixes k1.
-    poses : PosePrior, optional
+    Attributes:
+        R, t: float64 [V, 3, 3], [V, 3]. World to camera, OpenCV axes. Without a pose prior the
+            length of ``t[1]`` is constant, which fixes the scale.
+        centers: float64 [V, 2]. Principal points, pixels; constant.
+        group: int64 [V]. Index of the focal length and k1 of each view.
+        focals, k1: float64 [G]. Pixels; first radial distortion (OpenCV's).
+        points: float64 [N, 3]
+        view, point: int64 [M]. View and point of each observation; each pair occurs at most once.
+        xy: float64 [M, 2]. Observed pixels.
+        focal_prior, focal_sigma: float64 [G]. Normal prior of the logarithm of each focal length:
+            its centre in pixels, and its standard deviation; 0 fixes the focal length, infinity
+            removes the prior.
+        k1_sigma: Standard deviation of the zero-mean prior of each k1; 0 fixes k1.
     """
 
     R: np.ndarray
@@ -120,17 +107,13 @@ class Bundle:
 class Adjusted:
     """Result of :func:`adjust`.
 
-    Attributes
-    ----------
-    bundle : Bundle
-    cost : float
-        Minus twice the log posterior, up to a constant.
-    residuals : float64 [M, 2]
-        Pixels.
-    covariance : float64 [6 V + 2 G, 6 V + 2 G]
-        Covariance of all camera parameters, with the noise level of the residuals: for each view a
-        rotation vector (camera axes, applied after ``R``) and ``t``, then the logarithm of each
-        focal length, then each k1. Rows and columns of fixed parameters are 0.
+    Attributes:
+        cost: Minus twice the log posterior, up to a constant.
+        residuals: float64 [M, 2]. Pixels.
+        covariance: float64 [6 V + 2 G, 6 V + 2 G]. Covariance of all camera parameters, with the
+            noise level of the residuals: for each view a rotation vector (camera axes, applied
+            after ``R``) and ``t``, then the logarithm of each focal length, then each k1. Rows and
+            columns of fixed parameters are 0.
     """
 
     bundle: Bundle
@@ -165,23 +148,17 @@ def adjust(
 ) -> Adjusted:
     """Find the cameras and points of maximum posterior probability.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Initial values; no point may have depth 0 in a camera that observes it.
-    scale : float
-        Scale of the Cauchy distribution of reprojection errors, pixels: about 1.7 times the
-        standard deviation of the inliers.
-    iterations : int
-        Largest number of steps.
-    tolerance : float
-        Smallest relative decrease of the cost in a step after which the iteration continues.
-
-    Notes
-    -----
     A point may pass infinity and then lies behind its cameras (:meth:`Bundle.depths`). This happens
     to distant points, and to all points if the parallax is below the noise; then the covariance is
     too small.
+
+    Args:
+        bundle: Initial values; no point may have depth 0 in a camera that observes it.
+        scale: Scale of the Cauchy distribution of reprojection errors, pixels: about 1.7 times the
+            standard deviation of the inliers.
+        iterations: Largest number of steps.
+        tolerance: Smallest relative decrease of the cost in a step after which the iteration
+            continues.
     """
     order = np.argsort(bundle.point, kind="stable")
     bundle = replace(

@@ -62,11 +62,9 @@ Pair = tuple[Camera, Camera]
 class Correction:
     """Correction of a common mistake in camera data.
 
-    Attributes
-    ----------
-    advice : str
-        End of a sentence that begins with "they fit".
-    apply : callable (Camera, Camera) -> (Camera, Camera)
+    Attributes:
+        advice: End of a sentence that begins with "they fit".
+        apply: callable (Camera, Camera) -> (Camera, Camera)
     """
 
     advice: str
@@ -77,23 +75,17 @@ class Correction:
 class PairCheck:
     """Agreement of the matches of two photographs with the cameras.
 
-    Attributes
-    ----------
-    views : (str, str)
-    matches : int
-    agreeing : int
-        Number of matches that agree with each other.
-    coarse, fine : float
-        Fractions of all matches that the cameras explain within the distances ``pixels``.
-    pixels : (float, float)
-        Coarse and fine distance for this image size.
-    angle : float
-        Degrees between the two lines of sight, median of the explained matches; NaN without any.
-    gain : float
-        Ratio of the matches explained within the fine distance with the best correction to those
-        without; 0 if no correction fits.
-    correction : str or None
-        Advice of the correction that makes the cameras fit, if there is one.
+    Attributes:
+        views: (str, str)
+        agreeing: Number of matches that agree with each other.
+        coarse, fine: Fractions of all matches that the cameras explain within the distances
+            ``pixels``.
+        pixels: (float, float). Coarse and fine distance for this image size.
+        angle: Degrees between the two lines of sight, median of the explained matches; NaN without
+            any.
+        gain: Ratio of the matches explained within the fine distance with the best correction to
+            those without; 0 if no correction fits.
+        correction: Advice of the correction that makes the cameras fit, if there is one.
     """
 
     views: tuple[str, str]

@@ -62,14 +62,10 @@ MOST = 1200
 class FocalPrior:
     """Prior of two focal lengths.
 
-    Attributes
-    ----------
-    mean : float64 [2]
-        Logarithms of focal lengths in pixels.
-    sigma : float64 [2]
-        Standard deviations of these; 0 for a given focal length.
-    shared : bool
-        Whether both views have one lens: the difference of the logarithms is then constant.
+    Attributes:
+        mean: float64 [2]. Logarithms of focal lengths in pixels.
+        sigma: float64 [2]. Standard deviations of these; 0 for a given focal length.
+        shared: Whether both views have one lens: the difference of the logarithms is then constant.
     """
 
     mean: np.ndarray

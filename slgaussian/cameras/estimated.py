@@ -19,15 +19,11 @@ GOOD, DOUBTFUL, UNUSED = "good", "doubtful", "unused"
 class Focal:
     """A focal length and its source.
 
-    Attributes
-    ----------
-    pixels : float
-        Focal length of the whole photograph.
-    low, high : float
-        Limits of the 90 % interval, pixels.
-    source : str
-        "EXIF"; "matches", if matches narrow the prior of typical focal lengths; "guess", if only
-        the prior is known; "given".
+    Attributes:
+        pixels: Focal length of the whole photograph.
+        low, high: Limits of the 90 % interval, pixels.
+        source: "EXIF"; "matches", if matches narrow the prior of typical focal lengths; "guess", if
+            only the prior is known; "given".
     """
 
     pixels: float
@@ -40,19 +36,13 @@ class Focal:
 class EstimatedPair:
     """Relative pose of two photographs: its support and verdict.
 
-    Attributes
-    ----------
-    views : (str, str)
-    matches, inliers : int
-        Numbers of matches, and of matches that the relative pose explains.
-    angle : float
-        Degrees between the two lines of sight, median of the inliers; NaN without any.
-    uncertainty : float
-        Standard deviation of the rotation or direction of translation, degrees.
-    verdict : str
-        :data:`GOOD`, :data:`DOUBTFUL` or :data:`UNUSED`.
-    said : str
-        Reason if not good, a clause; else "".
+    Attributes:
+        views: (str, str)
+        matches, inliers: Numbers of matches, and of matches that the relative pose explains.
+        angle: Degrees between the two lines of sight, median of the inliers; NaN without any.
+        uncertainty: Standard deviation of the rotation or direction of translation, degrees.
+        verdict: :data:`GOOD`, :data:`DOUBTFUL` or :data:`UNUSED`.
+        said: Reason if not good, a clause; else "".
     """
 
     views: tuple[str, str]
@@ -71,24 +61,21 @@ class EstimatedCameras:
     The world frame is that of the first camera, and the distance of the first two cameras is 1:
     photographs alone do not determine the metric scale.
 
-    Attributes
-    ----------
-    cameras : mapping str -> Camera
-        Cameras of the whole upright photographs by name, in the order of the photographs. The
-        attribute ``estimated`` of each gives its source and uncertainty.
-    focals : mapping str -> Focal
-    k1 : mapping str -> float
-        First radial distortion (OpenCV's) of each photograph; 0 unless enough views determine it.
-    pairs : tuple of EstimatedPair
-    confidence : float
-        Probability, 0 to 1, that every pose is right to a few degrees.
-    doubt : str
-        Reason to doubt the cameras, a clause; empty if the matches give none. Whether the cameras
-        are right is decided by the scene (:meth:`slgaussian.cameras.quality.Quality.doubt`).
-    warnings : tuple of str
-        Warnings for the user, a sentence each.
-    left_out : mapping str -> str
-        Reason, a clause, for each photograph whose camera could not be estimated.
+    Attributes:
+        cameras: mapping str -> Camera. Cameras of the whole upright photographs by name, in the
+            order of the photographs. The attribute ``estimated`` of each gives its source and
+            uncertainty.
+        focals: mapping str -> Focal
+        k1: mapping str -> float. First radial distortion (OpenCV's) of each photograph; 0 unless
+            enough views determine it.
+        pairs: tuple of EstimatedPair
+        confidence: Probability, 0 to 1, that every pose is right to a few degrees.
+        doubt: Reason to doubt the cameras, a clause; empty if the matches give none. Whether the
+            cameras are right is decided by the scene
+            (:meth:`slgaussian.cameras.quality.Quality.doubt`).
+        warnings: tuple of str. Warnings for the user, a sentence each.
+        left_out: mapping str -> str. Reason, a clause, for each photograph whose camera could not
+            be estimated.
     """
 
     cameras: Mapping[str, Camera]

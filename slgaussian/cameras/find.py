@@ -44,10 +44,9 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
     Photographs that cannot be placed are left out if they are the minority. Duplicates are left out
     if at least two different photographs remain.
 
-    Raises
-    ------
-    InputError
-        If the estimation fails; the message names the photographs, the reason and what to do.
+    Raises:
+        InputError: If the estimation fails; the message names the photographs, the reason and what
+            to do.
     """
     once: list[Photograph] = []
     duplicates = {}

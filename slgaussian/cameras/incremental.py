@@ -58,22 +58,18 @@ as one, so this corresponds to a log likelihood ratio of 5."""
 class Tie:
     """Matches and relative pose of two views.
 
-    Attributes
-    ----------
-    views : (int, int)
-    features : (int64 [M], int64 [M])
-        Indices of matching features that are inliers of the relative pose, in each view.
-    xy : float64 [M, 2]
-        Positions of the first view's features in the second view, pixels; may be more accurate than
-        the keypoints of the second view.
-    pose : (float64 [3, 3], float64 [3]) or None
-        R and t of ``X_second = R @ X_first + t``, t up to scale; None if unknown.
-    focals : (float, float) or None
-        Pixels, if the pose is known.
-    angle : float
-        Degrees between the two lines of sight, median.
-    confidence : float
-        Probability, 0 to 1, that the relative pose is right; matches are used regardless.
+    Attributes:
+        views: (int, int)
+        features: (int64 [M], int64 [M]). Indices of matching features that are inliers of the
+            relative pose, in each view.
+        xy: float64 [M, 2]. Positions of the first view's features in the second view, pixels; may
+            be more accurate than the keypoints of the second view.
+        pose: (float64 [3, 3], float64 [3]) or None. R and t of ``X_second = R @ X_first + t``, t up
+            to scale; None if unknown.
+        focals: (float, float) or None. Pixels, if the pose is known.
+        angle: Degrees between the two lines of sight, median.
+        confidence: Probability, 0 to 1, that the relative pose is right; matches are used
+            regardless.
     """
 
     views: tuple[int, int]
@@ -91,12 +87,10 @@ class Tie:
 class Placed:
     """Views in one world frame.
 
-    Attributes
-    ----------
-    order : int64 [P]
-        Indices of the placed views, in the order of the views of ``adjusted``.
-    adjusted : Adjusted
-        The world is the frame of the first view in ``order``; the first two are at distance 1.
+    Attributes:
+        order: int64 [P]. Indices of the placed views, in the order of the views of ``adjusted``.
+        adjusted: The world is the frame of the first view in ``order``; the first two are at
+            distance 1.
     """
 
     order: np.ndarray
@@ -115,24 +109,16 @@ def place(
 ) -> Placed | None:
     """Place as many views as possible.
 
-    Parameters
-    ----------
-    keypoints : sequence of float64 [n, 2]
-        Pixels of each view's features.
-    centers : float64 [V, 2]
-        Principal points.
-    group : int64 [V]
-        Index of the focal length of each view.
-    focal_prior, focal_sigma : float64 [G]
-        As in :class:`slgaussian.cameras.bundle.Bundle`.
-    ties : sequence of Tie
-        Each from a view of smaller to a view of larger index; in any order.
+    Args:
+        keypoints: sequence of float64 [n, 2]. Pixels of each view's features.
+        centers: float64 [V, 2]. Principal points.
+        group: int64 [V]. Index of the focal length of each view.
+        focal_prior, focal_sigma: float64 [G]. As in :class:`slgaussian.cameras.bundle.Bundle`.
+        ties: sequence of Tie. Each from a view of smaller to a view of larger index; in any order.
 
-    Returns
-    -------
-    Placed or None
-        The first view has the smallest index, the second is farthest from it; None if no initial
-        pair can be reconstructed.
+    Returns:
+        Placed or None: The first view has the smallest index, the second is farthest from it; None
+            if no initial pair can be reconstructed.
     """
     if not ties:
         return None

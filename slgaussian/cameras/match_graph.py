@@ -25,13 +25,11 @@ TURNED = 90.0
 class MatchGraph:
     """Keypoints of views, and matches of the pairs of views that may overlap.
 
-    Attributes
-    ----------
-    keypoints : sequence of V float64 [N, 2]
-        Pixels, pixel centres at +0.5.
-    matches : mapping (i, j), i < j, to (int [M], int [M])
-        Indices of the matching keypoints of the two views. Pairs are neighbouring cameras, and
-        successive views, because wrong poses may separate views that overlap.
+    Attributes:
+        keypoints: sequence of V float64 [N, 2]. Pixels, pixel centres at +0.5.
+        matches: mapping (i, j), i < j, to (int [M], int [M]). Indices of the matching keypoints of
+            the two views. Pairs are neighbouring cameras, and successive views, because wrong poses
+            may separate views that overlap.
     """
 
     keypoints: Sequence[np.ndarray]

@@ -25,16 +25,11 @@ _ROWS = 128
 class Features:
     """SIFT features of one image.
 
-    Attributes
-    ----------
-    points : float64 [N, 2]
-        Pixels, pixel centres at +0.5.
-    descriptors : float32 [N, 128]
-        Unit vectors.
-    scales : float64 [N]
-        Standard deviation of the Gaussian at which each was detected, pixels.
-    angles : float64 [N]
-        Orientations, radians, clockwise from x.
+    Attributes:
+        points: float64 [N, 2]. Pixels, pixel centres at +0.5.
+        descriptors: float32 [N, 128]. Unit vectors.
+        scales: float64 [N]. Standard deviation of the Gaussian at which each was detected, pixels.
+        angles: float64 [N]. Orientations, radians, clockwise from x.
     """
 
     points: np.ndarray
@@ -64,10 +59,9 @@ def find_features(grey: np.ndarray, limit: int, contrast: float) -> Features:
 def match(a: Features, b: Features, ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Match mutual nearest neighbours that pass Lowe's ratio test with ``ratio``.
 
-    Returns
-    -------
-    int [M], int [M], float [M]
-        Feature indices in ``a`` and ``b``, and the ratio of each match; smaller is more reliable.
+    Returns:
+        int [M], int [M], float [M]: Feature indices in ``a`` and ``b``, and the ratio of each
+            match; smaller is more reliable.
     """
     if len(a) < 2 or len(b) < 2:
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0)

@@ -48,15 +48,11 @@ STILL = 1e-3
 class PlacedCameras:
     """Cameras of photographs, in their order, in the frame of the first.
 
-    Attributes
-    ----------
-    R, t : float64 [V, 3, 3], [V, 3]
-        World to camera; the first two are at distance 1.
-    focals, deviations, k1 : float64 [V]
-        Focal lengths in pixels of the images, standard deviations of their logarithms, distortion.
-    pairs : tuple of EstimatedPair
-        All solved pairs.
-    confidence : float
+    Attributes:
+        R, t: float64 [V, 3, 3], [V, 3]. World to camera; the first two are at distance 1.
+        focals, deviations, k1: float64 [V]. Focal lengths in pixels of the images, standard
+            deviations of their logarithms, distortion.
+        pairs: tuple of EstimatedPair. All solved pairs.
     """
 
     R: np.ndarray
@@ -73,10 +69,8 @@ class PlacedCameras:
 class Unplaced(InputError):
     """Some photographs cannot be placed among the others.
 
-    Attributes
-    ----------
-    left_out : mapping str -> str
-        Reason, a clause, by name of the photograph.
+    Attributes:
+        left_out: mapping str -> str. Reason, a clause, by name of the photograph.
     """
 
     def __init__(self, message: str, left_out: Mapping[str, str]) -> None:
@@ -105,12 +99,9 @@ def find_multi_view(described: Sequence[Described], solver: PairSolver) -> Place
     They are processed in the order of their digests, so the order of the arguments determines only
     the world frame.
 
-    Raises
-    ------
-    Unplaced
-        If some cannot be placed, or not with enough confidence.
-    InputError
-        If none can be placed, or the first two are at one position.
+    Raises:
+        Unplaced: If some cannot be placed, or not with enough confidence.
+        InputError: If none can be placed, or the first two are at one position.
     """
     order = sorted(range(len(described)), key=lambda k: described[k].digest)
     ordered = [described[k] for k in order]
@@ -286,10 +277,8 @@ def _confidence(
 
     It is lower if a view has no reliable pair that agrees with the joint solution.
 
-    Raises
-    ------
-    Unplaced
-        If it is below :data:`MIN_CONFIDENCE`.
+    Raises:
+        Unplaced: If it is below :data:`MIN_CONFIDENCE`.
     """
     adjusted = placed.adjusted
     far = np.linalg.norm(adjusted.bundle.t, axis=1)

@@ -33,15 +33,12 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
     to the pixel count of the first and centred on it, so a ball stays round on the way from a
     landscape photograph to a portrait.
 
-    Parameters
-    ----------
-    a, b : Camera
-    t : float in [0, 1]
+    Args:
+        t: float in [0, 1]
 
-    Raises
-    ------
-    InputError
-        If ``t`` is outside [0, 1], or the cameras differ by a half turn, whose axis is ambiguous.
+    Raises:
+        InputError: If ``t`` is outside [0, 1], or the cameras differ by a half turn, whose axis is
+            ambiguous.
     """
     if not 0 <= t <= 1:
         raise InputError(
@@ -74,20 +71,15 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     at the point on the central optical axis at the median depth of ``points``, without roll.
     Cameras that look in other directions (:data:`ALIKE`) are left out.
 
-    Parameters
-    ----------
-    cameras : sequence of Camera
-        Two or more; size, intrinsics and depth range are those of the camera nearest to the centre.
-    points : float [N, 3]
-        Surface points in the world, such as the means of Gaussians.
-    n : int
-        Number of viewpoints; the last is one step before the first, so that a film can loop.
+    Args:
+        cameras: sequence of Camera. Two or more; size, intrinsics and depth range are those of the
+            camera nearest to the centre.
+        points: float [N, 3]. Surface points in the world, such as the means of Gaussians.
+        n: Number of viewpoints; the last is one step before the first, so that a film can loop.
 
-    Raises
-    ------
-    InputError
-        If there are fewer than two cameras or viewpoints, all cameras are at one position, or no
-        point lies in front of them.
+    Raises:
+        InputError: If there are fewer than two cameras or viewpoints, all cameras are at one
+            position, or no point lies in front of them.
     """
     if n < 2 or len(cameras) < 2:
         raise InputError(

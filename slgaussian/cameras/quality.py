@@ -53,33 +53,24 @@ class Verdict(NamedTuple):
 class Quality:
     """Measures of the consistency of photographs, over pairs that show the same objects.
 
-    Attributes
-    ----------
-    overlap : float
-        Fraction of the surface pixels of each view that project into the other view; the smaller of
-        the two. For several views, the median over views of the largest overlap with another view.
-    confirmed : float
-        Fraction of all surface pixels whose surface another view shows at the same depth.
-    angle : float or None
-        Degrees between the lines of sight, median of the explained matches, None without any; for
-        several pairs the median over pairs.
-    turn : float
-        Degrees between the optical axes; for several pairs the median.
-    matches : int
-        Number of matches of all pairs.
-    explained : float
-        Fraction of the matches that the cameras explain within ``pixels``.
-    pixels : float
-    judged : bool
-        Whether enough matches agree to judge the cameras.
-    apart : int
-        Number of views that overlap every other by less than :data:`LITTLE_SHARED`.
-    agreement : float
-        Fraction of the pixels that project into another view whose surface another view shows.
-    clash : float
-        Fraction of the pixels visible in another view that have another colour there
-        (:meth:`slgaussian.geometry.SceneGeometry.clash`), the larger of two views; for several
-        views the median over views, each with the view that it overlaps most.
+    Attributes:
+        overlap: Fraction of the surface pixels of each view that project into the other view; the
+            smaller of the two. For several views, the median over views of the largest overlap with
+            another view.
+        confirmed: Fraction of all surface pixels whose surface another view shows at the same
+            depth.
+        angle: Degrees between the lines of sight, median of the explained matches, None without
+            any; for several pairs the median over pairs.
+        turn: Degrees between the optical axes; for several pairs the median.
+        matches: Number of matches of all pairs.
+        explained: Fraction of the matches that the cameras explain within ``pixels``.
+        judged: Whether enough matches agree to judge the cameras.
+        apart: Number of views that overlap every other by less than :data:`LITTLE_SHARED`.
+        agreement: Fraction of the pixels that project into another view whose surface another view
+            shows.
+        clash: Fraction of the pixels visible in another view that have another colour there
+            (:meth:`slgaussian.geometry.SceneGeometry.clash`), the larger of two views; for several
+            views the median over views, each with the view that it overlaps most.
     """
 
     overlap: float

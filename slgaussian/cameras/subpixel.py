@@ -35,17 +35,13 @@ def sharpen(
 ) -> np.ndarray:
     """Locate features ``i`` of the first image in the second image, near their matches ``j``.
 
-    Parameters
-    ----------
-    greys : uint8 [H, W] each
-    a, b : Features
-        Features of the two images.
-    i, j : int [M]
+    Args:
+        greys: uint8 [H, W] each
+        a, b: Features of the two images.
+        i, j: int [M]
 
-    Returns
-    -------
-    float64 [M, 2]
-        Pixels; the positions of ``b`` where the alignment fails.
+    Returns:
+        float64 [M, 2]: Pixels; the positions of ``b`` where the alignment fails.
     """
     initial = b.points[j]
     if not len(i):

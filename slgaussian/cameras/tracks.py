@@ -19,13 +19,10 @@ Join = tuple[int, int, np.ndarray, np.ndarray]
 class Tracks:
     """Observations of points, sorted by point.
 
-    Attributes
-    ----------
-    view, track : int64 [M]
-    xy : float64 [M, 2]
-        Observed pixels.
-    count : int
-        Number of tracks; each has observations in two or more views.
+    Attributes:
+        view, track: int64 [M]
+        xy: float64 [M, 2]. Observed pixels.
+        count: Number of tracks; each has observations in two or more views.
     """
 
     view: np.ndarray
@@ -63,19 +60,14 @@ def triangulate(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Triangulate points of least algebraic error (Hartley and Zisserman, ch. 12.2).
 
-    Parameters
-    ----------
-    R, t : float64 [V, 3, 3], [V, 3]
-        World to camera.
-    view, track : int64 [M]
-        View and track of each observation, sorted by track.
-    uv : float64 [M, 2]
-        Normalised image coordinates.
+    Args:
+        R, t: float64 [V, 3, 3], [V, 3]. World to camera.
+        view, track: int64 [M]. View and track of each observation, sorted by track.
+        uv: float64 [M, 2]. Normalised image coordinates.
 
-    Returns
-    -------
-    float64 [T, 3], int64 [T]
-        The point of each track that occurs, in order, and the index of its first observation.
+    Returns:
+        float64 [T, 3], int64 [T]: The point of each track that occurs, in order, and the index of
+            its first observation.
     """
     pose = np.concatenate([R, t[:, :, None]], 2)
     rows = uv[:, :, None] * pose[view, 2:3] - pose[view, :2]

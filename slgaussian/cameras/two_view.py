@@ -80,19 +80,13 @@ a mirrored photograph can have a quarter, and a pose without doubt."""
 class Photograph:
     """One upright photograph and the lens information of its file.
 
-    Attributes
-    ----------
-    name : str
-        Unique among the photographs of one call.
-    image : uint8 [h, w, 3]
-        RGB; may be smaller than the photograph, with the same aspect ratio.
-    width, height : int
-        Size of the whole photograph, upright, pixels.
-    lens : str
-        Identifies the lens: maker, model, lens and focal length by EXIF; "" if unknown.
-        Photographs of one size and one lens share a focal length.
-    focal : float or None
-        Focal length by EXIF, pixels of the whole photograph.
+    Attributes:
+        name: Unique among the photographs of one call.
+        image: uint8 [h, w, 3]. RGB; may be smaller than the photograph, with the same aspect ratio.
+        width, height: Size of the whole photograph, upright, pixels.
+        lens: Identifies the lens: maker, model, lens and focal length by EXIF; "" if unknown.
+            Photographs of one size and one lens share a focal length.
+        focal: Focal length by EXIF, pixels of the whole photograph.
     """
 
     name: str
@@ -168,21 +162,14 @@ class Described:
 class PairPose:
     """Relative pose of two photographs, if their matches determine one.
 
-    Attributes
-    ----------
-    first, second : Described
-    views : TwoViews or None
-        Image coordinates are pixels from the image centres.
-    i, j : int [M]
-        Indices of the inlier features.
-    x, y : float64 [M, 2]
-        Their positions, pixels from the image centres; ``y`` is refined to sub-pixel accuracy.
-    estimate : EstimatedPair
-        ``estimate.verdict`` is UNUSED if the pose must not be used.
-    advice : str
-        Advice in that case, a clause.
-    probability : float
-        Probability of the pose among all solutions.
+    Attributes:
+        views: Image coordinates are pixels from the image centres.
+        i, j: int [M]. Indices of the inlier features.
+        x, y: float64 [M, 2]. Their positions, pixels from the image centres; ``y`` is refined to
+            sub-pixel accuracy.
+        estimate: ``estimate.verdict`` is UNUSED if the pose must not be used.
+        advice: Advice in that case, a clause.
+        probability: Probability of the pose among all solutions.
     """
 
     first: Described
@@ -208,12 +195,10 @@ class PairPose:
 def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> PairPose:
     """Match two photographs and estimate their relative pose; the verdict states a refusal.
 
-    Parameters
-    ----------
-    a, b : Described
-        The result for (b, a) is the inverse pose, up to rounding.
-    prior : FocalPrior, optional
-        Prior of the two focal lengths, pixels of the images; default from EXIF or typical lenses.
+    Args:
+        a, b: The result for (b, a) is the inverse pose, up to rounding.
+        prior: Prior of the two focal lengths, pixels of the images; default from EXIF or typical
+            lenses.
     """
     prior = prior or focal_prior(a, b)
     i, j, ratios = match(a.features, b.features, POSE_RATIO)

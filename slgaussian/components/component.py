@@ -17,15 +17,11 @@ from slgaussian.io import CHANGED, KnownFile
 class Component:
     """A component with all settings that its results depend on; small and picklable.
 
-    Attributes
-    ----------
-    kind : str
-        One of :data:`slgaussian.components.registry.KINDS`.
-    name : str
-        Name in the registry.
-    settings : mapping
-        All fields of its config, including defaults, and other arguments of its implementation.
-        Files, folders and models are :class:`slgaussian.io.KnownFile`.
+    Attributes:
+        kind: One of :data:`slgaussian.components.registry.KINDS`.
+        name: Name in the registry.
+        settings: All fields of its config, including defaults, and other arguments of its
+            implementation. Files, folders and models are :class:`slgaussian.io.KnownFile`.
     """
 
     kind: str
@@ -36,11 +32,9 @@ class Component:
     def of(kind: str, name: str, values: Mapping[str, Any] | None = None) -> Component:
         """Return the component with these field values; files are given by their places.
 
-        Raises
-        ------
-        InputError
-            If the component or a field is unknown, a value is invalid or not JSON-serialisable, or
-            a file cannot be read.
+        Raises:
+            InputError: If the component or a field is unknown, a value is invalid or not
+                JSON-serialisable, or a file cannot be read.
         """
         config, values = find_config(kind, name), values or {}
         beside = _fields_beside(config, values)
@@ -66,19 +60,14 @@ class Component:
     ) -> Component:
         """Return the component of a kind from the identity in an artifact or cache key.
 
-        Parameters
-        ----------
-        kind : str
-        identity : mapping
-            Identity of a method (:meth:`slgaussian.components.method.Method.identity`), or of some
-            of its components: ``{"encoder": "clip", "clip": {"model": digest}}``.
-        places : {field: place}, optional
-            Locations of its files. The content of a file without a stored digest is not checked.
+        Args:
+            identity: Identity of a method (:meth:`slgaussian.components.method.Method.identity`),
+                or of some of its components: ``{"encoder": "clip", "clip": {"model": digest}}``.
+            places: {field: place}, optional. Locations of its files. The content of a file without
+                a stored digest is not checked.
 
-        Raises
-        ------
-        InputError
-            If the component or a field is unknown.
+        Raises:
+            InputError: If the component or a field is unknown.
         """
         name, places = identity[kind], places or {}
         config = find_config(kind, name)
@@ -123,10 +112,9 @@ class Component:
     def load(self, otherwise: str = CHANGED) -> Any:
         """Load the component.
 
-        Raises
-        ------
-        InputError
-            If the content of a file has changed, with message ``otherwise``; or by the component.
+        Raises:
+            InputError: If the content of a file has changed, with message ``otherwise``; or by the
+                component.
         """
         return self.implementation(**self.values(otherwise))
 

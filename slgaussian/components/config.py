@@ -24,10 +24,9 @@ class File:
     With the annotation ``Path`` the value is a path; with ``str | Path``, it may also be a name on
     the Hugging Face hub.
 
-    Attributes
-    ----------
-    digest : callable
-        Computes the SHA-256, hexadecimal, that identifies the content in artifacts and cache keys.
+    Attributes:
+        digest: callable. Computes the SHA-256, hexadecimal, that identifies the content in
+            artifacts and cache keys.
     """
 
     digest: Digest
@@ -54,11 +53,10 @@ class Config(BaseModel):
 class ComponentConfig(Config):
     """Base class of component configs. Class keyword ``title``: the component, for messages.
 
-    Attributes
-    ----------
-    target : str or callable, optional
-        The implementation, an object or ``"package.module:name"``, which is called with the fields
-        as keyword arguments. A subclass without a target implements the component itself.
+    Attributes:
+        target: str or callable, optional. The implementation, an object or
+            ``"package.module:name"``, which is called with the fields as keyword arguments. A
+            subclass without a target implements the component itself.
     """
 
     target: ClassVar[str | Callable[..., Any] | None] = None

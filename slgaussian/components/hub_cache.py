@@ -29,21 +29,15 @@ def hub_download(place: str) -> Callable[..., str]:
 def local_place(place: str | Path) -> str:
     """Return the local path of a model or tokenizer.
 
-    Parameters
-    ----------
-    place : path or str
-        File, folder, or name on the hub.
+    Args:
+        place: File, folder, or name on the hub.
 
-    Returns
-    -------
-    str
-        For a name, the folder of its revision ``main`` in the hub's cache; any other place is
-        returned unchanged.
+    Returns:
+        str: For a name, the folder of its revision ``main`` in the hub's cache; any other place is
+            returned unchanged.
 
-    Raises
-    ------
-    InputError
-        If the name is not in the cache.
+    Raises:
+        InputError: If the name is not in the cache.
     """
     name = str(place)
     if Path(name).exists() or not is_hub_name(name):

@@ -29,22 +29,15 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     grey image must be finite, and they are tested on pictures with known answers
     (:mod:`slgaussian.components.known_answers`).
 
-    Parameters
-    ----------
-    kind, name : str
-        Arguments of :func:`slgaussian.components.registry.find_config`.
-    values : mapping
-        Fields of the component.
+    Args:
+        kind, name: Arguments of :func:`slgaussian.components.registry.find_config`.
+        values: Fields of the component.
 
-    Returns
-    -------
-    str
-        A sentence about the files; empty for a component without files.
+    Returns:
+        str: A sentence about the files; empty for a component without files.
 
-    Raises
-    ------
-    InputError
-        If a file is missing, damaged, or not what the component needs.
+    Raises:
+        InputError: If a file is missing, damaged, or not what the component needs.
     """
     config, places, verified = find_config(kind, name), dict(values), list[bool]()
     for key, file in config.files().items():
@@ -68,10 +61,8 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
 def is_of_hub(file: Path) -> bool:
     """Return whether a file is in the hub's cache and its content has the cached SHA-256.
 
-    Raises
-    ------
-    InputError
-        If its content has another SHA-256, or it cannot be read.
+    Raises:
+        InputError: If its content has another SHA-256, or it cannot be read.
     """
     stored = file.resolve()
     if not SHA256.fullmatch(stored.name):

@@ -46,21 +46,16 @@ Chosen = SkipJsonSchema[InstanceOf[Component]]
 class Method(BuildConfig):
     """Configuration of all steps that build a field.
 
-    Parameters
-    ----------
-    predictor, proposer, tracker, encoder, codes, lifting : str or Component
-        The component of each kind: its name, or a configured component.
-    settings : mapping, optional
-        Fields of components that are given by name, by this name:
-        ``{"mvsplat": {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
-    **build
-        Fields of :class:`BuildConfig`. The same seed gives the same bytes, independent of the names
-        of scene and views.
+    Args:
+        predictor, proposer, tracker, encoder, codes, lifting: The component of each kind: its name,
+            or a configured component.
+        settings: Fields of components that are given by name, by this name: ``{"mvsplat":
+            {"checkpoint": "re10k.ckpt"}, "sam": {"model": "facebook/sam-vit-base"}}``.
+        **build: Fields of :class:`BuildConfig`. The same seed gives the same bytes, independent of
+            the names of scene and views.
 
-    Raises
-    ------
-    InputError
-        If a component or field is unknown, or a file cannot be read.
+    Raises:
+        InputError: If a component or field is unknown, or a file cannot be read.
     """
 
     predictor: Chosen
@@ -117,10 +112,8 @@ class Method(BuildConfig):
     def check(self) -> None:
         """Load every component once, to detect errors before the work.
 
-        Raises
-        ------
-        InputError
-            If a value is out of bounds, or files are invalid.
+        Raises:
+            InputError: If a value is out of bounds, or files are invalid.
         """
         for component in self.components:
             component.load()

@@ -43,18 +43,12 @@ TOKENIZER = (
 class Family:
     """The models that a component supports.
 
-    Attributes
-    ----------
-    part : str
-        Name of the component, for messages.
-    class_name : str
-        Class of ``transformers`` to load.
-    types : tuple of str
-        Supported values of ``model_type`` in ``config.json``.
-    example : str
-        A name on the hub.
-    convert : callable, optional
-        Converts a checkpoint of open_clip to the network, if the component supports that.
+    Attributes:
+        part: Name of the component, for messages.
+        class_name: Class of ``transformers`` to load.
+        types: tuple of str. Supported values of ``model_type`` in ``config.json``.
+        example: A name on the hub.
+        convert: Converts a checkpoint of open_clip to the network, if the component supports that.
     """
 
     part: str
@@ -69,20 +63,15 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
 
     The same content on the same device is loaded once and shared: do not change it.
 
-    Parameters
-    ----------
-    model : path or str
-        Folder, name on the hub, or if the family has a converter, a checkpoint of open_clip. Files
-        in the hub's cache are used without asking the hub.
-    family : Family
-    device : str
-        PyTorch device; "auto" is "cuda" if available, else "cpu".
+    Args:
+        model: Folder, name on the hub, or if the family has a converter, a checkpoint of open_clip.
+            Files in the hub's cache are used without asking the hub.
+        device: PyTorch device; "auto" is "cuda" if available, else "cpu".
 
-    Raises
-    ------
-    InputError
-        If ``transformers`` is not installed, the model is missing or of another architecture, its
-        files are damaged, tensors are missing or have other shapes, or the device cannot be used.
+    Raises:
+        InputError: If ``transformers`` is not installed, the model is missing or of another
+            architecture, its files are damaged, tensors are missing or have other shapes, or the
+            device cannot be used.
     """
     part = family.part
     try:
@@ -130,10 +119,8 @@ def _loaded(model_files: ModelFiles, digest: str, family: Family, device: str) -
 def load_tokenizer(place: str | Path, class_name: str) -> Any:
     """Load a tokenizer of a ``transformers`` class, located by :func:`find_tokenizer`.
 
-    Raises
-    ------
-    InputError
-        If it is missing or cannot be read.
+    Raises:
+        InputError: If it is missing or cannot be read.
     """
     import transformers
 
@@ -189,14 +176,10 @@ def resolve_device(device: str) -> str:
 class ModelFiles:
     """Files of a model.
 
-    Attributes
-    ----------
-    folder : Path
-        Folder of the model and of its other files, such as a tokenizer.
-    files : tuple of Path
-        Configuration and weights.
-    checkpoint : Path or None
-        The last of ``files`` if it is a checkpoint of open_clip.
+    Attributes:
+        folder: Folder of the model and of its other files, such as a tokenizer.
+        files: tuple of Path. Configuration and weights.
+        checkpoint: The last of ``files`` if it is a checkpoint of open_clip.
     """
 
     folder: Path
@@ -207,11 +190,9 @@ class ModelFiles:
 def find_model(model: str | Path) -> ModelFiles:
     """Find the files of a model; download a name that is not in the hub's cache.
 
-    Raises
-    ------
-    InputError
-        If there is no such folder, file or name, the hub cannot be reached, or the folder contains
-        no model.
+    Raises:
+        InputError: If there is no such folder, file or name, the hub cannot be reached, or the
+            folder contains no model.
     """
     path = Path(model)
     if path.is_dir():
@@ -230,10 +211,8 @@ def find_model(model: str | Path) -> ModelFiles:
 def find_tokenizer(place: str | Path) -> Path:
     """Find the folder of a tokenizer, given as a folder or name on the hub.
 
-    Raises
-    ------
-    InputError
-        If its files are missing, or the hub cannot be reached.
+    Raises:
+        InputError: If its files are missing, or the hub cannot be reached.
     """
     if Path(place).is_dir():
         _tokenizer_files(Path(place))
@@ -283,10 +262,8 @@ def model_digest(model: str | Path) -> str:
 
     It covers configuration, weights, and the settings of image preprocessor and tokenizer.
 
-    Raises
-    ------
-    InputError
-        As in :func:`find_model`.
+    Raises:
+        InputError: As in :func:`find_model`.
     """
     model_files = find_model(model)
     beside = [model_files.folder / name for name in (PREPROCESSOR, *TOKENIZER)]

@@ -23,16 +23,11 @@ from slgaussian.errors import InputError, did_you_mean
 class Kind:
     """A kind of component.
 
-    Attributes
-    ----------
-    package : str
-        Subpackage of ``slgaussian`` with the table of built-in components.
-    plural : str
-        Name of the table (in capitals) and of the group of entry points.
-    default : str
-        Name of the default component.
-    help : str
-        Task of the component, for users.
+    Attributes:
+        package: Subpackage of ``slgaussian`` with the table of built-in components.
+        plural: Name of the table (in capitals) and of the group of entry points.
+        default: Name of the default component.
+        help: Task of the component, for users.
     """
 
     package: str
@@ -78,10 +73,9 @@ def find_config(kind: str, name: str) -> type[ComponentConfig]:
     A registered class or function that is not a config becomes the target of a config without
     fields.
 
-    Raises
-    ------
-    InputError
-        As in :func:`resolve`, or if a component of another package has the name of a built-in one.
+    Raises:
+        InputError: As in :func:`resolve`, or if a component of another package has the name of a
+            built-in one.
     """
     group = KINDS[kind].group
     for built_in in KINDS if name in plugins(group) else ():
@@ -115,11 +109,9 @@ def resolve(called: str, table: Mapping[str, str], name: str, group: str | None 
 
     If the table has no such name, import the entry point of this name in ``group``.
 
-    Raises
-    ------
-    InputError
-        If the name is unknown, with the known names and the most similar one; or if an entry point
-        cannot be imported.
+    Raises:
+        InputError: If the name is unknown, with the known names and the most similar one; or if an
+            entry point cannot be imported.
     """
     external = {} if group is None else plugins(group)
     if name in table:

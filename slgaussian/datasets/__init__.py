@@ -61,10 +61,9 @@ def load(format: str, *args: Any, **settings: Any) -> Scene:
     ``load("re10k", "re10k/test", "5aca87f95a9412c6")``, ``load("procedural", seed=3)``; and
     ``load("photographs", "photos/")``, which estimates the cameras.
 
-    Raises
-    ------
-    InputError
-        If the format is unknown, its reader does not take these arguments or the data are invalid.
+    Raises:
+        InputError: If the format is unknown, its reader does not take these arguments or the data
+            are invalid.
     """
     read = resolve("data format", READERS, format)
     _check(format, read, args, settings)
@@ -79,24 +78,18 @@ def inputs(
     The cameras reflect everything else that a reader depends on: those of LLFF depend on the names
     of all photographs, others on the size of the first existing photograph.
 
-    Parameters
-    ----------
-    format, path, **settings
-        As in :func:`load`.
-    views : sequence of str
-        Names as accepted by :meth:`slgaussian.scene.Scene.find`.
+    Args:
+        format, path, **settings: As in :func:`load`.
+        views: sequence of str. Names as accepted by :meth:`slgaussian.scene.Scene.find`.
 
-    Returns
-    -------
-    files : list of Path
-        Files from which the views are read, possibly some more. Some may be missing.
-    cameras : dict str -> Camera
-        Cameras of the views by full name; empty if they are determined by the files alone.
+    Returns:
+        files: list of Path. Files from which the views are read, possibly some more. Some may be
+            missing.
+        cameras: dict str -> Camera. Cameras of the views by full name; empty if they are determined
+            by the files alone.
 
-    Raises
-    ------
-    InputError
-        As :func:`load`, or if a view does not exist.
+    Raises:
+        InputError: As :func:`load`, or if a view does not exist.
     """
     if format in SOURCES:
         return [], {}
@@ -115,10 +108,9 @@ def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
 
     For formats with one scene per folder, the result is that scene, named after the folder.
 
-    Raises
-    ------
-    InputError
-        If the format is unknown or reads no folder, or the list of scenes cannot be read.
+    Raises:
+        InputError: If the format is unknown or reads no folder, or the list of scenes cannot be
+            read.
     """
     check_format(format)
     if format in SETS:

@@ -66,20 +66,16 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     the 98th percentile, if it has enough points, because points lie on texture, not on the nearest
     or farthest surface.
 
-    Parameters
-    ----------
-    path : path
-        Folder of the scene, with the model in ``sparse/0``, ``sparse`` or itself; or the folder of
-        one model.
-    images : str, optional
-        Subfolder of the photographs; default ``images``, or the largest of ``images_2`` and so on.
+    Args:
+        path: Folder of the scene, with the model in ``sparse/0``, ``sparse`` or itself; or the
+            folder of one model.
+        images: Subfolder of the photographs; default ``images``, or the largest of ``images_2`` and
+            so on.
 
-    Raises
-    ------
-    InputError
-        If there is no model, a file of it is damaged, a camera model has no focal length, or
-        pycolmap is needed and not installed. A missing or unreadable photograph is an error only
-        when its view is read.
+    Raises:
+        InputError: If there is no model, a file of it is damaged, a camera model has no focal
+            length, or pycolmap is needed and not installed. A missing or unreadable photograph is
+            an error only when its view is read.
     """
     path = Path(path)
     models = models_in(path)

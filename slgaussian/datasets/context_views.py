@@ -49,18 +49,13 @@ def context_of(
        to the midpoint of the two.
     4. Ties go to the first view in the scene. Photographs that cannot be read are skipped.
 
-    Parameters
-    ----------
-    scene : Scene
-    context, targets : sequence of str
-        Names as accepted by :meth:`slgaussian.scene.Scene.find`; at least two in ``context``.
-    count : int
-        At least 2.
+    Args:
+        context, targets: sequence of str. Names as accepted by :meth:`slgaussian.scene.Scene.find`;
+            at least two in ``context``.
+        count: At least 2.
 
-    Raises
-    ------
-    InputError
-        If a name does not exist in the scene, or there are not enough views.
+    Raises:
+        InputError: If a name does not exist in the scene, or there are not enough views.
     """
     chosen_views = [scene.find(name) for name in context]
     if count <= len(chosen_views):

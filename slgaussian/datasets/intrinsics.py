@@ -21,16 +21,12 @@ def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
     side, with either focal length, at least :data:`NARROWEST`. The principal point is at most a
     photograph's size away from the photograph, and not in its first pixel, where fractions lie.
 
-    Parameters
-    ----------
-    camera : Camera
-    fractions : bool
-        Whether the file has fractions of width and height, as in RealEstate10K, not pixels.
+    Args:
+        fractions: Whether the file has fractions of width and height, as in RealEstate10K, not
+            pixels.
 
-    Raises
-    ------
-    InputError
-        If they are not; the message gives the number in the file and its probable unit.
+    Raises:
+        InputError: If they are not; the message gives the number in the file and its probable unit.
     """
     width, height = camera.width, camera.height
     size = f"{width}x{height} pixels"

@@ -24,18 +24,14 @@ def choose_keyframes(
     a camera at rest adds nothing. Without cameras, frames are assumed to be evenly spaced. A
     segment without a frame gives no keyframe.
 
-    Parameters
-    ----------
-    blurs : sequence of N float
-        :func:`slgaussian.datasets.sharpness.blur` of every frame, in temporal order.
-    count : int
-        Two or more.
-    cameras : sequence of N Camera, optional
+    Args:
+        blurs: sequence of N float. :func:`slgaussian.datasets.sharpness.blur` of every frame, in
+            temporal order.
+        count: Two or more.
+        cameras: sequence of N Camera, optional
 
-    Raises
-    ------
-    InputError
-        If ``count`` is below two.
+    Raises:
+        InputError: If ``count`` is below two.
     """
     if count < 2:
         raise InputError(f"keyframes: found {count}, expected two or more")

@@ -45,17 +45,12 @@ these are the scenes of the paper's table 2, with the views that have masks in o
 def read_lerf_ovs(path: str | Path, scene: str) -> Scene:
     """Read one scene of LERF-OVS as :func:`slgaussian.datasets.colmap.read` does.
 
-    Parameters
-    ----------
-    path : path
-        Folder of the whole set.
-    scene : str
-        A folder in it, such as figurines.
+    Args:
+        path: Folder of the whole set.
+        scene: A folder in it, such as figurines.
 
-    Raises
-    ------
-    InputError
-        If there is no such scene, or it cannot be read.
+    Raises:
+        InputError: If there is no such scene, or it cannot be read.
     """
     return colmap.read(_find_scene(path, scene, lerf_ovs_scenes(path)))
 

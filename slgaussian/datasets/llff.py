@@ -34,19 +34,14 @@ def read(path: str | Path, images: str | None = None) -> Scene:
 
     ``near`` and ``far`` are those of the file.
 
-    Parameters
-    ----------
-    path : path
-        Folder with ``poses_bounds.npy``, or such a file.
-    images : str, optional
-        Subfolder of the photographs; default ``images``, or the largest of ``images_2`` and so on.
-        The focal length is scaled to their size.
+    Args:
+        path: Folder with ``poses_bounds.npy``, or such a file.
+        images: Subfolder of the photographs; default ``images``, or the largest of ``images_2`` and
+            so on. The focal length is scaled to their size.
 
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, a row is not a valid camera, or the numbers of
-        photographs and rows differ.
+    Raises:
+        InputError: If the file is missing or damaged, a row is not a valid camera, or the numbers
+            of photographs and rows differ.
     """
     path = Path(path)
     file = path if path.is_file() else path / FILE

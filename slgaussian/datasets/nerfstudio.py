@@ -48,17 +48,15 @@ def read(path: str | Path) -> Scene:
     pixel centres, and 0 where it is not positive. A view without a depth file has no depth; a depth
     file of an unsupported format is ignored with a warning.
 
-    Parameters
-    ----------
-    path : path
-        ``transforms.json`` or the folder that holds it; other paths are relative to that folder.
+    Args:
+        path: ``transforms.json`` or the folder that holds it; other paths are relative to that
+            folder.
 
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, a frame is invalid, or it has an unsupported key that may
-        change the image (``CHANGES_PIXELS`` of :mod:`slgaussian.datasets.nerfstudio_frame`). A
-        missing or unreadable photograph is an error only when its view is read.
+    Raises:
+        InputError: If the file is missing or damaged, a frame is invalid, or it has an unsupported
+            key that may change the image (``CHANGES_PIXELS`` of
+            :mod:`slgaussian.datasets.nerfstudio_frame`). A missing or unreadable photograph is an
+            error only when its view is read.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
@@ -111,18 +109,12 @@ def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:
 def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCameras) -> None:
     """Write estimated cameras and their uncertainty so that :func:`read` returns equal cameras.
 
-    Parameters
-    ----------
-    file : path
-        An existing file is replaced.
-    photographs : mapping str -> path
-        Photographs by the names of their cameras.
-    estimated : EstimatedCameras
+    Args:
+        file: An existing file is replaced.
+        photographs: mapping str -> path. Photographs by the names of their cameras.
 
-    Raises
-    ------
-    InputError
-        If it cannot be written.
+    Raises:
+        InputError: If it cannot be written.
     """
     folder = os.path.abspath(file.parent)
     paths = {
@@ -154,18 +146,15 @@ def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCamer
 def read_cameras(path: str | Path) -> dict[str, Camera]:
     """Read the cameras of a file by name; photographs are needed only if it lacks their size.
 
-    Parameters
-    ----------
-    path : path
-        ``transforms.json`` or the folder that holds it; or the JSON of one frame by itself, as
-        ``{"fl_x": 500, "w": 640, "h": 480, "transform_matrix": [[...], ...]}``, whose camera is
-        named by ``file_path``, or else by the file. Keys and axes as in :func:`read`. Or a camera
-        path exported by nerfstudio's viewer, with frames named ``frame 0``, ``frame 1``, ...
+    Args:
+        path: ``transforms.json`` or the folder that holds it; or the JSON of one frame by itself,
+            as ``{"fl_x": 500, "w": 640, "h": 480, "transform_matrix": [[...], ...]}``, whose camera
+            is named by ``file_path``, or else by the file. Keys and axes as in :func:`read`. Or a
+            camera path exported by nerfstudio's viewer, with frames named ``frame 0``, ``frame 1``,
+            ...
 
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged, or a camera of it is invalid.
+    Raises:
+        InputError: If the file is missing or damaged, or a camera of it is invalid.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path

@@ -20,12 +20,10 @@ from slgaussian.storage.specs import load_spec
 class Changes:
     """Keys of clips, each sorted.
 
-    Attributes
-    ----------
-    arrived, changed : tuple of str
-        New clips, and clips with changed content.
-    withdrawn, damaged : tuple of str
-        Clips of the earlier snapshot that are missing: removed, or now unreadable.
+    Attributes:
+        arrived, changed: tuple of str. New clips, and clips with changed content.
+        withdrawn, damaged: tuple of str. Clips of the earlier snapshot that are missing: removed,
+            or now unreadable.
     """
 
     arrived: tuple[str, ...]

@@ -49,19 +49,15 @@ FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Scene:
     """Read a scene of photographs with the cameras of an NPZ.
 
-    Parameters
-    ----------
-    path : path
-        NPZ, see :data:`slgaussian.formats.depth_maps.KEYS`.
-    photographs : str or sequence of str, optional
-        Their folder relative to that of the NPZ, the default; or files and folders. If the NPZ has
-        no ``names``, its maps belong to all photographs in order, in a folder sorted by name.
+    Args:
+        path: NPZ, see :data:`slgaussian.formats.depth_maps.KEYS`.
+        photographs: str or sequence of str, optional. Their folder relative to that of the NPZ, the
+            default; or files and folders. If the NPZ has no ``names``, its maps belong to all
+            photographs in order, in a folder sorted by name.
 
-    Raises
-    ------
-    InputError
-        If the NPZ cannot be read or has no cameras, the number of photographs differs, or no
-        interpretation of its numbers fits them.
+    Raises:
+        InputError: If the NPZ cannot be read or has no cameras, the number of photographs differs,
+            or no interpretation of its numbers fits them.
     """
     path = Path(path)
     if photographs is None or isinstance(photographs, str):

@@ -31,13 +31,10 @@ DARK, BRIGHT = 0.08, 0.92
 class Views:
     """Measures of the N views of a clip.
 
-    Attributes
-    ----------
-    cameras : sequence of N Camera
-    depths : float64 [N]
-        Typical z-depth of each view, scene units; NaN where unknown.
-    blur, mean, clipped : float64 [N]
-        See :mod:`slgaussian.datasets.sharpness`.
+    Attributes:
+        cameras: sequence of N Camera
+        depths: float64 [N]. Typical z-depth of each view, scene units; NaN where unknown.
+        blur, mean, clipped: float64 [N]. See :mod:`slgaussian.datasets.sharpness`.
     """
 
     cameras: Sequence[Camera]
@@ -57,18 +54,12 @@ class Views:
 class Pair:
     """A sample: views by their index in the clip.
 
-    Attributes
-    ----------
-    context : (int, int)
-        Ascending.
-    targets : tuple of int
-        Ascending.
-    overlap, baseline : float
-        As in :class:`slgaussian.datasets.configs.PairBounds`.
-    depth : float
-        Mean of the typical depths of the context views, scene units.
-    score : float
-        Quality of the pair, from 0, poor, to 1.
+    Attributes:
+        context: (int, int). Ascending.
+        targets: tuple of int. Ascending.
+        overlap, baseline: As in :class:`slgaussian.datasets.configs.PairBounds`.
+        depth: Mean of the typical depths of the context views, scene units.
+        score: Quality of the pair, from 0, poor, to 1.
     """
 
     context: tuple[int, int]
@@ -83,13 +74,9 @@ class Pair:
 class Surrounding:
     """Two context views around a target, or the reason why there are none.
 
-    Attributes
-    ----------
-    pair : Pair or None
-    cover, aside : float
-        As in :class:`slgaussian.datasets.configs.Rule`; 0 without a pair.
-    reason : str
-        Empty with a pair.
+    Attributes:
+        cover, aside: As in :class:`slgaussian.datasets.configs.Rule`; 0 without a pair.
+        reason: Empty with a pair.
     """
 
     pair: Pair | None
@@ -107,10 +94,9 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
     camera may leave and return. Targets are nearest to equal steps along the path: three to its
     quarters.
 
-    Raises
-    ------
-    InputError
-        If there is none; the message states the reason, and the caller adds the name of the clip.
+    Raises:
+        InputError: If there is none; the message states the reason, and the caller adds the name of
+            the clip.
     """
     usable = np.flatnonzero(clip.usable(bounds))
     count = len(clip.cameras)

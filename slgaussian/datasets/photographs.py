@@ -68,10 +68,8 @@ def open_photograph(
     only if the rotated photograph has this aspect and the stored one has not; with ``upright``,
     always.
 
-    Raises
-    ------
-    InputError
-        If the file is missing or damaged.
+    Raises:
+        InputError: If the file is missing or damaged.
     """
     try:
         with opened(path) as image:
@@ -94,16 +92,12 @@ def masked(
 
     A mask is white where pixels are valid; a mask with values 0 and 1 only is scaled.
 
-    Returns
-    -------
-    pixels : uint8 [H, W, 3]
-    opaque : bool [H, W], or None if all are
-        Intersection of ``opaque`` and the mask.
+    Returns:
+        pixels: uint8 [H, W, 3]
+        opaque: bool [H, W], or None if all are. Intersection of ``opaque`` and the mask.
 
-    Raises
-    ------
-    InputError
-        If the mask is missing, damaged, or of another size.
+    Raises:
+        InputError: If the mask is missing, damaged, or of another size.
     """
     height, width = pixels.shape[:2]
     if not is_there(mask):
@@ -200,21 +194,14 @@ def scene_of(
 ) -> Scene:
     """Make a scene of stored photographs, which are opened and undistorted when they are read.
 
-    Parameters
-    ----------
-    name : str
-    cameras, photographs : mapping
-        Cameras and photographs by view name; a photograph may be missing.
-    named_by : str or path
-        File that lists the photographs, for messages.
-    files : sequence of Path
-        Files from which the cameras were read.
-    lenses : mapping str -> callable, optional
-        Computes the undistortion maps of a view (:mod:`slgaussian.datasets.lens`), or None.
-    upright : bool
-        Whether the cameras refer to the upright photographs, see :func:`open_photograph`.
-    estimation : mapping, optional
-        Record of the estimation of the cameras.
+    Args:
+        cameras, photographs: Cameras and photographs by view name; a photograph may be missing.
+        named_by: File that lists the photographs, for messages.
+        files: sequence of Path. Files from which the cameras were read.
+        lenses: mapping str -> callable, optional. Computes the undistortion maps of a view
+            (:mod:`slgaussian.datasets.lens`), or None.
+        upright: Whether the cameras refer to the upright photographs, see :func:`open_photograph`.
+        estimation: Record of the estimation of the cameras.
     """
     read = partial(_read_view, cameras, photographs, named_by, lenses or {}, upright)
     sources = {view: [*files, photograph] for view, photograph in photographs.items()}

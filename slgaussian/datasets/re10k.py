@@ -51,16 +51,10 @@ FRAME_TIME = 33_333
 class Clip:
     """One clip as stored, without decoding; only types and counts are checked.
 
-    Attributes
-    ----------
-    key : str
-    url : str
-    timestamps : int64 [N]
-        Microseconds.
-    cameras : float32 [N, 18]
-        Rows as described in the module's docstring.
-    images : tuple of N bytes
-        Encoded JPEGs.
+    Attributes:
+        timestamps: int64 [N]. Microseconds.
+        cameras: float32 [N, 18]. Rows as described in the module's docstring.
+        images: tuple of N bytes. Encoded JPEGs.
     """
 
     key: str
@@ -72,11 +66,9 @@ class Clip:
     def view(self, number: int, prefix: str = "") -> View:
         """Decode one frame, independently of the others; messages begin with ``prefix``.
 
-        Raises
-        ------
-        InputError
-            If its image cannot be decoded or its camera is invalid; the message names clip and
-            frame.
+        Raises:
+            InputError: If its image cannot be decoded or its camera is invalid; the message names
+                clip and frame.
         """
         label = f"{prefix}clip {self.key!r}, frame {number}"
         try:
@@ -94,11 +86,9 @@ class Clip:
 
         ``source`` is the name of its file, for messages.
 
-        Raises
-        ------
-        InputError
-            If it has no frame, no image can be decoded, or a camera is invalid. A single damaged
-            image is an error only when its view is read.
+        Raises:
+            InputError: If it has no frame, no image can be decoded, or a camera is invalid. A
+                single damaged image is an error only when its view is read.
         """
         prefix = f"{source}: " if source else ""
         label = f"{prefix}clip {self.key!r}"
@@ -126,16 +116,11 @@ class Clip:
 def read(path: str | Path, key: str) -> Scene:
     """Read one clip of a split as a scene; see :meth:`Clip.scene`.
 
-    Parameters
-    ----------
-    path : path or fsspec URL
-        The folder of a split, with ``index.json`` and its chunks.
-    key : str
+    Args:
+        path: path or fsspec URL. The folder of a split, with ``index.json`` and its chunks.
 
-    Raises
-    ------
-    InputError
-        If the index or the chunk cannot be read, or the clip is missing or invalid.
+    Raises:
+        InputError: If the index or the chunk cannot be read, or the clip is missing or invalid.
     """
     chunk = _chunk_of(path, key)
     for clip in read_chunk(chunk):
@@ -188,10 +173,8 @@ def chunk_names(path: str | Path) -> list[str]:
 def read_chunk(file: str | Path) -> list[Clip]:
     """Read all clips of a chunk, still encoded.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, is truncated, or contains something else.
+    Raises:
+        InputError: If the file cannot be read, is truncated, or contains something else.
     """
     try:
         with fsspec.open(os.fspath(file), "rb") as stream:
@@ -303,16 +286,11 @@ def row_of(camera: Camera) -> np.ndarray:
 def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = None) -> Clip:
     """Encode all views of a scene as a clip, in their order, without ground truth.
 
-    Parameters
-    ----------
-    scene : Scene
-    passed_over : callable, optional
-        Called with the error of each view that cannot be read, which is then left out.
+    Args:
+        passed_over: Called with the error of each view that cannot be read, which is then left out.
 
-    Raises
-    ------
-    InputError
-        If a view cannot be read and ``passed_over`` is None, or no view can be read.
+    Raises:
+        InputError: If a view cannot be read and ``passed_over`` is None, or no view can be read.
     """
     images, rows = [], []
     for name, camera in scene.cameras.items():
@@ -341,15 +319,11 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
     New chunks are numbered consecutively; ``index.json`` is written after each of them, so that a
     reader never sees an incomplete chunk.
 
-    Returns
-    -------
-    list of str
-        Names of the new chunks.
+    Returns:
+        list of str: Names of the new chunks.
 
-    Raises
-    ------
-    InputError
-        If a clip's key exists already, or the folder cannot be written.
+    Raises:
+        InputError: If a clip's key exists already, or the folder cannot be written.
     """
     path = Path(path)
     names: list[str] = []

@@ -29,10 +29,9 @@ CAMERAS, FRAMES = "cameras", "frames"
 def read(path: str | Path) -> Scene:
     """Read a clip as a scene named by its file; views are named by their photographs.
 
-    Raises
-    ------
-    InputError
-        If the camera file cannot be read, a camera is invalid, or fewer than two frames exist.
+    Raises:
+        InputError: If the camera file cannot be read, a camera is invalid, or fewer than two frames
+            exist.
     """
     file = Path(path)
     _, times, rows = read_cameras(file)
@@ -61,10 +60,9 @@ def read_cameras(file: str | Path) -> tuple[str, np.ndarray, np.ndarray]:
 
     A file may lack the address, which is then returned as "".
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or a line is not a camera; the message names the line.
+    Raises:
+        InputError: If the file cannot be read, or a line is not a camera; the message names the
+            line.
     """
     try:
         lines = read_lines(file)

@@ -22,20 +22,15 @@ EXPECTED = (
 def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scene, Path]:
     """Read the scene at ``path``; also return the folder relative to which its views are named.
 
-    Parameters
-    ----------
-    path : path
-        File or folder, see :data:`EXPECTED`.
-    photographs : sequence of str
-        Photographs, or folders, whose views are needed. For COLMAP and LLFF they may be outside the
-        scene's folder ``images``.
-
     For a folder of photographs without cameras, the cameras are estimated.
 
-    Raises
-    ------
-    InputError
-        If there are no cameras of a known format, or they cannot be read.
+    Args:
+        path: File or folder, see :data:`EXPECTED`.
+        photographs: sequence of str. Photographs, or folders, whose views are needed. For COLMAP
+            and LLFF they may be outside the scene's folder ``images``.
+
+    Raises:
+        InputError: If there are no cameras of a known format, or they cannot be read.
     """
     format, place = recognise(Path(path))
     if format == "photographs":
@@ -72,10 +67,8 @@ def cameras_in(path: str | Path) -> Mapping[str, Camera]:
 
     Photographs are not needed if the format contains their size and names, as all except LLFF do.
 
-    Raises
-    ------
-    InputError
-        As :func:`posed_scene`, and if there are only photographs.
+    Raises:
+        InputError: As :func:`posed_scene`, and if there are only photographs.
     """
     format, place = recognise(Path(path))
     if format == "photographs":
@@ -88,10 +81,8 @@ def cameras_in(path: str | Path) -> Mapping[str, Camera]:
 def recognise(path: Path) -> tuple[str, Path]:
     """Return the format of the cameras in a file or folder, and the path for its reader.
 
-    Raises
-    ------
-    InputError
-        If there are no cameras in a known format.
+    Raises:
+        InputError: If there are no cameras in a known format.
     """
     if path.is_dir():
         marks = {"nerfstudio": nerfstudio.FILE, "llff": llff.FILE, "re10k": re10k.INDEX}

@@ -24,15 +24,11 @@ CLIPPED = 4
 def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
     """Decode a photograph in grey, uint8 [h, w], its shorter side :data:`SIDE` pixels or fewer.
 
-    Returns
-    -------
-    uint8 [h, w], (width, height)
-        The small image, and the full size of the photograph.
+    Returns:
+        uint8 [h, w], (width, height): The small image, and the full size of the photograph.
 
-    Raises
-    ------
-    InputError
-        If it cannot be decoded.
+    Raises:
+        InputError: If it cannot be decoded.
     """
     try:
         with opened(io.BytesIO(data)) as image:

@@ -61,14 +61,11 @@ class SparseImage:
 class SparseModel:
     """Content of the files of a model.
 
-    Attributes
-    ----------
-    cameras : {id: SparseCamera}
-    images : {id: SparseImage}
-    points : float64 [P, 3]
-        World points, in scene units.
-    sightings : int64 [M, 2]
-        Observations: row of the point in ``points``, and id of the image.
+    Attributes:
+        cameras: {id: SparseCamera}
+        images: {id: SparseImage}
+        points: float64 [P, 3]. World points, in scene units.
+        sightings: int64 [M, 2]. Observations: row of the point in ``points``, and id of the image.
     """
 
     cameras: dict[int, SparseCamera]
@@ -104,10 +101,9 @@ def count_images(folder: Path) -> int:
 def read_model(folder: Path) -> SparseModel:
     """Read the model in a folder; the binary files if both formats exist.
 
-    Raises
-    ------
-    InputError
-        If there is no model, or a file is truncated or invalid; the message names the file.
+    Raises:
+        InputError: If there is no model, or a file is truncated or invalid; the message names the
+            file.
     """
     files = model_files(folder)
     if not files:

@@ -61,25 +61,17 @@ class TrainingSet(Dataset[dict[str, Any]]):
       ``present`` bool [N, C]
     - ``quality``: numbers by column name of the index
 
-    Parameters
-    ----------
-    folder : path or fsspec URL
-    split : {"train", "test"}, optional
-        Default: all samples.
-    where : pyarrow.compute.Expression, optional
-        Filter on the rows of the index, such as ``pc.field("overlap") > 0.7``.
+    Args:
+        folder: path or fsspec URL
+        split: {"train", "test"}, optional. Default: all samples.
+        where: Filter on the rows of the index, such as ``pc.field("overlap") > 0.7``.
 
-    Attributes
-    ----------
-    rows : pyarrow.Table
-        Rows of the index, in the order of the items.
+    Attributes:
+        rows: pyarrow.Table. Rows of the index, in the order of the items.
 
-    Raises
-    ------
-    InputError
-        If there is no such split, column or folder, or no row remains.
-    SpecError
-        If the index violates its spec.
+    Raises:
+        InputError: If there is no such split, column or folder, or no row remains.
+        SpecError: If the index violates its spec.
     """
 
     def __init__(
@@ -159,10 +151,8 @@ class TrainingSet(Dataset[dict[str, Any]]):
     def arrays(self, index: int, name: str, members: Mapping[str, bytes] | None = None) -> Arrays:
         """Read the NumPy arrays of one of :data:`SPECS` of a sample.
 
-        Raises
-        ------
-        SpecError
-            If they are missing or damaged.
+        Raises:
+            SpecError: If they are missing or damaged.
         """
         members = self.members(index) if members is None else members
         label, data = self._member(index, members, f"{name}.npz")

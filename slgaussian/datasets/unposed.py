@@ -39,21 +39,17 @@ def photographs(
 ) -> Sample:
     """Make a sample of photographs, or folders of them, and estimate their cameras.
 
-    Parameters
-    ----------
-    *images : path, uint8 [H, W, 3] or PIL image; or one list of them
-        All become context views, in this order; those of a folder by name. Images in memory are
-        named ``image_0``, ``image_1``, ....
-    size : (height, width), "at most 312x432", "auto" or "original"
-    near, far : float, optional
-        Depth range; it and ``size`` are as in :meth:`slgaussian.scene.Scene.sample`. The unit is
-        the distance of the first two cameras.
+    Args:
+        *images: path, uint8 [H, W, 3] or PIL image; or one list of them. All become context views,
+            in this order; those of a folder by name. Images in memory are named ``image_0``,
+            ``image_1``, ....
+        size: (height, width), "at most 312x432", "auto" or "original"
+        near, far: Depth range; it and ``size`` are as in :meth:`slgaussian.scene.Scene.sample`. The
+            unit is the distance of the first two cameras.
 
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or the cameras cannot be estimated; the message gives the reason
-        and what to do.
+    Raises:
+        InputError: If a file cannot be read, or the cameras cannot be estimated; the message gives
+            the reason and what to do.
     """
     if len(images) == 1 and isinstance(images[0], list | tuple):
         images = tuple(images[0])
@@ -96,17 +92,14 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
 
     The estimation is cached in the process by the photographs and their order.
 
-    Parameters
-    ----------
-    path : path or sequence of path
-        A folder of photographs, in itself or below ``images``; or files and folders.
-    only : sequence of str, optional
-        Photographs of that folder to use, by their paths below it, in this order.
+    Args:
+        path: path or sequence of path. A folder of photographs, in itself or below ``images``; or
+            files and folders.
+        only: sequence of str, optional. Photographs of that folder to use, by their paths below it,
+            in this order.
 
-    Raises
-    ------
-    InputError
-        As :func:`photographs`.
+    Raises:
+        InputError: As :func:`photographs`.
     """
     files = _photograph_files(path, only)
     return posed(files, find(files))
@@ -126,10 +119,8 @@ def _photograph_files(path: Place | Sequence[Place], only: Sequence[str] | None)
 def named(places: Sequence[Place]) -> dict[str, Path]:
     """List the photographs at files and folders, by their path below the common folder.
 
-    Raises
-    ------
-    InputError
-        If a folder has none, there are fewer than two, or one is listed twice.
+    Raises:
+        InputError: If a folder has none, there are fewer than two, or one is listed twice.
     """
     listed: list[Path] = []
     for place in map(Path, places):
@@ -172,10 +163,8 @@ def _common(files: Sequence[Path]) -> Path:
 def find(files: Mapping[str, Path]) -> EstimatedCameras:
     """Estimate the cameras of photographs by name, cached by the files and their order.
 
-    Raises
-    ------
-    InputError
-        As :func:`photographs`.
+    Raises:
+        InputError: As :func:`photographs`.
     """
     try:
         stamped = [(name, str(file), file_sha256(file)) for name, file in files.items()]
@@ -194,10 +183,8 @@ def _find(files: tuple[tuple[str, str, str], ...]) -> EstimatedCameras:
 def photograph(file: Path, name: str) -> Photograph:
     """Read a photograph for the estimation of cameras: upright, downscaled, with its EXIF lens.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read.
+    Raises:
+        InputError: If it cannot be read.
     """
     try:
         with opened(file) as image:

@@ -52,16 +52,11 @@ CHANNELS = ("Z", "Y", "R", "V", "depth.Z", "Depth.Z", "depth.V", "Depth.V")
 class DepthMap:
     """A depth map as stored.
 
-    Attributes
-    ----------
-    file : str
-        Name of the file for messages.
-    depth : float32 or float64 [h, w]
-        Along z or along the ray, in any unit; 0 where unknown.
-    confidence : float32 [h, w] or None
-        Higher is more reliable; any range.
-    K : float64 [3, 3] or None
-        Intrinsics in pixels, if the file contains them.
+    Attributes:
+        file: Name of the file for messages.
+        depth: float32 or float64 [h, w]. Along z or along the ray, in any unit; 0 where unknown.
+        confidence: float32 [h, w] or None. Higher is more reliable; any range.
+        K: float64 [3, 3] or None. Intrinsics in pixels, if the file contains them.
     """
 
     file: str
@@ -76,15 +71,11 @@ class DepthMap:
 class GeometryFile:
     """Arrays of an NPZ for N photographs.
 
-    Attributes
-    ----------
-    file : Path
-    maps : sequence of N DepthMap
-    poses : float64 [N, 4, 4] or None
-    inverted : bool
-        Whether the name of the array of poses means world-to-camera.
-    names : sequence of N str, or None
-        Names of the photographs, if the file contains them.
+    Attributes:
+        maps: sequence of N DepthMap
+        poses: float64 [N, 4, 4] or None
+        inverted: Whether the name of the array of poses means world-to-camera.
+        names: sequence of N str, or None. Names of the photographs, if the file contains them.
     """
 
     file: Path
@@ -100,10 +91,8 @@ class GeometryFile:
 
         Without names, map i belongs to view i.
 
-        Raises
-        ------
-        InputError
-            If there are no names and the numbers of maps and views differ.
+        Raises:
+            InputError: If there are no names and the numbers of maps and views differ.
         """
         if self.names is None:
             if len(self.maps) != len(views):
@@ -129,10 +118,9 @@ def name_keys(name: str) -> tuple[str, ...]:
 def read_geometry(file: Path) -> GeometryFile:
     """Read an NPZ of depth, and optionally of confidence and cameras (:data:`KEYS`).
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, contains no depth, or its arrays differ in the number of photographs.
+    Raises:
+        InputError: If it cannot be read, contains no depth, or its arrays differ in the number of
+            photographs.
     """
     arrays = _read_npz(file)
     if "depth" not in arrays:
@@ -183,10 +171,8 @@ def read_map(file: Path, byte: bool = False) -> np.ndarray:
 
     With ``byte``, for maps of confidence, 8-bit integers are allowed.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, or is not a depth map.
+    Raises:
+        InputError: If it cannot be read, or is not a depth map.
     """
     try:
         if file.suffix == ".npy":
@@ -218,11 +204,9 @@ def write_map(file: Path, depth: np.ndarray) -> None:
 
     A .png has 16 bits, in thousandths of a scene unit.
 
-    Raises
-    ------
-    InputError
-        If the suffix is not supported, a value is too large for .png, OpenEXR is not installed, or
-        the file cannot be written.
+    Raises:
+        InputError: If the suffix is not supported, a value is too large for .png, OpenEXR is not
+            installed, or the file cannot be written.
     """
     content, suffix = io.BytesIO(), file.suffix.lower()
     if suffix == ".npy":

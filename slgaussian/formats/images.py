@@ -43,13 +43,10 @@ def check_size(width: float, height: float) -> None:
 def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Iterator[Image.Image]:
     """Open an image and read its header only; load the pixels inside the ``with`` block.
 
-    Raises
-    ------
-    OSError
-        If the file is missing or cannot be read.
-    ValueError
-        If it has another format, is damaged, empty or above :data:`MOST_PIXELS`; also while the
-        pixels are loaded. :func:`unreadable` converts both errors to a message.
+    Raises:
+        OSError: If the file is missing or cannot be read.
+        ValueError: If it has another format, is damaged, empty or above :data:`MOST_PIXELS`; also
+            while the pixels are loaded. :func:`unreadable` converts both errors to a message.
     """
     if isinstance(source, str | Path) and _phone_kind(source) == "HEIC" and _reads_heic():
         kinds = (*kinds, "HEIF")
@@ -76,10 +73,9 @@ def read_mask(
 ) -> np.ndarray:
     """Read a mask image, bool [H, W]: the pixels whose :func:`mask_levels` reach ``threshold``.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read, or no pixel reaches the threshold although some are not black.
+    Raises:
+        InputError: If it cannot be read, or no pixel reaches the threshold although some are not
+            black.
     """
     levels = mask_levels(source, kinds)
     mask = levels >= threshold
@@ -96,10 +92,8 @@ def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> 
     They are grey levels, 16 bits scaled to 255. An alpha channel that is not 255 everywhere is used
     instead, unless the colours are black and white; those are composited over black.
 
-    Raises
-    ------
-    InputError
-        If it cannot be read.
+    Raises:
+        InputError: If it cannot be read.
     """
     try:
         with opened(source, kinds) as image:
@@ -122,10 +116,8 @@ def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> 
 def read_npy(file: Path) -> np.ndarray:
     """Read a ``.npy`` file of at most :data:`MOST_PIXELS` numbers, without unpickling.
 
-    Raises
-    ------
-    OSError, ValueError
-        See :func:`opened`.
+    Raises:
+        OSError, ValueError: See :func:`opened`.
     """
     try:
         # Memory mapping detects a header that claims more data than the file has before allocation.

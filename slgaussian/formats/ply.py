@@ -80,21 +80,15 @@ _BLOCK = 4096  # rows copied at a time, column by column, so that they fit into 
 def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
     """Write Gaussians atomically as a binary little-endian ``.ply``.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-        With harmonics of degree 0 to 3 in the convention "3dgs". An opacity or a scale of 0, and an
-        opacity of 1, are written as finite numbers that are read back as 0 and 1.
-    path : path
-        An existing file is replaced.
-    labels : int [N], optional
-        Object of each Gaussian, 0 for none; written as ``label``.
+    Args:
+        gaussians: With harmonics of degree 0 to 3 in the convention "3dgs". An opacity or a scale
+            of 0, and an opacity of 1, are written as finite numbers that are read back as 0 and 1.
+        path: An existing file is replaced.
+        labels: int [N], optional. Object of each Gaussian, 0 for none; written as ``label``.
 
-    Raises
-    ------
-    InputError
-        If a number is NaN, infinite or out of range, the degree is above 3, ``labels`` have another
-        shape or type, or the file cannot be written.
+    Raises:
+        InputError: If a number is NaN, infinite or out of range, the degree is above 3, ``labels``
+            have another shape or type, or the file cannot be written.
     """
     check_type(gaussians, Gaussians, "save_ply: expected Gaussians, and then a path")
     gaussians.check()
@@ -175,25 +169,17 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     are numbered from 0. Rotations are normalised, normals are dropped, and infinite logits give
     opacities 0 and 1.
 
-    Parameters
-    ----------
-    path : path
+    Returns:
+        gaussians: Gaussians. In float32. :func:`save_ply` rounds logits and logarithms: opacities
+            have an error of at most 6e-8, scales a relative error of at most 6e-8 times (1 +
+            abs(log(scale))).
+        extra: dict of str to [N]. Every other property by name, in its stored type, such as ids and
+            features of objects; ``label`` as int32 if its values are integers.
 
-    Returns
-    -------
-    gaussians : Gaussians
-        In float32. :func:`save_ply` rounds logits and logarithms: opacities have an error of at
-        most 6e-8, scales a relative error of at most 6e-8 times (1 + abs(log(scale))).
-    extra : dict of str to [N]
-        Every other property by name, in its stored type, such as ids and features of objects;
-        ``label`` as int32 if its values are integers.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, not a ``.ply``, truncated, lacks properties of Gaussians (such as a
-        point cloud), has a comment or property that demands another rendering, or contains an
-        invalid number; the message names the file and the property or vertex.
+    Raises:
+        InputError: If the file is missing, not a ``.ply``, truncated, lacks properties of Gaussians
+            (such as a point cloud), has a comment or property that demands another rendering, or
+            contains an invalid number; the message names the file and the property or vertex.
     """
     table, comments = _vertices(path)
     n = len(table)

@@ -30,12 +30,9 @@ must continue to the next pixels, as on a plane at a grazing angle."""
 class Fit:
     """An image scaled to cover a size, then cropped about the centre.
 
-    Attributes
-    ----------
-    full_width, full_height : int
-        Size of the scaled image, pixels.
-    left, top, width, height : int
-        Crop, pixels of the scaled image.
+    Attributes:
+        full_width, full_height: Size of the scaled image, pixels.
+        left, top, width, height: Crop, pixels of the scaled image.
     """
 
     full_width: int
@@ -67,12 +64,10 @@ class Fit:
 class Window:
     """Part of a photograph that a view shows.
 
-    Attributes
-    ----------
-    photo_width, photo_height : int
-        Size of the whole photograph, pixels.
-    left, top, right, bottom : float
-        Edges of the part, pixels of the photograph from its top-left corner.
+    Attributes:
+        photo_width, photo_height: Size of the whole photograph, pixels.
+        left, top, right, bottom: Edges of the part, pixels of the photograph from its top-left
+            corner.
     """
 
     photo_width: int
@@ -179,17 +174,13 @@ def sample_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     depth is affine on a plane, so planes are exact. Nothing is interpolated across depth steps and
     holes.
 
-    Parameters
-    ----------
-    depth : float32 [H, W]
-        z-depth, 0 where unknown.
-    x, y : float [...]
-        Columns and rows from the top-left corner, pixel centres at +0.5; broadcast together.
+    Args:
+        depth: float32 [H, W]. z-depth, 0 where unknown.
+        x, y: float [...]. Columns and rows from the top-left corner, pixel centres at +0.5;
+            broadcast together.
 
-    Returns
-    -------
-    float32 [...]
-        0 where the pixel is unknown or the point outside.
+    Returns:
+        float32 [...]: 0 where the pixel is unknown or the point outside.
     """
     height, width = depth.shape
     x, y = np.broadcast_arrays(x, y)

@@ -21,10 +21,9 @@ _MOST_GROUPS = 8
 def decode(counts: str | Sequence[int], height: int, width: int) -> np.ndarray:
     """Decode the mask, bool [height, width], of counts as a string or a list.
 
-    Raises
-    ------
-    ValueError
-        If they are neither, or do not add up to that many pixels; the message states the problem.
+    Raises:
+        ValueError: If they are neither, or do not add up to that many pixels; the message states
+            the problem.
     """
     lengths = _lengths(counts) if isinstance(counts, str) else counts
     if not isinstance(lengths, Sequence) or not all(type(n) is int and n >= 0 for n in lengths):

@@ -46,11 +46,9 @@ _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 def save_spz(gaussians: Gaussians, path: str | Path) -> None:
     """Write Gaussians atomically as ``.spz`` of version 3.
 
-    Raises
-    ------
-    InputError
-        If a number is NaN, infinite or out of range, the harmonics are above degree 3, the scene is
-        too large for 24-bit means, or the file cannot be written.
+    Raises:
+        InputError: If a number is NaN, infinite or out of range, the harmonics are above degree 3,
+            the scene is too large for 24-bit means, or the file cannot be written.
     """
     gaussians.check()
     arrays = gaussians.to_arrays()

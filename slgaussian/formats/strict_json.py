@@ -20,11 +20,9 @@ def parse(text: str | bytes) -> Any:
     Integers of more than :data:`LONGEST` digits become floats. NaN and Infinity are accepted,
     because other programs write them in unused fields; readers check the numbers that they use.
 
-    Raises
-    ------
-    ValueError
-        If it is not valid JSON, not UTF-8, nested too deeply, has a number beyond the range of
-        64-bit floats, or text with half of a surrogate pair, which cannot be encoded.
+    Raises:
+        ValueError: If it is not valid JSON, not UTF-8, nested too deeply, has a number beyond the
+            range of 64-bit floats, or text with half of a surrogate pair, which cannot be encoded.
     """
     if isinstance(text, bytes):
         text = text.decode("utf-8-sig")

@@ -32,21 +32,14 @@ class CodeError(ValueError):
 def load(source: Path | bytes, mapped: bool = False) -> Any:
     """Load a file on the CPU with PyTorch's restricted unpickler.
 
-    Parameters
-    ----------
-    source : path or bytes
-    mapped : bool
-        Memory-map the file if possible, so that only the tensors in use are read.
+    Args:
+        mapped: Memory-map the file if possible, so that only the tensors in use are read.
 
-    Raises
-    ------
-    CodeError
-        If it contains more than plain data and tensors.
-    OSError
-        If the file cannot be read.
-    ValueError
-        If it is damaged, a TorchScript archive, or compressed: ``torch.save`` never compresses, and
-        a thousandfold expansion could fill the memory.
+    Raises:
+        CodeError: If it contains more than plain data and tensors.
+        OSError: If the file cannot be read.
+        ValueError: If it is damaged, a TorchScript archive, or compressed: ``torch.save`` never
+            compresses, and a thousandfold expansion could fill the memory.
     """
     stream = io.BytesIO(source) if isinstance(source, bytes) else source
     try:

@@ -11,10 +11,8 @@ def read_lines(file: str | Path) -> list[str]:
     Other characters at which :meth:`str.splitlines` splits (U+2028, U+0085, form feed) may be part
     of names.
 
-    Raises
-    ------
-    OSError, UnicodeDecodeError
-        If it cannot be read, or is not valid UTF-8.
+    Raises:
+        OSError, UnicodeDecodeError: If it cannot be read, or is not valid UTF-8.
     """
     text = Path(file).read_bytes().decode("utf-8-sig")
     return [line.removesuffix("\r") for line in text.split("\n")]

@@ -51,12 +51,9 @@ def texture_codes(light: np.ndarray) -> np.ndarray:
 def boundary_map(lab: np.ndarray, depth: np.ndarray | None = None) -> np.ndarray:
     """Compute boundary strength, float32 [H, W], about 0 to 1.
 
-    Parameters
-    ----------
-    lab : float32 [H, W, 3]
-        CIELAB, as :attr:`slgaussian.scene.View.lab`.
-    depth : float32 [H, W] or None
-        Predicted z-depth in scene units, 0 where unknown.
+    Args:
+        lab: float32 [H, W, 3]. CIELAB, as :attr:`slgaussian.scene.View.lab`.
+        depth: float32 [H, W] or None. Predicted z-depth in scene units, 0 where unknown.
     """
     strength = _outlines(lab)
     return strength if depth is None else strength + depth_boundary(depth)
@@ -84,14 +81,11 @@ def _outlines(lab: np.ndarray) -> np.ndarray:
 def half_disc(codes: np.ndarray, bins: int, radius: int, ordered: bool) -> np.ndarray:
     """Compute the contrast of the two halves of a disc at every pixel, float32 [8, H, W], 0 to 1.
 
-    Parameters
-    ----------
-    codes : uint8 [H, W]
-        Histogram bin of every pixel.
-    bins, radius : int
-        Number of bins; disc radius in pixels.
-    ordered : bool
-        Whether neighbouring bins are similar, so that histograms are blurred before comparison.
+    Args:
+        codes: uint8 [H, W]. Histogram bin of every pixel.
+        bins, radius: Number of bins; disc radius in pixels.
+        ordered: Whether neighbouring bins are similar, so that histograms are blurred before
+            comparison.
     """
     padded = codes[_mirrored(codes.shape[0], radius)[:, None], _mirrored(codes.shape[1], radius)]
     offsets, starts = _disc(radius, padded.shape[1])

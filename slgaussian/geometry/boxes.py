@@ -31,14 +31,11 @@ MOST = 2000
 class Box:
     """A box in the world.
 
-    Attributes
-    ----------
-    centre : float64 [3]
-        Scene units.
-    axes : float64 [3, 3]
-        Unit vectors in rows, right-handed: along the longer side, along the shorter one, up.
-    half_sizes : float64 [3]
-        Distances from the centre to the faces along the axes, scene units.
+    Attributes:
+        centre: float64 [3]. Scene units.
+        axes: float64 [3, 3]. Unit vectors in rows, right-handed: along the longer side, along the
+            shorter one, up.
+        half_sizes: float64 [3]. Distances from the centre to the faces along the axes, scene units.
     """
 
     centre: np.ndarray

@@ -50,14 +50,10 @@ THICK = 0.04
 class Room:
     """Up direction, floor and unit of length of a scene.
 
-    Attributes
-    ----------
-    up : float64 [3]
-        Unit vector in world coordinates.
-    floor : float
-        Height of the floor along ``up``, scene units; NaN if none is seen.
-    unit : float
-        Height of the cameras above the floor or, without one, the median depth; scene units.
+    Attributes:
+        up: float64 [3]. Unit vector in world coordinates.
+        floor: Height of the floor along ``up``, scene units; NaN if none is seen.
+        unit: Height of the cameras above the floor or, without one, the median depth; scene units.
     """
 
     up: np.ndarray
@@ -81,14 +77,11 @@ class Room:
 class Surroundings:
     """Positions of the pixels of a view in a room; NaN where unknown.
 
-    Attributes
-    ----------
-    points : float32 [H, W, 3]
-        World coordinates over the room's unit.
-    height : float32 [H, W]
-        Above the floor, in the room's unit.
-    level : float32 [H, W]
-        Cosine between the surface's normal, towards the camera, and up: 1 a floor, -1 a ceiling.
+    Attributes:
+        points: float32 [H, W, 3]. World coordinates over the room's unit.
+        height: float32 [H, W]. Above the floor, in the room's unit.
+        level: float32 [H, W]. Cosine between the surface's normal, towards the camera, and up: 1 a
+            floor, -1 a ceiling.
     """
 
     points: np.ndarray

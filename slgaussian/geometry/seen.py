@@ -32,12 +32,9 @@ class SeenView:
     Quantities derived from the photograph (:attr:`slgaussian.scene.View.lab` and ``grey``) and the
     depth are computed on first access and cached.
 
-    Attributes
-    ----------
-    view : View
-        Its ground truth must not be read.
-    depth : float32 [H, W] or None
-        Predicted z-depth in scene units, 0 where unknown.
+    Attributes:
+        view: Its ground truth must not be read.
+        depth: float32 [H, W] or None. Predicted z-depth in scene units, 0 where unknown.
     """
 
     view: View
@@ -55,10 +52,8 @@ class SeenView:
     def alone(image: np.ndarray, depth: np.ndarray | None = None) -> SeenView:
         """Wrap a photograph without a camera.
 
-        Raises
-        ------
-        InputError
-            Unless the image is uint8 [H, W, 3] with at least one pixel.
+        Raises:
+            InputError: Unless the image is uint8 [H, W, 3] with at least one pixel.
         """
         if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
             raise InputError(
@@ -88,10 +83,8 @@ class SeenView:
 class SceneGeometry:
     """Context views of a sample with the depth of predicted Gaussians.
 
-    Attributes
-    ----------
-    frames : tuple of V SeenView
-        The context views, each with depth.
+    Attributes:
+        frames: tuple of V SeenView. The context views, each with depth.
     """
 
     frames: tuple[SeenView, ...]

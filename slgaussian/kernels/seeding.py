@@ -9,15 +9,11 @@ import numpy as np
 def seed_for(seed: int, content: str, stage: str) -> int:
     """Return a 64-bit seed, the same on every machine.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the run.
-    content : str
-        Digest of the scene by :func:`content_of`, not its name. Empty for random numbers that
-        belong to no scene.
-    stage : str
-        Purpose of the random numbers.
+    Args:
+        seed: Seed of the run.
+        content: Digest of the scene by :func:`content_of`, not its name. Empty for random numbers
+            that belong to no scene.
+        stage: Purpose of the random numbers.
     """
     digest = hashlib.sha256(f"{seed}\x1f{content}\x1f{stage}".encode()).digest()
     return int.from_bytes(digest[:8], "little")
@@ -45,12 +41,9 @@ def held_out(clip: str, fraction: float) -> bool:
     not depend on content, which differs between samples of a clip, nor on the seed of a run, as
     weights from one run would then be evaluated in another run on their own training clips.
 
-    Parameters
-    ----------
-    clip : str
-        Key of the clip.
-    fraction : float
-        Expected fraction of held-out clips, in [0, 1].
+    Args:
+        clip: Key of the clip.
+        fraction: Expected fraction of held-out clips, in [0, 1].
     """
     return seed_for(0, clip, "held out") < fraction * 2**64
 

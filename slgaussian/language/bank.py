@@ -33,38 +33,32 @@ class MemoryBank:
     Features are stored in half precision. :func:`build_bank` rounds them accordingly, so that a
     loaded bank gives the same answers as the one just built.
 
-    Attributes
-    ----------
-    ids : int32 [N]
-        Object ids as in the label maps, positive and ascending.
-    codes : float32 [N, D]
-        ID codes in [0, 1], all different, D from 1 to 3. D = 0 means no codes: Gaussians carry the
-        object's row in this bank; see :class:`slgaussian.semantic.Lifting`.
-    features : float32 [N, V, C]
-        Unit vectors of the encoder that built the bank; zero where absent. Lengths differ from 1
-        by less than :data:`slgaussian.language.relevancy.UNIT_TOLERANCE`.
-    present : bool [N, V]
-        True where the view shows the object.
-    boxes : int32 [N, V, 4], optional
-        Bounding box of the object in each view, in pixels: first column and row, then last column
-        and row plus one; zeros where absent. Used to crop pictures of the object.
-    levels : int32 [L, N], optional
-        Group of each object at L levels: its own row n if it is alone, else N + g for group g.
-        Texts are then scored on groups too; see :class:`slgaussian.language.relevancy.Scorer`.
-    group_features : float32 [G, V, C], with ``levels``
-        Unit vectors of the groups, zero where a view shows none of a group's objects.
-    class_scores : uint8 [N + G, V, 1000], optional
-        ImageNet log-probabilities of objects and, after them, groups, quantised by
-        :func:`slgaussian.language.class_evidence.quantised`; zeros where absent.
-    photograph_scores : uint8 [V, 1000], with ``class_scores``
-        Means over whole photographs.
-    wholes : Wholes, optional
-        Candidate sets of objects for answers; without it, an answer is all near-best objects.
+    Attributes:
+        ids: int32 [N]. Object ids as in the label maps, positive and ascending.
+        codes: float32 [N, D]. ID codes in [0, 1], all different, D from 1 to 3. D = 0 means no
+            codes: Gaussians carry the object's row in this bank; see
+            :class:`slgaussian.semantic.Lifting`.
+        features: float32 [N, V, C]. Unit vectors of the encoder that built the bank; zero where
+            absent. Lengths differ from 1 by less than
+            :data:`slgaussian.language.relevancy.UNIT_TOLERANCE`.
+        present: bool [N, V]. True where the view shows the object.
+        boxes: int32 [N, V, 4], optional. Bounding box of the object in each view, in pixels: first
+            column and row, then last column and row plus one; zeros where absent. Used to crop
+            pictures of the object.
+        levels: int32 [L, N], optional. Group of each object at L levels: its own row n if it is
+            alone, else N + g for group g. Texts are then scored on groups too; see
+            :class:`slgaussian.language.relevancy.Scorer`.
+        group_features: float32 [G, V, C], with ``levels``. Unit vectors of the groups, zero where a
+            view shows none of a group's objects.
+        class_scores: uint8 [N + G, V, 1000], optional. ImageNet log-probabilities of objects and,
+            after them, groups, quantised by :func:`slgaussian.language.class_evidence.quantised`;
+            zeros where absent.
+        photograph_scores: uint8 [V, 1000], with ``class_scores``. Means over whole photographs.
+        wholes: Candidate sets of objects for answers; without it, an answer is all near-best
+            objects.
 
-    Raises
-    ------
-    InputError
-        If an array is invalid; the message names the array and the object.
+    Raises:
+        InputError: If an array is invalid; the message names the array and the object.
     """
 
     ids: np.ndarray
@@ -196,27 +190,20 @@ def build_bank(
 ) -> MemoryBank:
     """Encode every object, and every group of objects, in each view that shows it.
 
-    Parameters
-    ----------
-    views : sequence of V View
-        The photographs that the label maps belong to, in the same order.
-    label_maps : LabelMaps
-        labels [V, H, W].
-    encoder : Encoder
-    codes : float32 [N, D]
-        One code for each of ``label_maps.ids``, in that order.
-    surroundings : sequence of V Surroundings, optional
-        3D positions of the pixels of each view, for encoders that use them.
-    groups : int [L, N], optional
-        Group of each object at each level, from :func:`slgaussian.masks.levels.group_objects`.
-        Groups of a single object are dropped, and equal groups of several levels are merged.
-    wholes : Wholes, optional
-        From the same function.
+    Args:
+        views: sequence of V View. The photographs that the label maps belong to, in the same order.
+        label_maps: labels [V, H, W].
+        codes: float32 [N, D]. One code for each of ``label_maps.ids``, in that order.
+        surroundings: sequence of V Surroundings, optional. 3D positions of the pixels of each view,
+            for encoders that use them.
+        groups: int [L, N], optional. Group of each object at each level, from
+            :func:`slgaussian.masks.levels.group_objects`. Groups of a single object are dropped,
+            and equal groups of several levels are merged.
+        wholes: From the same function.
 
-    Raises
-    ------
-    InputError
-        If views, label maps, codes and groups do not match, or there is no object at all.
+    Raises:
+        InputError: If views, label maps, codes and groups do not match, or there is no object at
+            all.
     """
     from slgaussian.kernels.work_sharing import share_items
 

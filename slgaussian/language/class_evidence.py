@@ -18,19 +18,13 @@ def quantised(log_probabilities: np.ndarray) -> np.ndarray:
 def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int]) -> np.ndarray:
     """Compute the log-ratio of class probabilities in regions and in whole photographs.
 
-    Parameters
-    ----------
-    regions : uint8 [..., V, 1000]
-        Scores of regions of V photographs, from :func:`quantised`.
-    photographs : uint8 [V, 1000]
-        Mean scores of whole photographs.
-    classes : sequence of int
-        The classes of a noun.
+    Args:
+        regions: uint8 [..., V, 1000]. Scores of regions of V photographs, from :func:`quantised`.
+        photographs: uint8 [V, 1000]. Mean scores of whole photographs.
+        classes: sequence of int. The classes of a noun.
 
-    Returns
-    -------
-    float64 [..., V]
-        In nats.
+    Returns:
+        float64 [..., V]: In nats.
     """
     lead: np.ndarray = log_probability(regions, classes) - log_probability(photographs, classes)
     return lead

@@ -30,15 +30,11 @@ STRIDE = 32
 class Classifier:
     """The network, applied densely to photographs.
 
-    Parameters
-    ----------
-    file : Path
-        The weights.
+    Args:
+        file: The weights.
 
-    Raises
-    ------
-    InputError
-        If the file's SHA-256 is not the expected one.
+    Raises:
+        InputError: If the file's SHA-256 is not the expected one.
     """
 
     name = "efficientnet-lite0"
@@ -57,15 +53,11 @@ class Classifier:
     def class_map(self, image: np.ndarray) -> np.ndarray:
         """Compute log-probabilities of the classes in each cell of a photograph.
 
-        Parameters
-        ----------
-        image : uint8 [H, W, 3]
-            sRGB.
+        Args:
+            image: uint8 [H, W, 3]. sRGB.
 
-        Returns
-        -------
-        float32 [h, w, 1000]
-            Mean over :data:`SIZES`, at the resolution of the largest.
+        Returns:
+            float32 [h, w, 1000]: Mean over :data:`SIZES`, at the resolution of the largest.
         """
         maps = []
         for long_side in SIZES:
@@ -87,10 +79,8 @@ class Classifier:
     def cell_scores(self, pixels: np.ndarray) -> np.ndarray:
         """Compute log-probabilities of cells, float32 [h, w, 1000], at one size.
 
-        Parameters
-        ----------
-        pixels : float32 [32 h, 32 w, 3]
-            RGB in [-1, 1].
+        Args:
+            pixels: float32 [32 h, 32 w, 3]. RGB in [-1, 1].
         """
         with self._lock:
             self._network.setInput(np.ascontiguousarray(pixels.transpose(2, 0, 1)[None]))
@@ -104,10 +94,8 @@ class Classifier:
 def load() -> Classifier | None:
     """Load the classifier; return None if the package of its weights is not installed.
 
-    Raises
-    ------
-    InputError
-        If the SHA-256 of the package's file is not the expected one.
+    Raises:
+        InputError: If the SHA-256 of the package's file is not the expected one.
     """
     file = find_weights()
     return None if file is None else Classifier(file)
@@ -116,15 +104,12 @@ def load() -> Classifier | None:
 def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
     """Average a class map over regions.
 
-    Parameters
-    ----------
-    class_map : float32 [h, w, C]
-    masks : bool [N, H, W]
-        Regions of the same photograph, at any resolution; none empty.
+    Args:
+        class_map: float32 [h, w, C]
+        masks: bool [N, H, W]. Regions of the same photograph, at any resolution; none empty.
 
-    Returns
-    -------
-    float32 [N, C]
+    Returns:
+        float32 [N, C]
     """
     h, w, classes = class_map.shape
     shares = np.zeros((len(masks), h, w), np.float32)

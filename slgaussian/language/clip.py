@@ -61,17 +61,13 @@ class Clip(ClipConfig):
     without context. ``bfloat16`` takes a third of the time on CPUs with native support, is slower
     on others, and changes cosines by up to 1e-3.
 
-    Attributes
-    ----------
-    device : str
-        PyTorch device; "auto" is "cuda" if available, else "cpu". On other devices than the CPU
-        the image tower always runs in bfloat16.
+    Attributes:
+        device: PyTorch device; "auto" is "cuda" if available, else "cpu". On other devices than the
+            CPU the image tower always runs in bfloat16.
 
-    Raises
-    ------
-    InputError
-        If a setting is invalid, or the tokenizer is missing or belongs to another model; also as
-        :func:`slgaussian.components.pretrained.load_pretrained`.
+    Raises:
+        InputError: If a setting is invalid, or the tokenizer is missing or belongs to another
+            model; also as :func:`slgaussian.components.pretrained.load_pretrained`.
     """
 
     FAMILY: ClassVar[Family] = Family("clip", "CLIPModel", ("clip",), CLIP, _converted)
@@ -105,23 +101,16 @@ class Clip(ClipConfig):
     ) -> np.ndarray:
         """Encode regions as unit vectors.
 
-        Parameters
-        ----------
-        image : uint8 [H, W, 3]
-            sRGB.
-        masks : bool [M, H, W]
-            The regions, each with at least one pixel; they may overlap.
-        around : Surroundings, optional
-            Ignored.
+        Args:
+            image: uint8 [H, W, 3]. sRGB.
+            masks: bool [M, H, W]. The regions, each with at least one pixel; they may overlap.
+            around: Ignored.
 
-        Returns
-        -------
-        float32 [M, C]
+        Returns:
+            float32 [M, C]
 
-        Raises
-        ------
-        InputError
-            If image and masks do not match, or a mask is empty.
+        Raises:
+            InputError: If image and masks do not match, or a mask is empty.
         """
         from slgaussian.language.crops import check_regions
 
@@ -135,10 +124,8 @@ class Clip(ClipConfig):
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Encode texts as unit vectors float32 [Q, C].
 
-        Raises
-        ------
-        InputError
-            If a text is empty, too long for the model, or not valid Unicode.
+        Raises:
+            InputError: If a text is empty, too long for the model, or not valid Unicode.
         """
         vectors = [self._text(text) for text in texts]
         return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])

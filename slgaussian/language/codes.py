@@ -26,10 +26,8 @@ class Grid(GridConfig):
     With ``decode="settled"`` views are decoded by :class:`slgaussian.semantic.decode.Decoder`, with
     ``nearest`` by :class:`slgaussian.semantic.decode.NearestCode`, as the paper does.
 
-    Raises
-    ------
-    InputError
-        If a setting is out of its range.
+    Raises:
+        InputError: If a setting is out of its range.
     """
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
@@ -46,10 +44,8 @@ class Separated(SeparatedConfig):
     The dimension "auto" is the smallest with which at most ``error`` of the mixtures of neighbours
     decode to a third object, or 3 if there is none.
 
-    Raises
-    ------
-    InputError
-        If a setting is out of its range.
+    Raises:
+        InputError: If a setting is out of its range.
     """
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
@@ -81,25 +77,17 @@ class Exact:
 def grid_codes(n: int, rng: np.random.Generator, dimension: int = 3) -> np.ndarray:
     """Draw ``n`` distinct codes from the paper's even grid.
 
-    Parameters
-    ----------
-    n : int
-        Number of objects, at least 1.
-    rng : numpy Generator
-        Draws the grid points and their order.
-    dimension : int
-        1 to 3; in the paper 3.
+    Args:
+        n: Number of objects, at least 1.
+        rng: numpy Generator. Draws the grid points and their order.
+        dimension: 1 to 3; in the paper 3.
 
-    Returns
-    -------
-    float32 [n, dimension]
-        Points of a grid on [0, 1]^dimension, ends included, with k points per axis, k the smallest
-        integer with k^dimension >= n. A single object gets the centre.
+    Returns:
+        float32 [n, dimension]: Points of a grid on [0, 1]^dimension, ends included, with k points
+            per axis, k the smallest integer with k^dimension >= n. A single object gets the centre.
 
-    Raises
-    ------
-    InputError
-        If ``n`` is less than 1.
+    Raises:
+        InputError: If ``n`` is less than 1.
     """
     if n < 1:
         raise InputError(f"ID codes: asked for {n}, expected at least one object")

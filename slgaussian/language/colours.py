@@ -37,11 +37,9 @@ def to_lab(rgb: np.ndarray) -> np.ndarray:
 class ColourNames:
     """Computes the membership of sRGB values in each of ``names``, which are in input order.
 
-    Parameters
-    ----------
-    swatches : mapping name -> (list of "#rrggbb", darkest)
-        ``darkest`` is the smallest factor of linear RGB with which a swatch keeps its name; 1 if
-        only the swatch itself has it.
+    Args:
+        swatches: mapping name -> (list of "#rrggbb", darkest). ``darkest`` is the smallest factor
+            of linear RGB with which a swatch keeps its name; 1 if only the swatch itself has it.
     """
 
     def __init__(self, swatches: Mapping[str, tuple[list[str], float]]) -> None:

@@ -76,12 +76,9 @@ class Curve:
 class Calibration:
     """Fitted coefficients of an encoder.
 
-    Attributes
-    ----------
-    mask : Curve
-        Probability that the IoU of the mask with the object is above 0.5.
-    point : Curve
-        Probability that the point lies on the object.
+    Attributes:
+        mask: Probability that the IoU of the mask with the object is above 0.5.
+        point: Probability that the point lies on the object.
     """
 
     mask: Curve
@@ -108,25 +105,17 @@ def signs(
 ) -> Signs:
     """Compute the features of an answer.
 
-    Parameters
-    ----------
-    gaps : float64 [M]
-        Gaps of the visible objects that some photograph shows; M at least 1.
-    selected : bool [M]
-        Objects of the answer; if none is, the best one is used.
-    measurements : int
-        Number of measurements that the text asks for.
-    parts : int
-        Number of connected parts of the selected objects; less than 1 counts as 1.
-    named : float
-        See :class:`Signs`.
+    Args:
+        gaps: float64 [M]. Gaps of the visible objects that some photograph shows; M at least 1.
+        selected: bool [M]. Objects of the answer; if none is, the best one is used.
+        measurements: Number of measurements that the text asks for.
+        parts: Number of connected parts of the selected objects; less than 1 counts as 1.
+        named: See :class:`Signs`.
 
-    Returns
-    -------
-    Signs
-        ``stands_out`` is the mean gap of the selected objects minus that of the others, in standard
-        deviations of the others; :data:`TYPICAL_STAND_OUT` with fewer than two others. For S
-        selected objects and R < S - 1 others it is multiplied by (R + 1) / S.
+    Returns:
+        Signs: ``stands_out`` is the mean gap of the selected objects minus that of the others, in
+            standard deviations of the others; :data:`TYPICAL_STAND_OUT` with fewer than two others.
+            For S selected objects and R < S - 1 others it is multiplied by (R + 1) / S.
     """
     best = float(gaps.max())
     if not selected.any():

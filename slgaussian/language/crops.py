@@ -31,20 +31,15 @@ def check_regions(encoder: str, image: np.ndarray, masks: np.ndarray) -> None:
 def region_crop(image: np.ndarray, mask: np.ndarray, side: int, context: bool) -> np.ndarray:
     """Crop one region.
 
-    Parameters
-    ----------
-    image : uint8 [H, W, 3]
-    mask : bool [H, W]
-        Not empty.
-    side : int
-        Side of the crop, pixels.
-    context : bool
-        If true, the rest of the bounding box is kept instead of being black.
+    Args:
+        image: uint8 [H, W, 3]
+        mask: bool [H, W]. Not empty.
+        side: Side of the crop, pixels.
+        context: If true, the rest of the bounding box is kept instead of being black.
 
-    Returns
-    -------
-    uint8 [side, side, 3]
-        Of an odd number of padding pixels, the smaller half is above or on the left.
+    Returns:
+        uint8 [side, side, 3]: Of an odd number of padding pixels, the smaller half is above or on
+            the left.
     """
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     window = np.s_[y : y + h, x : x + w]

@@ -32,11 +32,9 @@ _HALF_SEEN = 0.25  # share of a region's pixels with a colour at which its evide
 class Descriptors:
     """Measures regions. ``names`` are the descriptors, in the order of :meth:`measure`.
 
-    Parameters
-    ----------
-    colours : ColourNames
-    groups : mapping name -> (colour -> weight)
-        Groups of colours; each group is a descriptor, like each colour.
+    Args:
+        groups: mapping name -> (colour -> weight). Groups of colours; each group is a descriptor,
+            like each colour.
     """
 
     def __init__(self, colours: ColourNames, groups: Mapping[str, Mapping[str, float]]) -> None:

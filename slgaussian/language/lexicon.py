@@ -60,11 +60,9 @@ not affect the order of objects for one text."""
 class Lexicon:
     """Encoder with an explicit vocabulary of words and measurements; see the module.
 
-    Attributes
-    ----------
-    classifier : str
-        ``lite0`` to classify regions too (:mod:`slgaussian.language.classifier`); its weights are
-        needed for regions, not for texts. Otherwise ``none``.
+    Attributes:
+        classifier: ``lite0`` to classify regions too (:mod:`slgaussian.language.classifier`); its
+            weights are needed for regions, not for texts. Otherwise ``none``.
     """
 
     classifier: str = "none"
@@ -117,23 +115,17 @@ class Lexicon:
     ) -> np.ndarray:
         """Encode regions as unit vectors.
 
-        Parameters
-        ----------
-        image : uint8 [H, W, 3]
-            sRGB.
-        masks : bool [M, H, W]
-            The regions, each with at least one pixel; they may overlap.
-        around : Surroundings, optional
-            3D positions of the pixels. Without it, descriptors of the room count as undecided.
+        Args:
+            image: uint8 [H, W, 3]. sRGB.
+            masks: bool [M, H, W]. The regions, each with at least one pixel; they may overlap.
+            around: 3D positions of the pixels. Without it, descriptors of the room count as
+                undecided.
 
-        Returns
-        -------
-        float32 [M, C]
+        Returns:
+            float32 [M, C]
 
-        Raises
-        ------
-        InputError
-            If image, masks and surroundings do not match, or a mask is empty.
+        Raises:
+            InputError: If image, masks and surroundings do not match, or a mask is empty.
         """
         from slgaussian.language.crops import check_regions
 
@@ -174,10 +166,9 @@ class Lexicon:
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Encode texts as unit vectors float32 [Q, C].
 
-        Raises
-        ------
-        InputError
-            As :meth:`slgaussian.language.vocabulary.Vocabulary.read`, or if no word is known.
+        Raises:
+            InputError: As :meth:`slgaussian.language.vocabulary.Vocabulary.read`, or if no word is
+                known.
         """
         vectors = np.zeros((len(texts), self.width))
         for vector, text in zip(vectors, texts, strict=True):

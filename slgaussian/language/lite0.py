@@ -73,10 +73,8 @@ def load_network(weights: dict[str, np.ndarray]) -> cv2.dnn.Net:
     with its neighbours before the last layer, because the network was trained on means of 7 x 7
     cells, and a single cell carries too little evidence.
 
-    Parameters
-    ----------
-    weights : dict of str to array
-        From :func:`read_weights`.
+    Args:
+        weights: dict of str to array. From :func:`read_weights`.
     """
     nodes: list[bytes] = []
     tensors: list[bytes] = []

@@ -34,16 +34,11 @@ SHARE = 4096
 class Lookup(NamedTuple):
     """The codes and, for each cell, the candidates for the nearest code.
 
-    Attributes
-    ----------
-    codes : float64 [N, 3]
-        Padded with zeros to three dimensions.
-    cells : three of int
-        Number of cells along each axis.
-    starts : int32 [cells + 1]
-        Cell c has the candidates ``members[starts[c] : starts[c + 1]]``.
-    members : int32 [candidates]
-        Rows of ``codes``, ascending in each cell.
+    Attributes:
+        codes: float64 [N, 3]. Padded with zeros to three dimensions.
+        cells: three of int. Number of cells along each axis.
+        starts: int32 [cells + 1]. Cell c has the candidates ``members[starts[c] : starts[c + 1]]``.
+        members: int32 [candidates]. Rows of ``codes``, ascending in each cell.
     """
 
     codes: np.ndarray
@@ -55,10 +50,8 @@ class Lookup(NamedTuple):
 def make_lookup(codes: np.ndarray) -> Lookup:
     """Build the table for ``codes`` float [N, D] in [0, 1]^D, D from 1 to 3, N at least 1.
 
-    Raises
-    ------
-    InputError
-        If the shape is wrong, or a value is NaN or outside [0, 1].
+    Raises:
+        InputError: If the shape is wrong, or a value is NaN or outside [0, 1].
     """
     codes = np.asarray(codes)
     if codes.ndim != 2 or not 1 <= codes.shape[1] <= MOST_DIMENSIONS or len(codes) == 0:
@@ -93,23 +86,16 @@ def make_lookup(codes: np.ndarray) -> Lookup:
 def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
     """Find the code nearest to each value in L1 distance; ties go to the lowest index.
 
-    Parameters
-    ----------
-    values : float [..., D]
-        Rendered codes. They may lie outside the cube.
-    codes : float [N, D]
-        In [0, 1], D from 1 to 3.
+    Args:
+        values: float [..., D]. Rendered codes. They may lie outside the cube.
+        codes: float [N, D]. In [0, 1], D from 1 to 3.
 
-    Returns
-    -------
-    int32 [...]
-        Indices into ``codes``, equal to those of an exhaustive search in float64.
+    Returns:
+        int32 [...]: Indices into ``codes``, equal to those of an exhaustive search in float64.
 
-    Raises
-    ------
-    InputError
-        If there are no codes, shapes do not fit, a code is outside [0, 1], or a value is NaN or
-        infinite.
+    Raises:
+        InputError: If there are no codes, shapes do not fit, a code is outside [0, 1], or a value
+            is NaN or infinite.
     """
     values, codes = np.asarray(values), np.asarray(codes)
     lookup = make_lookup(codes)

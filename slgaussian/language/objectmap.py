@@ -14,24 +14,17 @@ from slgaussian.language.locate import central_point
 class ObjectMap:
     """The object of each pixel, as rows of a bank, and quantities that depend on no text.
 
-    Parameters
-    ----------
-    ids_map : int [H, W]
-        Object id of each pixel, 0 for none.
-    ids : int32 [N]
-        Ids of the bank, positive and ascending.
+    Args:
+        ids_map: int [H, W]. Object id of each pixel, 0 for none.
+        ids: int32 [N]. Ids of the bank, positive and ascending.
 
-    Attributes
-    ----------
-    rows : uint8, uint16 or int32 [H, W]
-        1 + the row of the pixel's object in ``ids``, 0 for none.
-    areas : int64 [N]
-        Number of pixels of each object.
+    Attributes:
+        rows: uint8, uint16 or int32 [H, W]. 1 + the row of the pixel's object in ``ids``, 0 for
+            none.
+        areas: int64 [N]. Number of pixels of each object.
 
-    Raises
-    ------
-    InputError
-        If the map is not an integer image, or holds an id that is not in ``ids``.
+    Raises:
+        InputError: If the map is not an integer image, or holds an id that is not in ``ids``.
     """
 
     def __init__(self, ids_map: np.ndarray, ids: np.ndarray) -> None:

@@ -74,17 +74,13 @@ TRANSPOSED = ("visual.proj", "text_projection")
 def load_open_clip(files: ModelFiles) -> Any:
     """Load a checkpoint as a float32 ``CLIPModel``.
 
-    Parameters
-    ----------
-    files : ModelFiles
-        Files with a checkpoint: ``.safetensors``, or a ``torch.save`` file that holds only tensors,
-        at top level or under ``state_dict``.
+    Args:
+        files: Files with a checkpoint: ``.safetensors``, or a ``torch.save`` file that holds only
+            tensors, at top level or under ``state_dict``.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, a tensor is missing, unexpected or has a wrong shape, or the
-        configuration has a feature that CLIPModel lacks.
+    Raises:
+        InputError: If the file cannot be read, a tensor is missing, unexpected or has a wrong
+            shape, or the configuration has a feature that CLIPModel lacks.
     """
     config: Mapping[str, Any] = {}
     for file in files.files:
@@ -97,19 +93,13 @@ def load_open_clip(files: ModelFiles) -> Any:
 def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], source: str) -> Any:
     """Convert the tensors of an open_clip model to a ``CLIPModel``.
 
-    Parameters
-    ----------
-    tensors : {open_clip's name: tensor}
-        302 for a ViT-B.
-    config : mapping
-        ``model_cfg`` of ``open_clip_config.json``, or empty.
-    source : str
-        Name of the model in messages.
+    Args:
+        tensors: {open_clip's name: tensor}. 302 for a ViT-B.
+        config: ``model_cfg`` of ``open_clip_config.json``, or empty.
+        source: Name of the model in messages.
 
-    Raises
-    ------
-    InputError
-        As :func:`load_open_clip`.
+    Raises:
+        InputError: As :func:`load_open_clip`.
     """
     from transformers import CLIPConfig, CLIPModel
 

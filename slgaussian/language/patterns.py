@@ -15,28 +15,18 @@ _HOLE = 0.25  # smallest radius of a ring's hole, relative to the RMS distance f
 class Pattern:
     """Features of one surface; all except ``roughness`` are independent of scale.
 
-    Attributes
-    ----------
-    roughness : float
-        Mean CIELAB gradient, units per pixel of the crop.
-    two_tone : float
-        Fraction of the colour variance explained by two clusters, in [0, 1].
-    contrast : float
-        CIELAB distance between the two clusters.
-    minor : float
-        Fraction of pixels in the smaller cluster, in [0, 0.5].
-    along : float
-        Second harmonic of the gradient directions, in [0, 1]: 1 if all edges are parallel. On a
-        ring, directions of ``along`` and ``crossed`` are relative to the radius.
-    crossed : float
-        Fourth harmonic, in [0, 1]: 1 if all edges are parallel or at right angles.
-    upright : float
-        In [-1, 1]: 1 if all edges are vertical, -1 if all are horizontal.
-    spots : float
-        Number of connected components of the smaller cluster.
-    spot_fill : float
-        Area of the components relative to ellipses with the same second moments, mean weighted by
-        area; near 1 for discs, lower for ragged and branching components.
+    Attributes:
+        roughness: Mean CIELAB gradient, units per pixel of the crop.
+        two_tone: Fraction of the colour variance explained by two clusters, in [0, 1].
+        contrast: CIELAB distance between the two clusters.
+        minor: Fraction of pixels in the smaller cluster, in [0, 0.5].
+        along: Second harmonic of the gradient directions, in [0, 1]: 1 if all edges are parallel.
+            On a ring, directions of ``along`` and ``crossed`` are relative to the radius.
+        crossed: Fourth harmonic, in [0, 1]: 1 if all edges are parallel or at right angles.
+        upright: In [-1, 1]: 1 if all edges are vertical, -1 if all are horizontal.
+        spots: Number of connected components of the smaller cluster.
+        spot_fill: Area of the components relative to ellipses with the same second moments, mean
+            weighted by area; near 1 for discs, lower for ragged and branching components.
     """
 
     roughness: float

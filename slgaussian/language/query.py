@@ -28,13 +28,9 @@ AS_GOOD = 0.9
 class QueryResult:
     """The answer to a text in one image. Its images are computed on first access.
 
-    Attributes
-    ----------
-    text : str
-    scores : float64 [N]
-        Relevancy of every object of the bank in [0, 1], visible or not.
-    understood : Understood
-        The encoder's reading of the text.
+    Attributes:
+        scores: float64 [N]. Relevancy of every object of the bank in [0, 1], visible or not.
+        understood: The encoder's reading of the text.
     """
 
     text: str
@@ -155,10 +151,8 @@ def ask(
 ) -> list[QueryResult]:
     """Answer each text with the objects that an image shows.
 
-    Raises
-    ------
-    InputError
-        If there is no text, or the encoder cannot use one.
+    Raises:
+        InputError: If there is no text, or the encoder cannot use one.
     """
     gaps = reader.gaps(texts, rules)
     chosen = reader.chosen(texts, gaps, seen.areas, rules)
@@ -211,16 +205,13 @@ def find(
 def segment(texts: Sequence[str], seen: ObjectMap, reader: BankReader, rules: Rules) -> np.ndarray:
     """Assign to every object the text with the highest relevancy, whatever the temperature.
 
-    Returns
-    -------
-    int32 [H, W]
-        k + 1 where ``texts[k]`` has the highest relevancy; ties go to the first text. 0 without an
-        object, or if no text has a relevancy above the threshold of ``rules``, by default 0.5.
+    Returns:
+        int32 [H, W]: k + 1 where ``texts[k]`` has the highest relevancy; ties go to the first text.
+            0 without an object, or if no text has a relevancy above the threshold of ``rules``, by
+            default 0.5.
 
-    Raises
-    ------
-    InputError
-        If there is no text, or the encoder cannot use one.
+    Raises:
+        InputError: If there is no text, or the encoder cannot use one.
     """
     gaps = reader.gaps(texts, rules)
     winner = np.where(gaps.max(0) > rules.least_gap, gaps.argmax(0) + 1, 0)

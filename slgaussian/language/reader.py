@@ -54,10 +54,8 @@ class TextReader:
     def vectors(self, texts: Sequence[str]) -> np.ndarray:
         """Encode texts as unit vectors float32 [Q, C].
 
-        Raises
-        ------
-        InputError
-            If there is no text, or the encoder cannot use one.
+        Raises:
+            InputError: If there is no text, or the encoder cannot use one.
         """
         if isinstance(texts, str) or not len(texts):
             problem = "one text" if isinstance(texts, str) else "no text"
@@ -111,10 +109,8 @@ class BankReader(TextReader):
     def gaps(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
         """Compute the relevancy gaps float64 [Q, N] of texts to the objects of the bank.
 
-        Raises
-        ------
-        InputError
-            If there is no text, or the encoder cannot use one.
+        Raises:
+            InputError: If there is no text, or the encoder cannot use one.
         """
         scorer = self._scorer(self.phrases(rules), rules.absent)
         if isinstance(texts, str) or not len(texts):
@@ -180,14 +176,10 @@ class BankReader(TextReader):
     ) -> np.ndarray:
         """Select the objects of each answer, bool [Q, N].
 
-        Parameters
-        ----------
-        texts : sequence of str
-        gaps : float64 [Q, N]
-            Gaps of the texts; -inf excludes an object.
-        areas : int64 [N]
-            Pixels of each object in the queried view.
-        rules : Rules
+        Args:
+            texts: sequence of str
+            gaps: float64 [Q, N]. Gaps of the texts; -inf excludes an object.
+            areas: int64 [N]. Pixels of each object in the queried view.
         """
         if rules.threshold is not None:
             above: np.ndarray = gaps > rules.least_gap

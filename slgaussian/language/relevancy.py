@@ -45,34 +45,25 @@ class Scorer:
 
     Checks, normalisation and the scores of the canonical phrases are computed once.
 
-    Parameters
-    ----------
-    features : float [M, V, C]
-        Unit vectors of M objects in V views; rows of absent views are ignored. With ``levels``, of
-        objects and groups.
-    present : bool [M, V]
-        True where the view shows the object.
-    canonical : float [K, C]
-        Unit vectors of the phrases that every query competes with, K at least 1.
-    absent : str
-        One of :data:`slgaussian.language.rules.ABSENT`.
-    levels : int [L, N], optional
-        For each of the N objects, which are the first rows, the row of its group at L levels, or
-        its own row. By default all rows are objects, without groups.
-    soft : float
-        Temperature of the soft maximum, positive; used only with groups.
+    Args:
+        features: float [M, V, C]. Unit vectors of M objects in V views; rows of absent views are
+            ignored. With ``levels``, of objects and groups.
+        present: bool [M, V]. True where the view shows the object.
+        canonical: float [K, C]. Unit vectors of the phrases that every query competes with, K at
+            least 1.
+        absent: One of :data:`slgaussian.language.rules.ABSENT`.
+        levels: int [L, N], optional. For each of the N objects, which are the first rows, the row
+            of its group at L levels, or its own row. By default all rows are objects, without
+            groups.
+        soft: Temperature of the soft maximum, positive; used only with groups.
 
-    Attributes
-    ----------
-    looks : float64 [P, C]
-        The present vectors, in order of rows and views, normalised to length 1 in float64, so that
-        features rounded to half precision give true cosines.
+    Attributes:
+        looks: float64 [P, C]. The present vectors, in order of rows and views, normalised to length
+            1 in float64, so that features rounded to half precision give true cosines.
 
-    Raises
-    ------
-    InputError
-        If shapes disagree, or a present vector is zero, contains NaN or has a length that differs
-        from 1 by more than :data:`UNIT_TOLERANCE`.
+    Raises:
+        InputError: If shapes disagree, or a present vector is zero, contains NaN or has a length
+            that differs from 1 by more than :data:`UNIT_TOLERANCE`.
     """
 
     def __init__(
@@ -152,25 +143,17 @@ def relevancy(
 ) -> np.ndarray:
     """Compute the relevancy of every object to every query.
 
-    Parameters
-    ----------
-    features, present, canonical, absent
-        See :class:`Scorer`.
-    queries : float [Q, C]
-        Unit vectors of the texts.
-    temperature : float
-        Multiplies the cosines; positive.
+    Args:
+        features, present, canonical, absent: See :class:`Scorer`.
+        queries: float [Q, C]. Unit vectors of the texts.
+        temperature: Multiplies the cosines; positive.
 
-    Returns
-    -------
-    float64 [Q, N]
-        In [0, 1]; 0.5 if the text fits the object exactly as well as the best canonical phrase,
-        exactly 0 if no view shows the object.
+    Returns:
+        float64 [Q, N]: In [0, 1]; 0.5 if the text fits the object exactly as well as the best
+            canonical phrase, exactly 0 if no view shows the object.
 
-    Raises
-    ------
-    InputError
-        As :class:`Scorer`, and if the temperature is not positive.
+    Raises:
+        InputError: As :class:`Scorer`, and if the temperature is not positive.
     """
     check_temperature(temperature)
     return sigmoid(temperature * Scorer(features, present, canonical, absent).gaps(queries))

@@ -43,12 +43,9 @@ SHARES = 16
 class Pairs(NamedTuple):
     """Pairs of objects that are near each other in some view.
 
-    Attributes
-    ----------
-    rows : int64 [E, 2]
-        Indices into the ascending ids, the smaller first.
-    weights : float64 [E]
-        Length of the common border, normalised to sum 1.
+    Attributes:
+        rows: int64 [E, 2]. Indices into the ascending ids, the smaller first.
+        weights: float64 [E]. Length of the common border, normalised to sum 1.
     """
 
     rows: np.ndarray

@@ -62,23 +62,16 @@ def _vectors() -> np.ndarray:
 class TaughtWords:
     """Immutable set of taught words; empty by default, as in a new field.
 
-    Attributes
-    ----------
-    encoder : str
-        :func:`encoder_identity` of the features' encoder; empty without words.
-    words : str [E]
-        Word of each example, normalised by :func:`normal`.
-    features : float32 [E, C]
-        Unit vectors of the encoder, rounded to half precision.
-    rival_words : str [R]
-        Word of each rival.
-    rivals : float32 [R, C]
-        Features of the other objects of the scene where the word was taught.
+    Attributes:
+        encoder: :func:`encoder_identity` of the features' encoder; empty without words.
+        words: str [E]. Word of each example, normalised by :func:`normal`.
+        features: float32 [E, C]. Unit vectors of the encoder, rounded to half precision.
+        rival_words: str [R]. Word of each rival.
+        rivals: float32 [R, C]. Features of the other objects of the scene where the word was
+            taught.
 
-    Raises
-    ------
-    InputError
-        If shapes do not match, or a feature is not a unit vector.
+    Raises:
+        InputError: If shapes do not match, or a feature is not a unit vector.
     """
 
     encoder: str = ""
@@ -134,20 +127,14 @@ class TaughtWords:
 
         A rival that equals an example of the word is removed.
 
-        Parameters
-        ----------
-        word : str
-        feature : float [C]
-            Unit vector of the object.
-        rivals : float [R, C]
-            Unit vectors of the other objects of the scene.
-        encoder : str
-            From :func:`encoder_identity`.
+        Args:
+            feature: float [C]. Unit vector of the object.
+            rivals: float [R, C]. Unit vectors of the other objects of the scene.
+            encoder: From :func:`encoder_identity`.
 
-        Raises
-        ------
-        InputError
-            If the word is empty or too long, or the existing words have another encoder.
+        Raises:
+            InputError: If the word is empty or too long, or the existing words have another
+                encoder.
         """
         word = normal(word)
         self.check_encoder(encoder)
@@ -234,10 +221,9 @@ class TaughtWords:
     def from_bytes(data: bytes, file: str, encoder: str) -> TaughtWords:
         """Decode :meth:`to_bytes`; ``file`` is the name for messages.
 
-        Raises
-        ------
-        SpecError
-            If the file is damaged, or its words are not of ``encoder`` (:func:`encoder_identity`).
+        Raises:
+            SpecError: If the file is damaged, or its words are not of ``encoder``
+                (:func:`encoder_identity`).
         """
         arrays = decode_arrays(data, load_spec(SPEC), file, repair=REPAIR)
         try:

@@ -48,19 +48,13 @@ class Word:
 class Reading:
     """The parse of a text.
 
-    Attributes
-    ----------
-    words : tuple of Word
-        Words that count, in reading order.
-    unknown : tuple of str
-        Spellings that are not in the vocabulary.
-    unused : {spelling: reason}
-        Other ignored spellings.
-    noun : str
-        Spelling of the word that names the object; empty if there is none, or if it may be an
-        unknown word.
-    classes : tuple of int
-        ImageNet classes of the noun; see :mod:`slgaussian.language.nouns`.
+    Attributes:
+        words: tuple of Word. Words that count, in reading order.
+        unknown: tuple of str. Spellings that are not in the vocabulary.
+        unused: {spelling: reason}. Other ignored spellings.
+        noun: Spelling of the word that names the object; empty if there is none, or if it may be an
+            unknown word.
+        classes: tuple of int. ImageNet classes of the noun; see :mod:`slgaussian.language.nouns`.
     """
 
     words: tuple[Word, ...]
@@ -74,22 +68,17 @@ class Reading:
 class Vocabulary:
     """Everything in ``vocabulary.toml`` and ``nouns.toml``.
 
-    Attributes
-    ----------
-    canonical : tuple of str
-        Phrases that every query competes with.
-    colours : mapping name -> (swatches "#rrggbb", smallest factor of linear RGB)
-    groups : mapping name -> (colour -> weight)
-        Groups of colours.
-    words : mapping str -> Word
-        Words by spelling, synonyms included; neutral words have no weights.
-    phrases : mapping tuple of str -> Word
-        Sequences of spellings that form one word; they may contain stop words.
-    naming : tuple of str
-        Nouns for naming objects without a query.
-    unseen : mapping str -> str
-        Known words for invisible properties, with the reason.
-    stop, relations, negations : frozenset of str
+    Attributes:
+        canonical: tuple of str. Phrases that every query competes with.
+        colours: mapping name -> (swatches "#rrggbb", smallest factor of linear RGB)
+        groups: mapping name -> (colour -> weight). Groups of colours.
+        words: mapping str -> Word. Words by spelling, synonyms included; neutral words have no
+            weights.
+        phrases: mapping tuple of str -> Word. Sequences of spellings that form one word; they may
+            contain stop words.
+        naming: tuple of str. Nouns for naming objects without a query.
+        unseen: mapping str -> str. Known words for invisible properties, with the reason.
+        stop, relations, negations: frozenset of str
     """
 
     canonical: tuple[str, ...]
@@ -117,11 +106,9 @@ class Vocabulary:
         but one: the last, as a plant pot is a pot, or the last before "of", as a picture of a plant
         is a picture. A few compounds are one word, such as "trash can", a synonym of "bin".
 
-        Raises
-        ------
-        InputError
-            If the text is empty, contains a negation, asks for two objects, or has neither a word
-            that counts nor an unknown one.
+        Raises:
+            InputError: If the text is empty, contains a negation, asks for two objects, or has
+                neither a word that counts nor an unknown one.
         """
         spelled = spellings(text)
         if not spelled:

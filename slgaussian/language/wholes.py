@@ -39,32 +39,21 @@ UNSEEN = -0.2
 class Ranking(NamedTuple):
     """Weights of the features of a candidate.
 
-    Attributes
-    ----------
-    fit, around : float
-        Mean gap of its objects, and of the adjacent objects weighted by length of border, relative
-        to the best gap; at least -2.
-    lead : float
-        Mean gap of its objects, not relative.
-    recall : float
-        Its fraction of all positive gaps, summed over pixels.
-    best : float
-        1 if it contains the best object.
-    near_best : float
-        1 if it is the set of all near-best objects.
-    evidence, evidence_recall : float
-        Mean class evidence of its objects, in nats, and ``recall`` for class evidence.
-    size : float
-        Logarithm of its fraction of the photographs.
-    outline : float
-        Mean strength of its border.
-    edge : float
-        Fraction of its outline along the image edges.
-    standing : float
-        Persistence: difference of merge costs between its creation and its next merge, mean over
-        the trees.
-    agreement : float
-        Ratio of its smallest to its largest area over the photographs.
+    Attributes:
+        fit, around: Mean gap of its objects, and of the adjacent objects weighted by length of
+            border, relative to the best gap; at least -2.
+        lead: Mean gap of its objects, not relative.
+        recall: Its fraction of all positive gaps, summed over pixels.
+        best: 1 if it contains the best object.
+        near_best: 1 if it is the set of all near-best objects.
+        evidence, evidence_recall: Mean class evidence of its objects, in nats, and ``recall`` for
+            class evidence.
+        size: Logarithm of its fraction of the photographs.
+        outline: Mean strength of its border.
+        edge: Fraction of its outline along the image edges.
+        standing: Persistence: difference of merge costs between its creation and its next merge,
+            mean over the trees.
+        agreement: Ratio of its smallest to its largest area over the photographs.
     """
 
     fit: float
@@ -85,13 +74,10 @@ class Ranking(NamedTuple):
 class Candidates(NamedTuple):
     """Candidate answers to Q texts: G sets of objects each.
 
-    Attributes
-    ----------
-    features : float64 [Q, G, 13]
-        In the order of :class:`Ranking`.
-    objects : bool [Q, G, N]
-    possible : bool [Q, G]
-        True if enough of the set is visible.
+    Attributes:
+        features: float64 [Q, G, 13]. In the order of :class:`Ranking`.
+        objects: bool [Q, G, N]
+        possible: bool [Q, G]. True if enough of the set is visible.
     """
 
     features: np.ndarray
@@ -113,25 +99,18 @@ class Candidates(NamedTuple):
 class Wholes:
     """N objects, W wholes of several objects, and the borders between objects.
 
-    Attributes
-    ----------
-    members : bool [W, N]
-        Objects of each whole, at least two.
-    standing : float32 [N + W]
-        Persistence of objects and, after them, wholes; see :class:`Ranking`.
-    shares : float32 [N, V]
-        Fraction of the pixels of each view that show the object.
-    at_edge : float32 [N]
-        Number of pixels of each object along the image edges, over all views.
-    borders : int32 [E, 2]
-        Rows of adjacent objects, the lower first.
-    border_sums : float32 [E, 2]
-        Length in pixels and summed strength of each border, over all views.
+    Attributes:
+        members: bool [W, N]. Objects of each whole, at least two.
+        standing: float32 [N + W]. Persistence of objects and, after them, wholes; see
+            :class:`Ranking`.
+        shares: float32 [N, V]. Fraction of the pixels of each view that show the object.
+        at_edge: float32 [N]. Number of pixels of each object along the image edges, over all views.
+        borders: int32 [E, 2]. Rows of adjacent objects, the lower first.
+        border_sums: float32 [E, 2]. Length in pixels and summed strength of each border, over all
+            views.
 
-    Raises
-    ------
-    InputError
-        If dtypes or shapes disagree.
+    Raises:
+        InputError: If dtypes or shapes disagree.
     """
 
     members: np.ndarray
@@ -180,17 +159,13 @@ class Wholes:
     ) -> Candidates:
         """Compute the candidate answers to Q texts.
 
-        Parameters
-        ----------
-        gaps : float64 [Q, N]
-            Gaps of the objects, without class evidence; -inf excludes an object.
-        evidence : float64 [Q, N, V]
-            Evidence for the classes of the texts, in nats; NaN where a view does not show an
-            object, 0 for a text without classes.
-        areas : int64 [N]
-            Pixels of each object in the queried view.
-        share : float
-            See :func:`near_best`.
+        Args:
+            gaps: float64 [Q, N]. Gaps of the objects, without class evidence; -inf excludes an
+                object.
+            evidence: float64 [Q, N, V]. Evidence for the classes of the texts, in nats; NaN where a
+                view does not show an object, 0 for a text without classes.
+            areas: int64 [N]. Pixels of each object in the queried view.
+            share: See :func:`near_best`.
         """
         known = gaps > -np.inf
         visible = known & (areas > 0)

@@ -29,11 +29,9 @@ TRACKERS = {
 class Proposals:
     """Candidate object masks of one image, possibly overlapping.
 
-    Attributes
-    ----------
-    masks : bool [M, H, W]
-    scores : float32 [M]
-        Higher is better; comparable within one image only.
+    Attributes:
+        masks: bool [M, H, W]
+        scores: float32 [M]. Higher is better; comparable within one image only.
     """
 
     masks: np.ndarray
@@ -48,13 +46,11 @@ class MaskProposer(Protocol):
     def propose(self, frame: SeenView, region: np.ndarray | None = None) -> Proposals:
         """Propose masks for a photograph.
 
-        Parameters
-        ----------
-        frame : SeenView
-            ``image`` uint8 [H, W, 3], and ``depth`` float32 [H, W], the *predicted* depth in scene
-            units, 0 where unknown, or None.
-        region : bool [H, W], optional
-            Pixels that no object covers yet, to which the search is limited.
+        Args:
+            frame: ``image`` uint8 [H, W, 3], and ``depth`` float32 [H, W], the *predicted* depth in
+                scene units, 0 where unknown, or None.
+            region: bool [H, W], optional. Pixels that no object covers yet, to which the search is
+                limited.
         """
 
 
@@ -63,14 +59,11 @@ class MaskTracker(Protocol):
 
     A tracker may require predicted depth.
 
-    Attributes
-    ----------
-    final : bool
-        If true, the tracker provides complete label maps: proposals, merging and voting are
-        skipped, and its ids do not change.
-    repeatable : bool
-        If true, the tracker returns the same labels for a view until another frame is remembered;
-        false by default.
+    Attributes:
+        final: If true, the tracker provides complete label maps: proposals, merging and voting are
+            skipped, and its ids do not change.
+        repeatable: If true, the tracker returns the same labels for a view until another frame is
+            remembered; false by default.
     """
 
     final: bool

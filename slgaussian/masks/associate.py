@@ -55,32 +55,22 @@ def associate(
     afterwards by a vote of all views, if there are three or more and all have a depth
     (:mod:`slgaussian.masks.consensus`).
 
-    Parameters
-    ----------
-    frames : sequence of V SeenView
-        In the order in which they are tracked; all of one size.
-    proposer : MaskProposer
-    tracker : MaskTracker
-        Fresh, without memory.
-    replicas : int
-        Copies of every view, at least 1; 1 is the detection alone.
-    votes : "views" or "copies"
-        ``views`` as described above; ``copies`` as in the paper: all copies are computed, and their
-        vote is final.
+    Args:
+        frames: sequence of V SeenView. In the order in which they are tracked; all of one size.
+        tracker: Fresh, without memory.
+        replicas: Copies of every view, at least 1; 1 is the detection alone.
+        votes: "views" or "copies". ``views`` as described above; ``copies`` as in the paper: all
+            copies are computed, and their vote is final.
 
-    Returns
-    -------
-    LabelMaps
-        Ids from 1 in order of appearance, in the first view by falling area. A photograph that is
-        added at the end changes ids only of objects that its votes join or split. With two views
-        ids have no gaps. Objects in one view only are kept (:attr:`LabelMaps.seen_once`). Pixels
-        without a proposal are 0. The ids of a tracker that is ``final`` are returned unchanged. The
-        result is deterministic.
+    Returns:
+        LabelMaps: Ids from 1 in order of appearance, in the first view by falling area. A
+            photograph that is added at the end changes ids only of objects that its votes join or
+            split. With two views ids have no gaps. Objects in one view only are kept
+            (:attr:`LabelMaps.seen_once`). Pixels without a proposal are 0. The ids of a tracker
+            that is ``final`` are returned unchanged. The result is deterministic.
 
-    Raises
-    ------
-    InputError
-        If there is no view, views differ in size, or ``replicas`` is below 1.
+    Raises:
+        InputError: If there is no view, views differ in size, or ``replicas`` is below 1.
     """
     if not frames:
         raise InputError("associate: found no views, expected at least one")
@@ -127,12 +117,10 @@ def match_detections(propagated: np.ndarray, detected: np.ndarray, next_id: int)
     one in the region. Pixels without detection keep their propagated label. New ids count up from
     ``next_id`` in the order of the detected labels.
 
-    Parameters
-    ----------
-    propagated, detected : int32 [H, W]
-        Propagated labels and detected regions, 0 where there is none.
-    next_id : int
-        First id that is not in use.
+    Args:
+        propagated, detected: int32 [H, W]. Propagated labels and detected regions, 0 where there is
+            none.
+        next_id: First id that is not in use.
     """
     out = propagated.copy()
     regions, objects = int(detected.max(initial=0)) + 1, int(propagated.max(initial=0)) + 1

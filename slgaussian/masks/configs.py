@@ -37,17 +37,12 @@ Program = Literal["sam", "sam2", "grouping"]
 class Automatic:
     """Settings of automatic mask generation. The defaults are those of SAM's own program.
 
-    Attributes
-    ----------
-    points : int
-        Prompted points along each side of the image.
-    predicted_iou, stability : float
-        Thresholds of a mask: of the IoU that the model predicts (exclusive), and of its stability,
-        the IoU of its logits thresholded at +1 and -1.
-    box_iou : float
-        IoU threshold of non-maximum suppression of boxes, by predicted IoU.
-    visible : float or None
-        Threshold of :func:`slgaussian.masks.nms.mostly_visible`, which None disables.
+    Attributes:
+        points: Prompted points along each side of the image.
+        predicted_iou, stability: Thresholds of a mask: of the IoU that the model predicts
+            (exclusive), and of its stability, the IoU of its logits thresholded at +1 and -1.
+        box_iou: IoU threshold of non-maximum suppression of boxes, by predicted IoU.
+        visible: Threshold of :func:`slgaussian.masks.nms.mostly_visible`, which None disables.
     """
 
     points: int = 32

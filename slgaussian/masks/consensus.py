@@ -42,12 +42,10 @@ TRACKED = 1.0
 class Atoms:
     """The P atoms of label maps.
 
-    Attributes
-    ----------
-    maps : int64 [V, H * W]
-        Atom of every pixel, 0 .. P-1; -1 where there is no label.
-    view, label, region : int64 [P]
-        View of an atom, its label there, and its detected region, numbered over all views.
+    Attributes:
+        maps: int64 [V, H * W]. Atom of every pixel, 0 .. P-1; -1 where there is no label.
+        view, label, region: int64 [P]. View of an atom, its label there, and its detected region,
+            numbered over all views.
     """
 
     maps: np.ndarray
@@ -92,21 +90,15 @@ def vote_on_objects(
 
     Labels of two views do not change, because no third view can decide a disagreement.
 
-    Parameters
-    ----------
-    frames : sequence of V SeenView
-        With depth.
-    labels : int32 [V, H, W]
-        Labels from the tracker; 0, unassigned, does not change.
-    detected : int32 [V, H, W]
-        Detected regions of each view, 0 where there is none.
+    Args:
+        frames: sequence of V SeenView. With depth.
+        labels: int32 [V, H, W]. Labels from the tracker; 0, unassigned, does not change.
+        detected: int32 [V, H, W]. Detected regions of each view, 0 where there is none.
 
-    Returns
-    -------
-    int32 [V, H, W]
-        A joined object has the lowest of its ids, the first to appear. Of several objects with one
-        id, the largest in the view where the id first appeared keeps it; the others take their
-        next id, or a new one above all. Joined ids leave gaps.
+    Returns:
+        int32 [V, H, W]: A joined object has the lowest of its ids, the first to appear. Of several
+            objects with one id, the largest in the view where the id first appeared keeps it; the
+            others take their next id, or a new one above all. Joined ids leave gaps.
     """
     if len(frames) < 3 or not labels.any():
         return labels
@@ -156,15 +148,11 @@ def _voters(points: Sequence[SurfacePoints]) -> list[list[int]]:
 def contract(votes: np.ndarray) -> np.ndarray:
     """Join the pair with most votes until no pair has more votes for than against.
 
-    Parameters
-    ----------
-    votes : float [P, P]
-        Symmetric; modified in place. The diagonal is ignored.
+    Args:
+        votes: float [P, P]. Symmetric; modified in place. The diagonal is ignored.
 
-    Returns
-    -------
-    int64 [P]
-        Cluster of each atom, named by its lowest member.
+    Returns:
+        int64 [P]: Cluster of each atom, named by its lowest member.
     """
     count = len(votes)
     cluster = np.arange(count)

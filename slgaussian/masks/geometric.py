@@ -31,10 +31,8 @@ with."""
 class LabelledFrame(SurfacePoints):
     """A view with its labels.
 
-    Attributes
-    ----------
-    labels : int32 [H, W]
-        0 = unassigned.
+    Attributes:
+        labels: int32 [H, W]. 0 = unassigned.
     """
 
     labels: np.ndarray
@@ -73,10 +71,9 @@ class GeometricTracker:
     def add(self, frame: SeenView, labels: np.ndarray) -> None:
         """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
 
-        Raises
-        ------
-        InputError
-            If labels or depth are missing, have the wrong type or size, or a label is negative.
+        Raises:
+            InputError: If labels or depth are missing, have the wrong type or size, or a label is
+                negative.
         """
         check_labels(frame.view, labels)
         labelled = _make_frame(frame, labels.copy())

@@ -39,13 +39,11 @@ MOST_OBJECTS = 1000
 class ObjectGroups(NamedTuple):
     """Groups of N objects.
 
-    Attributes
-    ----------
-    levels : int32 [L, N]
-        Group of each object at each level of :data:`CUTS`, numbered 0, 1, ... in each level, in
-        the order of the ids. A group is connected in some view.
-    wholes : Wholes or None
-        Nodes of several trees, without crumbs; None with more than :data:`MOST_OBJECTS` objects.
+    Attributes:
+        levels: int32 [L, N]. Group of each object at each level of :data:`CUTS`, numbered 0, 1, ...
+            in each level, in the order of the ids. A group is connected in some view.
+        wholes: Nodes of several trees, without crumbs; None with more than :data:`MOST_OBJECTS`
+            objects.
     """
 
     levels: np.ndarray
@@ -55,12 +53,9 @@ class ObjectGroups(NamedTuple):
 def group_objects(frames: Sequence[SeenView], label_maps: LabelMaps) -> ObjectGroups:
     """Find the groups of the objects of label maps.
 
-    Parameters
-    ----------
-    frames : sequence of V SeenView
-        The photographs of the label maps, in the same order.
-    label_maps : LabelMaps
-        labels [V, H, W] of N objects, N at least 1.
+    Args:
+        frames: sequence of V SeenView. The photographs of the label maps, in the same order.
+        label_maps: labels [V, H, W] of N objects, N at least 1.
     """
     ids, sums, at_edge = label_maps.ids, [], np.zeros(len(label_maps.ids), np.float32)
     for frame, labels in zip(frames, label_maps.labels, strict=True):

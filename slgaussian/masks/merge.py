@@ -27,16 +27,14 @@ PLANE_STEP = 0.05
 class Cues:
     """Weights of the merging cost; the mean strength of the border has weight 1.
 
-    Attributes
-    ----------
-    color, texture, plane, fill : float
-        Weights of the distance of mean colours, of the chi-squared distance of texture histograms,
-        of the misfit of a joint plane (0 where depth is unknown), and of the empty share of the
-        joint bounding box, which favours compact regions.
-    size_power : float
-        Power of the harmonic size of the two regions, a share of the image, that multiplies the
-        cost. A high power grows regions evenly; with a low one, small objects with strong borders
-        survive longest.
+    Attributes:
+        color, texture, plane, fill: Weights of the distance of mean colours, of the chi-squared
+            distance of texture histograms, of the misfit of a joint plane (0 where depth is
+            unknown), and of the empty share of the joint bounding box, which favours compact
+            regions.
+        size_power: Power of the harmonic size of the two regions, a share of the image, that
+            multiplies the cost. A high power grows regions evenly; with a low one, small objects
+            with strong borders survive longest.
     """
 
     color: float = 0.3
@@ -50,15 +48,13 @@ class Cues:
 class MergeTree:
     """Merge order of N leaves.
 
-    Attributes
-    ----------
-    leaves : int32 [H, W] or [V, H, W]
-        Leaf of every pixel, 0 .. N-1; -1 where there is none.
-    parent : int32 [M]
-        Parent of every node, -1 for a root. Nodes 0 .. N-1 are leaves; parents follow children.
-    height : float64 [M]
-        Cost of the merge that created a node, 0 for leaves, at least that of its children: the
-        weighted sum of the cues, each 0 to about 1, times the size term of :class:`Cues`.
+    Attributes:
+        leaves: int32 [H, W] or [V, H, W]. Leaf of every pixel, 0 .. N-1; -1 where there is none.
+        parent: int32 [M]. Parent of every node, -1 for a root. Nodes 0 .. N-1 are leaves; parents
+            follow children.
+        height: float64 [M]. Cost of the merge that created a node, 0 for leaves, at least that of
+            its children: the weighted sum of the cues, each 0 to about 1, times the size term of
+            :class:`Cues`.
     """
 
     leaves: np.ndarray
@@ -112,25 +108,18 @@ class MergeTree:
 class LeafSums:
     """Sufficient statistics of N leaves in V views: sums, so that a union is an addition.
 
-    Attributes
-    ----------
-    leaves : int32 [H, W] or [V, H, W]
-        Leaf of every pixel, 0 .. N-1, or -1.
-    edges : int64 [E, 2]
-    length, strength : float64 [E]
-        Leaves that touch, the length of their border and its summed strength: :func:`adjacency`.
-    size : float64 [N]
-        Share of the image, the mean over views.
-    color : float64 [N, 3]
-        Mean CIELAB times size.
-    histogram : float64 [N, TEXTURE_CODES]
-        Texture histogram that sums to size.
-    sizes : float64 [N, V]
-        Share of each view, 0 where it does not show the leaf.
-    planes : float64 [N, V, 10]
-        :func:`plane_sums`.
-    boxes : float64 [N, V, 4]
-        Left, top, right and bottom, with an image of area 1; inside out where a leaf is not shown.
+    Attributes:
+        leaves: int32 [H, W] or [V, H, W]. Leaf of every pixel, 0 .. N-1, or -1.
+        edges: int64 [E, 2]
+        length, strength: float64 [E]. Leaves that touch, the length of their border and its summed
+            strength: :func:`adjacency`.
+        size: float64 [N]. Share of the image, the mean over views.
+        color: float64 [N, 3]. Mean CIELAB times size.
+        histogram: float64 [N, TEXTURE_CODES]. Texture histogram that sums to size.
+        sizes: float64 [N, V]. Share of each view, 0 where it does not show the leaf.
+        planes: float64 [N, V, 10]. :func:`plane_sums`.
+        boxes: float64 [N, V, 4]. Left, top, right and bottom, with an image of area 1; inside out
+            where a leaf is not shown.
     """
 
     leaves: np.ndarray
@@ -155,20 +144,13 @@ def leaf_sums(
 ) -> LeafSums:
     """Compute the statistics of every leaf.
 
-    Parameters
-    ----------
-    lab : float32 [H, W, 3]
-        CIELAB.
-    leaves : int32 [H, W]
-        Leaves 0 .. N-1, or -1.
-    boundary : float32 [H, W]
-        Border strength.
-    depth : float32 [H, W] or None
-        Predicted depth, 0 where unknown.
-    count : int, optional
-        Number N of leaves, if some are visible in other views only.
-    texture : uint8 [H, W], optional
-        Texture codes of ``lab``, computed by default.
+    Args:
+        lab: float32 [H, W, 3]. CIELAB.
+        leaves: int32 [H, W]. Leaves 0 .. N-1, or -1.
+        boundary: float32 [H, W]. Border strength.
+        depth: float32 [H, W] or None. Predicted depth, 0 where unknown.
+        count: Number N of leaves, if some are visible in other views only.
+        texture: uint8 [H, W], optional. Texture codes of ``lab``, computed by default.
     """
     n = int(leaves.max(initial=-1)) + 1 if count is None else count
     inside = leaves >= 0

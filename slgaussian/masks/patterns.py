@@ -33,19 +33,13 @@ def join_patterns(
 ) -> np.ndarray:
     """Merge the regions that are elements of one pattern.
 
-    Parameters
-    ----------
-    lab : float32 [H, W, 3]
-        CIELAB.
-    regions : int32 [H, W]
-        Regions 0 .. N-1, or -1.
-    depth : float32 [H, W] or None
-        Predicted depth, 0 where unknown.
+    Args:
+        lab: float32 [H, W, 3]. CIELAB.
+        regions: int32 [H, W]. Regions 0 .. N-1, or -1.
+        depth: float32 [H, W] or None. Predicted depth, 0 where unknown.
 
-    Returns
-    -------
-    int32 [H, W]
-        Regions 0 .. M-1, M at most N, and -1 in the same places as before.
+    Returns:
+        int32 [H, W]: Regions 0 .. M-1, M at most N, and -1 in the same places as before.
     """
     count = int(regions.max(initial=-1)) + 1
     if count < FEWEST:

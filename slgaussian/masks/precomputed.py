@@ -36,11 +36,9 @@ class Precomputed(PrecomputedConfig):
     cropped like the photograph; or the aspect ratio of the view. Each pixel takes the id at its
     centre. Ids do not change, and proposals, merging and voting are skipped.
 
-    Raises
-    ------
-    InputError
-        If there is no such folder. When a map is read: if it is missing or unreadable, has another
-        type or shape, or also belongs to another view.
+    Raises:
+        InputError: If there is no such folder. When a map is read: if it is missing or unreadable,
+            has another type or shape, or also belongs to another view.
     """
 
     final: ClassVar[bool] = True
@@ -104,10 +102,8 @@ def map_names(views: Sequence[str]) -> dict[str, str]:
 
     They are the file names of the views if these are unique, or else include their folders.
 
-    Raises
-    ------
-    InputError
-        If two views would have one map, or a map would lie outside the folder.
+    Raises:
+        InputError: If two views would have one map, or a map would lie outside the folder.
     """
     for names in (
         {view: Path(view).stem for view in views},
@@ -141,10 +137,8 @@ def encode_ids(ids: np.ndarray) -> tuple[str, bytes]:
 def read_ids(file: Path) -> np.ndarray:
     """Read the ids int32 [H, W] of one map; see :class:`Precomputed`.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or has invalid ids.
+    Raises:
+        InputError: If the file cannot be read, or has invalid ids.
     """
     ids = _read_npy(file) if file.suffix == ".npy" else _read_png(file)
     if ids.ndim != 2 or ids.size == 0:

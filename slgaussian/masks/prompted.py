@@ -34,17 +34,13 @@ class AutomaticProposer(AutomaticConfig, ABC):
     square of ``points``. A prompted point takes 30 to 40 MiB; a batch of 4 takes half as long
     again as one of 16.
 
-    Attributes
-    ----------
-    device : str
-        "auto" is "cuda" if available, else "cpu". On a CPU everything is float32; on accelerators
-        the image encoder runs in bfloat16, prompts and masks in float32.
+    Attributes:
+        device: "auto" is "cuda" if available, else "cpu". On a CPU everything is float32; on
+            accelerators the image encoder runs in bfloat16, prompts and masks in float32.
 
-    Raises
-    ------
-    InputError
-        If a setting is out of range, or the model cannot be loaded
-        (:func:`slgaussian.components.pretrained.load_pretrained`).
+    Raises:
+        InputError: If a setting is out of range, or the model cannot be loaded
+            (:func:`slgaussian.components.pretrained.load_pretrained`).
     """
 
     FAMILY: ClassVar[Family]
@@ -72,10 +68,8 @@ class AutomaticProposer(AutomaticConfig, ABC):
         Only grid points in ``region`` are prompted; their masks may extend beyond it. Depth is not
         used. Scores are predicted IoU times stability.
 
-        Raises
-        ------
-        InputError
-            If ``region`` has the wrong type or size.
+        Raises:
+            InputError: If ``region`` has the wrong type or size.
         """
         image = frame.image
         if region is not None and (region.dtype != bool or region.shape != image.shape[:2]):

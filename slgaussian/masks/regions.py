@@ -34,10 +34,9 @@ class Regions:
 
         A score is the height at which the region merges, relative to the height of the tree.
 
-        Raises
-        ------
-        InputError
-            If ``region`` or the depth have the wrong type or size, or depth is not finite.
+        Raises:
+            InputError: If ``region`` or the depth have the wrong type or size, or depth is not
+                finite.
         """
         from slgaussian.masks.segmentation import grow_tree
 

@@ -39,15 +39,12 @@ class Sam2Video(Sam2VideoConfig):
     number: 100 MiB for each remembered view and 60 MiB for each object of a batch. The same view
     gives the same labels until another frame is remembered.
 
-    Attributes
-    ----------
-    device : str
-        PyTorch device; "auto" is "cuda" if available, else "cpu".
+    Attributes:
+        device: PyTorch device; "auto" is "cuda" if available, else "cpu".
 
-    Raises
-    ------
-    InputError
-        If ``batch`` is below 1, or as :func:`slgaussian.components.pretrained.load_pretrained`.
+    Raises:
+        InputError: If ``batch`` is below 1, or as
+            :func:`slgaussian.components.pretrained.load_pretrained`.
     """
 
     FAMILY: ClassVar[Family] = Family(
@@ -68,10 +65,8 @@ class Sam2Video(Sam2VideoConfig):
     def add(self, frame: SeenView, labels: np.ndarray) -> None:
         """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
 
-        Raises
-        ------
-        InputError
-            If the labels are not int32 of the view's size, or negative.
+        Raises:
+            InputError: If the labels are not int32 of the view's size, or negative.
         """
         check_labels(frame.view, labels)
         self._frames.append(_Frame(labels.copy(), self._features(frame.image)))

@@ -42,14 +42,11 @@ def encoder_precision(device: torch.device) -> torch.autocast:
 class SamImage:
     """An encoded image; see :class:`slgaussian.masks.automatic.PromptedImage`.
 
-    Attributes
-    ----------
-    network : SamModel
-    embedding : float32 [1, C, h, w]
-    size : (int, int)
-        Height and width of the image.
-    used : (int, int)
-        Height and width of the image in the network's input.
+    Attributes:
+        network: SamModel
+        embedding: float32 [1, C, h, w]
+        size: (int, int). Height and width of the image.
+        used: (int, int). Height and width of the image in the network's input.
     """
 
     network: Any

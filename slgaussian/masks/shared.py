@@ -27,10 +27,8 @@ LOOK = 25.0
 class SurfacePoints:
     """Surface points of a photograph on a lattice of its pixels.
 
-    Attributes
-    ----------
-    frame : SeenView
-        With depth.
+    Attributes:
+        frame: With depth.
     """
 
     frame: SeenView
@@ -77,12 +75,9 @@ def match_points(
     They must pass the depth test of :func:`reproject`, which rejects occluded surfaces, and have a
     similar colour, which rejects surfaces of another place.
 
-    Returns
-    -------
-    which : int64 [M]
-        Indices of the matched elements of ``pixels``.
-    place : int64 [M]
-        Their pixels as indices in the flat image of ``b``.
+    Returns:
+        which: int64 [M]. Indices of the matched elements of ``pixels``.
+        place: int64 [M]. Their pixels as indices in the flat image of ``b``.
     """
     which, place = reproject(a, b, pixels)
     gap = a.lab.reshape(-1, 3)[pixels[which]] - b.lab.reshape(-1, 3)[place]

@@ -15,23 +15,18 @@ def vote(stack: np.ndarray, times: Sequence[int] | None = None) -> tuple[np.ndar
     Label 0 (no object) counts like any other, as in the paper's formula. Ties go to the first label
     in replica order: that of the detection, then of its earliest propagation.
 
-    Parameters
-    ----------
-    stack : int32 [R, H, W]
-        One label map per replica, R at least 1.
-    times : sequence of int, optional
-        Weight of each map, if it stands for several equal replicas; R is then the sum of weights.
+    Args:
+        stack: int32 [R, H, W]. One label map per replica, R at least 1.
+        times: sequence of int, optional. Weight of each map, if it stands for several equal
+            replicas; R is then the sum of weights.
 
-    Returns
-    -------
-    labels : int32 [H, W]
-    margin : float32 [H, W]
-        (votes for the winner - votes for the runner-up) / R, in [0, 1]; 1 if unanimous.
+    Returns:
+        labels: int32 [H, W]
+        margin: float32 [H, W]. (votes for the winner - votes for the runner-up) / R, in [0, 1]; 1
+            if unanimous.
 
-    Raises
-    ------
-    InputError
-        If ``stack`` has the wrong type or shape, or no replica.
+    Raises:
+        InputError: If ``stack`` has the wrong type or shape, or no replica.
     """
     if stack.dtype != np.int32 or stack.ndim != 3 or stack.shape[0] == 0:
         raise InputError(

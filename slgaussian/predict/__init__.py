@@ -49,9 +49,7 @@ class CountingPredictor(GaussianPredictor, Protocol):
 def load_predictor(name: str = "planesweep", **settings: Any) -> GaussianPredictor:
     """Load the predictor ``name``; ``settings`` are the fields of its class.
 
-    Raises
-    ------
-    InputError
-        If the name is unknown.
+    Raises:
+        InputError: If the name is unknown.
     """
     return load_component("predictor", name, settings)

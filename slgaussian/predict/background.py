@@ -48,20 +48,16 @@ def continue_surfaces(
 ) -> Gaussians:
     """Extrapolate the surfaces of every view into regions that no other view shows.
 
-    Parameters
-    ----------
-    cameras : V Camera of one size
-    colors : V of float32 [H, W, 3]
-        RGB in [0, 1].
-    inverse_depths : V of float32 [H, W]
-    steps : V of float
-        Distance between candidates.
+    Args:
+        cameras: V Camera of one size
+        colors: V of float32 [H, W, 3]. RGB in [0, 1].
+        inverse_depths: V of float32 [H, W]
+        steps: V of float. Distance between candidates.
 
-    Returns
-    -------
-    Gaussians
-        Some per cent of V * H * W. ``source`` is the pixel that each extrapolates: the Gaussian has
-        the depth of that pixel, its colour or that of its block, and should have its label.
+    Returns:
+        Gaussians: Some per cent of V * H * W. ``source`` is the pixel that each extrapolates: the
+            Gaussian has the depth of that pixel, its colour or that of its block, and should have
+            its label.
     """
     parts = []
     for i, camera in enumerate(cameras):

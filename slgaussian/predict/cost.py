@@ -44,23 +44,17 @@ def matching_costs(
 ) -> np.ndarray:
     """Compute the cost volumes of a reference view against S source views.
 
-    Parameters
-    ----------
-    ref : uint8 [H, W]
-        Grey image.
-    sources : sequence of S (uint8 [H, W], Relative)
-        Grey image, and pose from the reference to the source, pixel centres at +0.5.
-    inverse_depths : float64 [D]
-        Candidates.
-    census_weight : float
-        Weight of the census term, 0 to 1; ZNCC has the rest.
+    Args:
+        ref: uint8 [H, W]. Grey image.
+        sources: sequence of S (uint8 [H, W], Relative). Grey image, and pose from the reference to
+            the source, pixel centres at +0.5.
+        inverse_depths: float64 [D]. Candidates.
+        census_weight: Weight of the census term, 0 to 1; ZNCC has the rest.
 
-    Returns
-    -------
-    uint8 [S, H, W, D]
-        0 is a perfect match and 100 an unrelated one, in both terms: ``(1 - ZNCC) * 100`` and the
-        share of differing census bits times 200. :data:`OUTSIDE` where a candidate lands outside
-        the source or behind it.
+    Returns:
+        uint8 [S, H, W, D]: 0 is a perfect match and 100 an unrelated one, in both terms: ``(1 -
+            ZNCC) * 100`` and the share of differing census bits times 200. :data:`OUTSIDE` where a
+            candidate lands outside the source or behind it.
     """
     # Kernels have pixel centres at integers: shift once here instead of for every pixel.
     centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])

@@ -53,20 +53,14 @@ def cross_check(
 
     Depths agree within :data:`RELATIVE_TOLERANCE` or :data:`STEP_TOLERANCE` candidates.
 
-    Parameters
-    ----------
-    inverse_depth, source_depth : float32 [H, W]
-        Inverse depth of the reference and of the source. Infinity marks unknown depth of the
-        source and results in :data:`BEHIND`.
-    relative : Relative
-        From the reference to the source.
-    step : float
-        Distance between depth candidates.
+    Args:
+        inverse_depth, source_depth: float32 [H, W]. Inverse depth of the reference and of the
+            source. Infinity marks unknown depth of the source and results in :data:`BEHIND`.
+        relative: From the reference to the source.
+        step: Distance between depth candidates.
 
-    Returns
-    -------
-    uint8 [H, W]
-        One of :data:`UNSEEN`, :data:`AGREES`, :data:`IN_FRONT`, :data:`BEHIND`.
+    Returns:
+        uint8 [H, W]: One of :data:`UNSEEN`, :data:`AGREES`, :data:`IN_FRONT`, :data:`BEHIND`.
     """
     A, e = relative.infinity, relative.epipole
     out = np.empty(inverse_depth.shape, np.uint8)
@@ -123,13 +117,10 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
     are removed before the next is sought. The search ends at :data:`MAX_PLANES` planes, or when a
     plane has less than :data:`MIN_SUPPORT` of the answered pixels.
 
-    Parameters
-    ----------
-    inverse_depth : float32 [H, W]
-    keep : bool [H, W]
-        The answered pixels.
-    tolerance : float
-        Largest residual of a pixel on the plane.
+    Args:
+        inverse_depth: float32 [H, W]
+        keep: bool [H, W]. The answered pixels.
+        tolerance: Largest residual of a pixel on the plane.
     """
     fewest = max(50, int(MIN_SUPPORT * keep.sum()))
     left = keep.copy()
@@ -200,12 +191,10 @@ def _moments(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, .
 def _planes_of_moments(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solve centred normal equations for planes ``w = p @ (u, v, 1)`` from sums [9, P].
 
-    Returns
-    -------
-    planes : float64 [P, 3]
-    roundness : float64 [P]
-        Determinant over squared trace of the scatter of the points: 0 where they are collinear or
-        none, 0.25 in a disc. Planes of roundness 0 mean nothing.
+    Returns:
+        planes: float64 [P, 3]
+        roundness: float64 [P]. Determinant over squared trace of the scatter of the points: 0 where
+            they are collinear or none, 0.25 in a disc. Planes of roundness 0 mean nothing.
     """
     count, u, v, w, uu, uv, vv, uw, vw = sums
     mean_u, mean_v, mean_w = (axis / np.maximum(count, 1) for axis in (u, v, w))
@@ -252,19 +241,14 @@ def fill_depth(
     cheap at edges of the guide image. Without any plane the median of the answered pixels is
     assigned, or the middle of the candidates.
 
-    Parameters
-    ----------
-    inverse_depth : float32 [H, W]
-    keep : bool [H, W]
-        The answered pixels; they keep their value.
-    guide : uint8 [H, W]
-        Grey image.
-    planes : float64 [P, 3]
-        From :func:`fit_planes`.
-    steps : float64 [D]
-        Candidates; planes are clipped to their range.
-    witnesses : sequence of (Relative, float32 [H, W])
-        Relative pose and inverse depth of other views, infinite where unknown.
+    Args:
+        inverse_depth: float32 [H, W]
+        keep: bool [H, W]. The answered pixels; they keep their value.
+        guide: uint8 [H, W]. Grey image.
+        planes: float64 [P, 3]. From :func:`fit_planes`.
+        steps: float64 [D]. Candidates; planes are clipped to their range.
+        witnesses: sequence of (Relative, float32 [H, W]). Relative pose and inverse depth of other
+            views, infinite where unknown.
     """
     if not len(planes):
         level = np.median(inverse_depth[keep]) if keep.any() else steps[[0, -1]].mean()
@@ -319,12 +303,10 @@ def weighted_median(
     replaced by the weighted mean of the values within one and a half candidates of it: on a slope
     these lie symmetrically, so the slope is preserved.
 
-    Parameters
-    ----------
-    inverse_depth : float32 [H, W]
-    image : uint8 [H, W, 3]
-    low, step : float
-        Smallest candidate and distance between candidates.
+    Args:
+        inverse_depth: float32 [H, W]
+        image: uint8 [H, W, 3]
+        low, step: Smallest candidate and distance between candidates.
     """
     distance = np.arange(3 * 255 + 1) / MEDIAN_COLOR
     weights = np.exp(-0.5 * distance**2).astype(np.float32)

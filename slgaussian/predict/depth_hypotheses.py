@@ -29,12 +29,9 @@ def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[fl
     depth that :data:`AGREEING` matches share if that is greater, because near objects are often
     small.
 
-    Parameters
-    ----------
-    inverse_depths : float64 [M]
-        One per match, 1 / scene units; M > 0.
-    baseline : float
-        Distance between the cameras, scene units.
+    Args:
+        inverse_depths: float64 [M]. One per match, 1 / scene units; M > 0.
+        baseline: Distance between the cameras, scene units.
     """
     low, high = np.percentile(inverse_depths, (2, 98))
     low = max(0.5 * low, 1 / (MAX_DEPTH * baseline))

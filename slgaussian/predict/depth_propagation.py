@@ -36,16 +36,12 @@ points do not land on every pixel."""
 class SweptView:
     """A view after the plane sweep: candidates, raw depth, and a mask of confirmed pixels.
 
-    Attributes
-    ----------
-    steps : float64 [D]
-        Candidate inverse depths, ascending.
-    inverse_depth : float32 [H, W]
-        1 / z in scene units, between the first and last candidate.
-    answered : bool [H, W]
-        Pixels with matched depth that another view confirms.
-    fixed : bool [H, W] or None
-        Pixels with depth from files, which is not changed even if no view confirms it.
+    Attributes:
+        steps: float64 [D]. Candidate inverse depths, ascending.
+        inverse_depth: float32 [H, W]. 1 / z in scene units, between the first and last candidate.
+        answered: bool [H, W]. Pixels with matched depth that another view confirms.
+        fixed: bool [H, W] or None. Pixels with depth from files, which is not changed even if no
+            view confirms it.
     """
 
     steps: np.ndarray
@@ -74,12 +70,10 @@ def propagate_depth(
 ) -> list[SweptView]:
     """Fill unanswered pixels of every view with depth that its source views answered.
 
-    Parameters
-    ----------
-    swept : V Swept
-    images : V of float32 [H, W, 3]
-        RGB in [0, 1], with compensated exposure.
-    links : V sequences of Link
+    Args:
+        swept: V Swept
+        images: V of float32 [H, W, 3]. RGB in [0, 1], with compensated exposure.
+        links: V sequences of Link
     """
     smooth = [cv2.blur(image, (SMOOTH, SMOOTH)) for image in images]
     result = []

@@ -31,17 +31,12 @@ def typical_depths(greys: Sequence[np.ndarray], cameras: Sequence[Camera]) -> np
     the given poses), as far ahead as there are matches, and the matches are triangulated. The
     depths of views between are interpolated in the logarithm.
 
-    Parameters
-    ----------
-    greys : sequence of N uint8 [h, w]
-        In temporal order.
-    cameras : sequence of N Camera
-        Of the images at their size.
+    Args:
+        greys: sequence of N uint8 [h, w]. In temporal order.
+        cameras: sequence of N Camera. Of the images at their size.
 
-    Returns
-    -------
-    float64 [N]
-        Scene units; NaN everywhere if no two views have enough matches with parallax.
+    Returns:
+        float64 [N]: Scene units; NaN everywhere if no two views have enough matches with parallax.
     """
     n = len(greys)
     stride = min(max(n // ANCHORS, 1), STRIDE)

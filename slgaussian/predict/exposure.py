@@ -44,12 +44,10 @@ def color_gains(
     from the dark into the light look like the photographs near them. The mean is robust
     (:data:`USUAL`): an outlier adapts to the others.
 
-    Parameters
-    ----------
-    images : V of uint8 [H, W, 3]
-    inverse_depths : V of float32 [H, W]
-    answered : V of bool [H, W]
-    graph : ViewGraph
+    Args:
+        images: V of uint8 [H, W, 3]
+        inverse_depths: V of float32 [H, W]
+        answered: V of bool [H, W]
     """
     rows, ratios = [], []
     for i, link in ((i, link) for i, sources in enumerate(graph.links) for link in sources):

@@ -44,17 +44,12 @@ def recede_guesses(
     what they show, matched or guessed, pushes a guess back to the first depth that is not in front
     of it. Views are changed one after the other, each against the others as they are by then.
 
-    Parameters
-    ----------
-    graph : ViewGraph
-    inverse_depths : V of float32 [H, W]
-        Completed.
-    swept : V SweptView
-        Their answered and fixed pixels are not changed.
+    Args:
+        inverse_depths: V of float32 [H, W]. Completed.
+        swept: V SweptView. Their answered and fixed pixels are not changed.
 
-    Returns
-    -------
-    V of float32 [H, W]
+    Returns:
+        V of float32 [H, W]
     """
     receded = list(inverse_depths)
     for i, view in enumerate(swept):
@@ -110,16 +105,12 @@ def select_drawn(
     in front of confirmed depth of an earlier view (guessed pixels: of drawn depth). So adding a
     photograph changes little of what is drawn already.
 
-    Parameters
-    ----------
-    graph : ViewGraph
-    inverse_depths : V of float32 [H, W]
-    confirmed : V of float32 [H, W]
-        The same where depth was matched or propagated, infinite elsewhere.
-    receded : V of bool [H, W]
-        Pixels that :func:`recede_guesses` changed.
-    steps : V of float
-        Distance between depth candidates, the unit of the agreement tolerance.
+    Args:
+        inverse_depths: V of float32 [H, W]
+        confirmed: V of float32 [H, W]. The same where depth was matched or propagated, infinite
+            elsewhere.
+        receded: V of bool [H, W]. Pixels that :func:`recede_guesses` changed.
+        steps: V of float. Distance between depth candidates, the unit of the agreement tolerance.
     """
     keep = [np.ones(values.shape, bool) for values in inverse_depths]
     if len(keep) == 2:
@@ -157,17 +148,14 @@ def blend(
     source has the same weight as the view itself; the weight of further sources falls with the
     square of their distance, because specular surfaces look different from elsewhere.
 
-    Parameters
-    ----------
-    images : V of float32 [H, W, 3]
-    inverse_depths : V of float32 [H, W]
-    steps : V of float
-        Distance between depth candidates, the unit of the agreement tolerance.
-    links : V sequences of Link
+    Args:
+        images: V of float32 [H, W, 3]
+        inverse_depths: V of float32 [H, W]
+        steps: V of float. Distance between depth candidates, the unit of the agreement tolerance.
+        links: V sequences of Link
 
-    Returns
-    -------
-    V of float32 [H, W, 3]
+    Returns:
+        V of float32 [H, W, 3]
     """
     mixed = []
     for i, sources in enumerate(links):

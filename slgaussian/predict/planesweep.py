@@ -76,12 +76,10 @@ class PlaneSweep(PlaneSweepConfig):
         two earlier views draw; then follow those of unseen regions. The result does not depend on
         ``seed``.
 
-        Raises
-        ------
-        InputError
-            If a camera has no depth range and there are too few matches to estimate one, if near is
-            not below far, if two views have no overlap within the range, or if matches show that
-            two views have no baseline or that their poses are exchanged.
+        Raises:
+            InputError: If a camera has no depth range and there are too few matches to estimate
+                one, if near is not below far, if two views have no overlap within the range, or if
+                matches show that two views have no baseline or that their poses are exchanged.
         """
         return self.counted(sample, seed, graph)[0]
 
@@ -178,12 +176,9 @@ def choose_steps(
     about a pixel, and with steps finer than a pixel of motion noise would decide which depths
     agree.
 
-    Returns
-    -------
-    list of Link
-        The links whose source sees a large enough part of the view.
-    float64 [D]
-        Candidate inverse depths, ascending.
+    Returns:
+        list of Link: The links whose source sees a large enough part of the view.
+        float64 [D]: Candidate inverse depths, ascending.
     """
     maximum = settings.depth_candidates
     tried = [(k, inverse_depth_candidates(k.relative, size, low, high, maximum)) for k in links]

@@ -29,12 +29,9 @@ def refine(prior: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
     fewer than :data:`MIN_REFINE` matches neither does the pose. The result serves to select
     inliers; :mod:`slgaussian.predict.pose_refinement` corrects inaccurate cameras.
 
-    Parameters
-    ----------
-    prior : Relative
-        The given pose.
-    ref, src : float64 [M, 2]
-        Matched pixels of the reference and the source.
+    Args:
+        prior: The given pose.
+        ref, src: float64 [M, 2]. Matched pixels of the reference and the source.
     """
     if len(ref) < MIN_REFINE:
         return prior

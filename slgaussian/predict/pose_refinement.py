@@ -31,13 +31,11 @@ def refine_cameras(
 ) -> list[Camera]:
     """Adjust poses so that matches agree; intrinsics stay fixed and the given poses are a prior.
 
-    Parameters
-    ----------
-    cameras : V Camera
-    keypoints : V of float64 [N, 2]
-        Pixels, pixel centres at +0.5.
-    matches : mapping (i, j) -> (int [M], int [M])
-        Indices of corresponding keypoints of the views i and j, with few outliers.
+    Args:
+        cameras: V Camera
+        keypoints: V of float64 [N, 2]. Pixels, pixel centres at +0.5.
+        matches: mapping (i, j) -> (int [M], int [M]). Indices of corresponding keypoints of the
+            views i and j, with few outliers.
     """
     if not matches:
         return list(cameras)
@@ -93,12 +91,9 @@ def anchor_cameras(
     Given poses drift slowly, and novel views are requested in the drifting frame. So a correction
     that a whole neighbourhood shares is undone, and only differences between neighbours remain.
 
-    Parameters
-    ----------
-    cameras, refined : V Camera
-        The given cameras, and those of :func:`refine_cameras`.
-    closeness : float64 [V, V]
-        Weights of the mean around each view; rows sum to 1.
+    Args:
+        cameras, refined: V Camera. The given cameras, and those of :func:`refine_cameras`.
+        closeness: float64 [V, V]. Weights of the mean around each view; rows sum to 1.
     """
     R = np.array([camera.c2w[:3, :3] for camera in cameras])
     turns = Rotation.from_matrix(

@@ -84,11 +84,9 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
     Pixels without depth are completed like pixels that a sweep could not match. Pixels of a level
     of confidence that other views mostly contradict are marked as guessed.
 
-    Raises
-    ------
-    InputError
-        If the file or folder does not exist. When called: if a map is missing or cannot be read,
-        or no reading of the maps fits the photographs.
+    Raises:
+        InputError: If the file or folder does not exist. When called: if a map is missing or cannot
+            be read, or no reading of the maps fits the photographs.
     """
 
     def __init__(self, **values: Any) -> None:
@@ -169,10 +167,9 @@ def agreeing(views: Sequence[View], graph: MatchGraph) -> Matches:
 def placements(width: int, height: int, photo: tuple[int, int]) -> dict[str, np.ndarray]:
     """Return the ways in which a map of a size may cover a photograph of ``photo`` (width, height).
 
-    Returns
-    -------
-    dict str -> float64 [3, 3]
-        Transforms from pixels of the photograph to those of the map, by operation.
+    Returns:
+        dict str -> float64 [3, 3]: Transforms from pixels of the photograph to those of the map, by
+            operation.
     """
     x, y = width / photo[0], height / photo[1]
     ways = {"stretched": np.diag([x, y, 1.0])}
@@ -203,18 +200,12 @@ def to_view(values: np.ndarray, at: np.ndarray, camera: Camera) -> np.ndarray:
 class Fitted:
     """Reprojection error of the matches under one reading of the depth.
 
-    Attributes
-    ----------
-    error : float
-        Mean reprojection error as a share of the bound, each clipped at 1.
-    share : float
-        Share of the matches within the bound.
-    count : int
-        Number of matches with depth, in both directions.
-    scales : float64 [V]
-        Factors of the depth of each view.
-    scaling : str
-        Description of the scaling for people; empty without one.
+    Attributes:
+        error: Mean reprojection error as a share of the bound, each clipped at 1.
+        share: Share of the matches within the bound.
+        count: Number of matches with depth, in both directions.
+        scales: float64 [V]. Factors of the depth of each view.
+        scaling: Description of the scaling for people; empty without one.
     """
 
     error: float
@@ -294,10 +285,9 @@ def choose_reading(
 ) -> tuple[Reading, Fitted]:
     """Choose the first reading that no other one fits much better.
 
-    Raises
-    ------
-    InputError
-        If that one does not fit the photographs, or not much better than a constant depth.
+    Raises:
+        InputError: If that one does not fit the photographs, or not much better than a constant
+            depth.
     """
     tried = [(reading, fit(*reading[1:], matches)) for reading in readings]
     least = min(fitted.error for _, fitted in tried)

@@ -28,17 +28,13 @@ def aggregate(
     ``max(p2_floor, p2 / (1 + |dI| / contrast))``, where dI is the gradient of the guide image.
     With ``p1 >= p2`` this is the Potts model: every change costs the same.
 
-    Parameters
-    ----------
-    cost : uint8 [H, W, D]
-    guide : uint8 [H, W]
-        Grey image.
+    Args:
+        cost: uint8 [H, W, D]
+        guide: uint8 [H, W]. Grey image.
 
-    Returns
-    -------
-    uint16 [2, H, W, D]
-        Sums over the four paths from the left and above, and over their four opposites. The sum of
-        both is to be minimised.
+    Returns:
+        uint16 [2, H, W, D]: Sums over the four paths from the left and above, and over their four
+            opposites. The sum of both is to be minimised.
     """
     halves = np.empty((2, *cost.shape), np.uint16)
     # Cost of a change by the absolute difference of the guide, 0 to 255.
@@ -111,21 +107,15 @@ def _follow(previous, minimum, jump, p1, here, this, sums):
 def select_winners(halves):
     """Select the candidate of minimum cost, with a sub-pixel offset and a margin.
 
-    Parameters
-    ----------
-    halves : uint16 [2, H, W, D]
-        From :func:`aggregate`.
+    Args:
+        halves: uint16 [2, H, W, D]. From :func:`aggregate`.
 
-    Returns
-    -------
-    best : int16 [H, W]
-        Index of the winner; ties go to the lowest candidate.
-    offset : float32 [H, W]
-        From the winner to the minimum of the parabola through it and its two neighbours, -0.5 to
-        0.5; 0 for the first and the last candidate.
-    margin : float32 [H, W]
-        ``1 - minimum / second``, 0 to 1, where second is the minimum cost more than one candidate
-        away; 0 where all costs are equal.
+    Returns:
+        best: int16 [H, W]. Index of the winner; ties go to the lowest candidate.
+        offset: float32 [H, W]. From the winner to the minimum of the parabola through it and its
+            two neighbours, -0.5 to 0.5; 0 for the first and the last candidate.
+        margin: float32 [H, W]. ``1 - minimum / second``, 0 to 1, where second is the minimum cost
+            more than one candidate away; 0 where all costs are equal.
     """
     H, W, D = halves.shape[1:]
     best = np.empty((H, W), np.int16)

@@ -36,19 +36,14 @@ def unproject(
 ) -> Gaussians:
     """Convert depth maps to one Gaussian for each pixel, in the order of ``source``.
 
-    Parameters
-    ----------
-    cameras : V Camera of one size
-    colors : V of float32 [H, W, 3]
-        RGB in [0, 1].
-    inverse_depths : V of float32 [H, W]
-        1 / z, positive and finite.
-    opacities : V of float32 [H, W]
+    Args:
+        cameras: V Camera of one size
+        colors: V of float32 [H, W, 3]. RGB in [0, 1].
+        inverse_depths: V of float32 [H, W]. 1 / z, positive and finite.
+        opacities: V of float32 [H, W]
 
-    Returns
-    -------
-    Gaussians
-        V * H * W of them in world space, spherical harmonics of degree 0.
+    Returns:
+        Gaussians: V * H * W of them in world space, spherical harmonics of degree 0.
     """
     parts = [_discs_of(*view) for view in zip(cameras, inverse_depths, strict=True)]
     means, scales, quats = (np.concatenate(p) for p in zip(*parts, strict=True))

@@ -47,14 +47,10 @@ for narrower and wider angles (Yao et al. 2018, "MVSNet", section 4.1)."""
 class Link:
     """A reference view's relation to one of its source views, before the plane sweep.
 
-    Attributes
-    ----------
-    source : int
-        Index of the source view.
-    relative : Relative
-        Pose of the source relative to the reference, from the refined cameras.
-    sparse : float64 [M]
-        Inverse depths of sparse matches in the reference.
+    Attributes:
+        source: Index of the source view.
+        relative: Pose of the source relative to the reference, from the refined cameras.
+        sparse: float64 [M]. Inverse depths of sparse matches in the reference.
     """
 
     source: int
@@ -66,12 +62,10 @@ class Link:
 class ViewGraph:
     """Views linked with the views that overlap them.
 
-    Attributes
-    ----------
-    cameras : V Camera
-        The given cameras; refined ones where the matches contradict the given poses.
-    links : V sequences of Link
-        The sources of each view, best first.
+    Attributes:
+        cameras: V Camera. The given cameras; refined ones where the matches contradict the given
+            poses.
+        links: V sequences of Link. The sources of each view, best first.
     """
 
     cameras: Sequence[Camera]
@@ -100,11 +94,9 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     matches is linked with the nearest views by its pose alone if its depth range is given
     (``ranged``) or other views provide one; with more than two views this emits a warning.
 
-    Raises
-    ------
-    InputError
-        If a view has no link. Separate components of two or more views are allowed: their poses
-        join them.
+    Raises:
+        InputError: If a view has no link. Separate components of two or more views are allowed:
+            their poses join them.
     """
     matches, rejected = _verified_matches(views, graph)
     points = graph.keypoints
@@ -135,13 +127,9 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
 def select_usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
     """Drop context views that are duplicates or that match no other view.
 
-    Returns
-    -------
-    sample : Sample
-    graph : MatchGraph
-        Of the remaining context views.
-    left_out : {view name: reason}
-        From :func:`drop_duplicates` and :func:`drop_unmatched`.
+    Returns:
+        graph: MatchGraph. Of the remaining context views.
+        left_out: {view name: reason}. From :func:`drop_duplicates` and :func:`drop_unmatched`.
     """
     once, doubles = drop_duplicates(sample)
     rest, graph, strangers = drop_unmatched(once, MatchGraph.of(once.context))
@@ -174,12 +162,9 @@ def drop_unmatched(sample: Sample, graph: MatchGraph) -> tuple[Sample, MatchGrap
 
     All views remain if there are only two, or if more than half would be dropped.
 
-    Returns
-    -------
-    sample : Sample
-    graph : MatchGraph
-        Of the remaining context views.
-    left_out : {view name: reason}
+    Returns:
+        graph: Of the remaining context views.
+        left_out: {view name: reason}
     """
     views = sample.context
     matched = (

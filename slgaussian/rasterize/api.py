@@ -42,21 +42,18 @@ same fraction)."""
 class Render:
     """A rendered view.
 
-    Attributes
-    ----------
-    values : float [H, W, C]
-        Composited values, premultiplied: divide by ``alpha`` for their weighted mean.
-    alpha : float [H, W]
-        Accumulated opacity in [0, 1].
-    depth : float [H, W]
-        Expected z-depth, the weighted mean, scene units; 0 where ``alpha`` is 0.
-    median : float [H, W] or None
-        Median z-depth: of the Gaussian at which ``alpha`` reaches one half; 0 where it does not.
-        Without gradient.
-    label : int32 [H, W] or None
-        Label with the greatest blending weight, 0 without labelled Gaussians. Without gradient.
-    label_weights : float [H, W, 3] or None
-        Blending weights of that label, of the second label, and of all labels, each in [0, 1].
+    Attributes:
+        values: float [H, W, C]. Composited values, premultiplied: divide by ``alpha`` for their
+            weighted mean.
+        alpha: float [H, W]. Accumulated opacity in [0, 1].
+        depth: float [H, W]. Expected z-depth, the weighted mean, scene units; 0 where ``alpha`` is
+            0.
+        median: float [H, W] or None. Median z-depth: of the Gaussian at which ``alpha`` reaches one
+            half; 0 where it does not. Without gradient.
+        label: int32 [H, W] or None. Label with the greatest blending weight, 0 without labelled
+            Gaussians. Without gradient.
+        label_weights: float [H, W, 3] or None. Blending weights of that label, of the second label,
+            and of all labels, each in [0, 1].
     """
 
     values: torch.Tensor
@@ -84,32 +81,24 @@ def rasterize(
     Differentiable in the means, scales, quaternions, opacities and values, and through the colours
     in the spherical harmonics; first derivatives only.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-        Quaternions of any nonzero length.
-    values : float [N, C] or None
-        Values to composite: colours, ID codes, or other linear quantities. None renders colour:
-        the spherical harmonics evaluated for the camera.
-    camera : Camera
-        Its principal point may lie anywhere; ``near`` and ``far`` are not used.
-    backend : "auto", "cpu", "cuda" or "reference"
-        ``cpu`` is parallel Numba in float32; ``cuda`` is gsplat; ``reference`` is plain float64
-        torch without cut-offs, slow, for comparison. ``auto`` takes ``cuda`` for tensors on a GPU,
-        else ``cpu``.
-    settings : Settings or "fast", "exact", "3dgs"
-        Image formation and cut-offs; see :mod:`slgaussian.rasterize.render_settings`.
-    median : bool
-        Compute the median depth as well.
-    labels : int32 [N], optional
-        Label of each Gaussian, below 2^24; 0 is none. Adds the label of every pixel: the one with
-        the greatest sum of weights, ties to the lowest.
+    Args:
+        gaussians: Quaternions of any nonzero length.
+        values: float [N, C] or None. Values to composite: colours, ID codes, or other linear
+            quantities. None renders colour: the spherical harmonics evaluated for the camera.
+        camera: Its principal point may lie anywhere; ``near`` and ``far`` are not used.
+        backend: "auto", "cpu", "cuda" or "reference". ``cpu`` is parallel Numba in float32;
+            ``cuda`` is gsplat; ``reference`` is plain float64 torch without cut-offs, slow, for
+            comparison. ``auto`` takes ``cuda`` for tensors on a GPU, else ``cpu``.
+        settings: Settings or "fast", "exact", "3dgs". Image formation and cut-offs; see
+            :mod:`slgaussian.rasterize.render_settings`.
+        median: Compute the median depth as well.
+        labels: int32 [N], optional. Label of each Gaussian, below 2^24; 0 is none. Adds the label
+            of every pixel: the one with the greatest sum of weights, ties to the lowest.
 
-    Raises
-    ------
-    InputError
-        If ``values`` or ``labels`` has the wrong shape, a label or a parameter is out of range,
-        NaN or infinite (named with its index), or the backend lacks a requested feature.
+    Raises:
+        InputError: If ``values`` or ``labels`` has the wrong shape, a label or a parameter is out
+            of range, NaN or infinite (named with its index), or the backend lacks a requested
+            feature.
     """
     settings = find_settings(settings)
     if values is None:

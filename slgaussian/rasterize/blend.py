@@ -50,26 +50,20 @@ def draw(
 ) -> tuple[np.ndarray, ...]:
     """Composite front to back.
 
-    Parameters
-    ----------
-    splats, boxes : as :func:`slgaussian.rasterize.project.project` returns them
-    values : float32 [N, C]
-    bins : Bins
-    alpha_max, pass_min : float32
-        See :class:`slgaussian.rasterize.render_settings.Settings`.
-    labels : int32 [N], from 0
-    most_label : int
-        The largest of them, or -1 to skip the search for labels.
+    Args:
+        splats, boxes: as :func:`slgaussian.rasterize.project.project` returns them
+        values: float32 [N, C]
+        alpha_max, pass_min: float32. See :class:`slgaussian.rasterize.render_settings.Settings`.
+        labels: int32 [N], from 0
+        most_label: The largest of them, or -1 to skip the search for labels.
 
-    Returns
-    -------
-    image : float32 [H, W, C]
-    alpha : float32 [H, W]
-    depth : float32 [H, W]
-        Mean z; 0 where alpha is 0.
-    median : float32 [H, W], or [0, 0] without ``with_median``
-    label : int32 [H, W], or [0, 0] without ``labels``
-    label_weights : float32 [H, W, 3], or [0, 0, 3]
+    Returns:
+        image: float32 [H, W, C]
+        alpha: float32 [H, W]
+        depth: float32 [H, W]. Mean z; 0 where alpha is 0.
+        median: float32 [H, W], or [0, 0] without ``with_median``
+        label: int32 [H, W], or [0, 0] without ``labels``
+        label_weights: float32 [H, W, 3], or [0, 0, 3]
     """
     with_labels = most_label >= 0
     image = np.empty((height, width, values.shape[1]), np.float32)
@@ -155,18 +149,14 @@ def draw_backward(
     splat and f its values, all times the upstream gradient. T is the transmittance after the splat
     plus its weight, which avoids dividing by 1 - alpha, so opaque splats need no special case.
 
-    Parameters
-    ----------
-    firsts : int64 [N + 1]
-        See :func:`slgaussian.rasterize.project.project_backward`.
-    limits : float32, float32
-        alpha_max and pass_min, as :func:`draw` takes them.
-    d_image, d_alpha, d_z : float32 [H, W, C], [H, W], [H, W]
-        Upstream gradients; the last of the composited, not the mean, z.
+    Args:
+        firsts: int64 [N + 1]. See :func:`slgaussian.rasterize.project.project_backward`.
+        limits: float32, float32. alpha_max and pass_min, as :func:`draw` takes them.
+        d_image, d_alpha, d_z: float32 [H, W, C], [H, W], [H, W]. Upstream gradients; the last of
+            the composited, not the mean, z.
 
-    Returns
-    -------
-    float32 [firsts[N], MOMENTS + C + 1]
+    Returns:
+        float32 [firsts[N], MOMENTS + C + 1]
     """
     grads = np.empty((firsts[-1], MOMENTS + values.shape[1] + 1), np.float32)
     share(

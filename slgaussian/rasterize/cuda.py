@@ -45,12 +45,10 @@ def render(
 
     ``near``, ``low_pass`` and any number of channels are supported; the module lists differences.
 
-    Raises
-    ------
-    InputError
-        If the tensors are not on one CUDA device, gsplat is not installed or has no compiled
-        kernels, or it does not support the request: the median depth, labels, pixels with skew, or
-        an ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
+    Raises:
+        InputError: If the tensors are not on one CUDA device, gsplat is not installed or has no
+            compiled kernels, or it does not support the request: the median depth, labels, pixels
+            with skew, or an ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
     """
     _check_possible(camera, settings, median, labels is not None)
     device = _one_device(gaussians, values)

@@ -31,17 +31,13 @@ BANDS = tuple(slice(degree**2, (degree + 1) ** 2) for degree in range(MAX_DEGREE
 def evaluate_sh(directions: torch.Tensor, degree: int) -> torch.Tensor:
     """Evaluate the real spherical harmonics up to ``degree``.
 
-    Parameters
-    ----------
-    directions : float [3, N]
-        Unit vectors, a row for each axis, as rows are contiguous. A zero vector means no direction
-        and has 0 above degree 0.
-    degree : int
-        0 to :data:`MAX_DEGREE`.
+    Args:
+        directions: float [3, N]. Unit vectors, a row for each axis, as rows are contiguous. A zero
+            vector means no direction and has 0 above degree 0.
+        degree: 0 to :data:`MAX_DEGREE`.
 
-    Returns
-    -------
-    float [(degree + 1)^2, N]
+    Returns:
+        float [(degree + 1)^2, N]
     """
     x, y, z = directions
     rows = [torch.full_like(x, SH_C0)]
@@ -91,24 +87,17 @@ def rotation_matrix(R: np.ndarray) -> np.ndarray:
 def colors(gaussians: Gaussians, camera: Camera) -> torch.Tensor:
     """Compute the RGB of every Gaussian from ``camera``, differentiable in ``sh`` and ``means``.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-        With 1, 4, 9 or 16 coefficients a colour.
-    camera : Camera
-        Only its centre matters.
+    Args:
+        gaussians: With 1, 4, 9 or 16 coefficients a colour.
+        camera: Only its centre matters.
 
-    Returns
-    -------
-    float [N, 3]
-        In the dtype of ``sh``; 0 or more, possibly above 1. A Gaussian right
-        at the camera's centre is seen from no direction: it has its degree-0 colour, and a zero
-        gradient in its mean.
+    Returns:
+        float [N, 3]: In the dtype of ``sh``; 0 or more, possibly above 1. A Gaussian right at the
+            camera's centre is seen from no direction: it has its degree-0 colour, and a zero
+            gradient in its mean.
 
-    Raises
-    ------
-    InputError
-        If there are other numbers of coefficients.
+    Raises:
+        InputError: If there are other numbers of coefficients.
     """
     count = gaussians.sh.shape[1]
     if count not in COUNTS:

@@ -76,14 +76,10 @@ VISIBLE = 0.5
 class Change:
     """Change of the context views by merging, in grey levels over all channels of all pixels.
 
-    Attributes
-    ----------
-    mean : float
-        Mean absolute change.
-    rms : float
-        Root of the mean square change, of the view where it is greatest.
-    greatest : float
-        Of any channel of any pixel.
+    Attributes:
+        mean: Mean absolute change.
+        rms: Root of the mean square change, of the view where it is greatest.
+        greatest: Of any channel of any pixel.
     """
 
     mean: float = 0.0
@@ -95,13 +91,9 @@ class Change:
 class Merged:
     """Result of :func:`merge`.
 
-    Attributes
-    ----------
-    gaussians : Gaussians
-        In the order of the input; ``source`` of a merged one is the first of its pixels.
-    into : int64 [N]
-        Index of the output for each input Gaussian.
-    change : Change
+    Attributes:
+        gaussians: In the order of the input; ``source`` of a merged one is the first of its pixels.
+        into: int64 [N]. Index of the output for each input Gaussian.
     """
 
     gaussians: Gaussians
@@ -115,18 +107,13 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
     No view changes by more than a grey level (:data:`MOST`, see :class:`Change`). Where one would,
     the merges in its blocks of greatest change are undone.
 
-    Parameters
-    ----------
-    gaussians : Gaussians
-        ``source`` has their pixels; only the first Gaussian of a pixel is merged. With semantic
-        features, only Gaussians of one object are merged.
-    cameras : sequence of V Camera
-        Context views in their order, all of one size.
+    Args:
+        gaussians: ``source`` has their pixels; only the first Gaussian of a pixel is merged. With
+            semantic features, only Gaussians of one object are merged.
+        cameras: sequence of V Camera. Context views in their order, all of one size.
 
-    Raises
-    ------
-    InputError
-        If there is no camera, they differ in size, or a source is outside of them.
+    Raises:
+        InputError: If there is no camera, they differ in size, or a source is outside of them.
     """
     grid = _Grid.of(gaussians, cameras)
     sizes = grid.sizes()
@@ -204,15 +191,12 @@ def _summary(changes: Sequence[np.ndarray]) -> Change:
 class _Level(NamedTuple):
     """Cells of s x s pixels on a grid; float32 unless stated.
 
-    Attributes
-    ----------
-    present : bool [V, h, w]
-        Mask of the cells with one Gaussian.
-    means : [V, h, w, 3]
-    low, high : [V, h, w, C]
-        Smallest and greatest attributes in the cell, in units of their allowed range.
-    widest : [V, h, w]
-        Greatest scale in the cell, times s.
+    Attributes:
+        present: bool [V, h, w]. Mask of the cells with one Gaussian.
+        means: [V, h, w, 3]
+        low, high: [V, h, w, C]. Smallest and greatest attributes in the cell, in units of their
+            allowed range.
+        widest: [V, h, w]. Greatest scale in the cell, times s.
     """
 
     present: np.ndarray
@@ -226,12 +210,9 @@ class _Level(NamedTuple):
 class _Grid:
     """Gaussians on the pixel grids of their source images.
 
-    Attributes
-    ----------
-    rows : int64 [V, H, W]
-        The first Gaussian of every pixel; -1 where there is none.
-    levels : list of _Level
-        Of cells of 1, 2, 4 ... pixels along a side.
+    Attributes:
+        rows: int64 [V, H, W]. The first Gaussian of every pixel; -1 where there is none.
+        levels: list of _Level. Of cells of 1, 2, 4 ... pixels along a side.
     """
 
     rows: np.ndarray

@@ -55,10 +55,8 @@ def picture(
 ) -> Picture:
     """Render Gaussians with ``values`` float32 [N, C], and ``labels`` int32 [N] from 0.
 
-    Raises
-    ------
-    InputError
-        If a number is invalid, naming the first Gaussian with one.
+    Raises:
+        InputError: If a number is invalid, naming the first Gaussian with one.
     """
     settings = find_settings(settings)
     arrays = gaussians.to_arrays()

@@ -113,20 +113,15 @@ def project(
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Project every Gaussian in float64, a SIMD vector at a time.
 
-    Parameters
-    ----------
-    geometry : float32 [N, 3], [N, 3], [N, 4], [N]
-        Means, scales, quaternions and opacities.
-    values : float32 [N, C]
-    eye : Eye
+    Args:
+        geometry: float32 [N, 3], [N, 3], [N, 4], [N]. Means, scales, quaternions and opacities.
+        values: float32 [N, C]
 
-    Returns
-    -------
-    splats : float64 [N, 8]
-    boxes : int32 [N, 4]
-        The pixels x0, x1, y0, y1 that a splat may touch, half-open; empty where it is not drawn.
-    sensible : bool
-        Whether all numbers make sense; where they do not, the splats do not either.
+    Returns:
+        splats: float64 [N, 8]
+        boxes: int32 [N, 4]. The pixels x0, x1, y0, y1 that a splat may touch, half-open; empty
+            where it is not drawn.
+        sensible: bool. Whether all numbers make sense; where they do not, the splats do not either.
     """
     n = len(values)
     splats, boxes = np.empty((n, 8)), np.empty((n, 4), np.int32)
@@ -273,19 +268,16 @@ def project_backward(
 ) -> tuple[np.ndarray, ...]:
     """Compute the gradients of the Gaussians from those of the splats.
 
-    Parameters
-    ----------
-    geometry, eye, splats
-        Arguments and result of :func:`project`.
-    firsts : int64 [N + 1]
-        Gaussian i has the rows ``firsts[i]`` to ``firsts[i + 1]`` of ``grads``.
-    grads : float32 [rows, MOMENTS + C + 1]
-        By tile: the moments, and the gradients of the C values and of z.
+    Args:
+        geometry, eye, splats: Arguments and result of :func:`project`.
+        firsts: int64 [N + 1]. Gaussian i has the rows ``firsts[i]`` to ``firsts[i + 1]`` of
+            ``grads``.
+        grads: float32 [rows, MOMENTS + C + 1]. By tile: the moments, and the gradients of the C
+            values and of z.
 
-    Returns
-    -------
-    float32 [N, 3], [N, 3], [N, 4], [N], [N, C]
-        Of means, scales, quats, opacities and values; zero for what is not drawn.
+    Returns:
+        float32 [N, 3], [N, 3], [N, 4], [N], [N, C]: Of means, scales, quats, opacities and values;
+            zero for what is not drawn.
     """
     n, channels = len(splats), grads.shape[1] - MOMENTS - 1
     gradients = *map(np.zeros_like, geometry), np.zeros((n, channels), np.float32)

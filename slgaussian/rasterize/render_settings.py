@@ -15,26 +15,17 @@ class Settings:
     The first three define the image; every backend and the float64 reference follow them. The
     others are cut-offs of the fast backends, which the reference ignores.
 
-    Attributes
-    ----------
-    near : float
-        Gaussians whose centre has z at or below this are not drawn; scene units, above 0.
-    low_pass : float
-        Added to the diagonal of every projected covariance, px^2, above 0, so that no Gaussian
-        falls between pixel centres (Kerbl et al. 2023 use 0.3).
-    alpha_max : float
-        Upper bound of alphas, in (0, 1]; 1 does not clamp.
-    alpha_min : float
-        Threshold of alpha below which a Gaussian is cut, in [0, 1); 0 cuts nothing.
-    sigmas : float
-        Radius in standard deviations beyond which a Gaussian is cut; infinity cuts nothing.
-    pass_min : float
-        Transmittance below which a pixel is finished, in [0, 1); 0 continues to the end.
+    Attributes:
+        near: Gaussians whose centre has z at or below this are not drawn; scene units, above 0.
+        low_pass: Added to the diagonal of every projected covariance, px^2, above 0, so that no
+            Gaussian falls between pixel centres (Kerbl et al. 2023 use 0.3).
+        alpha_max: Upper bound of alphas, in (0, 1]; 1 does not clamp.
+        alpha_min: Threshold of alpha below which a Gaussian is cut, in [0, 1); 0 cuts nothing.
+        sigmas: Radius in standard deviations beyond which a Gaussian is cut; infinity cuts nothing.
+        pass_min: Transmittance below which a pixel is finished, in [0, 1); 0 continues to the end.
 
-    Raises
-    ------
-    InputError
-        If a number is out of its range.
+    Raises:
+        InputError: If a number is out of its range.
     """
 
     near: float = 0.01

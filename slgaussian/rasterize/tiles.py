@@ -80,21 +80,16 @@ class Bins(NamedTuple):
 class Workspace(NamedTuple):
     """Workspace for the n splats of one tile.
 
-    Attributes
-    ----------
-    keys, more_keys : uint64 [n]
-        To sort, and to sort into: z in the upper half, the splat in the lower.
-    local : float32 [n, 8]
-        The splat in the tile's own pixels; see :data:`LOCAL_X` and so on.
-    reach : uint32 [n]
-        A bit for each block of the tile that the splat may touch.
-    carried : float32 [n (C + 1) + LANES]
-        The values and z of each splat.
-    lists : int32 [TILE_BLOCKS n]
-        Block b lists its splats, front to back, in ``lists[b n : b n + counts[b]]``.
-    counts : int64 [TILE_BLOCKS]
-    weights : float32 [n LANES]
-        For the use of who draws a block.
+    Attributes:
+        keys, more_keys: uint64 [n]. To sort, and to sort into: z in the upper half, the splat in
+            the lower.
+        local: float32 [n, 8]. The splat in the tile's own pixels; see :data:`LOCAL_X` and so on.
+        reach: uint32 [n]. A bit for each block of the tile that the splat may touch.
+        carried: float32 [n (C + 1) + LANES]. The values and z of each splat.
+        lists: int32 [TILE_BLOCKS n]. Block b lists its splats, front to back, in ``lists[b n : b n
+            + counts[b]]``.
+        counts: int64 [TILE_BLOCKS]
+        weights: float32 [n LANES]. For the use of who draws a block.
     """
 
     keys: np.ndarray

@@ -22,15 +22,10 @@ if TYPE_CHECKING:
 class Draw:
     """One lesson of a batch.
 
-    Attributes
-    ----------
-    lesson : Lesson
-    views : list of int
-        Indices of the target views.
-    epoch : int
-        Number of completed passes over all lessons.
-    rng : numpy Generator
-        Draws the codes.
+    Attributes:
+        views: list of int. Indices of the target views.
+        epoch: Number of completed passes over all lessons.
+        rng: numpy Generator. Draws the codes.
     """
 
     lesson: Lesson

@@ -38,17 +38,12 @@ def boundary_gaussians(
 ) -> np.ndarray:
     """Find the Gaussians along the boundary of an object, bool [N].
 
-    Parameters
-    ----------
-    means : float [N, 3]
-        Centres in the world.
-    removed : bool [N]
-        Gaussians of the object itself.
-    cameras : V Camera
-    depths : V of float32 [H, W]
-        z-depth of the views, the object included; 0 where empty.
-    masks : V of bool [H, W]
-        Pixels of the object.
+    Args:
+        means: float [N, 3]. Centres in the world.
+        removed: bool [N]. Gaussians of the object itself.
+        cameras: V Camera
+        depths: V of float32 [H, W]. z-depth of the views, the object included; 0 where empty.
+        masks: V of bool [H, W]. Pixels of the object.
     """
     flagged = np.zeros(len(means), bool)
     rest = np.flatnonzero(~removed)

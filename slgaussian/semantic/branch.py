@@ -33,12 +33,10 @@ DIMENSION = 3
 class Architecture:
     """Layers of a branch; weights of one architecture do not fit another.
 
-    Attributes
-    ----------
-    widths : tuple of int
-        Channels at full resolution, then after each residual block, at 1/2, 1/4 ... of it.
-    hidden : int
-        Width of the MLP's one hidden layer.
+    Attributes:
+        widths: tuple of int. Channels at full resolution, then after each residual block, at 1/2,
+            1/4 ... of it.
+        hidden: Width of the MLP's one hidden layer.
     """
 
     widths: tuple[int, ...] = (16, 32, 64, 64)
@@ -119,10 +117,8 @@ class BranchLifting:
 def load_branch_lifting(weights: str | Path | None = None) -> BranchLifting:
     """Load the lifting from a file or folder of weights.
 
-    Raises
-    ------
-    InputError
-        If ``weights`` is None, or the weights are missing or damaged.
+    Raises:
+        InputError: If ``weights`` is None, or the weights are missing or damaged.
     """
     if weights is None:
         raise InputError(
@@ -136,21 +132,15 @@ def load_branch_lifting(weights: str | Path | None = None) -> BranchLifting:
 def input_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> torch.Tensor:
     """Make the input images of a branch: codes, (0, 0, 0) where a pixel has no object.
 
-    Parameters
-    ----------
-    labels : int32 [V, H, W]
-        Object ids of the views.
-    ids, codes : int32 [N], float32 [N, 3]
-        The ID code of each object.
+    Args:
+        labels: int32 [V, H, W]. Object ids of the views.
+        ids, codes: int32 [N], float32 [N, 3]. The ID code of each object.
 
-    Returns
-    -------
-    float32 [V, H, W, 3]
+    Returns:
+        float32 [V, H, W, 3]
 
-    Raises
-    ------
-    InputError
-        If codes are not three-dimensional.
+    Raises:
+        InputError: If codes are not three-dimensional.
     """
     if codes.shape[1] != DIMENSION:
         raise InputError(
@@ -186,10 +176,8 @@ def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> byt
 def load_branch(path: str | Path) -> Branch:
     """Read a file of :func:`save_branch`; the branch is in evaluation mode.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, or is not a branch.
+    Raises:
+        InputError: If the file cannot be read, or is not a branch.
     """
     tensors, statement = read_tensors(path)
     try:
@@ -222,10 +210,8 @@ def load_branch(path: str | Path) -> Branch:
 def read_tensors(path: str | Path) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Read tensors and metadata of :func:`save_branch`; those of other programs have no metadata.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read or is damaged.
+    Raises:
+        InputError: If the file cannot be read or is damaged.
     """
     try:
         with safetensors.safe_open(path, "pt") as file:

@@ -32,10 +32,8 @@ def save_checkpoint(
     ``run`` are settings and inputs of the training, as plain data; only an equal run may resume.
     ``rows`` are the metrics, one row per step, with the columns of ``data_specs/metrics.toml``.
 
-    Raises
-    ------
-    InputError
-        If it cannot be written.
+    Raises:
+        InputError: If it cannot be written.
     """
     metrics = encode_table(table_of(rows), load_spec("metrics"))
     state = {
@@ -62,12 +60,9 @@ def load_checkpoint(
 
     Without a checkpoint there are none.
 
-    Raises
-    ------
-    InputError
-        If the file is damaged or of another run than ``run``.
-    SpecError
-        If its metrics are damaged.
+    Raises:
+        InputError: If the file is damaged or of another run than ``run``.
+        SpecError: If its metrics are damaged.
     """
     file, otherwise = folder / CHECKPOINT, "begin in an empty folder"
     if not file.is_file():

@@ -37,10 +37,8 @@ away: 5x5 pixels."""
 class Decoder:
     """Decodes feature images of one bank. Construction takes some milliseconds.
 
-    Parameters
-    ----------
-    bank : MemoryBank
-        With codes [N, D], D from 1 to 3.
+    Args:
+        bank: With codes [N, D], D from 1 to 3.
     """
 
     def __init__(self, bank: MemoryBank) -> None:
@@ -52,27 +50,22 @@ class Decoder:
     def __call__(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Decode the object of each pixel, with a confidence.
 
-        Parameters
-        ----------
-        features : float32 [H, W, D + 1]
-            Rendered features: code times weight, and the weight.
+        Args:
+            features: float32 [H, W, D + 1]. Rendered features: code times weight, and the weight.
 
-        Returns
-        -------
-        ids : int32 [H, W]
-            Ids of the bank, 0 where the weight is below :data:`VISIBLE`.
-        confidence : float32 [H, W]
-            In [0, 1]; approximates the blending weight of the object minus that of the next one.
-            At a settled pixel it is the weight times ``1 - 2 d / g``, with ``d`` the distance to
-            its code and ``g`` that from this code to the next; elsewhere the weight times
-            ``(e - d) / (e + d)``, with ``e`` the distance to the second nearest candidate. A
-            mixture with fraction s of a second object lies at s of the way between the codes, so
-            both are at most ``1 - 2 s``. 0 without an object, or without a second candidate.
+        Returns:
+            ids: int32 [H, W]. Ids of the bank, 0 where the weight is below :data:`VISIBLE`.
+            confidence: float32 [H, W]. In [0, 1]; approximates the blending weight of the object
+                minus that of the next one. At a settled pixel it is the weight times ``1 - 2 d /
+                g``, with ``d`` the distance to its code and ``g`` that from this code to the next;
+                elsewhere the weight times ``(e - d) / (e + d)``, with ``e`` the distance to the
+                second nearest candidate. A mixture with fraction s of a second object lies at s of
+                the way between the codes, so both are at most ``1 - 2 s``. 0 without an object, or
+                without a second candidate.
 
-        Raises
-        ------
-        InputError
-            If the shape is wrong, or a value is NaN or infinite where an object is visible.
+        Raises:
+            InputError: If the shape is wrong, or a value is NaN or infinite where an object is
+                visible.
         """
         if features.ndim != 3 or features.shape[2] != self._dimension + 1:
             raise InputError(
@@ -95,10 +88,8 @@ class NearestCode:
 
     Rendered codes are not divided by their weight, so partly transparent ones are biased to zero.
 
-    Parameters
-    ----------
-    bank : MemoryBank
-        With codes [N, D], D from 1 to 3.
+    Args:
+        bank: With codes [N, D], D from 1 to 3.
     """
 
     def __init__(self, bank: MemoryBank) -> None:

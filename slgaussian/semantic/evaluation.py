@@ -23,10 +23,9 @@ def label_iou(
 
     Unlabelled target pixels, and objects that no context view shows, are ignored.
 
-    Returns
-    -------
-    {name: float}
-        In [0, 1]: the mean over target views and the objects in each. NaN without objects.
+    Returns:
+        {name: float}: In [0, 1]: the mean over target views and the objects in each. NaN without
+            objects.
     """
     object_ids = np.unique(lesson.labels)
     object_ids = object_ids[object_ids > 0]
@@ -44,20 +43,13 @@ def novel_labels(
 ) -> dict[str, np.ndarray]:
     """Render and decode the object ids of the target views, as a field would.
 
-    Parameters
-    ----------
-    lesson : Lesson
-    liftings : {name: Lifting}
-        All get the same labels and codes.
-    codes : str
-        Name of the code strategy; codes have one to three dimensions.
-    seed : int
-        Seed of the codes.
+    Args:
+        liftings: {name: Lifting}. All get the same labels and codes.
+        codes: Name of the code strategy; codes have one to three dimensions.
+        seed: Seed of the codes.
 
-    Returns
-    -------
-    {name: int32 [T, H, W]}
-        Ids, 0 for none.
+    Returns:
+        {name: int32 [T, H, W]}: Ids, 0 for none.
     """
     maps = LabelMaps(lesson.labels, np.ones(lesson.labels.shape, np.float32))
     ids = maps.ids

@@ -50,17 +50,13 @@ def code_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> np.nd
     The paper's images have the three code channels only, and cannot distinguish a pixel without an
     object from one whose code is (0, 0, 0).
 
-    Parameters
-    ----------
-    labels : int32 [...]
-        Object ids; 0 and ids that are not in ``ids`` mean no object.
-    ids : int32 [N]
-        Positive and ascending.
-    codes : float32 [N, D]
+    Args:
+        labels: int32 [...]. Object ids; 0 and ids that are not in ``ids`` mean no object.
+        ids: int32 [N]. Positive and ascending.
+        codes: float32 [N, D]
 
-    Returns
-    -------
-    float32 [..., D + 1]
+    Returns:
+        float32 [..., D + 1]
     """
     # Indexed by row, not by id: ids of other programs may be in the millions.
     table = np.zeros((len(ids) + 1, codes.shape[1] + 1), np.float32)

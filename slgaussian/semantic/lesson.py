@@ -28,24 +28,17 @@ GEOMETRY = ("means", "scales", "quats", "opacities", "source")
 class Lesson:
     """One training sample, without ID codes, which are drawn anew in every epoch.
 
-    Attributes
-    ----------
-    sample : str
-        Unique name: the clip and its frames.
-    gaussians : Gaussians
-        Predicted from the context views; ``source`` is a flat index into ``labels``. Features and
-        colours are not used; colours are not stored.
-    labels : int32 [V, H, W]
-        Object ids of the context views, 0 unassigned.
-    cameras : tuple of T Camera
-        Cameras of the target views, H x W pixels.
-    targets : int32 [T, H, W]
-        Object ids of the target views, consistent with ``labels``; 0 unassigned.
+    Attributes:
+        sample: Unique name: the clip and its frames.
+        gaussians: Predicted from the context views; ``source`` is a flat index into ``labels``.
+            Features and colours are not used; colours are not stored.
+        labels: int32 [V, H, W]. Object ids of the context views, 0 unassigned.
+        cameras: tuple of T Camera. Cameras of the target views, H x W pixels.
+        targets: int32 [T, H, W]. Object ids of the target views, consistent with ``labels``; 0
+            unassigned.
 
-    Raises
-    ------
-    InputError
-        If an attribute is invalid; the message names the sample.
+    Raises:
+        InputError: If an attribute is invalid; the message names the sample.
     """
 
     sample: str

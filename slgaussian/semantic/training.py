@@ -105,25 +105,17 @@ def train(
 ) -> Trained:
     """Train a branch, or resume an interrupted training in ``folder``.
 
-    Parameters
-    ----------
-    lessons : sequence of Lesson
-        Indexed one at a time, so it may read them from disk. The caller must pass the same lessons
-        to a resumed training: only their number is checked.
-    settings : TrainingSettings
-    folder : Path
-        For ``checkpoint.pt``; created if missing.
-    start : Branch, optional
-        Initial weights; by default random ones from the seed.
-    progress : callable, optional
-        Called after every step.
+    Args:
+        lessons: sequence of Lesson. Indexed one at a time, so it may read them from disk. The
+            caller must pass the same lessons to a resumed training: only their number is checked.
+        folder: For ``checkpoint.pt``; created if missing.
+        start: Initial weights; by default random ones from the seed.
+        progress: Called after every step.
 
-    Raises
-    ------
-    InputError
-        If the device does not exist, there are no lessons, a loss is not finite (the message names
-        the sample), ``start`` has another architecture, or the folder holds another training or
-        cannot be written.
+    Raises:
+        InputError: If the device does not exist, there are no lessons, a loss is not finite (the
+            message names the sample), ``start`` has another architecture, or the folder holds
+            another training or cannot be written.
     """
     if len(lessons) == 0:
         raise InputError("training: found no lessons, expected at least one")
@@ -192,21 +184,14 @@ def loss_of(
 
     Rendered codes are compared with those of the targets, (0, 0, 0) where they have no object.
 
-    Parameters
-    ----------
-    branch : Branch
-    lesson : Lesson
-    views : sequence of int
-        Indices of the target views.
-    codes : str
-        Name of the code strategy.
-    rng : numpy Generator
-        Draws the codes.
+    Args:
+        views: sequence of int. Indices of the target views.
+        codes: Name of the code strategy.
+        rng: numpy Generator. Draws the codes.
 
-    Returns
-    -------
-    scalar tensor
-        Zero, without gradient, if there is no object; NaN if a feature is not finite.
+    Returns:
+        scalar tensor: Zero, without gradient, if there is no object; NaN if a feature is not
+            finite.
     """
     labels = np.concatenate([lesson.labels, lesson.targets])
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))

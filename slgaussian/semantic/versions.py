@@ -35,22 +35,14 @@ POINTER = "current.json"
 class Version:
     """Record of a version of the weights.
 
-    Attributes
-    ----------
-    number : int
-        From 1, in order of addition.
-    digest : str
-        SHA-256 of the weights file, hexadecimal.
-    parent : int
-        The version that training started from; 0 for none.
-    made : str
-        Time of addition, UTC, ISO 8601.
-    promoted : bool
-        Whether it was put to use when it was added.
-    why : str
-        Reason for that, one sentence.
-    facts : mapping
-        Settings, data and scores, as JSON data.
+    Attributes:
+        number: From 1, in order of addition.
+        digest: SHA-256 of the weights file, hexadecimal.
+        parent: The version that training started from; 0 for none.
+        made: Time of addition, UTC, ISO 8601.
+        promoted: Whether it was put to use when it was added.
+        why: Reason for that, one sentence.
+        facts: mapping. Settings, data and scores, as JSON data.
     """
 
     number: int
@@ -71,10 +63,8 @@ class Versions:
     def all(self) -> list[Version]:
         """Return all versions, the oldest first.
 
-        Raises
-        ------
-        SpecError
-            If a record is damaged.
+        Raises:
+            SpecError: If a record is damaged.
         """
         files = sorted((self.folder / "versions").glob("[0-9]*.parquet"))
         return [_read(file) for file in files if re.fullmatch(r"\d{6,}", file.stem)]
@@ -82,10 +72,8 @@ class Versions:
     def current(self) -> Version | None:
         """Return the version in use, None if there is none.
 
-        Raises
-        ------
-        SpecError
-            If ``current.json`` is damaged or names a missing version.
+        Raises:
+            SpecError: If ``current.json`` is damaged or names a missing version.
         """
         number = self._current_number()
         return self.version(number) if number else None
@@ -113,10 +101,8 @@ class Versions:
     def weights(self, version: Version) -> Path:
         """Return the weights file of a version.
 
-        Raises
-        ------
-        SpecError
-            If it is missing or altered.
+        Raises:
+            SpecError: If it is missing or altered.
         """
         file = self.folder / "weights" / f"{version.digest}.safetensors"
         if not file.is_file() or file_sha256(file) != version.digest:
@@ -135,27 +121,18 @@ class Versions:
     ) -> Version:
         """Add new weights, and put them to use if ``promote``.
 
-        Parameters
-        ----------
-        weights : bytes
-        facts : dict
-            Settings, data and scores, as JSON data.
-        promote : bool
-        why : str
-            Reason for ``promote`` being true or false, one sentence.
-        parent : Version, optional
-            The version that training started from.
-        rival : Version, optional
-            The version in use that they were compared with, by default ``parent``. If another
-            version has been put to use since, they are not promoted, whatever ``promote`` says,
-            because they were never compared with it.
-        clips : table of spec ``clips``, optional
-            Their training clips, without those of ``parent``.
+        Args:
+            facts: Settings, data and scores, as JSON data.
+            why: Reason for ``promote`` being true or false, one sentence.
+            parent: The version that training started from.
+            rival: The version in use that they were compared with, by default ``parent``. If
+                another version has been put to use since, they are not promoted, whatever
+                ``promote`` says, because they were never compared with it.
+            clips: table of spec ``clips``, optional. Their training clips, without those of
+                ``parent``.
 
-        Raises
-        ------
-        InputError
-            If the folder cannot be written; the version in use is then unchanged.
+        Raises:
+            InputError: If the folder cannot be written; the version in use is then unchanged.
         """
         digest = hashlib.sha256(weights).hexdigest()
         compared = rival or parent
@@ -195,10 +172,9 @@ class Versions:
     def use(self, version: Version | None) -> None:
         """Put a version to use, or none at all (None).
 
-        Raises
-        ------
-        InputError
-            If the folder cannot be written, or the version's weights are damaged (SpecError).
+        Raises:
+            InputError: If the folder cannot be written, or the version's weights are damaged
+                (SpecError).
         """
         with self._locked():
             self._use(version)
@@ -262,12 +238,9 @@ def version_name(number: int) -> str:
 def find_weights(place: str | Path) -> Path:
     """Find the weights file: ``place`` itself or, if it is a folder, its version in use.
 
-    Raises
-    ------
-    InputError
-        If no version is in use.
-    SpecError
-        If the version in use is damaged.
+    Raises:
+        InputError: If no version is in use.
+        SpecError: If the version in use is damaged.
     """
     if not Path(place).is_dir():
         return Path(place)

@@ -119,11 +119,9 @@ def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa
 
     Columns that only an older version of the spec had are left out.
 
-    Raises
-    ------
-    SpecError
-        If the bytes are damaged or truncated, have another spec or a later version of it, or break
-        ``spec``. The message names ``file`` and gives the advice ``repair``.
+    Raises:
+        SpecError: If the bytes are damaged or truncated, have another spec or a later version of
+            it, or break ``spec``. The message names ``file`` and gives the advice ``repair``.
     """
     with _whole(data, file, spec, repair):
         table = read_table(data)

@@ -47,15 +47,12 @@ AGAIN = "build the field again"
 class About:
     """Content of ``field.json``, which does not depend on the location of the field.
 
-    Attributes
-    ----------
-    settings : mapping
-        Names and settings of all components, files by digest; descriptions of the result under
-        ``quality``, ``verdict`` and ``account``.
-    cameras : mapping str -> Camera
-        The context cameras by view name.
-    digests : {spec: SHA-256}
-        Content digests of the other files, by :func:`slgaussian.storage.encoding.encode_artifact`.
+    Attributes:
+        settings: Names and settings of all components, files by digest; descriptions of the result
+            under ``quality``, ``verdict`` and ``account``.
+        cameras: mapping str -> Camera. The context cameras by view name.
+        digests: {spec: SHA-256}. Content digests of the other files, by
+            :func:`slgaussian.storage.encoding.encode_artifact`.
     """
 
     settings: Mapping[str, Any]
@@ -79,10 +76,9 @@ class About:
     def from_json(text: str | bytes, file: str) -> tuple[About, dict[str, str]]:
         """Parse the text of :meth:`to_json`; return the content and ``places``.
 
-        Raises
-        ------
-        SpecError
-            If the text is damaged or has another version of the format. The message names ``file``.
+        Raises:
+            SpecError: If the text is damaged or has another version of the format. The message
+                names ``file``.
         """
         try:
             content = strict_json.parse(text)
@@ -126,20 +122,14 @@ def write(
 ) -> None:
     """Write a folder completely or not at all, replacing a field at the same path.
 
-    Parameters
-    ----------
-    path : path
-    text : str
-        ``field.json``, by :meth:`About.to_json`.
-    fill : callable
-        Writes the file of a spec of :data:`FILES` to a path.
-    beside : mapping str -> bytes, optional
-        Further files of the folder by name, such as that of :mod:`slgaussian.storage.inputs`.
+    Args:
+        text: ``field.json``, by :meth:`About.to_json`.
+        fill: Writes the file of a spec of :data:`FILES` to a path.
+        beside: mapping str -> bytes, optional. Further files of the folder by name, such as that of
+            :mod:`slgaussian.storage.inputs`.
 
-    Raises
-    ------
-    InputError
-        If the folder cannot be written, or exists and is not a field.
+    Raises:
+        InputError: If the folder cannot be written, or exists and is not a field.
     """
     check_target(path)
     with atomic_folder(path) as draft:
@@ -153,10 +143,8 @@ def write(
 def read_about(path: Path) -> tuple[About, dict[str, str]]:
     """Read ``field.json`` of a folder, and the locations of the encoder's files.
 
-    Raises
-    ------
-    SpecError
-        If the file is missing, damaged, or has another version of the format.
+    Raises:
+        SpecError: If the file is missing, damaged, or has another version of the format.
     """
     file = path / ABOUT
     if not file.is_file():
@@ -192,10 +180,9 @@ def check_target(path: Path, marker: str = ABOUT, kind: str = "a field") -> None
     Other kinds of folder are recognised by a file named ``marker``, and called ``kind`` in
     messages. Call it before the work, so that no work is lost if the folder cannot be written.
 
-    Raises
-    ------
-    InputError
-        If a parent cannot be created or written, or ``path`` exists and is not such a folder.
+    Raises:
+        InputError: If a parent cannot be created or written, or ``path`` exists and is not such a
+            folder.
     """
     check_free(path, marker, kind)
     try:

@@ -27,15 +27,11 @@ _OURS = {"", FOLDER, "digests", *spec_names()}
 class Garbage:
     """Numbers of unreferenced files that are older than some age.
 
-    Attributes
-    ----------
-    artifacts, records, unfinished : int
-        Artifacts that no record refers to; unreadable records and those of other stage versions;
-        temporary files of killed programs.
-    bytes : int
-        Total size of these files.
-    kept, young : int
-        Referenced artifacts, and unreferenced ones that are too recent to be removed.
+    Attributes:
+        artifacts, records, unfinished: Artifacts that no record refers to; unreadable records and
+            those of other stage versions; temporary files of killed programs.
+        bytes: Total size of these files.
+        kept, young: Referenced artifacts, and unreferenced ones that are too recent to be removed.
     """
 
     artifacts: int = 0
@@ -56,19 +52,13 @@ def collect(
     before its record, and rewrites an artifact that exists. A run recomputes an artifact that was
     removed all the same.
 
-    Parameters
-    ----------
-    store : ArtifactStore
-    age : float
-        Seconds.
-    versions : dict
-        Current versions of the stages. Records of other versions of these stages, which this
-        installation never reads, and artifacts that only they refer to are garbage.
+    Args:
+        age: Seconds.
+        versions: dict. Current versions of the stages. Records of other versions of these stages,
+            which this installation never reads, and artifacts that only they refer to are garbage.
 
-    Raises
-    ------
-    InputError
-        If the store cannot be read or written.
+    Raises:
+        InputError: If the store cannot be read or written.
     """
     bound = store.clock() - age
     garbage = Garbage()
@@ -110,14 +100,10 @@ def collect(
 class Damage:
     """Result of the verification of a store.
 
-    Attributes
-    ----------
-    sound : int
-        Number of undamaged artifacts.
-    damaged : dict
-        Messages about damaged artifacts and records, by path.
-    missing : int
-        Number of missing artifacts that a record refers to; runs recompute them on demand.
+    Attributes:
+        sound: Number of undamaged artifacts.
+        damaged: Messages about damaged artifacts and records, by path.
+        missing: Number of missing artifacts that a record refers to; runs recompute them on demand.
     """
 
     sound: int = 0

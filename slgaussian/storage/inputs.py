@@ -37,10 +37,8 @@ def read_photographs(folder: Path) -> dict[str, tuple[Path, str]]:
 
     Empty if the file is missing or has an earlier version.
 
-    Raises
-    ------
-    SpecError
-        If the file is damaged, or has a later version.
+    Raises:
+        SpecError: If the file is damaged, or has a later version.
     """
     file = folder / FILE
     if not file.is_file():

@@ -36,11 +36,8 @@ class LocalCache:
     are left. Two processes thus stay below the bound, and each further process may exceed it by a
     sixteenth. Files that cannot be read or written are skipped.
 
-    Attributes
-    ----------
-    folder : path
-    bound : int
-        Bytes. Files larger than an eighth of it are not cached.
+    Attributes:
+        bound: Bytes. Files larger than an eighth of it are not cached.
     """
 
     folder: Path

@@ -19,22 +19,15 @@ class BusyError(InputError):
 def hold_lock(file: Path, action: str, wait: bool = False) -> Iterator[None]:
     """Hold a lock within the block; ``kill -9`` releases it too.
 
-    Parameters
-    ----------
-    file : Path
-        Lock file, created with its folder if missing. It is not removed; an unlocked file has no
-        effect.
-    action : str
-        Beginning of the error message, such as the command.
-    wait : bool
-        Wait until the lock is free.
+    Args:
+        file: Lock file, created with its folder if missing. It is not removed; an unlocked file has
+            no effect.
+        action: Beginning of the error message, such as the command.
+        wait: Wait until the lock is free.
 
-    Raises
-    ------
-    BusyError
-        If another process holds the lock and ``wait`` is false.
-    InputError
-        If the file cannot be written.
+    Raises:
+        BusyError: If another process holds the lock and ``wait`` is false.
+        InputError: If the file cannot be written.
     """
     lock = FileLock(file, timeout=-1 if wait else 0)
     try:

@@ -33,20 +33,14 @@ PACKAGES = (
 class Provenance:
     """The computation that writes files.
 
-    Attributes
-    ----------
-    stage : str
-        Name of the stage, command or function.
-    version : int or None
-        Version of the stage.
-    settings : mapping
-        Relevant settings as plain data, files and weights by digest.
-    of : mapping
-        Specs of the input artifacts by argument name.
-    passed_through : set of str
-        Digests of the inputs. An output with one of these digests has its origin elsewhere.
-    source, licence : str
-        Source and licence of the data, if known.
+    Attributes:
+        stage: Name of the stage, command or function.
+        version: Version of the stage.
+        settings: Relevant settings as plain data, files and weights by digest.
+        of: Specs of the input artifacts by argument name.
+        passed_through: set of str. Digests of the inputs. An output with one of these digests has
+            its origin elsewhere.
+        source, licence: Source and licence of the data, if known.
     """
 
     stage: str

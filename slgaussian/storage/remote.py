@@ -41,11 +41,9 @@ def check_url(url: str | os.PathLike[str], name: str) -> None:
     URLs appear in messages, manifests, process lists and shell histories. The message has the URL
     without its credentials.
 
-    Parameters
-    ----------
-    url : str or path
-    name : str
-        Beginning of the message, such as "store".
+    Args:
+        url: str or path
+        name: Beginning of the message, such as "store".
     """
     text = os.fspath(url)
     if redacted(text) != text:
@@ -65,11 +63,9 @@ def open_file_system(url: str | os.PathLike[str], name: str) -> tuple[AbstractFi
 
     Listings are not cached, as other machines may write to it.
 
-    Raises
-    ------
-    InputError
-        If the URL contains credentials, fsspec does not know its protocol, or the package for that
-        protocol is missing.
+    Raises:
+        InputError: If the URL contains credentials, fsspec does not know its protocol, or the
+            package for that protocol is missing.
     """
     import fsspec  # takes 0.1 s, and some commands only check URLs
 

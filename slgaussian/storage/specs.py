@@ -68,23 +68,15 @@ def arrow_type(name: str) -> pa.DataType:
 class Entry:
     """One array of an artifact, one column of a table or one value of a JSON file.
 
-    Attributes
-    ----------
-    type : str
-        For arrays a NumPy dtype, or ``str`` for text of any length; for columns a name of
-        :func:`arrow_type`; for JSON values ``text``, ``integer``, ``number``, ``bool``, ``object``,
-        ``list`` or ``any``.
-    doc : str
-    shape : tuple of int and str
-        Shape of an array: sizes, and letters of ``Spec.axes``.
-    nullable, optional : bool
-        Whether a value may be null, and whether it may be missing.
-    unit : str
-        One of :data:`UNITS`; empty for text, booleans and objects.
-    low, high : float or None
-        Inclusive bounds of the values, or of the items of lists. Floats must be finite.
-    values : tuple
-        All allowed values; empty if any value is allowed.
+    Attributes:
+        type: For arrays a NumPy dtype, or ``str`` for text of any length; for columns a name of
+            :func:`arrow_type`; for JSON values ``text``, ``integer``, ``number``, ``bool``,
+            ``object``, ``list`` or ``any``.
+        shape: tuple of int and str. Shape of an array: sizes, and letters of ``Spec.axes``.
+        nullable, optional: Whether a value may be null, and whether it may be missing.
+        unit: One of :data:`UNITS`; empty for text, booleans and objects.
+        low, high: Inclusive bounds of the values, or of the items of lists. Floats must be finite.
+        values: tuple. All allowed values; empty if any value is allowed.
     """
 
     type: str
@@ -116,19 +108,12 @@ class Entry:
 class Spec:
     """One kind of file: ``fields`` of an ``.npz``, ``columns`` of a table or ``keys`` of JSON.
 
-    Attributes
-    ----------
-    name, doc : str
-    version : int
-        Increased by hand when files of the previous version break the spec.
-    compress : bool
-        Whether arrays are compressed.
-    file : str
-        File name outside a store, if it is always the same.
-    axes : mapping
-        Meaning of each letter of a shape.
-    open : bool
-        Whether the arrays have arbitrary names, which are not listed.
+    Attributes:
+        version: Increased by hand when files of the previous version break the spec.
+        compress: Whether arrays are compressed.
+        file: File name outside a store, if it is always the same.
+        axes: Meaning of each letter of a shape.
+        open: Whether the arrays have arbitrary names, which are not listed.
     """
 
     name: str
@@ -233,10 +218,8 @@ class Spec:
 def load_spec(name: str) -> Spec:
     """Load the spec called ``name``.
 
-    Raises
-    ------
-    SpecError
-        If there is no such spec; the message lists all specs.
+    Raises:
+        SpecError: If there is no such spec; the message lists all specs.
     """
     if name not in spec_names():
         raise SpecError(f"no data spec {name!r}: expected one of {', '.join(spec_names())}")

@@ -13,25 +13,18 @@ from typing import Any
 class FieldStatistics:
     """Counts and sizes of a field, under ``account`` in the settings of its ``field.json``.
 
-    Attributes
-    ----------
-    gaussians_made, gaussians_kept : int
-        Numbers of predicted Gaussians and of those in the field.
-    change_mean, change_rms, change_greatest : float
-        Difference between renderings of the context views before and after merging Gaussians, in
-        grey levels; see :class:`slgaussian.rasterize.merging.Change`.
-    code_dimensions : int
-        Dimension of the ID codes; 0 without codes.
-    replicas_asked : int
-        Number of copies of each view that vote.
-    bytes_gaussians, bytes_bank : int
-        Sizes of the arrays of Gaussians and memory bank.
-    replicas_computed : int or None
-        Largest number of copies of one view that were segmented or tracked; the others are
-        identical. None if unknown.
-    depths_tried, depths_possible : int or None
-        Numbers of depth candidates of all views, compared and allowed by the settings; None if the
-        predictor does not report them.
+    Attributes:
+        gaussians_made, gaussians_kept: Numbers of predicted Gaussians and of those in the field.
+        change_mean, change_rms, change_greatest: Difference between renderings of the context views
+            before and after merging Gaussians, in grey levels; see
+            :class:`slgaussian.rasterize.merging.Change`.
+        code_dimensions: Dimension of the ID codes; 0 without codes.
+        replicas_asked: Number of copies of each view that vote.
+        bytes_gaussians, bytes_bank: Sizes of the arrays of Gaussians and memory bank.
+        replicas_computed: Largest number of copies of one view that were segmented or tracked; the
+            others are identical. None if unknown.
+        depths_tried, depths_possible: Numbers of depth candidates of all views, compared and
+            allowed by the settings; None if the predictor does not report them.
     """
 
     gaussians_made: int

@@ -67,16 +67,11 @@ class DamagedError(SpecError):
 class ArtifactRef:
     """A small, JSON-serialisable reference to an artifact.
 
-    Attributes
-    ----------
-    spec : str
-        Name of its data spec.
-    uri : str
-        Path relative to the root of the store, so that a store can be moved.
-    digest : str
-        SHA-256 of the content, hexadecimal; equal digests mean equal content.
-    meta : dict
-        Plain values for information, not part of the identity.
+    Attributes:
+        spec: Name of its data spec.
+        uri: Path relative to the root of the store, so that a store can be moved.
+        digest: SHA-256 of the content, hexadecimal; equal digests mean equal content.
+        meta: Plain values for information, not part of the identity.
     """
 
     spec: str
@@ -105,28 +100,20 @@ class ArtifactStore:
     Files of a remote store that were read or written are cached on the local disk
     (:class:`~slgaussian.storage.local_copies.LocalCache`).
 
-    Parameters
-    ----------
-    root : str or path
-        A folder or any fsspec URL (``memory://x``, ``s3://bucket/prefix``). A folder is created on
-        the first write, a bucket never.
+    Args:
+        root: str or path. A folder or any fsspec URL (``memory://x``, ``s3://bucket/prefix``). A
+            folder is created on the first write, a bucket never.
 
-    Attributes
-    ----------
-    root : str
-        As passed, for messages; without credentials.
-    fs, path
-        The file system, and the root's path in it.
-    local, near : bool
-        Whether it is a local folder; whether it is a local folder or in the memory of this process.
-    cache : LocalCache or None
-        Local copies of the files of a store that is not near.
+    Attributes:
+        root: As passed, for messages; without credentials.
+        fs, path: The file system, and the root's path in it.
+        local, near: bool. Whether it is a local folder; whether it is a local folder or in the
+            memory of this process.
+        cache: LocalCache or None. Local copies of the files of a store that is not near.
 
-    Raises
-    ------
-    InputError
-        If the URL contains credentials, fsspec does not know its protocol, or the package for that
-        protocol is not installed.
+    Raises:
+        InputError: If the URL contains credentials, fsspec does not know its protocol, or the
+            package for that protocol is not installed.
     """
 
     def __init__(self, root: str | os.PathLike[str] = "./slg-data") -> None:
@@ -149,12 +136,9 @@ class ArtifactStore:
         If files of the same content have different provenance, the provenance that sorts first is
         kept, so the bytes do not depend on which process wrote first.
 
-        Raises
-        ------
-        SpecError
-            If the content breaks ``data_specs/<spec>.toml``.
-        InputError
-            If the store cannot be written.
+        Raises:
+            SpecError: If the content breaks ``data_specs/<spec>.toml``.
+            InputError: If the store cannot be written.
         """
         digest, data = encode_artifact(spec, content, f"new {spec} artifact")
         ref, is_new = ArtifactRef(spec, address(spec, digest), digest, dict(meta or {})), True
@@ -179,13 +163,10 @@ class ArtifactStore:
     def get(self, ref: ArtifactRef) -> Any:
         """Read an artifact, arrays by name or a table, and check its spec and digest.
 
-        Raises
-        ------
-        DamagedError
-            If the file is missing, truncated, altered or breaks its spec. The message has the file,
-            the field, the actual and the expected value.
-        InputError
-            If a remote store does not answer.
+        Raises:
+            DamagedError: If the file is missing, truncated, altered or breaks its spec. The message
+                has the file, the field, the actual and the expected value.
+            InputError: If a remote store does not answer.
         """
         self._check_address(ref)
         if self.cache is not None and (data := self.cache.get(ref.uri)) is not None:
@@ -248,14 +229,10 @@ class ArtifactStore:
         A link takes no disk space. It stays unchanged when the artifact is removed from the store
         or written again.
 
-        Raises
-        ------
-        DamagedError
-            If the artifact is missing or damaged.
-        InputError
-            If a remote store does not answer.
-        OSError
-            If the file cannot be written.
+        Raises:
+            DamagedError: If the artifact is missing or damaged.
+            InputError: If a remote store does not answer.
+            OSError: If the file cannot be written.
         """
         self._check_address(ref)
         data, _ = self._fetch_artifact(ref)

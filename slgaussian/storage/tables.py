@@ -22,16 +22,12 @@ def read_table(source: bytes | str | Path, columns: Sequence[str] | None = None)
     in any number of rows: if the bound could be exceeded, the dictionaries are read first and the
     lengths of the texts summed.
 
-    Parameters
-    ----------
-    source : bytes or path
-    columns : sequence of str, optional
-        Names of the columns to read; default all.
+    Args:
+        columns: sequence of str, optional. Names of the columns to read; default all.
 
-    Raises
-    ------
-    ValueError, OSError, ArrowException
-        If the file is damaged, or unpacks to more than :data:`MAX_UNPACKED_BYTES`.
+    Raises:
+        ValueError, OSError, ArrowException: If the file is damaged, or unpacks to more than
+            :data:`MAX_UNPACKED_BYTES`.
     """
     import pyarrow as pa
     import pyarrow.compute as pc

@@ -27,13 +27,9 @@ LOOPBACK = ("127.0.0.1", "localhost", "::1")
 class Access:
     """A listening socket, and the rule by which requests to it are refused.
 
-    Attributes
-    ----------
-    host : str
-        Name or address from the command line.
-    listener : socket
-    token : str or None
-        First part of the path of every valid request; None on loopback.
+    Attributes:
+        host: Name or address from the command line.
+        token: First part of the path of every valid request; None on loopback.
     """
 
     host: str
@@ -55,14 +51,11 @@ class Access:
     def path_within(self, path: str, host: str | None, origin: str | None) -> str | None:
         """Return the path of a request without the token, or None to refuse the request.
 
-        Parameters
-        ----------
-        path : str
-            Path of the request, with the token.
-        host, origin : str or None
-            Headers of the request. A page of another site can make a browser send requests here:
-            with that site as origin, or by a host name that resolves to this machine (DNS
-            rebinding).
+        Args:
+            path: Path of the request, with the token.
+            host, origin: Headers of the request. A page of another site can make a browser send
+                requests here: with that site as origin, or by a host name that resolves to this
+                machine (DNS rebinding).
         """
         try:
             hostname = urlsplit(f"//{host}").hostname if host else None
@@ -81,10 +74,9 @@ class Access:
 def listen(host: str = LOOPBACK[0], port: int | None = None) -> Access:
     """Listen at ``host`` on ``port``; by default on :data:`PORT`, or a free port if it is in use.
 
-    Raises
-    ------
-    InputError
-        If the given port is in use or not permitted, or ``host`` is no address of this machine.
+    Raises:
+        InputError: If the given port is in use or not permitted, or ``host`` is no address of this
+            machine.
     """
     token = None if host in LOOPBACK else secrets.token_urlsafe(24)
     for candidate in (PORT, 0) if port is None else (port,):

@@ -45,18 +45,13 @@ HEADERS = {
 class LiveField:
     """A field that pages query and change, with its earlier versions for undo; not thread-safe.
 
-    Parameters
-    ----------
-    field : SemanticField
-    folder : path
-        Folder of the field, into which :meth:`save` writes changes.
+    Args:
+        folder: Folder of the field, into which :meth:`save` writes changes.
 
-    Attributes
-    ----------
-    field : SemanticField
-        The field with all changes so far.
-    ids : list of int
-        Objects that have Gaussians, ascending, removed ones included: their order in a page.
+    Attributes:
+        field: The field with all changes so far.
+        ids: list of int. Objects that have Gaussians, ascending, removed ones included: their order
+            in a page.
     """
 
     def __init__(self, field: SemanticField, folder: Path) -> None:

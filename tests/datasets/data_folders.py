@@ -33,21 +33,15 @@ def save(file: Path, seed: int, width: int = WIDTH, height: int = HEIGHT, **opti
 class Folder:
     """Data of one scene.
 
-    Attributes
-    ----------
-    format : str
-    path : Path
-        What is given for it.
-    images : Path
-        Folder of the photographs.
-    options : mapping
-        Of the format.
-    names, asked : tuple of str
-        The photographs, and the views that are asked for: the second and the fourth.
-    write : callable
-        Writes the cameras with these x of the four photographs, in the order of these numbers.
-    more : {what: change}
-        That may happen to this format only.
+    Attributes:
+        path: What is given for it.
+        images: Folder of the photographs.
+        options: Of the format.
+        names, asked: tuple of str. The photographs, and the views that are asked for: the second
+            and the fourth.
+        write: Writes the cameras with these x of the four photographs, in the order of these
+            numbers.
+        more: {what: change}. That may happen to this format only.
     """
 
     format: str

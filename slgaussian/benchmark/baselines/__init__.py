@@ -42,10 +42,8 @@ class Method(Protocol):
 def load_method(name: str, **settings: Any) -> Method:
     """Make the method ``name``.
 
-    Raises
-    ------
-    InputError
-        If the method or a setting does not exist, or a setting is out of range.
+    Raises:
+        InputError: If the method or a setting does not exist, or a setting is out of range.
     """
     method = resolve("method", METHODS, name, GROUP)
     try:

@@ -37,12 +37,11 @@ BATCH = 512
 class LerfLike:
     """Vectors at several scales; each text uses its best scale for the whole image.
 
-    Attributes
-    ----------
-    scales : sequence of float
-        Sides of the crops over the height of the photograph, in (0, 1]; InputError otherwise. LERF
-        has seven, evenly from 0.05 to 0.5, with strides from a full side at 0.05 to half a side
-        from 0.15 on; here strides are the same, and there are three scales to save time.
+    Attributes:
+        scales: sequence of float. Sides of the crops over the height of the photograph, in (0, 1];
+            InputError otherwise. LERF has seven, evenly from 0.05 to 0.5, with strides from a full
+            side at 0.05 to half a side from 0.15 on; here strides are the same, and there are three
+            scales to save time.
     """
 
     scales: Sequence[float] = (0.1, 0.25, 0.5)
@@ -67,14 +66,11 @@ class LerfLike:
 class Ovs3dLike:
     """Patches at the scale that best separates the given classes, per pixel.
 
-    Attributes
-    ----------
-    parts : sequence of int
-        Sides of the patches: the shorter side of the photograph over each of these, at least 1;
-        InputError otherwise. Those of 3D-OVS by default.
-    stride : float
-        Distance of patches in sides, in (0, 1]; InputError otherwise. 3D-OVS uses 0.25; 0.75 takes
-        a tenth of the time.
+    Attributes:
+        parts: sequence of int. Sides of the patches: the shorter side of the photograph over each
+            of these, at least 1; InputError otherwise. Those of 3D-OVS by default.
+        stride: Distance of patches in sides, in (0, 1]; InputError otherwise. 3D-OVS uses 0.25;
+            0.75 takes a tenth of the time.
     """
 
     parts: Sequence[int] = (5, 7, 10)
@@ -113,15 +109,11 @@ class Ovs3dLike:
 class LiftedVectors:
     """Gaussians with the vectors of their source pixels.
 
-    Attributes
-    ----------
-    inputs : Inputs
-    scales : sequence of callable
-        See :func:`slgaussian.benchmark.baselines.drawn.draw_vectors`; one per scale.
-    width : int
-        Dimension of a vector.
-    classes : tuple of str
-        Closed list of texts, empty without one.
+    Attributes:
+        scales: sequence of callable. See :func:`slgaussian.benchmark.baselines.drawn.draw_vectors`;
+            one per scale.
+        width: Dimension of a vector.
+        classes: tuple of str. Closed list of texts, empty without one.
     """
 
     inputs: Inputs
@@ -160,14 +152,11 @@ def choose_scales(inputs: Inputs, levels: Sequence[Level], classes: Sequence[str
 class Level:
     """Values of the tiles of one scale.
 
-    Attributes
-    ----------
-    values : float32 [V, rows, columns, C]
-        Unit vectors of the tiles of the context views, or values computed from them.
-    centres : tuple of float64 [rows], [columns]
-        Centres of the tiles, pixels.
-    size : tuple of int
-        (H, W) of the photographs.
+    Attributes:
+        values: float32 [V, rows, columns, C]. Unit vectors of the tiles of the context views, or
+            values computed from them.
+        centres: tuple of float64 [rows], [columns]. Centres of the tiles, pixels.
+        size: tuple of int. (H, W) of the photographs.
     """
 
     values: np.ndarray
@@ -197,10 +186,8 @@ def encode_pyramid(inputs: Inputs, sides: Sequence[int], strides: Sequence[float
 
     Tiles have ``sides`` pixels, and their distance is at most ``strides`` sides.
 
-    Raises
-    ------
-    InputError
-        If the encoder does not encode images.
+    Raises:
+        InputError: If the encoder does not encode images.
     """
     size = inputs.label_maps.labels.shape[1:]
     starts = [

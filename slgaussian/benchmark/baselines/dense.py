@@ -44,19 +44,14 @@ method has a higher IoU with it than with the largest gap, or the gap at the poi
 class DenseView:
     """A view with vectors per pixel.
 
-    Attributes
-    ----------
-    rgb : uint8 [H, W, 3]
-    depth : float32 [H, W]
-    reader : TextReader
-    seen : bool [H, W]
-        Whether the pixel is known.
-    vectors : float32 [S, h, w, C]
-        Vectors at S scales, of which only the directions are used; at the size of the view or
-        smaller.
-    classes : tuple of str
-        Closed list: texts compete with these instead of canonical phrases, and the near-best rule
-        selects all pixels at which a text wins.
+    Attributes:
+        rgb: uint8 [H, W, 3]
+        depth: float32 [H, W]
+        seen: bool [H, W]. Whether the pixel is known.
+        vectors: float32 [S, h, w, C]. Vectors at S scales, of which only the directions are used;
+            at the size of the view or smaller.
+        classes: tuple of str. Closed list: texts compete with these instead of canonical phrases,
+            and the near-best rule selects all pixels at which a text wins.
     """
 
     rgb: np.ndarray
@@ -139,13 +134,10 @@ class DenseView:
 class DenseResult:
     """Answer to a text; see :class:`slgaussian.benchmark.answering.Result`.
 
-    Attributes
-    ----------
-    gap : float64 [H, W]
-    seen : bool [H, W]
-    rules : Rules
-    closed : bool
-        Whether texts compete with a closed list.
+    Attributes:
+        gap: float64 [H, W]
+        seen: bool [H, W]
+        closed: Whether texts compete with a closed list.
     """
 
     text: str

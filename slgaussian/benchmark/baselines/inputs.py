@@ -28,23 +28,15 @@ from slgaussian.scene import Sample
 class Inputs:
     """A scene with the field of the default method; methods must not use targets or ground truth.
 
-    Attributes
-    ----------
-    sample : Sample
-    field : SemanticField
-        Result of :func:`slgaussian.build.build_field`.
-    gaussians : Gaussians
-        Predicted Gaussians without features, before merging.
-    label_maps : LabelMaps
-        Label maps of the context views from which the field was built.
-    proposer : MaskProposer
-        Proposer of these label maps.
-    seed : int
-        Seed of the field, for codes and initial network weights.
-    settings : {component: settings}
-        Settings of the field's components, as in :func:`slgaussian.build.build_field`.
-    classes : tuple of str
-        All texts that will be queried, for methods that need a closed list.
+    Attributes:
+        field: Result of :func:`slgaussian.build.build_field`.
+        gaussians: Predicted Gaussians without features, before merging.
+        label_maps: Label maps of the context views from which the field was built.
+        proposer: Proposer of these label maps.
+        seed: Seed of the field, for codes and initial network weights.
+        settings: {component: settings}. Settings of the field's components, as in
+            :func:`slgaussian.build.build_field`.
+        classes: tuple of str. All texts that will be queried, for methods that need a closed list.
     """
 
     sample: Sample

@@ -30,16 +30,13 @@ from slgaussian.semantic.decode import VISIBLE
 class LangSplatLike:
     """See the module.
 
-    Attributes
-    ----------
-    association : bool
-        Whether masks are associated across views. In both cases each view has its own vector of an
-        object.
-    optimised : bool
-        Whether Gaussians and codes are optimised for the scene
-        (:mod:`slgaussian.benchmark.baselines.optimised`), or predicted.
-    steps, geometry_steps : int
-        Optimisation steps of the autoencoder and of codes, and of Gaussians; InputError below 1.
+    Attributes:
+        association: Whether masks are associated across views. In both cases each view has its own
+            vector of an object.
+        optimised: Whether Gaussians and codes are optimised for the scene
+            (:mod:`slgaussian.benchmark.baselines.optimised`), or predicted.
+        steps, geometry_steps: Optimisation steps of the autoencoder and of codes, and of Gaussians;
+            InputError below 1.
     """
 
     association: bool = False

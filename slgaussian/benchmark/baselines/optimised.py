@@ -52,17 +52,12 @@ deviation over the extent above which it is split; opacity below which it is rem
 def optimise_gaussians(views: Sequence[View], seed: int, steps: int) -> Gaussians:
     """Fit Gaussians to photographs with cameras by Adam, one photograph per step in turn.
 
-    Parameters
-    ----------
-    views : sequence of View
-    seed : int
-        Seed of random points, rotations and splits; the same seed gives the same bytes.
-    steps : int
+    Args:
+        views: sequence of View
+        seed: Seed of random points, rotations and splits; the same seed gives the same bytes.
 
-    Returns
-    -------
-    Gaussians
-        Harmonics of degree 0; ``source`` numbers them from 0.
+    Returns:
+        Gaussians: Harmonics of degree 0; ``source`` numbers them from 0.
     """
     generator = torch.Generator().manual_seed(seed % 2**63)
     photographs = [torch.from_numpy(view.image.astype(np.float32) / 255) for view in views]

@@ -28,11 +28,9 @@ class Query2d:
     Nothing is prepared: proposals and encoding are part of the first query of a view, as in the
     paper's 18 s per query. Empty pixels are not segmented.
 
-    Attributes
-    ----------
-    depth : bool
-        Whether proposer and encoder get the rendered depth and groups of objects, as in the field.
-        The paper's proposer and encoder get the image only.
+    Attributes:
+        depth: Whether proposer and encoder get the rendered depth and groups of objects, as in the
+            field. The paper's proposer and encoder get the image only.
     """
 
     depth: bool = False

@@ -79,12 +79,9 @@ class Run:
 def read_run(folder: str | Path) -> Run:
     """Read the output folder of a run.
 
-    Raises
-    ------
-    InputError
-        If ``samples.parquet`` is missing or cannot be read, or the manifest is invalid.
-    SpecError
-        If a table is damaged or breaks its spec.
+    Raises:
+        InputError: If ``samples.parquet`` is missing or cannot be read, or the manifest is invalid.
+        SpecError: If a table is damaged or breaks its spec.
     """
     folder = Path(folder)
     if not (folder / "samples.parquet").is_file():
@@ -115,10 +112,8 @@ def _read_rows(name: str, file: Path) -> list[Row]:
 def compare_runs(runs: Sequence[Run]) -> Report:
     """Compare each run with the first, and rank their methods.
 
-    Raises
-    ------
-    InputError
-        If there are fewer than 2 or more than 26 runs, or one is given twice.
+    Raises:
+        InputError: If there are fewer than 2 or more than 26 runs, or one is given twice.
     """
     if not 2 <= len(runs) <= len(ascii_uppercase):
         raise InputError(

@@ -66,15 +66,12 @@ def paper_section(
 
     Return None if there is neither a number nor a scene with the name of one in the tables.
 
-    Parameters
-    ----------
-    rows : sequence
-        Rows of the spec ``samples``, of all methods.
-    data : {scene: {"format", "scene", "published"}}
-        Data set and scene of the rows' scenes, and whether it is the published scene: a pair of
-        views of a LERF-OVS scene is a sample of that scene.
-    ours : str
-        Name of our method in the rows.
+    Args:
+        rows: Rows of the spec ``samples``, of all methods.
+        data: {scene: {"format", "scene", "published"}}. Data set and scene of the rows' scenes, and
+            whether it is the published scene: a pair of views of a LERF-OVS scene is a sample of
+            that scene.
+        ours: Name of our method in the rows.
     """
     run = _Run(rows, data, ours)
     scored = [protocol for protocol in PROTOCOLS if run.has_scores(protocol)]

@@ -70,17 +70,15 @@ def run_report(
 ) -> Report:
     """Make the report of a run.
 
-    Parameters
-    ----------
-    scenes : sequence of slgaussian.benchmark.reports.examples.Scene
-    manifest : mapping
-        Versions, settings and data, nested mappings allowed. Entries of ``data``, by scene, have
-        ``format``, ``scene`` and ``published``, whether it is a scene of the paper's tables, and
-        ``cameras``, the source of the cameras.
-    failures : sequence of mapping
-        Scenes left out: ``scene``, ``stage``, ``reason`` (the columns of ``failures.parquet``).
-    attribution : sequence of mapping
-        Rows of the spec ``attribution``: cause of each miss of our method.
+    Args:
+        scenes: sequence of slgaussian.benchmark.reports.examples.Scene
+        manifest: Versions, settings and data, nested mappings allowed. Entries of ``data``, by
+            scene, have ``format``, ``scene`` and ``published``, whether it is a scene of the
+            paper's tables, and ``cameras``, the source of the cameras.
+        failures: sequence of mapping. Scenes left out: ``scene``, ``stage``, ``reason`` (the
+            columns of ``failures.parquet``).
+        attribution: sequence of mapping. Rows of the spec ``attribution``: cause of each miss of
+            our method.
     """
     rows = [row for scene in scenes for row in scene.rows]
     methods = list(dict.fromkeys(row["method"] for row in rows))

@@ -69,20 +69,13 @@ def pack(solids: Sequence[Solid]) -> Solids:
 def cast(solids: Solids, origin: np.ndarray, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the first solid that each ray hits.
 
-    Parameters
-    ----------
-    solids : Solids
-    origin : float64 [3]
-        Origin of all rays, outside every solid.
-    rays : float64 [H, W, 3]
-        Directions of any length.
+    Args:
+        origin: float64 [3]. Origin of all rays, outside every solid.
+        rays: float64 [H, W, 3]. Directions of any length.
 
-    Returns
-    -------
-    t : float64 [H, W]
-        Distance in units of the ray; infinity without a hit.
-    index : int64 [H, W]
-        Row of the solid; -1 without a hit.
+    Returns:
+        t: float64 [H, W]. Distance in units of the ray; infinity without a hit.
+        index: int64 [H, W]. Row of the solid; -1 without a hit.
     """
     t = np.empty(rays.shape[:2])
     index = np.empty(rays.shape[:2], np.int64)

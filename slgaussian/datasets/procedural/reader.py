@@ -35,35 +35,23 @@ def read(
     ``objects`` and ``baseline``, and a view also on its position and size: the same arguments give
     the same bytes.
 
-    Parameters
-    ----------
-    seed : int
-    objects : int
-        Free-standing balls, boxes, cylinders, cones and rings, 1 to 16, besides the floor, walls,
-        ceiling and perhaps a carpet, a table and a picture. All are visible from both ends of the
-        arc.
-    views : int
-        At least 2.
-    height, width : int
-        Image size in pixels, at least 16 each.
-    baseline : float
-        Distance in metres between the first and the last camera, which are about 3.3 m from the
-        room's centre; at most 2.
-    noise : float
-        Standard deviation of the sensor noise, as a fraction of full scale.
-    exposure : float
-        Standard deviation of the natural logarithm of each view's exposure.
+    Args:
+        objects: Free-standing balls, boxes, cylinders, cones and rings, 1 to 16, besides the floor,
+            walls, ceiling and perhaps a carpet, a table and a picture. All are visible from both
+            ends of the arc.
+        views: At least 2.
+        height, width: Image size in pixels, at least 16 each.
+        baseline: Distance in metres between the first and the last camera, which are about 3.3 m
+            from the room's centre; at most 2.
+        noise: Standard deviation of the sensor noise, as a fraction of full scale.
+        exposure: Standard deviation of the natural logarithm of each view's exposure.
 
-    Returns
-    -------
-    Scene
-        World in metres with z up. Depth and instance ids are those of the ray through the pixel
-        centre; ``phrases`` names every id uniquely.
+    Returns:
+        Scene: World in metres with z up. Depth and instance ids are those of the ray through the
+            pixel centre; ``phrases`` names every id uniquely.
 
-    Raises
-    ------
-    InputError
-        If an argument is out of range.
+    Raises:
+        InputError: If an argument is out of range.
     """
     limits: dict[str, tuple[float, float, float]] = {
         "objects": (objects, 1, MOST_OBJECTS),

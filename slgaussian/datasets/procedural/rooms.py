@@ -81,10 +81,8 @@ class Room:
 def furnish(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -> Room:
     """Furnish a room with ``objects`` free-standing objects, each visible in all ``cameras``.
 
-    Raises
-    ------
-    InputError
-        If the objects cannot be placed.
+    Raises:
+        InputError: If the objects cannot be placed.
     """
     for _ in range(20):
         room = _attempt(rng, objects, cameras)

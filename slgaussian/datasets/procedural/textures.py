@@ -38,18 +38,13 @@ RGB = tuple[float, float, float]
 class Material:
     """A material of an object.
 
-    Attributes
-    ----------
-    pattern : int
-        One of the constants of this module.
-    first, second : tuple of float
-        Linear RGB in [0, 1]: the main colour and that of every other stripe, check, dot or vein.
-    cell : float
-        Size of a pattern cell (a stripe, a photograph's tile, a plank) in scene units.
-    photo : str
-        For PHOTO and PICTURE, one of ``PHOTOS``.
-    gloss : float
-        Strength of the specular highlight, 0 to 1.
+    Attributes:
+        pattern: One of the constants of this module.
+        first, second: tuple of float. Linear RGB in [0, 1]: the main colour and that of every other
+            stripe, check, dot or vein.
+        cell: Size of a pattern cell (a stripe, a photograph's tile, a plank) in scene units.
+        photo: For PHOTO and PICTURE, one of ``PHOTOS``.
+        gloss: Strength of the specular highlight, 0 to 1.
     """
 
     pattern: int

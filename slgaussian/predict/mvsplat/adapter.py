@@ -32,20 +32,14 @@ def gaussians_of(
 ) -> dict[str, torch.Tensor]:
     """Compute the Gaussians of one view, one for each pixel in row-major order.
 
-    Parameters
-    ----------
-    disparity : float32 [H, W]
-    raw : float [H, W, 9 + 3 K]
-        As in :class:`slgaussian.predict.mvsplat.depth.Pixelwise`.
-    camera : Camera
-        Of size (H, W).
-    config : Config
+    Args:
+        disparity: float32 [H, W]
+        raw: float [H, W, 9 + 3 K]. As in :class:`slgaussian.predict.mvsplat.depth.Pixelwise`.
+        camera: Of size (H, W).
 
-    Returns
-    -------
-    dict
-        ``means`` [N, 3], ``scales`` [N, 3], ``quats`` [N, 4] and ``sh`` [N, K, 3] of
-        :class:`slgaussian.gaussians.Gaussians`, float32.
+    Returns:
+        dict: ``means`` [N, 3], ``scales`` [N, 3], ``quats`` [N, 4] and ``sh`` [N, K, 3] of
+            :class:`slgaussian.gaussians.Gaussians`, float32.
     """
     raw = raw.flatten(0, 1).float()
     depth = disparity.reciprocal().view(-1, 1)

@@ -64,10 +64,8 @@ class Backbone(nn.Module):
     def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Features of V images [V, 3, H, W], H and W multiples of 16.
 
-        Returns
-        -------
-        local, matched : float [V, width, H/4, W/4]
-            Before positions and attention, and after.
+        Returns:
+            local, matched: float [V, width, H/4, W/4]. Before positions and attention, and after.
         """
         local = self.backbone(images)
         _, width, h, w = local.shape

@@ -19,11 +19,9 @@ SHOWN = 3
 def load_network(path: str | Path, config: Config = PUBLISHED) -> Network:
     """Load the network with the weights of ``path``, float32 on the CPU, in evaluation mode.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read, holds no named tensors, or its names or shapes differ from the
-        network's.
+    Raises:
+        InputError: If the file cannot be read, holds no named tensors, or its names or shapes
+            differ from the network's.
     """
     return with_weights(read_state(path), config, str(path))
 
@@ -33,10 +31,8 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
 
     A prefix ``encoder.`` is removed.
 
-    Raises
-    ------
-    InputError
-        If the file cannot be read or holds no such tensors.
+    Raises:
+        InputError: If the file cannot be read or holds no such tensors.
     """
     path = Path(path)
     if not path.is_file():
@@ -72,10 +68,8 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
 def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str) -> Network:
     """Make a network with exactly the tensors of ``state``; ``origin`` names them in errors.
 
-    Raises
-    ------
-    InputError
-        If a name is missing or unexpected, or a shape differs.
+    Raises:
+        InputError: If a name is missing or unexpected, or a shape differs.
     """
     with torch.device("meta"):
         network = Network(config)

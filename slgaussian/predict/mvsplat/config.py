@@ -9,24 +9,18 @@ from dataclasses import dataclass
 class Config:
     """The defaults are those of the published ``re10k.ckpt`` and ``acid.ckpt``.
 
-    Attributes
-    ----------
-    width : int
-        Channels of the features at a quarter of the resolution.
-    windows : int
-        The transformer attends within ``windows`` x ``windows`` parts of the feature map.
-    candidates : int
-        Number of disparities of the cost volume.
-    cost_levels, cost_attention : int, tuple of int
-        Levels of the U-Net over the cost volume, and its downsampling factors with attention.
-    detail_width, detail_levels, detail_attention : int, int, tuple of int
-        The same for the U-Net at full resolution.
-    near, far : float
-        Range of depths, in the units of the training scenes.
-    scale_min, scale_max : float
-        Range of a Gaussian's standard deviation, in tenths of a pixel at its depth.
-    sh_degree : int
-        Degree of the spherical harmonics that are predicted.
+    Attributes:
+        width: Channels of the features at a quarter of the resolution.
+        windows: The transformer attends within ``windows`` x ``windows`` parts of the feature map.
+        candidates: Number of disparities of the cost volume.
+        cost_levels, cost_attention: int, tuple of int. Levels of the U-Net over the cost volume,
+            and its downsampling factors with attention.
+        detail_width, detail_levels, detail_attention: int, int, tuple of int. The same for the
+            U-Net at full resolution.
+        near, far: Range of depths, in the units of the training scenes.
+        scale_min, scale_max: Range of a Gaussian's standard deviation, in tenths of a pixel at its
+            depth.
+        sh_degree: Degree of the spherical harmonics that are predicted.
     """
 
     width: int = 128

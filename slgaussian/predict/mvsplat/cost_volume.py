@@ -34,18 +34,13 @@ def correlate(
     features are sampled bilinearly with zero padding. Pixel centres have integer coordinates, as
     in the training of the published networks.
 
-    Parameters
-    ----------
-    features : float [V, C, h, w]
-    cameras : V Camera
-        Of any size; intrinsics are scaled to (h, w).
-    disparities : float32 [D]
-        Inverse depths along z.
+    Args:
+        features: float [V, C, h, w]
+        cameras: V Camera. Of any size; intrinsics are scaled to (h, w).
+        disparities: float32 [D]. Inverse depths along z.
 
-    Returns
-    -------
-    float32 [V, h, w, D]
-        Inner products over sqrt(C).
+    Returns:
+        float32 [V, h, w, D]: Inner products over sqrt(C).
     """
     views, channels, h, w = features.shape
     maps = features.permute(0, 2, 3, 1).float().contiguous()
@@ -65,11 +60,10 @@ def correlate(
 def path(reference: Camera, target: Camera, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return the epipolar paths of pixels of ``reference`` in ``target``, maps of ``size`` (h, w).
 
-    Returns
-    -------
-    start, offset : float32 [3, h * w], [3]
-        At disparity ``q`` the homogeneous position is ``start + q offset``; its third component
-        is the depth in ``target`` over that in ``reference``.
+    Returns:
+        start, offset: float32 [3, h * w], [3]. At disparity ``q`` the homogeneous position is
+            ``start + q offset``; its third component is the depth in ``target`` over that in
+            ``reference``.
     """
     h, w = size
     K_reference, K_target = reference.resized(w, h).K, target.resized(w, h).K

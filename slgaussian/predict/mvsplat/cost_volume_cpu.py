@@ -23,15 +23,13 @@ def add_products(counter, start, offset, min_depth, reference, target, dispariti
 
     A row of ``out`` is a work item.
 
-    Parameters
-    ----------
-    start, offset : float32 [3, h * w], [3]
-        At disparity ``q`` the homogeneous position of a pixel is ``start + q offset``.
-    min_depth : float32
-        Lower bound of depth in the target view.
-    reference, target : float32 [h, w, C]
-    disparities : float32 [D]
-    out : float32 [h, w, D]
+    Args:
+        start, offset: float32 [3, h * w], [3]. At disparity ``q`` the homogeneous position of a
+            pixel is ``start + q offset``.
+        min_depth: float32. Lower bound of depth in the target view.
+        reference, target: float32 [h, w, C]
+        disparities: float32 [D]
+        out: float32 [h, w, D]
     """
     h, w, _ = reference.shape
     row = take(counter)

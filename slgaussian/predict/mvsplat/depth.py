@@ -31,15 +31,11 @@ HALO = 2
 class Pixelwise(NamedTuple):
     """Output of the network for every pixel.
 
-    Attributes
-    ----------
-    disparity : float32 [V, H, W]
-        Inverse depth.
-    opacity : float32 [V, H, W]
-        In (0, 1).
-    raw : float [V, H, W, 9 + 16 * 3]
-        Offset, scale and rotation before their activations, and harmonics of degree 0 to 3 in the
-        camera's frame, three colours a coefficient.
+    Attributes:
+        disparity: float32 [V, H, W]. Inverse depth.
+        opacity: float32 [V, H, W]. In (0, 1).
+        raw: float [V, H, W, 9 + 16 * 3]. Offset, scale and rotation before their activations, and
+            harmonics of degree 0 to 3 in the camera's frame, three colours a coefficient.
     """
 
     disparity: torch.Tensor
@@ -97,15 +93,11 @@ class DepthPredictor(nn.Module):
     ) -> Pixelwise:
         """Refine the depth of the cost volume and predict raw parameters.
 
-        Parameters
-        ----------
-        images : float [V, 3, H, W]
-            In [0, 1].
-        local, matched : float [V, C, H/4, W/4]
-            Features of the backbone.
-        correlation : float32 [V, D, H/4, W/4]
-        disparities : float32 [D]
-            Of the candidates, ascending.
+        Args:
+            images: float [V, 3, H, W]. In [0, 1].
+            local, matched: float [V, C, H/4, W/4]. Features of the backbone.
+            correlation: float32 [V, D, H/4, W/4]
+            disparities: float32 [D]. Of the candidates, ascending.
         """
         coarse, certainty = self.coarse(matched, correlation, disparities)
         features = self.upsampler(torch.cat([matched.to(local.dtype), local], 1))

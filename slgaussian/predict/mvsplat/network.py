@@ -33,14 +33,10 @@ class Network(nn.Module):
     ) -> Pixelwise:
         """Predict disparity, opacity and raw Gaussian parameters of every pixel.
 
-        Parameters
-        ----------
-        images : float32 [V, 3, H, W]
-            In [0, 1]; H and W are multiples of 16.
-        cameras : V Camera
-            Poses in the units of ``near`` and ``far``.
-        near, far : float
-            Depth range of the search.
+        Args:
+            images: float32 [V, 3, H, W]. In [0, 1]; H and W are multiples of 16.
+            cameras: V Camera. Poses in the units of ``near`` and ``far``.
+            near, far: Depth range of the search.
         """
         disparities = spread(near, far, self.config.candidates).to(images.device)
         local, matched = self.backbone(images)

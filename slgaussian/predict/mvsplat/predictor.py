@@ -49,16 +49,11 @@ class MVSplat(MVSplatConfig):
 
     **Colour.** ``sh`` has 16 coefficients: colours depend on the viewing direction.
 
-    Attributes
-    ----------
-    device : str
-        "auto" is "cuda" if available, else "cpu". Gaussians are returned on the CPU.
-    config : Config
+    Attributes:
+        device: "auto" is "cuda" if available, else "cpu". Gaussians are returned on the CPU.
 
-    Raises
-    ------
-    InputError
-        If a setting is out of range, or the checkpoint does not fit.
+    Raises:
+        InputError: If a setting is out of range, or the checkpoint does not fit.
     """
 
     device: str = "auto"
@@ -90,10 +85,8 @@ class MVSplat(MVSplatConfig):
 
         Gaussians are in the order of ``source``. ``seed`` is not used.
 
-        Raises
-        ------
-        InputError
-            If near is not below far, or images are smaller than 16 pixels a side.
+        Raises:
+            InputError: If near is not below far, or images are smaller than 16 pixels a side.
         """
         near, far = self._range(sample, graph)
         views = [_crop(sample.scene, view) for view in sample.context]

@@ -55,13 +55,11 @@ class Attention(nn.Module):
     ) -> torch.Tensor:
         """Update the tokens of ``x`` by attention to those of ``memory``.
 
-        Parameters
-        ----------
-        x, memory : float [V, h, w, C]
-        attended : int64 [V, n]
-            Indices of the views of ``memory`` that each view attends to.
-        parts : list of (tokens int64 [T], keys int64 [S])
-            Tokens of a view, and the tokens among the n h w attended ones that they attend to.
+        Args:
+            x, memory: float [V, h, w, C]
+            attended: int64 [V, n]. Indices of the views of ``memory`` that each view attends to.
+            parts: list of (tokens int64 [T], keys int64 [S]). Tokens of a view, and the tokens
+                among the n h w attended ones that they attend to.
         """
         q = self.q_proj(x).flatten(1, 2)
         k, v = (

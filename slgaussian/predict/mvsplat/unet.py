@@ -96,13 +96,9 @@ class Upsample(nn.Module):
 class UNet(nn.Module):
     """The whole U-Net; the names of its parts are the checkpoint's.
 
-    Parameters
-    ----------
-    width : int
-        Channels, in and out and at every level.
-    levels : int
-    attention : tuple of int
-        Factors of downsampling at which views attend to each other.
+    Args:
+        width: Channels, in and out and at every level.
+        attention: tuple of int. Factors of downsampling at which views attend to each other.
     """
 
     def __init__(self, width: int, levels: int, attention: tuple[int, ...]) -> None:

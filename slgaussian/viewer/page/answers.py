@@ -31,32 +31,21 @@ MOST_PAIR_ANSWERS = 2**20
 class Answers:
     """Words of a page and their answers.
 
-    Attributes
-    ----------
-    texts : tuple of str
-        In lower case.
-    gaps : float32 [texts, things]
-        Relevancy gaps; -inf for an object that no view shows.
-    selected : bool [texts, things]
-        True for objects that the answer selects.
-    kinds : {word: kind}
-        Kind of each text that is not a pair: ``thing`` (noun), ``describing``, ``taught``,
-        ``named`` or ``text``.
-    spellings : {spelling: word}
-        Word of each accepted spelling.
-    skipped : tuple of str
-        Words that carry no meaning.
-    pairs : bool
-        Whether pairs of a describing word and a noun are answered.
-    measurements : tuple of int
-        Number of measurements (properties of an object) that each text asks for.
-    named : tuple of float
-        Evidence of the classifier for the noun of each text: ``named`` of
-        :class:`slgaussian.language.confidence.Signs`.
-    calibration : Calibration or None
-        Calibration of the encoder's confidence.
-    uncalibrated : str
-        The part without a calibration, such as ``the encoder clip``.
+    Attributes:
+        texts: tuple of str. In lower case.
+        gaps: float32 [texts, things]. Relevancy gaps; -inf for an object that no view shows.
+        selected: bool [texts, things]. True for objects that the answer selects.
+        kinds: {word: kind}. Kind of each text that is not a pair: ``thing`` (noun), ``describing``,
+            ``taught``, ``named`` or ``text``.
+        spellings: {spelling: word}. Word of each accepted spelling.
+        skipped: tuple of str. Words that carry no meaning.
+        pairs: Whether pairs of a describing word and a noun are answered.
+        measurements: tuple of int. Number of measurements (properties of an object) that each text
+            asks for.
+        named: tuple of float. Evidence of the classifier for the noun of each text: ``named`` of
+            :class:`slgaussian.language.confidence.Signs`.
+        calibration: Calibration of the encoder's confidence.
+        uncalibrated: The part without a calibration, such as ``the encoder clip``.
     """
 
     texts: tuple[str, ...]

@@ -60,22 +60,17 @@ def scene_page(
 ) -> str:
     """Return the HTML page of a field, without removed objects.
 
-    Parameters
-    ----------
-    field : SemanticField
-    photographs : {view: uint8 [H, W, 3]}, optional
-        Thumbnails of views; other views show the rendered field.
-    texts : sequence of str
-        Texts that the page answers in addition to those of :mod:`slgaussian.viewer.page.answers`.
-    live : bool
-        True for a page that :class:`slgaussian.viewer.server.LiveField` answers. It contains no
-        answers, and contains removed objects too, so that they can be restored.
+    Args:
+        photographs: {view: uint8 [H, W, 3]}, optional. Thumbnails of views; other views show the
+            rendered field.
+        texts: sequence of str. Texts that the page answers in addition to those of
+            :mod:`slgaussian.viewer.page.answers`.
+        live: True for a page that :class:`slgaussian.viewer.server.LiveField` answers. It contains
+            no answers, and contains removed objects too, so that they can be restored.
 
-    Raises
-    ------
-    InputError
-        If there are no Gaussians or no cameras, the encoder is not installed, or it cannot use
-        one of the texts.
+    Raises:
+        InputError: If there are no Gaussians or no cameras, the encoder is not installed, or it
+            cannot use one of the texts.
     """
     if live:
         field = field.changed(removed=frozenset())
