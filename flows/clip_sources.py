@@ -11,7 +11,7 @@ from pathlib import Path
 from flows.config import PackSettings
 from flows.runners.progress import Progress
 from flows.scenes import seeds
-from slgaussian.datasets import colmap, re10k, re10k_text
+from slgaussian.datasets import colmap, re10k
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 from tasks.chunks import PosedFolder, Room
@@ -46,9 +46,8 @@ class Source:
 def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
     """Return the scenes of a source that is not a chunk.
 
-    ``procedural:FIRST-LAST`` gives rooms, named ``procedural_FIRST`` and so on. A folder of
-    RealEstate10K's camera files has one scene per file. Any other source is one scene named after
-    its folder, which is read only later.
+    ``procedural:FIRST-LAST`` gives rooms, named ``procedural_FIRST`` and so on. Any other source is
+    one scene named after its folder, which is read only later.
 
     Raises:
         InputError: If the seeds have another form.
@@ -62,12 +61,6 @@ def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
         seed_range = seeds(source.removeprefix(ROOMS), source)
         return [Room(f"procedural_{seed}", {"seed": seed, **options}) for seed in seed_range]
     path = Path(source)
-    if path.is_dir():
-        texts = sorted(file for file in path.glob("*.txt") if re10k_text.is_camera_file(file))
-        if texts:
-            return [PosedFolder(file.stem, file) for file in texts]
-    if re10k_text.is_camera_file(path):
-        return [PosedFolder(path.stem, path)]
     # A scene is named after the folder above a camera file or a COLMAP model.
     folder = colmap.scene_folder((path.parent if path.is_file() else path).resolve())
     return [PosedFolder(folder.name, path)]
@@ -100,7 +93,7 @@ def check_sources_exist(sources: Sequence[str]) -> None:
         if not (is_chunks(source) or source.startswith(ROOMS) or Path(source).exists()):
             raise InputError(
                 f"{source}: is not there; expected a folder of photographs, with cameras or "
-                f"without, of chunks or of camera files, or {ROOMS}FIRST-LAST"
+                f"without, of chunks, or {ROOMS}FIRST-LAST"
             )
 
 

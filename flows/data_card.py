@@ -1,4 +1,4 @@
-"""Data card of a training set: content, quality, licences and number of refused samples.
+"""Data card of a training set: content, quality and number of refused samples.
 
 It is the ``README.md`` of the set. The same set and settings give the same bytes, as it has no time
 and no path of the machine.
@@ -17,14 +17,12 @@ import pyarrow as pa
 
 from flows.clip_sources import Source
 from flows.config import DatasetSettings, SetSettings
-from slgaussian import __version__, datasets
+from slgaussian import __version__
 from slgaussian.benchmark.reports.model import Column, Prose, Report, Section, Table, count_text
-from slgaussian.datasets import licences
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.training_set import INDEX, SPECS, SPLITS, TrainingSet
 from slgaussian.io import write_atomic
 from slgaussian.storage.specs import load_spec
-from tasks.chunks import Room
 
 CARD = "README.md"
 
@@ -106,7 +104,7 @@ def write_card(
     sections = [
         Section("Reading it", [reading, _members_table(samples)]),
         Section("Quality", [_quality_table(samples.rows)]),
-        Section("Sources and licences", [_sources_table(rows, sources), rights]),
+        Section("Sources", [_sources_table(rows, sources), rights]),
         Section("Refused samples", [refusals]),
         Section("Provenance", [versions, Table.of_values(_asked(settings))]),
     ]
@@ -162,32 +160,21 @@ def _quality_table(rows: pa.Table) -> Table:
 
 def _sources_table(rows: Sequence[Mapping[str, Any]], sources: Mapping[str, Source]) -> Table:
     by_source: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
-    stated: dict[str, str] = {}
     for row in rows:
         source = sources[row["sample"]]
         # Without the path on this machine.
         name = Path(source.location).name if "://" not in source.location else source.location
         by_source[name].append(row)
-        stated[name] = _licence(source)
     lines = [
         (
             name,
             str(len({row["clip"] for row in source_rows})),
             str(len(source_rows)),
             "; ".join(sorted({row["cameras"] for row in source_rows})),
-            stated[name],
         )
         for name, source_rows in sorted(by_source.items())
     ]
-    texts = [Column(title, is_text=True) for title in ("cameras", "licence stated beside it")]
-    return Table.of(["source", "clips", "samples", *texts], lines)
-
-
-def _licence(source: Source) -> str:
-    if isinstance(source.holds, Room):
-        return ", ".join(datasets.SOURCES["procedural"])
-    path = source.holds if isinstance(source.holds, str) else source.holds.path
-    return licences.stated(Path(path)) or "none found beside the data: ask their author"
+    return Table.of(["source", "clips", "samples", Column("cameras", is_text=True)], lines)
 
 
 def _asked(settings: DatasetSettings) -> dict[str, Any]:

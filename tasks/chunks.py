@@ -17,7 +17,7 @@ import pyarrow as pa
 from fsspec.implementations.local import LocalFileSystem
 
 from slgaussian import datasets
-from slgaussian.datasets import licences, re10k
+from slgaussian.datasets import re10k
 from slgaussian.datasets.configs import Bounds
 from slgaussian.datasets.pair_selection import TARGETS, Views, choose
 from slgaussian.datasets.recognise import posed_scene, recognise
@@ -27,7 +27,6 @@ from slgaussian.errors import InputError, SpecError
 from slgaussian.io import CHANGED, KnownFile, file_stamp
 from slgaussian.predict.distance import typical_depths
 from slgaussian.scene import Scene, View
-from slgaussian.storage.provenance import record_source
 from slgaussian.storage.remote import explain_error, file_system_errors
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
@@ -177,10 +176,6 @@ class PosedFolder:
         """Read the scene; InputError if there is none."""
         return replace(posed_scene(self.path)[0], name=self.name)
 
-    def origin(self) -> tuple[str, str]:
-        """Return its source and licence, empty if unknown."""
-        return "", licences.stated(self.path)
-
 
 @dataclass(frozen=True)
 class Room:
@@ -192,10 +187,6 @@ class Room:
     def scene(self) -> Scene:
         """Generate the room."""
         return replace(datasets.load("procedural", **self.options), name=self.name)
-
-    def origin(self) -> tuple[str, str]:
-        """Return its source and licence."""
-        return datasets.SOURCES["procedural"]
 
 
 @stage("packed", version=2)  # increase it also when camera estimation changes
@@ -216,8 +207,7 @@ def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     bad += [left_out(source.name, InputError(f"{n}: {why}")) for n, why in unplaced.items()]
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)
     meta = {"cameras": describe_cameras(scene.cameras.values()), "left_out": bad}
-    with record_source(*source.origin()):
-        return run.store.put("packed", {"torch": data}, meta)
+    return run.store.put("packed", {"torch": data}, meta)
 
 
 ROW = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for c in range(4)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ import pyarrow as pa
 import torch
 
 from slgaussian.components.component import Component
-from slgaussian.datasets import licences
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry, SeenView
@@ -21,7 +19,6 @@ from slgaussian.masks.associate import associate
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample
 from slgaussian.semantic.lesson import Lesson
-from slgaussian.storage.provenance import record_source
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays, sample_from_arrays, sample_to_arrays
@@ -51,9 +48,7 @@ def framed(
     context = framed_views(clip, frames.context, framing)
     targets = framed_views(clip, frames.targets, framing)
     sample = Sample(frames.sample, context, targets)
-    licence = "" if isinstance(chunk, ArtifactRef) else licences.stated(Path(chunk.place))
-    with record_source(clip.url, licence):
-        return run.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
+    return run.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
 
 
 # Its version is raised with that of the stage that labels context views alone.

@@ -23,7 +23,6 @@ from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
-from slgaussian.datasets import licences
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
@@ -32,7 +31,6 @@ from slgaussian.language.bank import MemoryBank
 from slgaussian.predict import Depths
 from slgaussian.predict.view_graph import select_usable
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.storage.provenance import record_source
 from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import (
     labels_from_arrays,
@@ -135,11 +133,7 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
         "matches": {"uri": matches.uri, "digest": matches.digest},
         "parts": [matches.uri],
     }
-    source, licence = datasets.SOURCES.get(photographs.format, ("", ""))
-    if photographs.path is not None:
-        licence = licence or licences.stated(photographs.path)
-    with record_source(source, licence):
-        return run.store.put("sample", sample_to_arrays(sample), meta)
+    return run.store.put("sample", sample_to_arrays(sample), meta)
 
 
 def describe_cameras(cameras: Iterable[Camera]) -> str:
@@ -182,7 +176,7 @@ def data_identity(
 
     Returns:
         dict: ``files``: SHA-256 by path below the folder, from :func:`digests_of`. ``cameras``:
-            SHA-256 of the ordered, named cameras. ``licence``: from a file beside the data.
+            SHA-256 of the ordered, named cameras.
     """
     folder = path if path.is_dir() else path.parent
     numbers = [
@@ -193,7 +187,6 @@ def data_identity(
     return {
         "files": digests_of(files, folder),
         "cameras": hashlib.sha256(text.encode()).hexdigest(),
-        "licence": licences.stated(path),
     }
 
 

@@ -21,7 +21,7 @@ from PIL import ExifTags, Image
 from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
-from slgaussian.datasets import colmap, llff, nerfstudio, re10k, re10k_text, unposed
+from slgaussian.datasets import colmap, llff, nerfstudio, re10k, unposed
 from slgaussian.datasets.sharpness import glance
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
@@ -221,10 +221,6 @@ def a_clip(key: str) -> re10k.Clip:
 
 def make_chunks(folder: Path) -> None:
     re10k.write(folder, [a_clip("0a"), a_clip("0b")], chunk_bytes=1)
-    clip = a_clip("0a")
-    lines = zip(clip.timestamps, clip.cameras, strict=True)
-    text = "\n".join(f"{time} {' '.join(map(str, row))}" for time, row in lines)
-    (folder / "cameras.txt").write_text(f"https://example.org/0a\n{text}\n")
 
 
 def read_chunks(folder: Path) -> None:
@@ -239,7 +235,6 @@ def read_chunks(folder: Path) -> None:
         all_views(re10k.read(folder, key))
     if first is not None:
         raise first
-    re10k_text.read_cameras(folder / "cameras.txt")
 
 
 def make_labels(folder: Path) -> None:

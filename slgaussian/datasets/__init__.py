@@ -24,7 +24,6 @@ READERS = {
     "lerf_ovs": "slgaussian.datasets.labelled_sets:read_lerf_ovs",
     "ovs3d": "slgaussian.datasets.labelled_sets:read_ovs3d",
     "re10k": "slgaussian.datasets.re10k:read",
-    "re10k_text": "slgaussian.datasets.re10k_text:read",
     "photographs": "slgaussian.datasets.unposed:read",
     "stereo": "slgaussian.datasets.stereo:read",
     "procedural": "slgaussian.datasets.procedural.reader:read",
@@ -44,13 +43,7 @@ SETS = {
 """Functions that list the scenes of a folder, for formats with several scenes per folder."""
 
 
-SOURCES = {
-    "procedural": ("drawn by slgaussian.datasets.procedural", "Apache-2.0"),
-    "stereo": ("Middlebury Stereo 2014, Motorcycle (Scharstein et al.), by scikit-image", ""),
-}
-"""Source and licence of the data, for formats that determine them."""
-
-FROM_FILES = tuple(name for name in READERS if name not in SOURCES)
+FROM_FILES = tuple(name for name in READERS if name not in ("procedural", "stereo"))
 """Formats that are read from files; data of the other formats come with the program."""
 
 
@@ -91,7 +84,7 @@ def inputs(
     Raises:
         InputError: As :func:`load`, or if a view does not exist.
     """
-    if format in SOURCES:
+    if format not in FROM_FILES:
         return [], {}
     if format in FILES:
         listing = resolve("data format", FILES, format)
@@ -123,7 +116,7 @@ def scenes(format: str, path: str | Path) -> dict[str, dict[str, Any]]:
 def check_format(format: str) -> None:
     """Raise InputError, which lists the formats, unless the format reads a folder."""
     resolve("data format", READERS, format)
-    if format in SOURCES:
+    if format not in FROM_FILES:
         expected = ", ".join(FROM_FILES)
         raise InputError(f"data format {format!r} reads no folder; expected {expected}")
 

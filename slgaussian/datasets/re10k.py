@@ -4,8 +4,7 @@ A chunk is a ``.torch`` file of about 100 MB: a list of clips, each a dict of ``
 ``timestamps`` int64 [N] in microseconds, ``cameras`` float32 [N, 18] and ``images``, N uint8
 tensors of encoded JPEG bytes. ``index.json`` of a split maps keys to chunks. A row of ``cameras``
 is fx, fy, cx, cy, 0, 0 and the world-to-camera matrix [3, 4] by rows, OpenCV axes; the intrinsics
-are fractions of width and height. Raw camera files, with the same 18 numbers per frame, are read by
-:mod:`slgaussian.datasets.re10k_text`.
+are fractions of width and height.
 
 Chunks are read with PyTorch's restricted unpickler, so an untrusted chunk cannot run code.
 """

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
-from slgaussian.datasets import colmap, llff, nerfstudio, npz, re10k, re10k_text, unposed
+from slgaussian.datasets import colmap, llff, nerfstudio, npz, re10k, unposed
 from slgaussian.datasets.photographs import image_folder, photographs_of
 from slgaussian.datasets.sparse import model_files
 from slgaussian.errors import InputError
@@ -13,9 +13,8 @@ from slgaussian.scene import Camera, Scene
 
 EXPECTED = (
     f"{nerfstudio.FILE} or another JSON file of nerfstudio's form, {llff.FILE}, a COLMAP model "
-    "(cameras and images, .bin or .txt, as in sparse/0), a camera file of RealEstate10K (.txt) "
-    "with frames beside it, an NPZ with depth and cameras, or the folder of a scene that holds one "
-    "of them"
+    "(cameras and images, .bin or .txt, as in sparse/0), an NPZ with depth and cameras, or the "
+    "folder of a scene that holds one of them"
 )
 
 
@@ -46,8 +45,6 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
             f"{place}: holds clips of RealEstate10K, expected one scene; `slgaussian ingest` and "
             '`dataset` read all of them, and `run` one by format = "re10k" and options.key'
         )
-    if format == "re10k_text":
-        return re10k_text.read(place), re10k_text.frames_of(place)
     reader = {"colmap": colmap, "llff": llff}[format]
     scene = place if place.is_dir() else place.parent
     folder = image_folder(colmap.scene_folder(scene) if reader is colmap else scene)
@@ -105,8 +102,6 @@ def recognise(path: Path) -> tuple[str, Path]:
         return "npz", path
     if path in model_files(path.parent):
         return "colmap", _scene_of(path.parent)
-    if re10k_text.is_camera_file(path):
-        return "re10k_text", path
     if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")) or path.suffix == ".json":
         return "nerfstudio", path
     raise InputError(f"{path}: is no file of cameras; expected {EXPECTED}")

@@ -10,9 +10,9 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Iterator, Mapping, Set
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
@@ -40,7 +40,6 @@ class Provenance:
         of: Specs of the input artifacts by argument name.
         passed_through: set of str. Digests of the inputs. An output with one of these digests has
             its origin elsewhere.
-        source, licence: Source and licence of the data, if known.
     """
 
     stage: str
@@ -48,8 +47,6 @@ class Provenance:
     settings: Mapping[str, Any] = field(default_factory=dict)
     of: Mapping[str, str] = field(default_factory=dict)
     passed_through: Set[str] = frozenset()
-    source: str = ""
-    licence: str = ""
 
 
 _made: ContextVar[Provenance | None] = ContextVar("made", default=None)
@@ -65,38 +62,24 @@ def record_provenance(work: Provenance) -> Iterator[None]:
         _made.reset(token)
 
 
-@contextmanager
-def record_source(source: str, licence: str) -> Iterator[None]:
-    """Also record source and licence of the data in all files written within the block."""
-    work = current_provenance()
-    updated = None if work is None else replace(work, source=source, licence=licence)
-    with nullcontext() if updated is None else record_provenance(updated):
-        yield
-
-
 def current_provenance() -> Provenance | None:
     """Return the provenance of the innermost :func:`record_provenance`."""
     return _made.get()
 
 
 def provenance_metadata(digest: str = "") -> dict[str, Any]:
-    """Return the metadata of a file with this content digest: ``made``, ``source``, ``licence``.
-
-    Source and licence are omitted if unknown.
-    """
+    """Return the metadata ``made`` of a file with this content digest."""
     work = current_provenance()
     if work is not None and digest in work.passed_through:
         work = None
     record: dict[str, Any] = {"program": f"slgaussian {__version__}"}
-    origin = {}
     if work is not None:
         record["stage"] = work.stage
         if work.version is not None:
             record["stage_version"] = work.version
         record |= {"settings": dict(work.settings), "of": dict(work.of)}
-        origin = {"source": work.source, "licence": work.licence}
     record["software"] = software()
-    return {"made": record, **{name: text for name, text in origin.items() if text}}
+    return {"made": record}
 
 
 def with_provenance(schema: pa.Schema, digest: str = "") -> pa.Schema:

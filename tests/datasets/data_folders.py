@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
-from posed_folders import FOCAL, HEIGHT, WIDTH, Shot, llff_row, picture, write_cameras, write_model
+from posed_folders import FOCAL, HEIGHT, WIDTH, Shot, llff_row, picture, write_model
 
 from slgaussian.datasets import re10k
 
@@ -101,11 +101,6 @@ def _add(name: str, **options: Any) -> Change:
     return lambda folder: save(folder.images / name, 50, **options)
 
 
-def _state_licence(folder: Folder) -> None:
-    place = folder.path if folder.path.is_dir() else folder.path.parent
-    (place / "LICENSE").write_text("CC BY 4.0\n")
-
-
 CHANGES: dict[str, Change] = {
     "an asked photograph is edited, its size and time as before": _edit_in_place,
     "another is edited": lambda folder: save(folder.photograph(0), 78),
@@ -128,7 +123,6 @@ CHANGES: dict[str, Change] = {
         folder.images.parent / "images_2/view_2.png", 52
     ),
     "the folder is renamed": lambda folder: folder.images.rename(folder.images.parent / "images_4"),
-    "a licence is stated": _state_licence,
 }
 
 
@@ -227,24 +221,6 @@ def _ovs3d(root: Path) -> Folder:
     return folder
 
 
-def _re10k_text(root: Path) -> Folder:
-    names = ("100.png", "200.png", "300.png", "400.png")
-    _photographs(root / "clip", names)
-
-    def write(xs: list[float], order: list[int]) -> None:
-        rows = np.stack([_row(xs[number]) for number in order])
-        times = np.array([100 * (number + 1) for number in order])
-        clip = re10k.Clip("clip", "https://example.org/x", times, rows, ())
-        write_cameras(root / "clip.txt", clip)
-
-    write([0, 0.1, 0.2, 0.3], [0, 1, 2, 3])
-    moved: Change = lambda _: (root / "clip").rename(root / "clip_2")  # noqa: E731
-    return Folder(
-        "re10k_text", root / "clip.txt", root / "clip", {}, names, ("200", "400"), write,
-        {"the frames are moved": moved},
-    )  # fmt: skip
-
-
 def _photographs_alone(root: Path) -> Folder:
     _photographs(root / "images")
     return Folder("photographs", root, root / "images")
@@ -309,6 +285,5 @@ WRITERS: dict[str, Callable[[Path], Folder]] = {
     "lerf_ovs": _lerf_ovs,
     "ovs3d": _ovs3d,
     "re10k": _re10k,
-    "re10k_text": _re10k_text,
     "photographs": _photographs_alone,
 }

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slgaussian.datasets.re10k import Clip
-
 WIDTH, HEIGHT = 96, 64
 FOCAL = 80.0
 PINHOLE = ("PINHOLE", (80.0, 82.0, 47.3, 33.1))
@@ -85,10 +83,3 @@ def llff_row(
     forward = np.cross(right, down)
     matrix = np.column_stack([down, right, -forward, place, (*size, focal)])
     return [*matrix.ravel(), near, far]
-
-
-def write_cameras(file: Path, clip: Clip) -> None:
-    """Write the raw camera file of a clip."""
-    rows = zip(clip.timestamps, clip.cameras, strict=True)
-    lines = [f"{time} {' '.join(f'{value:.9f}' for value in row)}" for time, row in rows]
-    file.write_text("\n".join([clip.url, *lines, ""]))

@@ -79,7 +79,7 @@ def compare(tmp_path, write, ask):
 
 @pytest.mark.parametrize(
     ("name", "ask"),
-    [(name, photographs) for name in ("nerfstudio", "colmap", "re10k", "re10k_text", "photographs")]
+    [(name, photographs) for name in ("nerfstudio", "colmap", "re10k", "photographs")]
     + [("llff", posed)],
 )
 def test_a_resumed_run_reads_what_an_empty_store_would(tmp_path, name, ask):
@@ -97,7 +97,7 @@ def test_a_scene_can_be_sent_to_another_process(tmp_path, name):
 
 def test_every_reader_is_tried():
     """But for npz, which needs photographs that match: test_npz.py tries it."""
-    assert set(datasets.READERS) - set(datasets.SOURCES) - {"npz"} <= set(WRITERS)
+    assert set(datasets.FROM_FILES) - {"npz"} <= set(WRITERS)
 
 
 class Labelled:

@@ -149,17 +149,6 @@ def camera_rows(fx, fy, cx, cy) -> list[list[float]]:
     return [[*fractions, 0, 0, *pose.w2c().ravel()] for pose in POSES]
 
 
-def read_re10k_text(folder: Path) -> Scene:
-    lines = ["https://www.youtube.com/watch?v=x"]
-    for time, row in zip(TIMES, camera_rows(150, 153, 121.4, 104.7), strict=True):
-        lines.append(" ".join(map(str, (time, *row))))
-    (folder / "clip.txt").write_bytes(with_mark("\r\n".join(lines)))
-    (folder / "images").rename(folder / "clip")
-    for time, name in zip(TIMES, NAMES, strict=True):
-        (folder / "clip" / name).rename(folder / f"clip/{time}.png")
-    return load("re10k_text", folder / "clip.txt")
-
-
 def read_re10k(folder: Path) -> Scene:
     rows = np.array(camera_rows(150, 153, 121.4, 104.7), np.float32)
     images = tuple((folder / "images" / name).read_bytes() for name in NAMES)
@@ -185,7 +174,6 @@ PINHOLES = {"PINHOLE": (150, 153, 121.4, 104.7), "SIMPLE_PINHOLE": (150, 121.4, 
 READERS = {
     "llff": (read_llff, "SIMPLE_PINHOLE", (150, *MIDDLE)),
     "re10k": (read_re10k, "PINHOLE", PINHOLES["PINHOLE"]),
-    "re10k_text": (read_re10k_text, "PINHOLE", PINHOLES["PINHOLE"]),
     **{
         f"nerfstudio {name}": (lambda folder, keys=keys: transforms(folder, **keys), model, params)
         for name, (keys, model, params) in NERF.items()

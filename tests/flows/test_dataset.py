@@ -24,7 +24,6 @@ from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.datasets import TrainingSet, re10k
 from slgaussian.errors import InputError, SpecError
-from slgaussian.storage.encoding import read_metadata
 from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -38,10 +37,9 @@ def room(seed: int, views: int = 4):
 
 
 def folder_of(scene, folder: Path) -> Path:
-    """The scene as a nerfstudio folder with a licence."""
+    """The scene as a nerfstudio folder."""
     views = {f"images/{i}.png": scene.read(name) for i, name in enumerate(scene.cameras)}
     write_photographs(folder, views)
-    (folder / "LICENSE.txt").write_text("\nTake it as you like\n")
     return folder
 
 
@@ -75,18 +73,6 @@ def output(tmp_path_factory, server):
     store = ArtifactStore(folder / "store")
     settings = settings_for(folder, folder / "chunks", f"here={kitchen}")
     return folder, store, settings, made_set(settings, store)
-
-
-def test_files_say_where_photographs_are_from_and_their_licence(output):
-    folder, *_ = output
-    for spec, expected in {
-        "packed": {("", "LICENSE.txt: Take it as you like")},
-        "sample": {("https://video/0", ""), ("https://video/1", ""), ("", "")},
-    }.items():
-        found = [
-            read_metadata(file.read_bytes()) for file in (folder / "store" / spec).rglob("*.npz")
-        ]
-        assert {(said.get("source", ""), said.get("licence", "")) for said in found} == expected
 
 
 def test_every_sample_is_in_the_index_and_in_a_shard(output):
@@ -226,7 +212,6 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output,
     assert "too few for a sample" in reason["few"]
     card = (tmp_path / "set/README.md").read_text()
     assert "2 frames, clips and samples were refused." in card
-    assert "LICENSE.txt: Take it as you like" in card
     assert str(tmp_path) not in card
     with pytest.raises(InputError, match="no sample is left of 3 sources; the reasons are in"):
         made_set(settings_for(tmp_path / "none", *settings.sources, **picky), store)

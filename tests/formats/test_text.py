@@ -8,7 +8,6 @@ import pytest
 from flows.config import Withdrawal
 from flows.read_config import read_values
 from slgaussian.benchmark import class_masks
-from slgaussian.datasets.re10k_text import is_camera_file
 from slgaussian.formats import strict_json
 from slgaussian.formats.text import read_lines
 
@@ -26,5 +25,3 @@ def test_names_are_what_stands_between_line_breaks(tmp_path, mark, end):
     (tmp_path / "run.toml").write_bytes(mark + f'out = "x"{end}'.encode())
     assert read_values(tmp_path / "run.toml", {})["out"] == str(tmp_path / "x")
     assert strict_json.parse(mark + json.dumps(NAMES).encode()) == NAMES
-    file.write_bytes(mark + b"https://x" + end.encode())
-    assert is_camera_file(file)
