@@ -1,24 +1,36 @@
-"""Sources of clips, such as folders of any format, chunks and rooms, and packing as chunks."""
+"""Sources of clips: folders of any format, chunks and procedural rooms.
+
+A chunk or a scene is the unit of work, of memory, of caching and of failure. Both are identified by
+their content, so a second run reads only new ones.
+"""
 
 from __future__ import annotations
 
 import re
-import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from flows.config import PackSettings
-from flows.runners.progress import Progress
+from flows.config import CorpusSettings
+from flows.runners.batches import Failure, Outcome, SceneTask, map_shown
+from flows.runners.task_runners import Workers
 from flows.scenes import seeds
 from slgaussian.datasets import colmap, re10k
+from slgaussian.datasets.configs import Bounds
 from slgaussian.errors import InputError
-from slgaussian.kernels import threads
-from tasks.chunks import PosedFolder, Room
-from tasks.context import StageEvent
+from slgaussian.io import KnownFile
+from slgaussian.storage.store import ArtifactRef
+from tasks.chunks import PosedFolder, Room, known_chunk, packed, pairs, views
+from tasks.context import current_run
 
 ROOMS = "procedural:"
 """Prefix of a source of procedural rooms, followed by the first and last seed."""
+
+ARC = {"views": 12, "baseline": 1.2, "height": 360, "width": 640}
+"""Options of a procedural room; metres from the first to the last view on an arc of 3.3 m."""
+
+CHUNK = ".torch"
 
 _PLACED = re.compile(r"([\w .-]+)=(.+)")
 
@@ -39,36 +51,17 @@ class Source:
 
     @property
     def name(self) -> str:
-        """Name in tables: the clip's name for a scene, the file for a chunk."""
-        return self.holds if isinstance(self.holds, str) else self.holds.name
+        """Name in tables: the clip's name for a scene, folder and file for a chunk."""
+        if isinstance(self.holds, str):
+            return "/".join(Path(self.holds).parts[-2:])
+        return self.holds.name
 
 
-def scenes_of(source: str, settings: PackSettings) -> list[PosedFolder | Room]:
-    """Return the scenes of a source that is not a chunk.
-
-    ``procedural:FIRST-LAST`` gives rooms, named ``procedural_FIRST`` and so on. Any other source is
-    one scene named after its folder, which is read only later.
-
-    Raises:
-        InputError: If the seeds have another form.
-    """
-    if source.startswith(ROOMS):
-        height, width = settings.size
-        options = {
-            "views": settings.views, "baseline": settings.baseline, "height": height,
-            "width": width,
-        }  # fmt: skip
-        seed_range = seeds(source.removeprefix(ROOMS), source)
-        return [Room(f"procedural_{seed}", {"seed": seed, **options}) for seed in seed_range]
-    path = Path(source)
-    # A scene is named after the folder above a camera file or a COLMAP model.
-    folder = colmap.scene_folder((path.parent if path.is_file() else path).resolve())
-    return [PosedFolder(folder.name, path)]
-
-
-def sources_of(sources: Sequence[str], settings: PackSettings) -> list[Source]:
+def sources_of(texts: Sequence[str]) -> list[Source]:
     """Return all scenes and chunks of the sources, in the given order.
 
+    ``procedural:FIRST-LAST`` gives rooms, named ``procedural_FIRST`` and so on. Any other source
+    that is no chunk is one scene named after its folder, which is read only later.
     ``PLACE=SOURCE`` names the place that the clips of a source show.
 
     Raises:
@@ -76,111 +69,103 @@ def sources_of(sources: Sequence[str], settings: PackSettings) -> list[Source]:
             or chunks have the same name.
     """
     by_name: dict[str, Source] = {}
-    for source in _all(sources, settings):
-        if source.name in by_name:
-            raise InputError(
-                f"{source.location}: its clip would be called {source.name!r}, as that of "
-                f"{by_name[source.name].location} is; rename the folder, or leave one out"
-            )
-        by_name[source.name] = source
+    for text in texts:
+        placed = None if Path(text).exists() else _PLACED.fullmatch(text)
+        place, location = placed.groups() if placed else ("", text)
+        for holds in _contents(location):
+            source = Source(location, holds, place)
+            if (other := by_name.setdefault(source.name, source)) is not source:
+                raise InputError(
+                    f"{location}: its clip would be called {source.name!r}, as that of "
+                    f"{other.location} is; rename the folder, or leave one out"
+                )
     return list(by_name.values())
 
 
-def check_sources_exist(sources: Sequence[str]) -> None:
-    """Raise InputError if a source that is a local file or folder does not exist."""
-    for words in sources:
-        source = _parted(words)[1]
-        if not (is_chunks(source) or source.startswith(ROOMS) or Path(source).exists()):
+def _contents(location: str) -> Iterable[PosedFolder | Room | str]:
+    """Return the rooms, chunks or scenes at a location."""
+    if location.startswith(ROOMS):
+        seed_range = seeds(location.removeprefix(ROOMS), location)
+        return [Room(f"procedural_{seed}", {"seed": seed, **ARC}) for seed in seed_range]
+    path, folder = Path(location), location.rstrip("/")
+    if folder.endswith(CHUNK):
+        return [folder]
+    if "://" in location or (path.is_dir() and any(path.glob(f"*{CHUNK}"))):
+        chunks = re10k.chunk_names(folder)
+        if not chunks:
             raise InputError(
-                f"{source}: is not there; expected a folder of photographs, with cameras or "
-                f"without, of chunks, or {ROOMS}FIRST-LAST"
+                f"{location}: has no chunk ({CHUNK}); `slgaussian ingest` makes chunks"
             )
+        return [f"{folder}/{chunk}" for chunk in chunks]
+    if not path.exists():
+        raise InputError(
+            f"{location}: is not there; expected a folder of photographs, with cameras or without, "
+            f"of chunks, or {ROOMS}FIRST-LAST"
+        )
+    # A scene is named after the folder above a camera file or a COLMAP model.
+    scene_folder = colmap.scene_folder((path.parent if path.is_file() else path).resolve())
+    return [PosedFolder(scene_folder.name, path)]
 
 
-def _parted(words: str) -> tuple[str, str]:
-    """Split ``PLACE=SOURCE`` into place, empty if not given, and source."""
-    placed = None if Path(words).exists() else _PLACED.fullmatch(words)
-    return (placed[1], placed[2]) if placed else ("", words)
+@dataclass(frozen=True)
+class Clips:
+    """Results of all sources.
 
-
-def _all(sources: Sequence[str], settings: PackSettings) -> Iterator[Source]:
-    check_sources_exist(sources)
-    for words in sources:
-        place, source = _parted(words)
-        if is_chunks(source):
-            folder = source.rstrip("/")
-            if folder.endswith(CHUNK):
-                yield Source(source, folder, place)
-                continue
-            chunks = re10k.chunk_names(folder)
-            if not chunks:
-                raise InputError(
-                    f"{source}: has no chunk ({CHUNK}); `slgaussian ingest` makes chunks"
-                )
-            for chunk in chunks:
-                yield Source(source, f"{folder}/{chunk}", place)
-            continue
-        for scene in scenes_of(source, settings):
-            yield Source(source, scene, place)
-
-
-CHUNK = ".torch"
-
-
-def is_chunks(source: str) -> bool:
-    """Return whether a source is a chunk, or a folder or URL of chunks."""
-    path = Path(source)
-    return (
-        "://" in source or source.endswith(CHUNK) or (path.is_dir() and any(path.glob(f"*{CHUNK}")))
-    )
-
-
-@dataclass
-class Packed:
-    """Written chunks, their number of clips, and reasons of the clips that were left out."""
-
-    chunks: list[str] = field(default_factory=list)
-    clips: int = 0
-    left_out: list[str] = field(default_factory=list)
-
-
-def pack(sources: Sequence[str], out: Path, settings: PackSettings) -> Packed:
-    """Add every source as one clip to the folder of chunks ``out``, in new chunks.
-
-    Clips that the folder already has are skipped. A source is left out if it or one of its views
-    cannot be read.
-
-    Args:
-        sources: sequence of str. Sources of :func:`sources_of`, but no chunks.
-
-    Raises:
-        InputError: If a source is invalid, two have the same name, or the folder cannot be written.
+    Attributes:
+        refs: Refs by source and stage, in the order of the sources.
+        owners: Source of each clip that may be used: the first one that has it.
+        failures: Sources, clips and samples that were left out.
     """
-    existing = re10k.read_index(out) if (out / re10k.INDEX).exists() else {}
-    scenes = [
-        source.holds for source in sources_of(sources, settings) if source.name not in existing
-    ]
-    packed = Packed()
-    if not scenes:
-        return packed
-    threads.limit()
 
-    def clips() -> Iterator[re10k.Clip]:
-        for scene in scenes:
-            assert not isinstance(scene, str)  # not a chunk
-            start = time.perf_counter()
-            progress.update(StageEvent(scene.name, "pack", "running"))
-            try:
-                clip = re10k.clip_of(scene.scene())
-            except InputError as error:
-                packed.left_out.append(str(error))
-                progress.update(StageEvent(scene.name, "pack", "failed", str(error)))
-                continue
-            seconds = time.perf_counter() - start
-            progress.update(StageEvent(scene.name, "pack", "completed", seconds=seconds))
-            packed.clips += 1
-            yield clip
+    refs: Mapping[str, Mapping[str, ArtifactRef]]
+    owners: Mapping[str, str]
+    failures: list[Failure]
 
-    with Progress(len(scenes), 1) as progress:
-        packed.chunks = re10k.write(out, clips(), int(settings.chunk_mb * 1e6))
-    return packed
+
+def map_sources(
+    config: CorpusSettings,
+    workers: Workers,
+    pipeline: Callable[..., object],
+    arguments: tuple[Any, ...],
+    stages: int,
+    verbose: bool,
+) -> Clips:
+    """Run a pipeline of a number of stages on all sources.
+
+    It is called with the content of a source and ``arguments``. Scenes have one more stage, packing
+    as a chunk. Withdrawn clips have no owner.
+    """
+    sources, withdrawn = sources_of(config.sources), config.withdrawn_clips()
+    outcome = Outcome()
+    for unit, first, extra in (("chunks", views, 0), ("scenes", packed, 1)):
+        tasks = [
+            SceneTask(source.name, pipeline, (source.holds, *arguments), first.name)
+            for source in sources
+            if isinstance(source.holds, str) == (unit == "chunks")
+        ]
+        part = map_shown(tasks, workers, stages + extra, unit, verbose)
+        outcome.refs |= part.refs
+        outcome.failures += part.failures
+    refs = {s.name: outcome.refs[s.name] for s in sources if s.name in outcome.refs}
+    failures, owners = outcome.failures, dict[str, str]()
+    for name, stage_refs in refs.items():
+        for stage, ref in stage_refs.items():
+            failures += [Failure(stage=stage, **bad) for bad in ref.meta.get("left_out", ())]
+        for clip in workers.store.get(stage_refs[views.name])["clip"].unique().to_pylist():
+            if owners.setdefault(clip, name) != name:
+                reason = f"clip {clip!r} of {name} is also in {owners[clip]}, which is used"
+                failures.append(Failure(clip, views.name, "InputError", reason))
+    failures = [failure for failure in failures if failure.scene not in withdrawn]
+    owners = {clip: name for clip, name in owners.items() if clip not in withdrawn}
+    return Clips(refs, owners, failures)
+
+
+def choose_samples(
+    holds: PosedFolder | Room | str, bounds: Bounds, targets: int
+) -> tuple[KnownFile | ArtifactRef, ArtifactRef]:
+    """Run the pipeline from a source to the choice of its samples; return chunk and ``pairs``."""
+    if isinstance(holds, str):
+        chunk: KnownFile | ArtifactRef = known_chunk(current_run().store, holds)
+    else:
+        chunk = packed(holds)
+    return chunk, pairs(views(chunk), bounds, targets)

@@ -282,19 +282,6 @@ class Settings(Engine, Method):
         return self
 
 
-class PackSettings(Config):
-    """Views of procedural rooms, and size of chunks."""
-
-    views: int = Field(12, ge=2, description="Views of each procedural room, evenly on an arc.")
-    baseline: float = Field(
-        1.2, gt=0, description="Metres from the first to the last view; the centre is 3.3 m away."
-    )
-    size: Sides = Field((360, 640), description="Height and width of the views, as 360x640.")
-    chunk_mb: float = Field(
-        100.0, gt=0, description="Megabytes of images after which a new chunk is begun."
-    )
-
-
 class IndexSettings(Rule):
     """Rule that chooses the context views in the index of a labelled set, and its format."""
 
@@ -333,8 +320,10 @@ class CorpusSettings(Withdrawal, Bounds, Engine, Method):
     size: Sides = Field(
         (256, 256), description="Height and width of the views of a lesson, as 256x256."
     )
-    chunks: str = Field(description="Folder or fsspec URL of the chunks.")
-    out: Path = Field(description="Folder for the tables.")
+    sources: list[str] = Field(
+        min_length=1, description="Chunks (a folder or URL), or folders of any scenes."
+    )
+    out: Path = Field(description="Folder for the results.")
 
 
 class SetSettings(Config):
@@ -359,12 +348,10 @@ class SetSettings(Config):
     shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is full.")
 
 
-class DatasetSettings(SetSettings, Withdrawal, Bounds, Engine, Method):
+class DatasetSettings(SetSettings, CorpusSettings):
     """A training set, its sources, and its output folder."""
 
-    size: Sides = SetSettings.model_fields["size"]  # type: ignore[assignment]  # not the method's
-    sources: list[str] = Field(min_length=1, description="Sources of the clips.")
-    out: Path = Field(description="Folder of the training set.")
+    size: Sides = SetSettings.model_fields["size"]  # type: ignore[assignment]
 
 
 def _parse_widths(value: Any) -> tuple[int, ...]:

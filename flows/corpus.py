@@ -1,12 +1,8 @@
-"""Preparation of a corpus of chunks for training: views, samples and lessons.
-
-A chunk is the unit of work, of memory, of caching and of failure. Chunks are identified by their
-content, so a second run reads only new chunks.
-"""
+"""Preparation of a corpus of clips for training: views, samples and lessons."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,20 +12,20 @@ import pyarrow.parquet as pq
 from prefect import flow
 from prefect.states import State
 
+from flows.clip_sources import Clips, choose_samples, map_sources, sources_of
 from flows.config import CorpusSettings
-from flows.runners.batches import Failure, Outcome, SceneTask, map_shown, write_failures
+from flows.runners.batches import Failure, write_failures
 from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
 from slgaussian.datasets.configs import Bounds
-from slgaussian.errors import InputError
+from slgaussian.datasets.pair_selection import TARGETS
 from slgaussian.io import atomic_path
 from slgaussian.storage.provenance import with_provenance
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.chunks import Framing, known_chunk, pairs, views
-from tasks.context import current_run
+from slgaussian.storage.store import ArtifactStore
+from tasks.chunks import Framing, PosedFolder, Room, packed, packed_clips
 from tasks.predictions import predictions
 from tasks.samples import lessons
 
@@ -55,17 +51,22 @@ class Prepared:
 
 @flow(name="slgaussian-ingest", persist_result=False)
 def ingest_corpus(config: CorpusSettings, verbose: bool = False) -> State[Prepared]:
-    """Choose samples of all chunks: ``views.parquet`` and ``pairs.parquet``.
+    """Choose samples of all sources: ``views.parquet`` and ``pairs.parquet``.
 
-    Chunks, clips and frames that could not be used are in ``failures.parquet`` with the reasons.
+    Scenes are also written as clips of chunks in ``chunks/``. Sources, clips and frames that could
+    not be used are in ``failures.parquet`` with the reasons.
 
     Raises:
-        InputError: If there is no chunk, or the store or the output folder cannot be written.
+        InputError: If a source is missing, or the store or the output folder cannot be written.
     """
-    prepared = run_session(
-        "ingest", config,
-        lambda store: _prepare(config, store, INGEST, ingest_chunk, (), verbose),
-    )  # fmt: skip
+
+    def work(store: ArtifactStore) -> Prepared:
+        arguments = Bounds.of(config), TARGETS
+        prepared, clips = _prepare(config, store, INGEST, choose_samples, arguments, verbose)
+        _write_chunks(config.out / "chunks", clips, store)
+        return prepared
+
+    prepared = run_session("ingest", config, work)
     return completed(prepared.message, prepared, prepared.failures)
 
 
@@ -84,19 +85,15 @@ def supervise(config: CorpusSettings, store: ArtifactStore, verbose: bool = Fals
     """Do the work of :func:`supervise_corpus` within any flow."""
     method = config.built_by
     method.check()
-    framing = Framing(config.size, config.near, config.far)
-    return _prepare(config, store, SUPERVISE, supervise_chunk, (framing, method), verbose)
+    arguments = Bounds.of(config), Framing(config.size, config.near, config.far), method
+    return _prepare(config, store, SUPERVISE, make_lessons, arguments, verbose)[0]
 
 
-def ingest_chunk(file: str, bounds: Bounds) -> ArtifactRef:
-    """Run the pipeline of a chunk up to the choice of samples."""
-    return pairs(views(known_chunk(current_run().store, file)), bounds)
-
-
-def supervise_chunk(file: str, bounds: Bounds, framing: Framing, method: Method) -> None:
-    """Run the pipeline of a chunk up to the lessons of its samples."""
-    chunk = known_chunk(current_run().store, file)
-    samples = pairs(views(chunk), bounds)
+def make_lessons(
+    holds: PosedFolder | Room | str, bounds: Bounds, framing: Framing, method: Method
+) -> None:
+    """Run the pipeline from a source to the lessons of its samples."""
+    chunk, samples = choose_samples(holds, bounds, TARGETS)
     predicted = predictions(samples, chunk, framing, method.predictor, method.seed)
     components = method.proposer, method.tracker, method.replicas, method.votes
     lessons(samples, predicted, chunk, framing, *components)
@@ -104,10 +101,7 @@ def supervise_chunk(file: str, bounds: Bounds, framing: Framing, method: Method)
 
 def check(config: CorpusSettings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`ingest_corpus`."""
-    if not re10k.chunk_names(config.chunks):
-        raise InputError(
-            f"{config.chunks}: has no chunk (.torch); `slgaussian ingest` makes chunks of scenes"
-        )
+    sources_of(config.sources)
     config.withdrawn_clips()
     store.check_writable()
     check_folder(config.out)
@@ -120,78 +114,48 @@ def _prepare(
     pipeline: Callable[..., object],
     arguments: tuple[Any, ...],
     verbose: bool,
-) -> Prepared:
-    """Run a pipeline with these stages on all chunks, and write their tables.
-
-    It is called with the location of a chunk, the bounds of its samples, and ``arguments``.
-    """
+) -> tuple[Prepared, Clips]:
+    """Run a pipeline with these stages on all sources, and write their tables."""
     check(config, store)
-    chunks, withdrawn = re10k.chunk_names(config.chunks), config.withdrawn_clips()
-    folder, bounds = config.chunks.rstrip("/"), Bounds.of(config)
-    tasks = [
-        SceneTask(chunk, pipeline, (f"{folder}/{chunk}", bounds, *arguments), first="views")
-        for chunk in chunks
-    ]
-    refresh = stages_to_refresh(config, stages)
+    refresh = stages_to_refresh(config, (packed.name, *stages))
     with open_workers(config.runner, config.workers, store, refresh) as workers:
-        outcome = map_shown(tasks, workers, len(stages), "chunks", verbose)
+        clips = map_sources(config, workers, pipeline, arguments, len(stages), verbose)
     with writing(config.out):
-        return _write(config.out, store, outcome, stages, withdrawn)
+        rows = {
+            stage: _write_table(config.out / FILES[stage], stage, store, clips)
+            for stage in stages
+            if stage in FILES
+        }
+        write_failures(config.out, clips.failures)
+    return Prepared(rows, clips.failures), clips
 
 
-def _write(
-    out: Path, store: ArtifactStore, outcome: Outcome, stages: Sequence[str], withdrawn: set[str]
-) -> Prepared:
-    refs = {chunk: outcome.refs[chunk] for chunk in sorted(outcome.refs)}
-    failures = [*outcome.failures]
-    for stage_refs in refs.values():
-        for stage in stages:
-            failures += [Failure(stage=stage, **bad) for bad in stage_refs[stage].meta["left_out"]]
-    # A clip belongs to the first chunk that has it; a withdrawn clip belongs to none.
-    owners = dict.fromkeys(withdrawn, "")
-    rows = {}
-    for stage in stages:
-        if stage in FILES:
-            rows[stage] = _join(out / FILES[stage], stage, store, refs, owners, failures)
-    failures = [failure for failure in failures if failure.scene not in withdrawn]
-    failures.sort(key=lambda failure: (failure.scene, failure.reason))
-    write_failures(out, failures)
-    return Prepared(rows, failures)
+def _write_table(file: Path, stage: str, store: ArtifactStore, clips: Clips) -> int:
+    """Concatenate the tables of all sources, one in memory at a time; return the number of rows.
 
-
-def _join(
-    file: Path,
-    stage: str,
-    store: ArtifactStore,
-    refs: Mapping[str, Mapping[str, ArtifactRef]],
-    owners: dict[str, str],
-    failures: list[Failure],
-) -> int:
-    """Concatenate the tables of all chunks, one in memory at a time; return the number of rows.
-
-    A clip belongs to the first chunk that has it, recorded in ``owners``; further clips with the
-    same key are failures. Clips that belong to no chunk are omitted.
+    Only the rows of clips that the source owns are written.
     """
     count = 0
     schema = with_provenance(load_spec(stage).schema)
     with atomic_path(file) as name, pq.ParquetWriter(name, schema, compression="zstd") as writer:
-        for chunk, stage_refs in refs.items():
-            table = _own_rows(store.get(stage_refs[stage]), chunk, owners, failures)
+        for source, stage_refs in clips.refs.items():
+            table = store.get(stage_refs[stage])
+            owned = [clips.owners.get(clip) == source for clip in table["clip"].to_pylist()]
+            sources = pa.array([source] * len(owned), pa.string())
+            table = table.set_column(table.column_names.index("chunk"), "chunk", sources)
+            table = table.filter(pa.array(owned, pa.bool_()))
             count += table.num_rows
             writer.write_table(table)
     return count
 
 
-def _own_rows(
-    table: pa.Table, chunk: str, owners: dict[str, str], failures: list[Failure]
-) -> pa.Table:
-    clips = table["clip"].to_pylist()
-    for clip in dict.fromkeys(clips):
-        if owners.setdefault(clip, chunk) not in (chunk, ""):
-            reason = f"clip {clip!r} of {chunk} is also in {owners[clip]}, which is used"
-            failure = Failure(clip, "views", "InputError", reason)
-            if failure not in failures:
-                failures.append(failure)
-    names = pa.array([chunk] * len(clips), pa.string())
-    table = table.set_column(table.column_names.index("chunk"), "chunk", names)
-    return table.filter(pa.array([owners[clip] == chunk for clip in clips], pa.bool_()))
+def _write_chunks(folder: Path, clips: Clips, store: ArtifactStore) -> None:
+    """Add the clips of scenes to a folder of chunks, unless it has them."""
+    existing = re10k.read_index(folder) if (folder / re10k.INDEX).exists() else {}
+    new = [
+        refs[packed.name]
+        for name, refs in clips.refs.items()
+        if packed.name in refs and name not in existing
+    ]
+    if new:
+        re10k.write(folder, (clip for ref in new for clip in packed_clips(store, ref).values()))

@@ -7,18 +7,19 @@ is the unit of work, of caching and of failure. Then the samples are written to 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from prefect import flow
 from prefect.states import State
 
-from flows.clip_sources import Source, sources_of
-from flows.config import DatasetSettings, PackSettings, SetSettings
+from flows import corpus
+from flows.clip_sources import Clips, Source, choose_samples, map_sources, sources_of
+from flows.config import DatasetSettings, SetSettings
 from flows.data_card import write_card
 from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
-from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
+from flows.runners.session import completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import Workers, open_workers
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
@@ -29,8 +30,7 @@ from slgaussian.errors import InputError
 from slgaussian.io import KnownFile
 from slgaussian.kernels.seeding import hold_out
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from tasks.chunks import Framing, PosedFolder, Room, known_chunk, packed, pairs, views
-from tasks.context import current_run
+from tasks.chunks import Framing, known_chunk, packed, pairs, views
 from tasks.example import example
 from tasks.samples import Frames, all_masks, framed
 from tasks.scene import geometry, supervision
@@ -82,10 +82,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
 def check(config: DatasetSettings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`make_training_set`."""
     config.built_by.check()
-    sources_of(config.sources, PackSettings())
-    config.withdrawn_clips()
-    store.check_writable()
-    check_folder(config.out)
+    corpus.check(config, store)
 
 
 def build(
@@ -93,20 +90,19 @@ def build(
 ) -> TrainingSetResult:
     """Do the work of :func:`make_training_set` within any flow."""
     check(config, store)
-    sources, withdrawn = sources_of(config.sources, PackSettings()), config.withdrawn_clips()
     places = Places()
-    failures: list[Failure] = []
     stages = (packed, views, pairs, *SAMPLES)
     refresh = stages_to_refresh(config, [stage.name for stage in stages])
     with open_workers(config.runner, config.workers, store, refresh) as workers:
-        chosen = _choose(config, workers, sources, places, failures, verbose)
-        chosen = [item for item in chosen if item.row["clip"] not in withdrawn]
+        arguments = Bounds.of(config), config.targets
+        clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
+        failures = clips.failures
+        chosen = _choose(sources_of(config.sources), clips, store, places)
         finished = _finish(config, workers, chosen, places, failures, verbose)
-    failures.sort(key=lambda failure: (failure.scene, failure.stage, failure.reason))
     write_failures(config.out, failures)
     if not finished:
         raise InputError(
-            f"{config.out}: no sample is left of {len(sources)} sources; the reasons are in "
+            f"{config.out}: no sample is left of the sources; the reasons are in "
             f"{config.out / 'failures.parquet'}"
         )
     versions = {stage.name: stage.version for stage in stages}
@@ -116,16 +112,6 @@ def build(
         write_card(config.out, config, of_sample, len(failures), versions)
     places_left = {item.place for item in finished}
     return TrainingSetResult(len(finished), len(places_left), *written, failures)
-
-
-def choose_of_chunk(file: str, bounds: Bounds, targets: int) -> ArtifactRef:
-    """Run the pipeline that chooses the samples of a chunk."""
-    return pairs(views(known_chunk(current_run().store, file)), bounds, targets)
-
-
-def choose_of_scene(source: PosedFolder | Room, bounds: Bounds, targets: int) -> ArtifactRef:
-    """Run the pipeline that chooses the samples of a scene, which is first packed as a chunk."""
-    return pairs(views(packed(source)), bounds, targets)
 
 
 def make_example(
@@ -146,68 +132,30 @@ def make_example(
 
 
 def _choose(
-    settings: DatasetSettings,
-    workers: Workers,
-    sources: Sequence[Source],
-    places: Places,
-    failures: list[Failure],
-    verbose: bool,
+    sources: Sequence[Source], clips: Clips, store: ArtifactStore, places: Places
 ) -> list[Chosen]:
-    """Choose the samples of all sources; add the photographs of all clips to ``places``."""
-    arguments = Bounds.of(settings), settings.targets
-    files = [source for source in sources if isinstance(source.holds, str)]
-    scenes = [source for source in sources if not isinstance(source.holds, str)]
-    of_files = [
-        SceneTask(s.name, choose_of_chunk, (s.holds, *arguments), views.name) for s in files
-    ]
-    of_scenes = [
-        SceneTask(s.name, choose_of_scene, (s.holds, *arguments), packed.name) for s in scenes
-    ]
-    refs: dict[str, dict[str, ArtifactRef]] = {}
-    for tasks, stages, unit in ((of_files, 2, "chunks"), (of_scenes, 3, "scenes")):
-        outcome = map_shown(tasks, workers, stages, unit, verbose)
-        refs |= outcome.refs
-        failures += outcome.failures
-    owners: dict[str, str] = {}
-    chosen: list[Chosen] = []
+    """Return the samples of all clips; add the photographs of the clips to ``places``."""
+    chosen = []
     for source in sources:
-        stage_refs = refs.get(source.name)
-        if stage_refs is None:
+        if source.name not in clips.refs:
             continue
-        failures += [
-            Failure(stage=stage, **bad)
-            for stage, ref in stage_refs.items()
-            for bad in ref.meta.get("left_out", ())
-        ]
-        chosen += _of_source(source, stage_refs, workers.store, places, owners, failures)
+        refs = clips.refs[source.name]
+        if isinstance(source.holds, str):
+            chunk: KnownFile | ArtifactRef = known_chunk(store, source.holds)
+            cameras = "given"
+        else:
+            chunk = refs[packed.name]
+            cameras = chunk.meta["cameras"]
+        digests: dict[str, list[str]] = {}
+        for row in store.get(refs[views.name]).select(["clip", "digest"]).to_pylist():
+            if clips.owners.get(row["clip"]) == source.name:
+                digests.setdefault(row["clip"], []).append(row["digest"])
+        for clip, photographs in digests.items():
+            places.add(clip, photographs, source.place)
+        for row in store.get(refs[pairs.name]).to_pylist():
+            if row["clip"] in digests:
+                chosen.append(Chosen(source, chunk, cameras, row))
     return chosen
-
-
-def _of_source(
-    source: Source,
-    stage_refs: Mapping[str, ArtifactRef],
-    store: ArtifactStore,
-    places: Places,
-    owners: dict[str, str],
-    failures: list[Failure],
-) -> Iterator[Chosen]:
-    """Yield the samples of a source, without clips that an earlier source has."""
-    if isinstance(source.holds, str):
-        chunk: KnownFile | ArtifactRef = known_chunk(store, source.holds)
-        cameras = "given"
-    else:
-        chunk = stage_refs[packed.name]
-        cameras = stage_refs[packed.name].meta["cameras"]
-    view_rows = store.get(stage_refs[views.name]).select(["clip", "digest"]).to_pylist()
-    for clip in dict.fromkeys(row["clip"] for row in view_rows):
-        if owners.setdefault(clip, source.name) != source.name:
-            reason = f"clip {clip!r} of {source.name} is also in {owners[clip]}, which is used"
-            failures.append(Failure(clip, views.name, "InputError", reason))
-            continue
-        places.add(clip, (row["digest"] for row in view_rows if row["clip"] == clip), source.place)
-    for row in store.get(stage_refs[pairs.name]).to_pylist():
-        if owners[row["clip"]] == source.name:
-            yield Chosen(source, chunk, cameras, row)
 
 
 def _finish(

@@ -28,15 +28,15 @@ AnySettings = TypeVar("AnySettings", bound=MethodSettings)
 PATHS = ("out", "data", "pairs", "labels", "models", "withdrawn")
 """Settings that are paths."""
 
-URLS = ("store", "chunks")
-"""Settings that may be URLs."""
+URLS = ("store", "sources")
+"""Settings that may be URLs, one or several."""
 
 
 def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyModel:
     """Return ``model(**values)`` with its preset; InputError, which names source and key."""
     for name in URLS:
-        if isinstance(values.get(name), str):
-            check_url(values[name], f"{source}: {name}")
+        for url in [values[name]] if isinstance(values.get(name), str) else values.get(name) or ():
+            check_url(str(url), f"{source}: {name}")
     if "preset" in model.model_fields and values.get("preset") is not None:
         of = "train_" if model is TrainSettings else ""
         values = layered(preset_values(values["preset"], source, of), values)
@@ -130,9 +130,11 @@ def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     """Return a copy of settings with relative paths resolved against ``folder``."""
     values = _anchored(values, PATHS, folder)
-    for name in URLS:
-        if isinstance(values.get(name), str) and "://" not in values[name]:
-            values[name] = str(folder / values[name])
+    if isinstance(values.get("store"), str) and "://" not in values["store"]:
+        values["store"] = str(folder / values["store"])
+    if isinstance(values.get("sources"), list):
+        paths = [(source, folder / str(source)) for source in values["sources"]]
+        values["sources"] = [str(path) if path.exists() else source for source, path in paths]
     if isinstance(values.get("scenes"), list):
         values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
     for name in TABLES.keys() & values.keys():

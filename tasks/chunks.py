@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -34,9 +35,6 @@ from tasks.context import RunContext
 from tasks.scene import data_identity, describe_cameras
 from tasks.stage import stage
 
-STAMPS = ("mtime", "LastModified", "last_modified", "ETag", "etag", "created")
-"""Fields of fsspec's file info that identify the version of a file."""
-
 
 def digest_of(store: ArtifactStore, file: str) -> str:
     """Compute the SHA-256 of a file, hexadecimal, once for each path, size and time stamp.
@@ -52,13 +50,17 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     """
     fs, path = fsspec.core.url_to_fs(os.fspath(file))
     try:
-        stamp = _stamp(fs, path)
+        is_local = isinstance(fs, LocalFileSystem)
+        stamp = file_stamp(path) if is_local else fs.ukey(path)
         name = fs.unstrip_protocol(path)  # the absolute path, which is unique
-        identity = {"path": name, "stamp": stamp}
         uri = f"digests/{hashlib.sha256(name.encode()).hexdigest()}.json"
-        remembered = _remembered(store, uri)
-        if stamp is not None and remembered.items() >= identity.items():
-            return remembered["sha256"]
+        identity = json.loads(json.dumps({"path": name, "stamp": stamp}))
+        with suppress(SpecError, ValueError, AttributeError):
+            if (
+                stamp is not None
+                and (cached := json.loads(store.read(uri))).items() >= identity.items()
+            ):
+                return cached["sha256"]
         with fs.open(path, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except file_system_errors() as error:
@@ -66,24 +68,6 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     if stamp is not None:
         store.write(uri, json.dumps({**identity, "sha256": digest}).encode())
     return digest
-
-
-def _stamp(fs: fsspec.AbstractFileSystem, path: str) -> list[Any] | None:
-    """Return the version of a file as numbers and texts; None if the file system has none."""
-    if isinstance(fs, LocalFileSystem):
-        local = file_stamp(path)
-        return None if local is None else list(local)
-    info = fs.info(path)
-    stamps = [str(info[name]) for name in STAMPS if info.get(name) is not None]
-    return [info.get("size"), *stamps] if stamps else None
-
-
-def _remembered(store: ArtifactStore, uri: str) -> dict[str, Any]:
-    try:
-        document = json.loads(store.read(uri))
-    except (SpecError, ValueError):
-        return {}
-    return document if isinstance(document, dict) and "sha256" in document else {}
 
 
 def known_chunk(store: ArtifactStore, file: str) -> KnownFile:
@@ -101,7 +85,7 @@ def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re1
     """
 
     if isinstance(chunk, ArtifactRef):
-        return run.once((re10k.Clip, chunk.digest), lambda: _packed(run.store, chunk))
+        return run.once((re10k.Clip, chunk.digest), lambda: packed_clips(run.store, chunk))
 
     def read() -> dict[str, re10k.Clip]:
         clips: dict[str, re10k.Clip] = {}
@@ -118,7 +102,8 @@ def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re1
     return run.once(chunk, read)
 
 
-def _packed(store: ArtifactStore, chunk: ArtifactRef) -> dict[str, re10k.Clip]:
+def packed_clips(store: ArtifactStore, chunk: ArtifactRef) -> dict[str, re10k.Clip]:
+    """Read the clips of an artifact of spec ``packed``, by key."""
     data = store.get(chunk)["torch"].tobytes()
     return {clip.key: clip for clip in re10k.clips_in(data, f"{store.root}/{chunk.uri}")}
 

@@ -25,7 +25,7 @@ from tasks.stage import stage
 def predictions(
     run: RunContext,
     pairs: ArtifactRef,
-    chunk: KnownFile,
+    chunk: KnownFile | ArtifactRef,
     framing: Framing,
     predictor: Component,
     seed: int,

@@ -115,7 +115,7 @@ def lessons(
     run: RunContext,
     pairs: ArtifactRef,
     predictions: ArtifactRef,
-    chunk: KnownFile,
+    chunk: KnownFile | ArtifactRef,
     framing: Framing,
     proposer: Component,
     tracker: Component,

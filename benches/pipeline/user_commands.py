@@ -183,7 +183,7 @@ def runners(recorder: Recorder, _data: Path | None) -> None:
 def corpus(recorder: Recorder, _data: Path | None) -> None:
     """Make lessons and a training set of chunks, train, promote weights, and refuse others."""
     store = ["--store", "corpus/store"]
-    chunks = ["-o", "corpus", "--set", "views=6", "--set", "size=96x128", *store]
+    chunks = ["-o", "corpus", *store]
     recorder.run("pack", "ingest", "procedural:0-3", *chunks, out="corpus/chunks")
     size = ["--size", "96x128", *store]
     lessons = ["corpus/chunks", *size, "-o", "corpus/lessons"]
@@ -192,7 +192,7 @@ def corpus(recorder: Recorder, _data: Path | None) -> None:
     recorder.run("dataset", "dataset", *sources, out="corpus/set")
     training = ["--lessons", "corpus/lessons", "--steps", "50", *store, "-o", "corpus/trained"]
     recorder.run("train", "train", *training, out="corpus/trained")
-    retrain = ["--chunks", "corpus/chunks", "--out", "corpus/new", "--models", "corpus/models"]
+    retrain = ["--sources", "corpus/chunks", "--out", "corpus/new", "--models", "corpus/models"]
     retrain += [*store, "--set", "size=96x128", "--set", "held_out=0.4"]
     models = "corpus/models"
     recorder.run("retrain", "retrain", *retrain, "--steps", "40", out=models)

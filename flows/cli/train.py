@@ -55,7 +55,7 @@ def train(
     typer.echo(f"report   {out / FILES['report']}")
 
 
-@options.configured("chunks", "models", "steps", "store", model=RetrainSettings)
+@options.configured("sources", "models", "steps", "store", model=RetrainSettings)
 def retrain(
     ctx: typer.Context,
     config: Annotated[Path | None, typer.Argument(help="TOML file with any settings.")] = None,
@@ -65,14 +65,14 @@ def retrain(
     """Train on new clips of a corpus; promote better weights.
 
     A candidate is trained from the weights in use, and promoted if it is significantly better on
-    held-out clips than these and than no network. See `versions`. A file has chunks, out, models
+    held-out clips than these and than no network. See `versions`. A file has sources, out, models
     and other settings; options override it. cron can run it, or Prefect by `prefect.yaml`. Writes
     OUT/history/NUMBER.json, and a Prefect artifact. The exit status is 0 if a version was promoted,
     1 if only new clips that were left out are new, 2 if it failed, 3 if the version was refused, 4
     if the one in use is worse than none, 5 if another retraining is running, 6 if nothing is new.
 
     \b
-    slgaussian retrain --chunks chunks/train --out corpus --models models
+    slgaussian retrain --sources chunks/train --out corpus --models models
     slgaussian retrain retrain.toml -o corpus
     """
     settings = read_retraining(config, options.settings_from(ctx, RetrainSettings))

@@ -293,5 +293,6 @@ def failures_table(failures: Sequence[Failure]) -> pa.Table:
 
 def write_failures(out: Path, failures: Sequence[Failure]) -> None:
     """Write failures to ``failures.parquet`` in a folder; OSError if that fails."""
+    failures = sorted(failures, key=lambda failure: (failure.scene, failure.stage, failure.reason))
     data = encode_table(failures_table(failures), load_spec("failures"))
     write_atomic(out / "failures.parquet", data)

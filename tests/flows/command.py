@@ -54,9 +54,10 @@ def said(capsys) -> str:
     return error
 
 
-def room(height: int = 64, width: int = 64) -> Scene:
+def room(height: int = 64, width: int = 64, seed: int = 1) -> Scene:
     """The room of :data:`ROOM`, small."""
-    return datasets.load("procedural", **ROOM["options"], height=height, width=width)
+    options = {**ROOM["options"], "seed": seed}
+    return datasets.load("procedural", **options, height=height, width=width)
 
 
 def room_sample() -> Sample:
@@ -65,10 +66,10 @@ def room_sample() -> Sample:
 
 
 def save_photographs(
-    folder: Path, height: int = 64, width: int = 64, names=ROOM["context"]
+    folder: Path, height: int = 64, width: int = 64, names=ROOM["context"], seed: int = 1
 ) -> Path:
     """Views as files, with their cameras in ``transforms.json``."""
-    scene = room(height, width)
+    scene = room(height, width, seed)
     return write_photographs(folder, {f"{name}.png": scene.read(name) for name in names})
 
 

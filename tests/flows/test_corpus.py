@@ -9,14 +9,16 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from command import files_below, run
+from command import files_below, run, save_photographs
 
 from flows import corpus
+from flows.clip_sources import sources_of
 from flows.config import CorpusSettings
 from flows.read_config import make_settings
 from slgaussian import datasets
 from slgaussian.components.component import Component
 from slgaussian.datasets import re10k
+from slgaussian.errors import InputError
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 
@@ -41,7 +43,7 @@ def aged(folder: Path) -> None:
 
 
 def settings_for(folder: Path, **extra):
-    values = {"chunks": str(folder / "chunks"), "out": folder / "out", "size": "72x96", **extra}
+    values = {"sources": [str(folder / "chunks")], "out": folder / "out", "size": "72x96", **extra}
     return make_settings(values, "test", CorpusSettings)
 
 
@@ -110,7 +112,7 @@ def test_every_view_and_sample_is_in_a_table(supervised, clips):
     folder, _, output = supervised
     views = table(folder, "views")
     assert [(v["chunk"], v["clip"], v["frame"]) for v in views] == [
-        (f"00000{n}.torch", clip.key, frame)
+        (f"chunks/00000{n}.torch", clip.key, frame)
         for n, clip in enumerate(clips[:2])
         for frame in range(6)
     ]
@@ -180,8 +182,8 @@ def test_a_lost_lesson_is_made_again(supervised, reads):
 def test_another_store_and_worker_count_give_the_same_bytes(supervised, tmp_path):
     folder, _, _ = supervised
     store = ArtifactStore(tmp_path / "store")
-    chunks = str(folder / "chunks")
-    run_flow("supervise", settings_for(tmp_path, chunks=chunks, workers=1), store)
+    sources = [str(folder / "chunks")]
+    run_flow("supervise", settings_for(tmp_path, sources=sources, workers=1), store)
     assert files_below(tmp_path / "out", TIMED) == files_below(folder / "out", TIMED)
     lessons = files_below(tmp_path / "store" / "lesson")
     assert lessons.items() <= files_below(folder / "store" / "lesson").items()
@@ -205,18 +207,76 @@ def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     output = run_flow("ingest", settings_for(tmp_path), ArtifactStore(tmp_path / "store"))
     message = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
     reasons = " ".join(row["reason"] for row in table(tmp_path, "failures"))
-    assert "000001.torch: cannot be read as a chunk" in message["000001.torch", "views"]
+    assert "000001.torch: cannot be read as a chunk" in message["chunks/000001.torch", "views"]
     assert "clip 'procedural_1', frame 1: camera c2w: its 3x3 part is not a rotation" in reasons
     assert "clip 'procedural_1', frame 5: its JPEG cannot be decoded" in reasons
     assert "clip 'procedural_1': 4 of its 4 views are sharp" in message["procedural_1", "pairs"]
     assert "clip 'procedural_9': 4 of its 4 views" in message["procedural_9", "pairs"]
     assert "clip 'dead': none of its 4 frames can be used" in reasons
-    assert "clip 'new' of 000009.torch is also in 000002.torch" in message["new", "views"]
+    assert (
+        "clip 'new' of chunks/000009.torch is also in chunks/000002.torch"
+        in message["new", "views"]
+    )
     # Three more are of the four frames of "dead", and the last of all.
     assert len(output.failures) == 11
     assert {sample["clip"] for sample in table(tmp_path, "pairs")} == {good.key, "new"}
     frames = {view["frame"] for view in table(tmp_path, "views") if view["clip"] == bad.key}
     assert frames == {0, 2, 3, 4}
+
+
+def test_scenes_become_clips_of_chunks(clips, tmp_path):
+    re10k.write(tmp_path / "chunks", [clips[0]])
+    for name, seed in (("kitchen", 1), ("hall", 2), ("bad", 3)):
+        save_photographs(tmp_path / name, seed=seed)
+    (tmp_path / "kitchen" / "view_01.png").write_bytes(b"no image")
+    (tmp_path / "bad" / "transforms.json").write_text("{")
+    names = ("chunks", "kitchen", "bad/transforms.json")
+    settings = settings_for(tmp_path, sources=[str(tmp_path / name) for name in names])
+    store = ArtifactStore(tmp_path / "store")
+    output = run_flow("ingest", settings, store)
+    out = tmp_path / "out" / "chunks"
+    assert re10k.read_index(out) == {"kitchen": "000000.torch"}
+    (clip,) = re10k.read_chunk(out / "000000.torch")
+    expected = datasets.load("nerfstudio", tmp_path / "kitchen").cameras["view_00.png"]
+    np.testing.assert_allclose(clip.view(0).camera.c2w, expected.c2w, atol=1e-6)
+    assert len(clip.images) == 2 and output.rows["views"] == 6 + 2
+    reasons = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
+    assert "view_01.png: cannot be read" in reasons["kitchen", "packed"]
+    assert "transforms.json" in reasons["bad", "packed"]
+    # What is there stays as it is.
+    before = (out / "000000.torch").read_bytes()
+    sources = [str(tmp_path / name) for name in ("kitchen", "hall")]
+    run_flow("ingest", settings_for(tmp_path, sources=sources), store)
+    assert re10k.read_index(out) == {"kitchen": "000000.torch", "hall": "000001.torch"}
+    assert (out / "000000.torch").read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    "named", ["garden", "garden/sparse/0", "garden/colmap/sparse/0", "garden/transforms.json"]
+)
+def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path, named):
+    place = tmp_path / named
+    if place.suffix:
+        place.parent.mkdir()
+        place.touch()
+    else:
+        place.mkdir(parents=True)
+    assert [source.name for source in sources_of([str(place), "there=procedural:3-4"])] == [
+        "garden", "procedural_3", "procedural_4",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("sources", "reason"),
+    [
+        (["procedural:4-3"], "procedural:4-3: found no seeds"),
+        (["procedural:1", "procedural:1-2"], "its clip would be called 'procedural_1'"),
+        (["nowhere"], "nowhere: is not there; expected a folder of photographs"),
+    ],
+)
+def test_sources_that_cannot_be_are_one_sentence(sources, reason):
+    with pytest.raises(InputError, match=reason):
+        sources_of(sources)
 
 
 def test_the_command_says_what_it_made_and_what_it_left_out(

@@ -213,7 +213,7 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output,
     card = (tmp_path / "set/README.md").read_text()
     assert "2 frames, clips and samples were refused." in card
     assert str(tmp_path) not in card
-    with pytest.raises(InputError, match="no sample is left of 3 sources; the reasons are in"):
+    with pytest.raises(InputError, match="no sample is left of the sources; the reasons are in"):
         made_set(settings_for(tmp_path / "none", *settings.sources, **picky), store)
     reasons = pq.read_table(tmp_path / "none/set/failures.parquet")["reason"].to_pylist()
     assert len(reasons) == 3 and all("below min_confirmed 0.999" in why for why in reasons)

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("server")
 
 SHARE = 0.4
 CONFIG = f"""
-chunks = "chunks"
+sources = ["chunks"]
 out = "corpus"
 models = "models"
 store = "store"
@@ -101,10 +101,10 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     lost = {"number": 3, "begun": "2099-01-01T00:00:00+00:00", "outcome": "on", "messages": []}
     (tmp_path / "corpus" / "history" / "000003.json").write_text(json.dumps(lost))
     (tmp_path / "chunks" / "broken.torch").write_bytes(b"no chunk")
-    assert "left out for the first time: 1, as broken.torch: " in retrain("left out")
+    assert "left out for the first time: 1, as chunks/broken.torch: " in retrain("left out")
     assert record(tmp_path, 3)["outcome"] == "failed"
     assert "begun 2099-01-01T00:00:00+00:00, was killed" in record(tmp_path, 3)["messages"][0]
-    assert '"broken.torch": ' in artifact()
+    assert '"chunks/broken.torch": ' in artifact()
     assert "nothing new" in retrain("nothing new")  # what was left out before is no news
 
     # A person puts version 1 to use. Then what it learnt is withdrawn, and something else comes.

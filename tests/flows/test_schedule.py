@@ -43,12 +43,16 @@ def test_the_deployments_of_the_repository_can_be_loaded_and_their_parameters_fi
 
 def test_what_stops_a_run_fails_it(tmp_path, server):
     paths = {name: tmp_path / name for name in ("out", "models")}
-    with pytest.raises(InputError, match="has no chunk"):
-        retrain(RetrainSettings(chunks=str(tmp_path), store=str(tmp_path / "store"), **paths))
+    with pytest.raises(InputError, match="is not there"):
+        retrain(
+            RetrainSettings(
+                sources=[str(tmp_path / "gone")], store=str(tmp_path / "store"), **paths
+            )
+        )
     # The server holds the runs of other tests too.
     runs = ended_runs(server, retrain.name)
     (ended,) = (run for run in runs if str(tmp_path) in (run["message"] or ""))
-    assert ended["type"] == "FAILED" and "has no chunk (.torch)" in ended["message"]
+    assert ended["type"] == "FAILED" and "is not there" in ended["message"]
 
 
 def test_a_run_names_the_scenes_that_it_left_out_and_has_edges_and_artifacts(

@@ -149,10 +149,10 @@ def test_a_store_that_is_not_there_is_not_made_by_looking(tmp_path, monkeypatch,
     assert not (tmp_path / "typo").exists()
 
 
-@pytest.mark.parametrize("key", ["store", "chunks"])
+@pytest.mark.parametrize("key", ["store", "sources"])
 def test_settings_with_credentials_are_refused_before_they_are_said(key, monkeypatch, capsys):
     place = "s3://AKIA123:hidden@bucket/x"
-    words = {"store": ("demo", "--store", place), "chunks": ("ingest", place, "-o", "out")}[key]
+    words = {"store": ("demo", "--store", place), "sources": ("ingest", place, "-o", "out")}[key]
     assert run(monkeypatch, *words) == 2
     message = said(capsys)
     assert f"{key} s3://***@bucket/x: found credentials in the URL" in message

@@ -178,7 +178,7 @@ def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, capsys, more, exp
 
 
 def retrain_settings(folder: Path, **more):
-    given = {"chunks": "chunks", "out": str(folder / "out"), "models": str(folder / "models")}
+    given = {"sources": ["chunks"], "out": str(folder / "out"), "models": str(folder / "models")}
     (folder / "out").mkdir(exist_ok=True)
     return read_retraining(None, {**given, "held_out": 0.4, "steps": 4, **more})
 
