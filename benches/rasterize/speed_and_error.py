@@ -99,7 +99,8 @@ def both_ways(subject: Subject) -> Callable[[], object]:
         for name in ("means", "scales", "quats", "opacities")
     }
     free, wanted = replace(gaussians, **leaves), [*leaves.values(), values]
-    upstream = torch.rand(subject.camera.height, subject.camera.width, values.shape[1])
+    size = subject.camera.height, subject.camera.width, values.shape[1]
+    upstream = torch.rand(*size, device=values.device)
     return lambda: torch.autograd.grad(
         rasterize(free, values, subject.camera).values, wanted, upstream
     )

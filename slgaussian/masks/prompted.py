@@ -82,9 +82,7 @@ class AutomaticProposer(AutomaticConfig, ABC):
             settings = replace(settings, points=self.points)
         levels = LEVELS if self.level == "all" else (self.level,)
 
-        # Without cuDNN's benchmark mode, by whose choice results differ in the last bit.
-        quiet = torch.backends.cudnn.flags(benchmark=False)
-        with torch.inference_mode(), quiet, inside(self.network):
+        with torch.inference_mode(), inside(self.network):
             return all_masks(self._encode_once, image, settings, region, levels, self.batch)
 
     def _encode_once(self, image: np.ndarray) -> PromptedImage:

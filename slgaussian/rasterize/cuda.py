@@ -53,7 +53,12 @@ def render(
     _check_possible(camera, settings, median, labels is not None)
     device = _one_device(gaussians, values)
     rasterization = load_gsplat()
-    check_inputs(gaussians, values)
+    if not _all_valid(gaussians, values):
+        check_inputs(gaussians, values)  # names the first invalid number
+    size = camera.height, camera.width
+    if len(gaussians) == 0:  # gsplat 1.5 would end the process by a division by zero
+        empty = torch.zeros(size, device=device)
+        return Render(values.new_zeros(*size, values.shape[1]), empty, empty.clone())
 
     # Relative to the camera in float64: a million units from the origin, float32 has a resolution
     # of a sixteenth. Quaternions of any length are normalised in float64 too.
@@ -115,6 +120,18 @@ def _one_device(gaussians: Gaussians, values: torch.Tensor) -> torch.device:
                 "device for backend 'cuda'; move them there, or use backend 'cpu'"
             )
     return device
+
+
+def _all_valid(gaussians: Gaussians, values: torch.Tensor) -> bool:
+    """Return whether :func:`check_inputs` would pass, by one transfer from the GPU."""
+    numbers = [value for _, value in gaussians.items()] + [values]
+    conditions = [
+        *(torch.isfinite(value).all() for value in numbers),
+        (gaussians.scales >= 0).all(),
+        ((gaussians.opacities >= 0) & (gaussians.opacities <= 1)).all(),
+        (gaussians.quats != 0).any(1).all(),
+    ]
+    return bool(torch.stack(conditions).all())
 
 
 def load_gsplat() -> Callable:

@@ -37,7 +37,7 @@ class TrainingConfig(Config):
     batch: int = Field(1, ge=1, description="Number of lessons per step.")
     rate: float = Field(3e-3, gt=0, description="Largest learning rate.")
     device: str = Field(
-        "cpu", description="PyTorch device of the network; devices other than cpu are untested."
+        "cpu", description="PyTorch device of the network; only cpu and cuda are tested."
     )
     threads: int = Field(
         1, ge=1, description="Threads of PyTorch; the last bits of results depend on the number."
