@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,6 @@ from slgaussian.datasets.photographs import (
 )
 from slgaussian.datasets.sparse import (
     SparseCamera,
-    SparseModel,
     count_images,
     model_files,
     read_model,
@@ -55,12 +54,10 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     """Read a scene; photographs are opened and undistorted when a view is read.
 
     If there are several models (COLMAP writes one for each group of images that it cannot connect),
-    the model with most images is read, with a warning.
-
-    Views are named by their path below the folder of photographs, as in the model, and sorted by
-    it. Undistorted views have the focal lengths and principal point of the lens, so intrinsics may
-    differ between views; pixels outside the lens's image are black. If photographs were downscaled
-    (all of one camera equally), the cameras are scaled too.
+    the model with most images is read, with a warning. Views are named by their path below the
+    folder of photographs, as in the model, and sorted by it. Undistorted views have the focal
+    lengths and principal point of the lens; pixels outside the lens's image are black. If
+    photographs were downscaled (all of one camera equally), the cameras are scaled too.
 
     ``near`` and ``far`` of a camera are 0.8 times the depth of its third nearest point and twice
     the 98th percentile, if it has enough points, because points lie on texture, not on the nearest
@@ -90,31 +87,35 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     path = scene_folder(path)
     folder = image_folder(path, images)
     model = read_model(source)
-    named = {n: replace(i, name=name_in(folder, i.name)) for n, i in model.images.items()}
-    model = replace(model, images=named)
-    names: dict[str, int] = {}
-    for number, image in sorted(model.images.items(), key=lambda item: item[1].name):
-        if image.name in names:
-            raise InputError(f"{source}: two images are called {image.name!r}; remove one")
-        names[image.name] = number
-    files = {name: _file(path, folder, name) for name in names}
-    lenses = _lenses(source, model, files)
-    ranges = _depth_ranges(model)
-    cameras = {}
-    for name, number in names.items():
-        image = model.images[number]
+    if not model.images:
+        raise InputError(f"{source}: has no posed image; reconstruct again")
+    numbers = {name_in(folder, image.name): number for number, image in model.images.items()}
+    files = {name: _file(path, folder, name) for name in sorted(numbers)}
+    observations = np.unique(model.sightings, axis=0)  # an image may show a point twice
+    lengths = np.bincount(observations[:, 0], minlength=len(model.points))
+    observations = observations[lengths[observations[:, 0]] >= TRACK]
+    lenses = {}
+    for number, stored in model.cameras.items():
+        taken = [n for n in files if model.images[numbers[n]].camera == number]
+        existing = next((files[name] for name in taken if is_there(files[name])), None)
+        if taken:
+            lenses[number] = _lens(stored, existing, f"{source}: camera {number}")
+    cameras, maps = {}, {}
+    for name in files:
+        image = model.images[numbers[name]]
         lens = lenses[image.camera]
-        near, far = ranges.get(number, (None, None))
-        c2w = np.eye(4)
-        c2w[:3, :3] = image.w2c[:3, :3].T
-        c2w[:3, 3] = -image.w2c[:3, :3].T @ image.w2c[:3, 3]
+        maps[name] = lens.maps
+        points = model.points[observations[observations[:, 1] == numbers[name], 0]]
+        depths = np.sort(points @ image.w2c[2, :3] + image.w2c[2, 3])
+        depths = depths[depths > 0]
+        near = far = None
+        if len(depths) >= POINTS:
+            near, far = 0.8 * float(depths[2]), 2 * float(np.percentile(depths, 98))
         try:
+            c2w = np.linalg.inv(image.w2c)
             cameras[name] = checked_camera(Camera(lens.K, c2w, *lens.size, near, far))
         except InputError as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
-    if not cameras:
-        raise InputError(f"{source}: has no posed image; reconstruct again")
-    maps = {name: lenses[model.images[number].camera].maps for name, number in names.items()}
     name = path.resolve().name or "scene"
     return scene_of(name, cameras, files, source, model_files(source), maps)
 
@@ -139,12 +140,8 @@ def scene_folder(path: Path) -> Path:
     If two folders are possible, as above ``colmap/sparse``, the one with photographs is returned.
     """
     place = Path(os.path.abspath(path))
-    parts = (place.parent if place.name.isdecimal() else place).parts
-    above = [
-        Path(*parts[: -len(inside)])
-        for inside in (Path(inside).parts for inside in PLACES if inside != ".")
-        if parts[-len(inside) :] == inside
-    ]
+    model = place.parent if place.name.isdecimal() else place
+    above = [f for f in model.parents[:2] if any(f / inside == model for inside in PLACES)]
     with_images = (folder for folder in above if image_folder(folder).is_dir())
     return next(with_images, above[-1] if above else path)
 
@@ -182,56 +179,40 @@ class _Lens:
             rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ inverse
             distorted = lens.img_from_cam(rays)
             distorted *= (width / self.stored.width, height / self.stored.height)
-            distorted = np.where(
-                np.isfinite(distorted), distorted - 0.5, OUTSIDE
-            )  # OpenCV's pixel centres
+            # OpenCV has pixel centres at integers.
+            distorted = np.where(np.isfinite(distorted), distorted - 0.5, OUTSIDE)
             maps[:, rows] = distorted.astype(np.float32).reshape(*u.shape, 2).transpose(2, 0, 1)
         return maps[0], maps[1]
 
 
-def _lenses(source: Path, model: SparseModel, files: Mapping[str, Path]) -> dict[int, _Lens]:
-    """Return the lens of each camera, at the size of its first existing photograph."""
-    first: dict[int, Path | None] = {}
-    for image in sorted(model.images.values(), key=lambda image: image.name):
-        if first.get(image.camera) is None:
-            file = files[image.name]
-            first[image.camera] = file if is_there(file) else None
-    lenses = {}
-    for number, photograph in first.items():
-        stored = model.cameras[number]
-        K, straight = _pinhole(stored, f"{source}: camera {number}")
-        full_size = (stored.width, stored.height)
-        size = None if photograph is None else stored_size(photograph, full_size)
-        if size is None or not has_shape(size, full_size):  # else it was shrunk
-            size = full_size
-        scale = np.array([size[0] / full_size[0], size[1] / full_size[1], 1])
-        lenses[number] = _Lens(stored, size, scale[:, None] * K, straight)
-    return lenses
-
-
-def _pinhole(camera: SparseCamera, label: str) -> tuple[np.ndarray, bool]:
-    """Return the intrinsics [3, 3] of the undistorted view, and whether the lens is a pinhole."""
-    if camera.model in ("PINHOLE", "SIMPLE_PINHOLE"):
-        fx, fy, cx, cy = (
-            camera.params if len(camera.params) == 4 else camera.params[:1] + camera.params
-        )
-        return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), True
-    lens = _pycolmap_camera(camera)
-    if not len(lens.focal_length_idxs()):
-        raise InputError(
-            f"{label}: its model {camera.model} has no focal length, so it cannot be undistorted "
-            "to a pinhole camera; cut its images into pinhole images and reconstruct again"
-        )
-    K = lens.calibration_matrix()
-    if not (K[0, 0] > 0 and K[1, 1] > 0 and abs(np.linalg.det(K)) > 0 and np.isfinite(K).all()):
-        raise InputError(
-            f"{label}: its focal lengths are {K[0, 0]:g} and {K[1, 1]:g}, expected positive "
-            "numbers; reconstruct again"
-        )
-    corners = np.array([(u, v, 1.0) for u in (0, camera.width) for v in (0, camera.height)])
-    rays = corners @ np.linalg.inv(K).T
-    # pycolmap reports a fisheye with zero distortion as undistorted, but it is not a pinhole.
-    return K, np.allclose(lens.img_from_cam(rays), corners[:, :2], rtol=0, atol=1e-6)
+def _lens(stored: SparseCamera, photograph: Path | None, label: str) -> _Lens:
+    """Return the lens of a camera, at the size of one of its photographs."""
+    if stored.model in ("PINHOLE", "SIMPLE_PINHOLE"):
+        fx, fy, cx, cy = stored.params[0], *stored.params[-3:]
+        K, straight = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), True
+    else:
+        lens = _pycolmap_camera(stored)
+        if not len(lens.focal_length_idxs()):
+            raise InputError(
+                f"{label}: its model {stored.model} has no focal length, so it cannot be "
+                "undistorted to a pinhole camera; cut its images into pinhole images and "
+                "reconstruct again"
+            )
+        K = lens.calibration_matrix()
+        corners = [(u, v, 1.0) for u in (0, stored.width) for v in (0, stored.height)]
+        try:
+            rays = np.array(corners) @ np.linalg.inv(K).T
+        except np.linalg.LinAlgError:
+            raise InputError(f"{label}: its focal length is 0; reconstruct again") from None
+        # pycolmap reports a fisheye with zero distortion as undistorted, but it is not a pinhole.
+        distorted = lens.img_from_cam(rays)
+        straight = np.allclose(distorted, np.array(corners)[:, :2], rtol=0, atol=1e-6)
+    full_size = (stored.width, stored.height)
+    size = None if photograph is None else stored_size(photograph, full_size)
+    if size is None or not has_shape(size, full_size):  # else it was shrunk
+        size = full_size
+    scale = np.array([size[0] / full_size[0], size[1] / full_size[1], 1])
+    return _Lens(stored, size, scale[:, None] * K, straight)
 
 
 def _pycolmap_camera(camera: SparseCamera) -> Any:
@@ -251,25 +232,3 @@ def _pycolmap_camera(camera: SparseCamera) -> Any:
             f"the camera model {camera.model} is not known to pycolmap {pycolmap.__version__}; "
             f"install another with {install_line('colmap')}"
         ) from None
-
-
-def _depth_ranges(model: SparseModel) -> dict[int, tuple[float, float]]:
-    """Compute near and far of the images with enough points, by id; see :func:`read`."""
-    observations = np.unique(model.sightings, axis=0)  # an image may show a point twice
-    lengths = np.bincount(observations[:, 0], minlength=len(model.points))
-    observations = observations[lengths[observations[:, 0]] >= TRACK]
-    observations = observations[np.argsort(observations[:, 1], kind="stable")]
-    starts = np.flatnonzero(np.diff(observations[:, 1], prepend=-1))
-    ranges = {}
-    for sightings in np.split(observations, starts[1:]):
-        image = model.images.get(int(sightings[0, 1])) if len(sightings) else None
-        if image is None:
-            continue
-        depths = np.sort(model.points[sightings[:, 0]] @ image.w2c[2, :3] + image.w2c[2, 3])
-        depths = depths[depths > 0]
-        if len(depths) >= POINTS:
-            ranges[int(sightings[0, 1])] = (
-                0.8 * float(depths[2]),
-                2 * float(np.percentile(depths, 98)),
-            )
-    return ranges

@@ -2,13 +2,11 @@
 
 The formats are https://colmap.github.io/format.html; the newer files of rigs and frames repeat the
 poses and are not needed. pycolmap reads these files too, but for a truncated file some versions
-(such as 4.2.1) return arbitrary numbers, hang or end the process. Here every count is checked
-against the remaining bytes of the file.
+(such as 4.2.1) return arbitrary numbers, hang or end the process.
 """
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,6 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
 from slgaussian.formats.text import read_lines
@@ -30,10 +29,6 @@ MODELS = {
 """Camera models: name and number of parameters by the id in binary files."""
 
 KINDS = ("cameras", "images", "points3D")
-
-IMAGE = re.compile(r"[ \t]*" + r"([^ \t]+)[ \t]+" * 8 + r"([^ \t]+)[ \t]?(.*)", re.DOTALL)
-"""The line of an image in a text file: id, quaternion, translation, camera; the rest is its name.
-"""
 
 T = TypeVar("T")
 
@@ -87,15 +82,8 @@ def model_files(folder: Path) -> list[Path]:
 
 
 def count_images(folder: Path) -> int:
-    """Count the posed images of the model in a folder; 0 if its file of images is damaged."""
-    file = model_files(folder)[1]
-    try:
-        if file.suffix == ".txt":
-            return len(_images(file))
-        with file.open("rb") as stream:
-            return struct.unpack("<Q", stream.read(8))[0]
-    except (OSError, struct.error, _Wrong):
-        return 0
+    """Count the posed images of the model in a folder; errors as of :func:`read_model`."""
+    return len(_checked(model_files(folder)[1], _images))
 
 
 def read_model(folder: Path) -> SparseModel:
@@ -128,16 +116,12 @@ def _checked(file: Path, read: Callable[[Path], T]) -> T:
         return read(file)
     except OSError as bad:
         raise InputError(f"{file}: cannot be read ({bad.strerror})") from None
-    except _Wrong as bad:
-        raise InputError(f"{file}: {bad}; it is damaged or cut short, copy it again") from None
-
-
-class _Wrong(Exception):
-    """A file is damaged; the message describes the problem."""
+    except (ValueError, IndexError, struct.error) as bad:
+        raise InputError(f"{file}: is damaged or cut short ({bad}); copy it again") from None
 
 
 class _Bytes:
-    """Sequential reader of a binary file that never reads past its end."""
+    """Sequential reader of a binary file; struct.error or ValueError past its end."""
 
     def __init__(self, file: Path):
         self.data = file.read_bytes()
@@ -145,180 +129,112 @@ class _Bytes:
 
     def take(self, layout: str) -> tuple:
         """Return the next values for a :mod:`struct` format."""
-        start = self.skip(struct.calcsize(f"<{layout}"))
-        return struct.unpack_from(f"<{layout}", self.data, start)
-
-    def skip(self, count: int) -> int:
-        """Skip ``count`` bytes; return the offset of the first."""
-        start = self.at
-        if count > len(self.data) - start:
-            raise _Wrong(f"ends after {len(self.data)} bytes, in the middle of an entry")
-        self.at += count
-        return start
+        values = struct.unpack_from(f"<{layout}", self.data, self.at)
+        self.at += struct.calcsize(f"<{layout}")
+        return values
 
     def text(self) -> str:
         """Return the text up to the next zero byte."""
-        end = self.data.find(b"\0", self.at)
-        if end < 0:
-            raise _Wrong("ends in the middle of a name")
-        start, self.at = self.at, end + 1
+        start, end = self.at, self.data.index(b"\0", self.at)
+        self.at = end + 1
         return self.data[start:end].decode("utf-8", "replace")
 
-    def entries(self, min_bytes: int) -> Iterator[int]:
-        """Yield the index of each entry; a count, checked against ``min_bytes`` each, precedes."""
-        (count,) = self.take("Q")
-        if count * min_bytes > len(self.data) - self.at:
-            raise _Wrong(f"says that it has {count} entries, but ends after {len(self.data)} bytes")
-        yield from range(count)
+    def entries(self) -> Iterator[int]:
+        """Yield the index of each entry, whose count is the first number of the file."""
+        yield from range(self.take("Q")[0])
         if self.at != len(self.data):
-            raise _Wrong(f"goes on for {len(self.data) - self.at} bytes after its last entry")
+            raise ValueError(f"its last entry ends at byte {self.at} of {len(self.data)}")
 
 
 def _cameras(file: Path) -> dict[int, SparseCamera]:
     cameras: dict[int, SparseCamera] = {}
     counts = dict(MODELS.values())
     for number, model, width, height, params in _stored_cameras(file):
-        if number in cameras:
-            raise _Wrong(f"has two cameras {number}")
-        if model not in counts:
-            raise _Wrong(f"camera {number} is of model {model}, which is not known")
-        if len(params) != counts[model]:
-            raise _Wrong(
-                f"camera {number}: {model} has {counts[model]} parameters, found {len(params)}"
-            )
+        if len(params) != counts.get(model):
+            raise ValueError(f"camera {number} is of model {model} with {len(params)} parameters")
         if not (0 < width < 1e6 and 0 < height < 1e6 and np.isfinite(params).all()):
-            raise _Wrong(f"camera {number} is {width}x{height} pixels with parameters {params}")
+            raise ValueError(f"camera {number} is {width}x{height} pixels with {params}")
         cameras[number] = SparseCamera(model, width, height, params)
     return cameras
 
 
 def _stored_cameras(file: Path) -> Iterator[tuple[int, str, int, int, tuple[float, ...]]]:
     """Yield id, model, width, height and parameters of each camera in a file."""
-    if file.suffix == ".bin":
-        data = _Bytes(file)
-        for _ in data.entries(24):
-            number, kind, width, height = data.take("iiQQ")
-            model, count = MODELS.get(kind, (str(kind), 0))
-            yield number, model, width, height, data.take(f"{count}d")
+    if file.suffix == ".txt":
+        for words in map(str.split, _lines(file)):
+            yield (
+                int(words[0]),
+                words[1],
+                int(words[2]),
+                int(words[3]),
+                tuple(map(float, words[4:])),
+            )
         return
-    for line, text in _lines(file):
-        words = text.split()
-        if not words:
-            continue
-        try:
-            number, width, height = int(words[0]), int(words[2]), int(words[3])
-            params = tuple(map(float, words[4:]))
-        except (ValueError, IndexError):
-            raise _Wrong(f"line {line} is no camera") from None
-        yield number, words[1], width, height, params
+    data = _Bytes(file)
+    for _ in data.entries():
+        number, kind, width, height = data.take("iiQQ")
+        model, count = MODELS.get(kind, (str(kind), 0))
+        yield number, model, width, height, data.take(f"{count}d")
 
 
 def _images(file: Path) -> dict[int, SparseImage]:
     images: dict[int, SparseImage] = {}
-    for number, name, camera, pose in _stored_images(file):
-        if number in images:
-            raise _Wrong(f"has two images {number}")
-        if not name.strip():
-            raise _Wrong(f"image {number} has no name")
-        length = float(np.linalg.norm(pose[:4]))
-        if not (np.isfinite(pose).all() and abs(length - 1) < 0.01):
-            raise _Wrong(f"image {number}: {pose} is no unit quaternion and translation")
-        w, (x, y, z) = pose[0] / length, np.array(pose[1:4]) / length
+    for number, pose, camera, name in _stored_images(file):
+        if not np.isfinite(pose).all() or abs(np.linalg.norm(pose[:4]) - 1) > 0.01:
+            raise ValueError(f"image {number}: {pose} is no unit quaternion and translation")
         w2c = np.eye(4)
-        w2c[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
+        w2c[:3, :3] = Rotation.from_quat(np.roll(pose[:4], -1)).as_matrix()
         w2c[:3, 3] = pose[4:]
         images[number] = SparseImage(name, camera, w2c)
     return images
 
 
-def _stored_images(file: Path) -> Iterator[tuple[int, str, int, list[float]]]:
-    """Yield id, name, camera, and quaternion (w first) with translation, of each image."""
-    if file.suffix == ".bin":
-        data = _Bytes(file)
-        for _ in data.entries(73):
-            number, *pose, camera = data.take("i7di")
-            name = data.text()
-            (count,) = data.take("Q")
-            data.skip(24 * count)
-            yield number, name, camera, pose
+def _stored_images(file: Path) -> Iterator[tuple[int, list[float], int, str]]:
+    """Yield id, quaternion (w first) with translation, camera and name of each image."""
+    if file.suffix == ".txt":
+        for line in _lines(file):
+            # COLMAP writes a line of points, triples of numbers, after each image. Files written
+            # from known poses often lack these lines.
+            if not _are_points(line):
+                number, *pose, camera, name = line.split(None, 9)
+                yield int(number), list(map(float, pose)), int(camera), name
         return
-    points_may_follow = False
-    for line, text in _lines(file):
-        # COLMAP writes a line of points after each image, blank if there are none. Files written
-        # from known poses often lack these lines.
-        if not text.strip() or (points_may_follow and _are_points(text)):
-            points_may_follow = False
-            continue
-        match = IMAGE.fullmatch(text)
-        try:
-            *words, name = match.groups() if match else ()
-            number, pose, camera = int(words[0]), list(map(float, words[1:8])), int(words[8])
-        except ValueError:
-            raise _Wrong(f"line {line} is no image, nor the points of one") from None
-        yield number, name, camera, pose
-        points_may_follow = True
+    data = _Bytes(file)
+    for _ in data.entries():
+        number, *pose, camera = data.take("i7di")
+        name = data.text()
+        data.take(f"{24 * data.take('Q')[0]}x")
+        yield number, pose, camera, name
 
 
-def _are_points(text: str) -> bool:
-    """Tell whether a line consists of triples of x, y and point id, -1 for none."""
-    numbers = text.split()
+def _are_points(line: str) -> bool:
     try:
-        for k in range(0, len(numbers), 3):
-            x, y, point = numbers[k : k + 3]
-            float(x), float(y), int(point)
+        return len(list(map(float, line.split()))) % 3 == 0
     except ValueError:
         return False
-    return True
 
 
 def _points(file: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read positions and observations, as in :class:`SparseModel`."""
+    points: list[tuple[float, ...]] = []
+    tracks: list[tuple[int, ...]] = []
     if file.suffix == ".txt":
-        return _text_points(file)
-    data = _Bytes(file)
-    # Id, position, colour, error, number of images, then these images. There may be millions of
-    # points, so only the counts are read one by one.
-    starts, counts = [], []
-    for _ in data.entries(51):
-        starts.append(data.skip(43))
-        (count,) = data.take("Q")
-        data.skip(8 * count)
-        counts.append(count)
-    begin, many = np.array(starts, np.int64), np.array(counts, np.int64)
-    raw = np.frombuffer(data.data, np.uint8)
-    points = raw[begin[:, None] + 8 + np.arange(24)].view("<f8")
-    rows = np.repeat(np.arange(len(begin)), many)
-    nth = np.arange(len(rows)) - np.repeat(np.cumsum(many) - many, many)
-    images = raw[(begin[rows] + 51 + 8 * nth)[:, None] + np.arange(4)].view("<i4")
-    return points, np.stack([rows, images[:, 0].astype(np.int64)], 1)
+        for words in map(str.split, _lines(file)):
+            points.append((float(words[1]), float(words[2]), float(words[3])))
+            tracks.append(tuple(map(int, words[8::2])))
+    else:
+        data = _Bytes(file)
+        for _ in data.entries():
+            *position, count = data.take("8x3d11xQ")
+            points.append(tuple(position))
+            tracks.append(data.take(f"{2 * count}i")[::2])
+    rows = np.repeat(np.arange(len(points)), list(map(len, tracks)))
+    images = np.array([image for track in tracks for image in track], np.int64)
+    return np.array(points, np.float64).reshape(-1, 3), np.stack([rows, images], 1)
 
 
-def _text_points(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    points, sightings = [], []
-    for line, text in _lines(file):
-        words = text.split()
-        if not words:
-            continue
-        try:
-            points.append(tuple(map(float, words[1:4])))
-            track = list(map(int, words[8:]))
-        except ValueError:
-            track = [0]
-        if len(words) < 8 or len(track) % 2 or not all(0 <= t < 2**32 for t in track[::2]):
-            raise _Wrong(f"line {line} is no point")
-        sightings += [(len(points) - 1, image) for image in track[::2]]
-    return np.array(points).reshape(-1, 3), np.array(sightings, np.int64).reshape(-1, 2)
-
-
-def _lines(file: Path) -> Iterator[tuple[int, str]]:
-    """Yield number and text of each line that is not a comment."""
-    try:
-        lines = read_lines(file)
-    except UnicodeDecodeError:
-        raise _Wrong("is not text") from None
-    for number, line in enumerate(lines, 1):
-        if not line.lstrip().startswith("#"):
-            yield number, line
+def _lines(file: Path) -> Iterator[str]:
+    """Yield each line that is neither blank nor a comment."""
+    for line in read_lines(file):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield line
