@@ -9,25 +9,242 @@ of the image, with pixel centres at +0.5, as here.
 from __future__ import annotations
 
 import json
+import math
 import os
+import re
+from collections import ChainMap
 from collections.abc import Mapping
-from dataclasses import asdict
-from functools import partial
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.datasets.lens import straightened
-from slgaussian.datasets.nerfstudio_frame import OPENGL, OWN, Frame
-from slgaussian.datasets.photographs import absent, name_in
+from slgaussian.datasets.intrinsics import checked_camera
+from slgaussian.datasets.lens import Maps, perspective_maps, straightened
+from slgaussian.datasets.photographs import (
+    EXTENSIONS,
+    absent,
+    is_there,
+    masked,
+    name_in,
+    open_photograph,
+    stored_size,
+)
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json
+from slgaussian.formats.depth_maps import MILLIMETRE, known_depth, read_map
+from slgaussian.formats.resampling import Window
 from slgaussian.io import write_atomic
-from slgaussian.scene import Camera, Scene, View
+from slgaussian.scene import Camera, Estimated, Scene, View
 
 FILE = "transforms.json"
+PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+FISHEYE = "OPENCV_FISHEYE"
+OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
+"""Factors of the columns of a pose between OpenCV and OpenGL axes."""
+
+OWN = "slgaussian"
+"""Key of this package's additions: at the top level the record of the estimation
+(:meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`), and in each frame the other fields
+of a camera (``estimated``, ``near``, ``far``). Such frames refer to upright photographs."""
+
+USED = frozenset(
+    ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov")
+    + ("camera_model", "is_fisheye", "k1", "k2", "k3", "k4", "p1", "p2", "mask_path")
+    + ("depth_unit_scale_factor", "applied_scale")
+    + ("aabb_scale", "scale", "auto_scale_poses_override", "integer_depth_scale")
+)
+"""Supported keys among those that match :data:`CHANGES_PIXELS`; the last line has no influence on
+projection and image, as it places the scene in instant-ngp's cube, or is of depth that is not read.
+"""
+
+CHANGES_PIXELS = re.compile(
+    r"lens|fish|distort|mask|rolling|readout|shutter(?!_?speed)|scale|crop|aspect|flip|skew|shear"
+    r"|ortho|rectangular|latlong|pano(?!ptic)|spheri|omnidir|theta|projection|camera_?(model|type)"
+    r"|focal|fov|field_of_view|camera_?angle|intrinsic|principal|shift_?[xy]|matrix_(start|end)"
+    r"|^f(l?_?[xy])?$|^c_?[xy]$|^[kpsb]_?\d+$|^xi$",
+    re.IGNORECASE,
+)
+"""Parts of key names that indicate a lens, a distortion, a mask, a shutter or a scale."""
+
+NEUTRAL = ("", "none", "pinhole", "perspective", "global")
+"""Values of such keys, besides 0, false and null, without effect."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame; its values have priority over those of the file, and null values are dropped."""
+
+    file: Path
+    name: str
+    values: ChainMap[str, Any]
+
+    @staticmethod
+    def of(file: Path, name: str, *levels: Mapping[str, Any]) -> Frame:
+        """Make a frame from its values, with those of the file as defaults."""
+        stated = ({k: v for k, v in level.items() if v is not None} for level in levels)
+        return Frame(file, name, ChainMap(*stated))
+
+    def error(self, problem: str) -> InputError:
+        """Return an error that names file and frame."""
+        return InputError(f"{self.file}: frame {self.name!r}: {problem}")
+
+    def number(self, key: str, default: Any = None) -> Any:
+        """Return a finite number as float, or the default if the key is missing."""
+        value = self.values.get(key)
+        if value is None:
+            return default
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not is_number or not math.isfinite(value):
+            raise self.error(f"{key} is {value!r}, expected a finite number")
+        return float(value)
+
+    @cached_property
+    def image_path(self) -> Path | None:
+        """Path of the stored photograph; None if it is missing."""
+        stem = self.file.parent / self.name
+        tries = (stem, *(Path(f"{stem}{end}") for end in EXTENSIONS))
+        return next((p for p in tries if is_there(p)), None)
+
+    def camera(self, size: tuple[int, int] | None) -> Camera:
+        """Return the camera of the undistorted view; ``size`` is used if w and h are missing."""
+        self._check_keys()
+        w, h = self.number("w"), self.number("h")
+        if w is None or h is None:
+            if size is None:
+                raise self.error("has neither w and h nor a photograph to take them from; add them")
+            w, h = size
+        if w != int(w) or h != int(h):
+            raise self.error(f"w and h are {w:g} and {h:g}, expected whole numbers of pixels")
+        fx = self._focal("x", w)
+        if fx is None:
+            raise self.error("has neither fl_x nor camera_angle_x; add the focal length in pixels")
+        fy = self._focal("y", h)
+        fy = fx if fy is None else fy
+        cx, cy = self.number("cx", w / 2), self.number("cy", h / 2)
+        try:
+            c2w = np.array(self.values["transform_matrix"], np.float64).reshape(4, 4) * OPENGL
+        except (KeyError, TypeError, ValueError):
+            raise self.error("has no transform_matrix of 4x4 numbers, camera-to-world") from None
+        K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        try:
+            camera = checked_camera(Camera(K, c2w, int(w), int(h)))
+            if self.extra is None:
+                return camera
+            extra = Frame.of(self.file, self.name, self.extra)
+            estimate = self.extra.get("estimated")
+            estimated = None if estimate is None else Estimated.of(estimate)
+            near, far = extra.number("near"), extra.number("far")
+            return replace(camera, near=near, far=far, estimated=estimated)
+        except InputError as bad:
+            raise self.error(str(bad)) from None
+        except ValueError as bad:
+            raise self.error(f"estimated {bad}") from None
+
+    def _check_keys(self) -> None:
+        """Raise InputError for a key that may change the image and is not supported."""
+        model = self.values.get("camera_model", PERSPECTIVE[0])
+        if model not in (*PERSPECTIVE, FISHEYE):
+            raise self.error(
+                f"camera_model {model!r} cannot be read, only {', '.join(PERSPECTIVE)} and "
+                f"{FISHEYE}; undistort the photographs to PINHOLE first"
+            )
+        for key, value in self.values.items():
+            if key in USED or not CHANGES_PIXELS.search(key):
+                continue
+            is_colour = "mask" in key  # a mask colour of 0 is a value too
+            numbers = value if isinstance(value, list) and not is_colour else [value]
+            changes_nothing = str(value).lower() in NEUTRAL or not any(numbers)
+            if not changes_nothing and not (value == 1 and re.search("scale|aspect", key)):
+                raise self.error(
+                    f"{key} is {value!r:.60}, which may change where points are seen and is not "
+                    "read; undistort the photographs to a PINHOLE camera, or remove the key if it "
+                    "does not matter"
+                )
+
+    def _focal(self, axis: str, size: float) -> float | None:
+        """Return the focal length in pixels along an axis, from the first level that has one."""
+        for level in self.values.maps:
+            alone = Frame(self.file, self.name, ChainMap(level))
+            if (focal := alone.number(f"fl_{axis}")) is not None:
+                return focal
+            for key, unit in ((f"camera_angle_{axis}", 1), (f"{axis}_fov", math.pi / 180)):
+                angle = alone.number(key)
+                if angle is not None:
+                    if not 0 < angle * unit < math.pi:
+                        expected = "radians below pi" if unit == 1 else "degrees below 180"
+                        raise self.error(f"{key} is {angle:g}, expected {expected} and above 0")
+                    return size / 2 / math.tan(angle * unit / 2)
+        return None
+
+    @property
+    def extra(self) -> dict[str, Any] | None:
+        """Return the entries of :func:`write`, or None."""
+        extra = self.values.get(OWN)
+        if extra is not None and not isinstance(extra, dict):
+            raise self.error(f"{OWN} is {extra!r}, expected an object")
+        return extra
+
+    def undistortion(self, camera: Camera) -> Maps | None:
+        """Compute undistortion maps (:mod:`slgaussian.datasets.lens`); None for a pinhole."""
+        k1, k2, k3, k4 = (self.number(f"k{i}", 0.0) for i in range(1, 5))
+        p1, p2 = (self.number(f"p{i}", 0.0) for i in range(1, 3))
+        size = (camera.width, camera.height)
+        if self.values.get("is_fisheye") or self.values.get("camera_model") == FISHEYE:
+            K = camera.K.copy()
+            K[:2, 2] -= 0.5  # OpenCV counts from pixel centres
+            lens = np.array([k1, k2, k3, k4])
+            return cv2.fisheye.initUndistortRectifyMap(K, lens, np.eye(3), K, size, cv2.CV_32FC1)
+        if k4:
+            raise self.error(f"k4 is {k4:g}, expected a camera_model {FISHEYE} with it")
+        lens = np.array([k1, k2, p1, p2, k3])
+        return perspective_maps(camera.K, size, lens) if lens.any() else None
+
+    def view(self, camera: Camera) -> View:
+        """Open and undistort the photograph, with its mask and depth.
+
+        Raises:
+            InputError: If a file is missing, except that of the depth, or unreadable.
+        """
+        assert self.image_path is not None
+        size = (camera.width, camera.height)
+        pixels, opaque = open_photograph(self.image_path, size, upright=self.extra is not None)
+        if pixels.shape[:2] != size[::-1]:
+            raise InputError(
+                f"{self.image_path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "
+                f"says {size[0]}x{size[1]}; resize it, or scale w, h, fl_x, fl_y, cx and cy to its "
+                "size"
+            )
+        if (mask := self.values.get("mask_path")) is not None:
+            pixels, opaque = masked(pixels, opaque, self.place(mask))
+        view = View(self.name, camera, pixels, self._depth(camera), opaque=opaque)
+        maps = self.undistortion(camera)
+        return view if maps is None else straightened(view, maps)
+
+    def place(self, name: Any) -> Path:
+        """Resolve a path relative to the folder of the camera file."""
+        return self.file.parent / name_in(self.file.parent, str(name))
+
+    def _depth(self, camera: Camera) -> np.ndarray | None:
+        """Read depth float32 [H, W] in scene units, 0 where unknown; None without a depth file."""
+        name = self.values.get("depth_file_path")
+        if name is None or not is_there(path := self.place(name)):
+            return None
+        depth = read_map(path)
+        unit = self.number("depth_unit_scale_factor", MILLIMETRE)
+        if path.suffix not in (".npy", ".exr", ".pfm"):
+            unit /= MILLIMETRE  # read_map scales integers
+        scale = unit * self.number("applied_scale", 1.0)
+        if scale <= 0:
+            raise self.error("depth_unit_scale_factor and applied_scale must be positive")
+        depth = known_depth(depth.astype(np.float64) * scale).astype(np.float32)
+        photograph = Window.whole(camera.width, camera.height)
+        photograph.check_shape(path, *depth.shape[::-1])
+        return photograph.depth(depth, camera.height, camera.width)
 
 
 def read(path: str | Path) -> Scene:
@@ -40,13 +257,12 @@ def read(path: str | Path) -> Scene:
     exists. ``is_fisheye`` means ``camera_model`` OPENCV_FISHEYE. Undistorted views have the same K;
     pixels outside the lens's image are black, with depth 0.
 
-    Images are converted to RGB uint8: grey is repeated, 16 bits are scaled, transparent pixels are
-    composited over black and marked in ``View.opaque``. An EXIF orientation is applied only if w
-    and h fit the rotated photograph (:func:`slgaussian.datasets.photographs.open_photograph`).
-    ``mask_path`` is a second alpha channel. Depth (16-bit image or .npy, z-depth) is scaled by
-    ``depth_unit_scale_factor`` and, like the poses, by ``applied_scale``, resampled at the image's
-    pixel centres, and 0 where it is not positive. A view without a depth file has no depth; a depth
-    file of an unsupported format is ignored with a warning.
+    Transparent pixels are composited over black and marked in ``View.opaque``; ``mask_path`` is a
+    second alpha channel. An EXIF orientation is applied only if w and h fit the rotated photograph
+    (:func:`slgaussian.datasets.photographs.open_photograph`). Depth along z
+    (:func:`slgaussian.formats.depth_maps.read_map`) is scaled by ``depth_unit_scale_factor`` and,
+    like the poses, by ``applied_scale``, and resampled at the image's pixel centres. A view whose
+    depth file is missing has no depth.
 
     Args:
         path: ``transforms.json`` or the folder that holds it; other paths are relative to that
@@ -54,13 +270,14 @@ def read(path: str | Path) -> Scene:
 
     Raises:
         InputError: If the file is missing or damaged, a frame is invalid, or it has an unsupported
-            key that may change the image (``CHANGES_PIXELS`` of
-            :mod:`slgaussian.datasets.nerfstudio_frame`). A missing or unreadable photograph is an
-            error only when its view is read.
+            key that may change the image (:data:`CHANGES_PIXELS`). A missing or unreadable
+            photograph is an error only when its view is read.
     """
     path = Path(path)
     file = path / FILE if path.is_dir() else path
-    meta = _load(file)
+    meta = _parsed(file)
+    if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
+        raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
     frames: dict[str, Frame] = {}
     shared = {key: value for key, value in meta.items() if key not in (OWN, "frames")}
     estimation = meta.get(OWN, {})
@@ -76,27 +293,22 @@ def read(path: str | Path) -> Scene:
         if name in frames:
             raise InputError(f"{file}: two frames have the file_path {name!r}; remove one")
         frames[name] = Frame.of(file, name, entry, shared)
-    size = next((s for s in (frame.stored_size() for frame in frames.values()) if s), None)
+    sizes = (stored_size(f.image_path) for f in frames.values() if f.image_path is not None)
+    size = next((size for size in sizes if size), None)
     cameras = {name: frame.camera(size) for name, frame in frames.items()}
-
     name = file.resolve().parent.name or "scene"
     read_view, sources = partial(_read_view, frames, cameras), partial(_sources, frames)
     return Scene(name, cameras, read_view, found=estimation, sources=sources)
 
 
 def _read_view(frames: Mapping[str, Frame], cameras: Mapping[str, Camera], name: str) -> View:
-    """Open and undistort a frame."""
     if name not in frames:
         file = next(iter(frames.values())).file
         raise InputError(f"{file}: no frame has the file_path {name!r}")
-    frame, camera = frames[name], cameras[name]
+    frame = frames[name]
     if frame.image_path is None:
-        photographs = {n: f.image_path or f.file.parent / n for n, f in frames.items()}
-        raise absent(photographs[name], frame.file.name, photographs)
-    image, opaque = frame.image(frame.image_path, camera)
-    view = View(name, camera, image, frame.depth(camera), opaque=opaque)
-    maps = frame.undistortion(camera)
-    return view if maps is None else straightened(view, maps)
+        raise absent(frame.file.parent / name, frame.file.name)
+    return frame.view(cameras[name])
 
 
 def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:
@@ -205,10 +417,3 @@ def _parsed(file: Path) -> Any:
         ) from None
     except ValueError as bad:
         raise InputError(f"{file}: is not valid JSON ({bad}); write it again") from None
-
-
-def _load(file: Path) -> dict[str, Any]:
-    meta = _parsed(file)
-    if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
-        raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
-    return meta

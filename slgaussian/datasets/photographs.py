@@ -23,8 +23,6 @@ EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".heic", ".HEIC"
 OPAQUE = 128
 """Smallest alpha, of 255, of an opaque pixel."""
 
-_ROWS = 256  # rows converted at a time; copies of a whole image take too much memory
-
 
 def rgb(image: Image.Image) -> np.ndarray:
     """Return the pixels of an opened image, uint8 [H, W, 3], transparent ones over black.
@@ -32,28 +30,19 @@ def rgb(image: Image.Image) -> np.ndarray:
     Grey is repeated, 16 bits are scaled. Raises ValueError for floating-point pixels.
     """
     if image.mode.startswith("I"):  # 16 bits of grey
-        return _by_rows(np.asarray(image), lambda grey: (np.clip(grey / 257, 0, 255))[..., None])
+        grey = np.round(np.clip(np.asarray(image) / 257, 0, 255)).astype(np.uint8)
+        return np.repeat(grey[..., None], 3, axis=-1)
     if image.mode == "F":
         raise ValueError("floating-point pixels")
     if "A" in image.getbands() or "transparency" in image.info:
-        return _by_rows(
-            np.asarray(image.convert("RGBA")), lambda part: part[..., :3] * part[..., 3:] / 255
-        )
-    width, height = image.size
-    pixels = np.empty((height, width, 3), np.uint8)
-    for top in range(0, height, _ROWS):
-        end = min(top + _ROWS, height)
-        pixels[top:end] = np.asarray(image.crop((0, top, width, end)).convert("RGB"))
-    return pixels
+        pixels = np.asarray(image.convert("RGBA"))
+        return _over_black(pixels[..., :3], pixels[..., 3])
+    return np.array(image if image.mode == "RGB" else image.convert("RGB"))
 
 
-def _by_rows(pixels: np.ndarray, colour: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Map blocks of rows, as float64, by ``colour``; round to uint8 [H, W, 3]."""
-    mapped = np.empty((*pixels.shape[:2], 3), np.uint8)
-    for top in range(0, len(pixels), _ROWS):
-        part = pixels[top : top + _ROWS].astype(np.float64)
-        mapped[top : top + _ROWS] = np.round(colour(part))
-    return mapped
+def _over_black(pixels: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Composite uint8 [H, W, 3] with alpha uint8 [H, W] over black, rounded."""
+    return ((pixels * alpha[..., None].astype(np.uint16) + 127) // 255).astype(np.uint8)
 
 
 def open_photograph(
@@ -99,23 +88,14 @@ def masked(
     Raises:
         InputError: If the mask is missing, damaged, or of another size.
     """
-    height, width = pixels.shape[:2]
-    if not is_there(mask):
-        raise InputError(f"{mask}: no such mask; put the file there, or remove its key mask_path")
-    alpha = mask_levels(mask).copy()
-    if alpha.shape != (height, width):
+    alpha = mask_levels(mask)
+    if alpha.shape != pixels.shape[:2]:
         raise InputError(
-            f"{mask}: is {alpha.shape[1]}x{alpha.shape[0]}, its photograph {width}x{height}; bring "
-            "it to that size"
+            f"{mask}: has {alpha.shape} pixels, expected {pixels.shape[:2]} as its photograph"
         )
-    if alpha.max() == 1:
-        alpha *= 255
-    composited = _by_rows(
-        np.dstack([pixels, alpha]), lambda part: part[..., :3] * part[..., 3:] / 255
-    )
-    visible = alpha >= OPAQUE
-    visible = visible if opaque is None else visible & opaque
-    return composited, None if visible.all() else visible
+    alpha = alpha * np.uint8(255) if alpha.max() == 1 else alpha
+    visible = (alpha >= OPAQUE) & (True if opaque is None else opaque)
+    return _over_black(pixels, alpha), None if visible.all() else visible
 
 
 def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, int] | None:
@@ -220,7 +200,7 @@ def _read_view(
         raise InputError(f"{named_by}: has no view {name!r}")
     file, camera = photographs[name], cameras[name]
     if not is_there(file):
-        raise absent(file, named_by, photographs)
+        raise absent(file, named_by)
     pixels, opaque = open_photograph(file, (camera.width, camera.height), upright)
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
@@ -233,15 +213,9 @@ def _read_view(
     return view if maps is None else straightened(view, maps)
 
 
-def absent(path: Path, named_by: str | Path, photographs: Mapping[str, Path]) -> InputError:
-    """Return the error for a missing photograph, which counts the other missing ones.
-
-    ``named_by`` is the file that lists all ``photographs``.
-    """
-    gone = [name for name, file in photographs.items() if file != path and not is_there(file)]
-    also = f" ({len(gone)} more of its {len(photographs)} photographs missing: "
-    also += f"{', '.join(gone[:3])}{', ...' if len(gone) > 3 else ''})"
+def absent(path: Path, named_by: str | Path) -> InputError:
+    """Return the error for a missing photograph of the file ``named_by``."""
     return InputError(
-        f"{path}: no such photograph, though {named_by} names it{also if gone else ''}; put the "
-        "file there or choose another view"
+        f"{path}: no such photograph, though {named_by} names it; put the file there or choose "
+        "another view"
     )
