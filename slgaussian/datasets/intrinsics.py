@@ -10,9 +10,6 @@ from slgaussian.scene import Camera
 NARROWEST, WIDEST = 3.0, 175.0
 """Range of plausible fields of view, degrees."""
 
-LEAST_MILLIMETRES = 3.0
-"""Too small focal lengths are probably millimetres from this value on, and fractions below it."""
-
 
 def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
     """Return a camera unchanged if its intrinsics are plausible; every reader calls this.
@@ -26,36 +23,26 @@ def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
             pixels.
 
     Raises:
-        InputError: If they are not; the message gives the number in the file and its probable unit.
+        InputError: If they are not; the message gives the number as in the file.
     """
     width, height = camera.width, camera.height
-    size = f"{width}x{height} pixels"
     unit = "fractions of width and height" if fractions else "pixels"
     for axis, focal, side in (("x", camera.K[0, 0], width), ("y", camera.K[1, 1], height)):
-        stated = focal / side if fractions else focal
         sides = (side, max(width, height))
         view, longest_view = (math.degrees(2 * math.atan2(s / 2, focal)) for s in sides)
-        if view > WIDEST:
-            is_fraction = not fractions and stated < LEAST_MILLIMETRES
-            likely = "a fraction of the size" if is_fraction else "in millimetres"
-        elif longest_view < NARROWEST:
-            likely = "in pixels" if fractions else "of a larger photograph, or in micrometres"
-        else:
-            continue
-        raise InputError(
-            f"focal length {axis} is {stated:.6g}, for {size} a field of view of {view:.3g} "
-            f"degrees, expected {NARROWEST:g} to {WIDEST:g}; it is likely {likely}, give it in "
-            f"{unit}"
-        )
+        if view > WIDEST or longest_view < NARROWEST:
+            raise InputError(
+                f"focal length {axis} is {focal / side if fractions else focal:.6g}, for "
+                f"{width}x{height} pixels a field of view of {view:.3g} degrees, expected "
+                f"{NARROWEST:g} to {WIDEST:g}; give it in {unit}"
+            )
     x, y = camera.K[:2, 2]
-    if not (-width <= x <= 2 * width and -height <= y <= 2 * height):
-        likely = "in pixels" if fractions else "of a larger photograph"
-    elif not fractions and 0 <= x < 1 and 0 <= y < 1 and min(width, height) > 2:
-        likely = "a fraction of the size"
-    else:
-        return camera
-    stated_x, stated_y = (x / width, y / height) if fractions else (x, y)
-    raise InputError(
-        f"principal point is ({stated_x:.6g}, {stated_y:.6g}), far from the middle of {size}; it "
-        f"is likely {likely}, give it in {unit}"
-    )
+    is_near = -width <= x <= 2 * width and -height <= y <= 2 * height
+    is_fraction = not fractions and 0 <= x < 1 and 0 <= y < 1 and min(width, height) > 2
+    if not is_near or is_fraction:
+        x, y = (x / width, y / height) if fractions else (x, y)
+        raise InputError(
+            f"principal point is ({x:.6g}, {y:.6g}), far from the middle of {width}x{height} "
+            f"pixels; give it in {unit}"
+        )
+    return camera

@@ -46,26 +46,6 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     path = Path(path)
     file = path if path.is_file() else path / FILE
     folder = image_folder(file.parent, images)
-    rows = _rows(file)
-    photographs = photographs_in(folder)
-    if len(photographs) != len(rows):
-        raise InputError(
-            f"{file}: has {len(rows)} rows, but {folder} has {len(photographs)} photographs; there "
-            "must be one for each row, in the order of their names, and nothing else"
-        )
-    files, cameras = {}, {}
-    for photograph, row in zip(photographs, rows, strict=True):
-        files[photograph.name] = photograph
-        height, width = row[[4, 9]]
-        size = stored_size(photograph, (width, height) if width >= 1 and height >= 1 else None)
-        try:
-            cameras[photograph.name] = _camera(row, size)
-        except InputError as bad:
-            raise InputError(f"{file}: row of {photograph.name!r}: {bad}") from None
-    return scene_of(file.resolve().parent.name or "scene", cameras, files, file, [file])
-
-
-def _rows(file: Path) -> np.ndarray:
     try:
         rows = read_npy(file)
     except OSError as bad:
@@ -77,22 +57,33 @@ def _rows(file: Path) -> np.ndarray:
             f"{file}: found {rows.dtype} {rows.shape}, expected a row of {ROW} numbers for each "
             "photograph"
         )
-    return rows.astype(np.float64)
+    photographs = photographs_in(folder)
+    if len(photographs) != len(rows):
+        raise InputError(
+            f"{file}: has {len(rows)} rows, but {folder} has {len(photographs)} photographs; there "
+            "must be one for each row, in the order of their names, and nothing else"
+        )
+    files, cameras = {}, {}
+    for photograph, row in zip(photographs, rows.astype(np.float64), strict=True):
+        files[photograph.name] = photograph
+        try:
+            cameras[photograph.name] = _camera(row, photograph)
+        except InputError as bad:
+            raise InputError(f"{file}: row of {photograph.name!r}: {bad}") from None
+    return scene_of(file.resolve().parent.name or "scene", cameras, files, file, [file])
 
 
-def _camera(row: np.ndarray, size: tuple[int, int] | None) -> Camera:
-    """Return the camera of a row, for a photograph stored at ``size`` (width, height)."""
-    if not np.isfinite(row).all():
-        raise InputError("holds NaN or infinity")
+def _camera(row: np.ndarray, photograph: Path) -> Camera:
+    """Return the camera of a row, for a photograph that may be stored at another size."""
     matrix, (near, far) = row[:15].reshape(3, 5), row[15:]
     height, width, focal = matrix[:, 4]
+    if not (np.isfinite(row).all() and height >= 1 and width >= 1):
+        raise InputError(f"has {width:g}x{height:g} pixels, or NaN or infinity")
     down, right, back = matrix[:, :3].T
-    if height < 1 or width < 1:
-        raise InputError(f"says {width:g}x{height:g} pixels; expected the photograph's size")
-    w, h = size or (round(width), round(height))
+    w, h = stored_size(photograph, (width, height)) or (round(width), round(height))
     if not has_shape((w, h), (width, height)):
         raise InputError(
-            f"says {width:g}x{height:g} pixels, but the photograph is {w}x{h}, another shape; it "
+            f"has {width:g}x{height:g} pixels, but the photograph is {w}x{h}, another shape; it "
             "was cropped or turned"
         )
     c2w = np.eye(4)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise, product
 from pathlib import Path
@@ -84,51 +85,94 @@ def _cameras(
     photos = {name: photograph(files[name], name) for name in numbers}
     if len(photos) < 2:
         raise InputError(f"{path}: has maps of {len(photos)} of the photographs, expected two")
-    first = dict(list(photos.items())[:JUDGED])
-    matches, sizes = _matches(list(first.values()))
-    readings: list[precomputed.Reading] = []
+    maps = [_Map(stored, number, photos[name]) for name, number in numbers.items()]
+    first = maps[:JUDGED]
+    matches, sizes = _matches([one.photo for one in first])
+    ways = max((one.placements() for one in first), key=len)
+    # Intrinsics of the map before those of the photograph, and square pixels before others.
+    sources = sorted(product(ways, (True, False)), key=lambda s: (not s[1], first[0].stretch(*s)))
     usual = "world-to-camera" if stored.inverted else "camera-to-world"
     poses = sorted(POSES, key=lambda name: ("OpenGL" in name, usual not in name))
-    ways = _ways(stored, numbers, first)
-    for way, pose, ray in product(ways, poses, (False, True)):
+    readings: list[precomputed.Reading] = []
+    problem: InputError | None = None
+    for (way, of_map), pose, ray in product(sources, poses, (False, True)):
         try:
-            cameras = _cameras_of(stored, numbers, first, ways[way], pose)
-        except InputError:  # implausible intrinsics for this size
+            cameras = [one.camera(way, of_map, pose) for one in first]
+        except InputError as error:  # implausible intrinsics for this size
+            problem = problem or error
             continue
-        small = [
-            camera.resized(*size) for camera, size in zip(cameras.values(), sizes, strict=True)
-        ]
+        small = [camera.resized(*size) for camera, size in zip(cameras, sizes, strict=True)]
         depths = []
-        for name, camera in zip(first, small, strict=True):
-            photo = first[name]
-            shrunk = np.diag([photo.width / camera.width, photo.height / camera.height, 1.0])
-            at, depth = ways[way][0][name] @ shrunk, stored.maps[numbers[name]].depth
-            depths.append(precomputed.z_at(depth, at, camera, ray))
-        readings.append(((way, pose), small, depths))
+        for one, camera in zip(first, small, strict=True):
+            shrunk = np.diag(
+                [one.photo.width / camera.width, one.photo.height / camera.height, 1.0]
+            )
+            depth = stored.maps[one.number].depth
+            depths.append(precomputed.z_at(depth, one.place(way) @ shrunk, camera, ray))
+        readings.append(((way, of_map, pose), small, depths))
     if not readings:
-        _cameras_of(
-            stored, numbers, first, next(iter(ways.values())), poses[0]
-        )  # raises for implausible intrinsics
-    ((way, pose), _, _), fitted = precomputed.choose_reading(path, readings, matches)
-    if pose != poses[0] or way != next(iter(ways)):
+        assert problem is not None
+        raise problem
+    (reading, _, _), fitted = precomputed.choose_reading(path, readings, matches)
+    way, of_map, pose = reading
+    if (way, of_map) != sources[0] or pose != poses[0]:
         warnings.warn(
-            f"{path}: poses are read as {pose}, and intrinsics as of {way} photographs: so depth "
-            f"takes {fitted.share:.0%} of the matches to where the other view shows them",
+            f"{path}: poses are read as {pose}, and intrinsics as of "
+            f"{way if of_map else f'stored, not {way},'} photographs: so depth takes "
+            f"{fitted.share:.0%} of the matches to where the other view shows them",
             stacklevel=2,
         )
-    ways = _ways(stored, numbers, photos)
-    return _cameras_of(stored, numbers, photos, ways[way], pose)
+    return {one.photo.name: one.camera(way, of_map, pose) for one in maps}
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """A depth map of the file, by its number, and the photograph to which it belongs."""
+
+    stored: GeometryFile
+    number: int
+    photo: Photograph
+
+    def placements(self) -> dict[str, np.ndarray]:
+        """Return the ways in which the map may cover the photograph."""
+        height, width = self.stored.maps[self.number].depth.shape
+        return precomputed.placements(width, height, (self.photo.width, self.photo.height))
+
+    def place(self, way: str) -> np.ndarray:
+        """Return the transform [3, 3] from pixels of the photograph to those of the map."""
+        ways = self.placements()
+        return ways.get(way, ways["stretched"])
+
+    def intrinsics(self, way: str, of_map: bool) -> np.ndarray:
+        """Return K [3, 3] of the photograph, where the file has that of the map or this."""
+        K = self.stored.maps[self.number].K
+        assert K is not None
+        return np.linalg.inv(self.place(way)) @ K if of_map else K
+
+    def stretch(self, way: str, of_map: bool) -> float:
+        """Return the absolute logarithm of the pixels' aspect ratio, rounded."""
+        K = self.intrinsics(way, of_map)
+        return round(abs(float(np.log(max(K[0, 0] / K[1, 1], 1e-9)))), 2)
+
+    def camera(self, way: str, of_map: bool, pose: str) -> Camera:
+        """Return the camera of the photograph under one interpretation; InputError if invalid."""
+        assert self.stored.poses is not None
+        inverted, flipped = POSES[pose]
+        c2w = self.stored.poses[self.number]
+        c2w = np.linalg.inv(c2w) if inverted else c2w
+        c2w = c2w @ FLIP if flipped else c2w
+        K = self.intrinsics(way, of_map)
+        return checked_camera(Camera(K, c2w, self.photo.width, self.photo.height))
 
 
 def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tuple[int, int]]]:
     """Match successive photographs, scaled to the sizes (width, height) that are returned too."""
     scales = [LONGEST / max(photo.width, photo.height) for photo in photos]
     sizes = [(round(p.width * s), round(p.height * s)) for p, s in zip(photos, scales, strict=True)]
-    greys = [
-        cv2.cvtColor(cv2.resize(p.image, size, interpolation=cv2.INTER_AREA), cv2.COLOR_RGB2GRAY)
-        for p, size in zip(photos, sizes, strict=True)
-    ]
-    features = [sift(grey) for grey in greys]
+    features = []
+    for photo, size in zip(photos, sizes, strict=True):
+        image = cv2.resize(photo.image, size, interpolation=cv2.INTER_AREA)
+        features.append(sift(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)))
     matches = {}
     for i, j in pairwise(range(len(photos))):
         a, b, _ = match(features[i], features[j], LOWE_RATIO)
@@ -136,54 +180,3 @@ def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tu
         keep = agree(p, q, COARSE * LONGEST)
         matches[i, j] = p[keep], q[keep]
     return matches, sizes
-
-
-Way = tuple[dict[str, np.ndarray], bool]
-"""Transform from photograph pixels to map pixels, and whether the intrinsics belong to the map."""
-
-
-def _ways(
-    stored: GeometryFile, numbers: Mapping[str, int], photos: Mapping[str, Photograph]
-) -> dict[str, Way]:
-    """List the possible preprocessings of the photographs, those with square pixels first."""
-    placed = {}
-    for name, photo in photos.items():
-        height, width = stored.maps[numbers[name]].depth.shape
-        placed[name] = precomputed.placements(width, height, (photo.width, photo.height))
-    ways: dict[str, Way] = {}
-    for way in max(placed.values(), key=len):
-        at = {name: ways.get(way, ways["stretched"]) for name, ways in placed.items()}
-        ways[way] = at, True
-        ways[f"stored, not {way},"] = at, False
-    K = stored.maps[next(iter(numbers.values()))].K
-    assert K is not None
-
-    def stretch(way: str) -> float:
-        at, of_map = ways[way]
-        focal = (np.linalg.inv(next(iter(at.values()))) @ K if of_map else K)[[0, 1], [0, 1]]
-        return round(abs(float(np.log(max(focal[0] / focal[1], 1e-9)))), 2)
-
-    return {
-        way: ways[way] for way in sorted(ways, key=lambda way: (not ways[way][1], stretch(way)))
-    }
-
-
-def _cameras_of(
-    stored: GeometryFile,
-    numbers: Mapping[str, int],
-    photos: Mapping[str, Photograph],
-    way: Way,
-    pose: str,
-) -> dict[str, Camera]:
-    """Return the cameras of whole photographs under one interpretation; InputError if invalid."""
-    inverted, flipped = POSES[pose]
-    cameras = {}
-    for name, photo in photos.items():
-        K = stored.maps[numbers[name]].K
-        assert K is not None and stored.poses is not None
-        c2w = stored.poses[numbers[name]]
-        K = np.linalg.inv(way[0][name]) @ K if way[1] else K
-        c2w = np.linalg.inv(c2w) if inverted else c2w
-        c2w = c2w @ FLIP if flipped else c2w
-        cameras[name] = checked_camera(Camera(K, c2w, photo.width, photo.height))
-    return cameras

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from slgaussian.datasets import colmap, llff, nerfstudio, npz, re10k, unposed
 from slgaussian.datasets.photographs import image_folder, photographs_of
@@ -47,16 +47,16 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
         )
     reader = {"colmap": colmap, "llff": llff}[format]
     scene = place if place.is_dir() else place.parent
-    folder = image_folder(colmap.scene_folder(scene) if reader is colmap else scene)
+    folder = image_folder(colmap.scene_folder(scene) if reader is colmap else scene).resolve()
     files = [
         file.resolve()
         for place in map(Path, photographs)
         for file in (photographs_of(place) if place.is_dir() else [place])
         if file.is_file()
     ]
-    if files and not any(file.is_relative_to(folder.resolve()) for file in files):
-        folder = files[0].parent if reader is llff else _root(scene, files) or folder
-    return reader.read(place, str(folder.resolve())), folder
+    if files and not any(file.is_relative_to(folder) for file in files):
+        folder = files[0].parent
+    return reader.read(place, str(folder)), folder
 
 
 def cameras_in(path: str | Path) -> Mapping[str, Camera]:
@@ -70,9 +70,9 @@ def cameras_in(path: str | Path) -> Mapping[str, Camera]:
     format, place = recognise(Path(path))
     if format == "photographs":
         raise InputError(f"{path}: holds photographs and no cameras; expected {EXPECTED}")
-    return (
-        nerfstudio.read_cameras(place) if format == "nerfstudio" else posed_scene(path)[0].cameras
-    )
+    if format == "nerfstudio":
+        return nerfstudio.read_cameras(place)
+    return posed_scene(path)[0].cameras
 
 
 def recognise(path: Path) -> tuple[str, Path]:
@@ -88,9 +88,13 @@ def recognise(path: Path) -> tuple[str, Path]:
             return "colmap", _scene_of(path)
         if formats:
             return formats[0], path
-        if photographs_of(path) and not _scenes_in(path) and not any(path.glob("*.json")):
+        json_files = sorted(file.name for file in path.glob("*.json"))
+        if photographs_of(path) and not json_files:
             return "photographs", path
-        raise InputError(f"{path}: holds no cameras: {_describe(path)}; expected {EXPECTED}")
+        names = json_files or sorted(inside.name for inside in path.iterdir())
+        raise InputError(
+            f"{path}: holds no cameras but {', '.join(names[:4]) or 'nothing'}; expected {EXPECTED}"
+        )
     try:
         with path.open("rb") as file:
             start = file.read(64)
@@ -112,28 +116,3 @@ def _scene_of(path: Path) -> Path:
     scene = colmap.scene_folder(path)
     model, usual = (colmap.largest(colmap.models_in(place)) for place in (path, scene))
     return scene if model.resolve() == usual.resolve() else path
-
-
-def _root(scene: Path, files: Sequence[Path]) -> Path | None:
-    """Return the folder below which ``files`` contain the first photograph of the scene's model."""
-    for name in colmap.read(scene).cameras:
-        for file in files:
-            if file.as_posix().endswith(f"/{name}"):
-                return file.parents[len(PurePosixPath(name).parts) - 1]
-    return None
-
-
-def _scenes_in(folder: Path) -> list[str]:
-    marks = (nerfstudio.FILE, llff.FILE, "sparse")
-    return sorted({inside.parent.name for mark in marks for inside in folder.glob(f"*/{mark}")})
-
-
-def _describe(folder: Path) -> str:
-    if scenes := _scenes_in(folder):
-        return (
-            f"it holds the folders of {len(scenes)} scenes, such as {scenes[0]}; give one of them"
-        )
-    if json_files := sorted(file.name for file in folder.glob("*.json")):
-        return f"it has {', '.join(json_files[:3])}; give the file itself"
-    names = sorted(inside.name for inside in folder.iterdir())[:4]
-    return f"it has {', '.join(names)}" if names else "it is empty"

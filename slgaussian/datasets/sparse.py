@@ -196,8 +196,8 @@ def _stored_images(file: Path) -> Iterator[tuple[int, list[float], int, str]]:
             # COLMAP writes a line of points, triples of numbers, after each image. Files written
             # from known poses often lack these lines.
             if not _are_points(line):
-                number, *pose, camera, name = line.split(None, 9)
-                yield int(number), list(map(float, pose)), int(camera), name
+                *numbers, name = line.split(None, 9)
+                yield int(numbers[0]), list(map(float, numbers[1:8])), int(numbers[8]), name
         return
     data = _Bytes(file)
     for _ in data.entries():

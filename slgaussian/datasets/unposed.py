@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -61,17 +60,13 @@ def _in_memory(images: Sequence[Any]) -> Scene:
     """Estimate the cameras of images in memory; PIL images may have EXIF."""
     pictures = {}
     for i, image in enumerate(images):
-        if isinstance(image, np.ndarray):
-            if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
-                raise InputError(
-                    f"photographs: image {i} is {image.dtype} {image.shape}, expected uint8 "
-                    "(H, W, 3), RGB"
-                )
+        if isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.shape[2:] == (3,):
             image = Image.fromarray(image)
         if not isinstance(image, Image.Image):
+            dtype = f" of {image.dtype} {image.shape}" if isinstance(image, np.ndarray) else ""
             raise InputError(
-                f"photographs: image {i} is a {type(image).__name__}; expected paths alone, or "
-                "images in memory alone: uint8 arrays [H, W, 3] or PIL images"
+                f"photographs: image {i} is a {type(image).__name__}{dtype}; expected paths alone, "
+                "or images in memory alone: uint8 arrays [H, W, 3] or PIL images"
             )
         image.load()
         pictures[f"image_{i}"] = image
@@ -80,9 +75,10 @@ def _in_memory(images: Sequence[Any]) -> Scene:
     estimated = find_cameras([_photograph(image, name) for name, image in pictures.items()])
 
     def read_view(name: str) -> View:
-        image = pictures[name]
-        pixels = rgb(upright(image, orientation_of(image)))
-        return _straight(View(name, estimated.cameras[name], pixels), estimated)
+        pixels = rgb(upright(pictures[name], orientation_of(pictures[name])))
+        camera, k1 = estimated.cameras[name], estimated.k1[name]
+        view = View(name, camera, pixels)
+        return straightened(view, _lens(camera, k1)) if k1 else view
 
     return Scene("images", estimated.cameras, read_view, found=estimated.as_json())
 
@@ -101,19 +97,14 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
     Raises:
         InputError: As :func:`photographs`.
     """
-    files = _photograph_files(path, only)
-    return posed(files, find(files))
+    places = [path] if isinstance(path, str | Path) else path
+    listed = named(places if only is None else [Path(places[0]) / name for name in only])
+    return posed(listed, find(listed))
 
 
 def files(path: Place, only: Sequence[str] | None = None) -> list[Path]:
     """List the photographs of a scene, all of which influence the estimated cameras."""
-    return list(_photograph_files(path, only).values())
-
-
-def _photograph_files(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
-    if only is not None and isinstance(path, str | Path):
-        path = [Path(path) / name for name in only]
-    return named([path] if isinstance(path, str | Path) else path)
+    return list(named([path] if only is None else [Path(path) / name for name in only]).values())
 
 
 def named(places: Sequence[Place]) -> dict[str, Path]:
@@ -135,29 +126,21 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
             )
         listed += inside
     absolute = [Path(os.path.abspath(file)) for file in listed]
-    for i, file in enumerate(absolute):
-        if file in absolute[:i]:
-            raise InputError(f"{listed[i]}: is given twice; give each photograph once")
+    if repeated := [str(file) for i, file in enumerate(absolute) if file in absolute[:i]]:
+        raise InputError(f"{repeated[0]}: is given twice; give each photograph once")
     if len(listed) < 2:
-        only = str(listed[0]) if listed else "nothing"
         raise InputError(
-            f"photographs: found {only}, expected at least two; add a photograph of the same "
-            "things from a step aside"
+            f"photographs: found {', '.join(map(str, listed)) or 'nothing'}, expected at least "
+            "two; add a photograph of the same things from a step aside"
         )
-    folder = _common(absolute)
-    return {
-        place.relative_to(folder).as_posix(): file
-        for place, file in zip(absolute, listed, strict=True)
-    }
+    folder = folder_of(dict(enumerate(absolute)))
+    names = [file.relative_to(folder).as_posix() for file in absolute]
+    return dict(zip(names, listed, strict=True))
 
 
-def folder_of(files: Mapping[str, Path]) -> Path:
+def folder_of(files: Mapping[Any, Path]) -> Path:
     """Return the absolute path of the folder relative to which photographs are named."""
-    return _common([Path(os.path.abspath(file)) for file in files.values()])
-
-
-def _common(files: Sequence[Path]) -> Path:
-    return Path(os.path.commonpath([file.parent for file in files]))
+    return Path(os.path.commonpath([os.path.abspath(file.parent) for file in files.values()]))
 
 
 def find(files: Mapping[str, Path]) -> EstimatedCameras:
@@ -206,7 +189,8 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
             "features; give the photograph at its original size"
         )
     orientation = orientation_of(image)
-    small_size = _shrunk(*full_size)
+    scale = min(1.0, LONGEST / max(full_size))
+    small_size = max(1, round(full_size[0] * scale)), max(1, round(full_size[1] * scale))
     # A JPEG is decoded at a half, a quarter or an eighth of its size, to save time and memory.
     image.draft("RGB", small_size)
     part = max(1, round(full_size[0] / image.size[0]))
@@ -219,24 +203,11 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
 
 
 def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
-    """Return the scene of photographs by name with their estimated cameras.
-
-    Views are undistorted if a lens distortion was estimated.
-    """
-
-    maps = {
-        name: partial(_lens, estimated.cameras[name], k1) for name, k1 in estimated.k1.items() if k1
-    }
-    name = folder_of(files).name or "photographs"
-    record = estimated.as_json()
-    return scene_of(name, estimated.cameras, files, "photographs", (), maps, True, record)
-
-
-def _straight(view: View, estimated: EstimatedCameras) -> View:
-    """Return an undistorted view with its estimated camera."""
-    camera, k1 = estimated.cameras[view.name], estimated.k1[view.name]
-    view = replace(view, camera=camera)
-    return straightened(view, _lens(camera, k1)) if k1 else view
+    """Return the scene of photographs by name with their estimated cameras, undistorted."""
+    cameras = estimated.cameras
+    maps = {name: partial(_lens, cameras[name], k1) for name, k1 in estimated.k1.items() if k1}
+    name, record = folder_of(files).name or "photographs", estimated.as_json()
+    return scene_of(name, cameras, files, "photographs", (), maps, True, record)
 
 
 def _lens(camera: Camera, k1: float) -> Maps:
@@ -250,8 +221,3 @@ def is_turned(file: Path) -> bool:
             return orientation_of(image) != 1
     except (OSError, ValueError) as bad:
         raise unreadable(file, bad) from None
-
-
-def _shrunk(width: int, height: int) -> tuple[int, int]:
-    part = min(1.0, LONGEST / max(width, height))
-    return max(1, round(width * part)), max(1, round(height * part))

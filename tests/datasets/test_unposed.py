@@ -124,7 +124,7 @@ def test_images_in_memory_are_photographs_too(tmp_path, pair, asked):
         np.testing.assert_array_equal(view.camera.K, known.camera.K)  # by EXIF
     for images, message in [
         ((pair[0], "b.jpg"), "image 1 is a str; expected paths alone"),
-        ((pair[0] / 255, pair[1]), "image 0 is float64"),
+        ((pair[0] / 255, pair[1]), "image 0 is a ndarray of float64"),
         ((pair[0],), "found 1 image, expected at least two"),
     ]:
         with pytest.raises(InputError, match=message):
