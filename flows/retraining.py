@@ -5,10 +5,10 @@ The flow is used by the command line and by deployments (``prefect.yaml``).
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,12 +19,13 @@ from prefect.states import State
 
 from flows import corpus
 from flows.config import RetrainSettings, Training
-from flows.history import History, first_names
-from flows.runners.session import check_folder, completed, run_session
+from flows.runners.session import check_folder, completed, publish_markdown, run_session
 from flows.training import Parted, parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.datasets.new_clips import changes, clips_of
 from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.formats import strict_json
+from slgaussian.io import write_atomic
 from slgaussian.semantic.versions import Version, Versions, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
@@ -47,6 +48,15 @@ STATUS = {
 
 LOCK = ".retrain.lock"
 
+RECORD = "retraining.json"
+"""Record of the last retraining in the output folder."""
+
+ARTIFACT = "slgaussian-retraining"
+"""Key of the Prefect artifacts of retrainings."""
+
+NAMES = 20
+"""Largest number of newly left out items in a record."""
+
 FEW = 3
 """Largest number of names in a message."""
 
@@ -61,12 +71,10 @@ class Retraining:
     Attributes:
         outcome: One of :data:`STATUS`.
         messages: tuple of str
-        record: JSON file of the record; None if another retraining is running.
     """
 
     outcome: str
     messages: tuple[str, ...]
-    record: Path | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +102,8 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
     ``Refused``, ``Regressed``, ``LeftOut``, ``NothingNew`` or ``Busy``; an error fails the run. A
-    record and a Prefect artifact have the new, changed and withdrawn clips, the scores and the
-    decision.
+    record and a Prefect artifact have the numbers of new, changed and withdrawn clips, the scores
+    and the decision.
 
     Raises:
         InputError: As in :func:`flows.corpus.supervise` and :func:`learn`, after it was recorded.
@@ -105,49 +113,50 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
         with hold_lock(config.out / LOCK, "retrain"), hold_lock(config.models / LOCK, "retrain"):
             result = run_session("retrain", config, lambda store: _retrain(config, store, verbose))
     except BusyError as error:
-        result = Retraining("busy", (str(error),), None)
+        result = Retraining("busy", (str(error),))
     name = result.outcome.title().replace(" ", "")
     return completed("; ".join(result.messages), result, name=name)
 
 
 def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Retraining:
-    history = History(config.out)
-    record = history.begin()
-    start = time.perf_counter()
-    clips = None
+    file = config.out / RECORD
     try:
-        clips = _learn_what_is_new(config, store, verbose, history, record)
+        before = strict_json.parse(file.read_bytes()) if file.exists() else {}
+    except ValueError as error:
+        raise InputError(f"{file}: cannot be read ({error}); delete it") from error
+    start = time.perf_counter()
+    record: dict[str, Any] = {"outcome": "", "left out": before.get("left out", [])}
+    try:
+        _learn_what_is_new(config, store, verbose, record)
     except Exception as error:
         expected = isinstance(error, SLGaussianError)
         reason = str(error) if expected else f"unexpected {type(error).__name__}: {error}"
         record |= {"outcome": "failed", "messages": [reason]}
         raise
     finally:
-        # After a signal the outcome stays "on", and the next retraining records the failure.
-        if record["outcome"] != "on":
+        if record["outcome"]:  # not after a signal
             record["seconds"] = round(time.perf_counter() - start, 1)
-            history.end(record, clips)
-    messages = tuple(record["messages"])
-    return Retraining(record["outcome"], messages, history.file(record["number"]))
+            text = json.dumps(record, indent=1, ensure_ascii=False)
+            write_atomic(file, text.encode())
+            paragraphs = f"# Retraining: {record['outcome']}", *record["messages"]
+            publish_markdown(ARTIFACT, "\n\n".join([*paragraphs, f"```json\n{text}\n```\n"]))
+    return Retraining(record["outcome"], tuple(record["messages"]))
 
 
 def _learn_what_is_new(
-    config: RetrainSettings,
-    store: ArtifactStore,
-    verbose: bool,
-    history: History,
-    record: dict[str, Any],
-) -> pa.Table:
-    """Do the steps of a retraining and fill its record; return the clips of the corpus."""
+    config: RetrainSettings, store: ArtifactStore, verbose: bool, record: dict[str, Any]
+) -> None:
+    """Do the steps of a retraining and fill its record."""
+    views = config.out / corpus.FILES["views"]
+    before = clips_of(read_table(views)) if views.exists() else None
     prepared = corpus.supervise(config, store, verbose)
-    before, left_out_before = history.previous()
-    clips = clips_of(read_table(config.out / corpus.FILES["views"]))
+    clips = clips_of(read_table(views))
     left_out = {failure.scene: failure.reason for failure in prepared.failures}
-    changed_clips = changes(before, clips, left_out.keys())
-    record["changes"] = {kind: first_names(names) for kind, names in asdict(changed_clips).items()}
-    new = sorted(left_out.keys() - left_out_before)
+    changed_clips = changes(clips[:0] if before is None else before, clips, left_out.keys())
+    record["changes"] = {kind: len(names) for kind, names in asdict(changed_clips).items()}
+    new = sorted(left_out.keys() - set(record["left out"]))
     record["left out"] = sorted(left_out)
-    record["newly left out"] = {name: left_out[name] for name in first_names(new)["first"]}
+    record["newly left out"] = {name: left_out[name] for name in new[:NAMES]}
 
     lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
     learnt = learn(
@@ -171,16 +180,11 @@ def _learn_what_is_new(
     if new:
         name = new[0]
         messages.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
-    record |= {"outcome": _outcome(learnt, bool(new)), "messages": messages}
-    return clips
-
-
-def _outcome(learnt: Learnt, left_out: bool) -> str:
-    if learnt.regressed:
-        return "regressed"
-    if learnt.version is None:
-        return "left out" if left_out else "nothing new"
-    return "promoted" if learnt.version.promoted else "refused"
+    if learnt.version is not None:
+        outcome = "promoted" if learnt.version.promoted else "refused"
+    else:
+        outcome = "left out" if new else "nothing new"
+    record |= {"outcome": "regressed" if learnt.regressed else outcome, "messages": messages}
 
 
 def learn(

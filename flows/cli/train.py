@@ -67,7 +67,7 @@ def retrain(
     A candidate is trained from the weights in use, and promoted if it is significantly better on
     held-out clips than these and than no network. See `versions`. A file has sources, out, models
     and other settings; options override it. cron can run it, or Prefect by `prefect.yaml`. Writes
-    OUT/history/NUMBER.json, and a Prefect artifact. The exit status is 0 if a version was promoted,
+    OUT/retraining.json, and a Prefect artifact. The exit status is 0 if a version was promoted,
     1 if only new clips that were left out are new, 2 if it failed, 3 if the version was refused, 4
     if the one in use is worse than none, 5 if another retraining is running, 6 if nothing is new.
 
@@ -80,7 +80,7 @@ def retrain(
     from flows.retraining import STATUS
 
     typer.echo("\n".join(result.messages))
-    typer.echo(f"{result.outcome}; record: {result.record}" if result.record else result.outcome)
+    typer.echo(result.outcome)
     raise typer.Exit(STATUS[result.outcome])
 
 
