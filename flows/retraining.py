@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from prefect import flow
 from prefect.states import State
 
@@ -22,7 +20,6 @@ from flows.config import RetrainSettings, Training
 from flows.runners.session import check_folder, completed, publish_markdown, run_session
 from flows.training import Parted, parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
-from slgaussian.datasets.new_clips import changes, clips_of
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.formats import strict_json
 from slgaussian.io import write_atomic
@@ -30,7 +27,6 @@ from slgaussian.semantic.versions import Version, Versions, version_name
 from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
 from slgaussian.storage.store import ArtifactStore
-from slgaussian.storage.tables import read_table
 
 ASKED = (*Training.model_fields, "codes", "seed")
 """Settings whose change requires a new training."""
@@ -56,9 +52,6 @@ ARTIFACT = "slgaussian-retraining"
 
 NAMES = 20
 """Largest number of newly left out items in a record."""
-
-FEW = 3
-"""Largest number of names in a message."""
 
 NO_NETWORK = {"hard": "no network (hard)", "filled": "no network (filled)"}
 """Liftings without weights. A branch that is worse than one of them is useless."""
@@ -86,14 +79,11 @@ class Learnt:
         version: The added version; None if nothing was new.
         regressed: A message if the version in use before is worse than no network on the held-out
             lessons; else empty.
-        forgotten: tuple of str. Training clips of the version in use that were withdrawn or changed
-            since. If there are any, training starts from scratch.
     """
 
     message: str
     version: Version | None
     regressed: str = ""
-    forgotten: tuple[str, ...] = ()
 
 
 @flow(name="slgaussian-retrain", persist_result=False)
@@ -102,8 +92,7 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
     ``Refused``, ``Regressed``, ``LeftOut``, ``NothingNew`` or ``Busy``; an error fails the run. A
-    record and a Prefect artifact have the numbers of new, changed and withdrawn clips, the scores
-    and the decision.
+    record and a Prefect artifact have the scores, the decision and what was left out.
 
     Raises:
         InputError: As in :func:`flows.corpus.supervise` and :func:`learn`, after it was recorded.
@@ -147,36 +136,23 @@ def _learn_what_is_new(
     config: RetrainSettings, store: ArtifactStore, verbose: bool, record: dict[str, Any]
 ) -> None:
     """Do the steps of a retraining and fill its record."""
-    views = config.out / corpus.FILES["views"]
-    before = clips_of(read_table(views)) if views.exists() else None
     prepared = corpus.supervise(config, store, verbose)
-    clips = clips_of(read_table(views))
     left_out = {failure.scene: failure.reason for failure in prepared.failures}
-    changed_clips = changes(clips[:0] if before is None else before, clips, left_out.keys())
-    record["changes"] = {kind: len(names) for kind, names in asdict(changed_clips).items()}
     new = sorted(left_out.keys() - set(record["left out"]))
     record["left out"] = sorted(left_out)
     record["newly left out"] = {name: left_out[name] for name in new[:NAMES]}
 
     lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
-    learnt = learn(
-        lessons, config, store, verbose, clips=clips, failed=left_out.keys(),
-    )  # fmt: skip
-    versions = Versions(config.models)
-    used = versions.current()
-    record |= {"in use": 0 if used is None else used.number, "forgotten": list(learnt.forgotten)}
+    learnt = learn(lessons, config, store, verbose)
+    used = Versions(config.models).current()
+    record["in use"] = 0 if used is None else used.number
     messages = [learnt.message]
     if learnt.version is not None:
         record["version"] = learnt.version.number
         record["scores"] = learnt.version.facts["scores"]["iou"]
-    end = f"`slgaussian versions {config.models} --use none` ends it"
     if learnt.regressed:
+        end = f"`slgaussian versions {config.models} --use none` ends it"
         messages.append(f"{learnt.regressed}; {end}")
-    if used is not None and (gone := forgotten_by(versions, used, clips, left_out.keys())):
-        messages.append(
-            f"{version_name(used.number)}, in use, was trained on clips that were withdrawn or "
-            f"changed since: {shorten(gone)}; {end}"
-        )
     if new:
         name = new[0]
         messages.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
@@ -188,12 +164,7 @@ def _learn_what_is_new(
 
 
 def learn(
-    table: pa.Table,
-    settings: RetrainSettings,
-    store: ArtifactStore,
-    verbose: bool = False,
-    clips: pa.Table | None = None,
-    failed: Collection[str] = (),
+    table: pa.Table, settings: RetrainSettings, store: ArtifactStore, verbose: bool = False
 ) -> Learnt:
     """Train on lessons from the weights in use, and promote the result if it is better.
 
@@ -201,10 +172,6 @@ def learn(
     lessons. The candidate is promoted if it is significantly better than all others
     (:func:`slgaussian.benchmark.significance.gate`), and stored in any case. If lessons and
     settings are unchanged, nothing is trained.
-
-    ``clips`` are the clips of the corpus, spec ``clips``, and ``failed`` the names of unreadable
-    clips and chunks. If training clips of the version in use were withdrawn or changed, training
-    starts from scratch, so that they have no influence on new weights.
 
     Raises:
         InputError: As in :func:`flows.training.parted` and :func:`flows.training.train_on`; if the
@@ -218,61 +185,20 @@ def learn(
         used = version_name(0 if incumbent is None else incumbent.number)
         return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
     start, rivals = None, dict(NO_NETWORK)
-    forgotten: tuple[str, ...] = ()
     if incumbent is not None:
         _check_share(settings, incumbent)
         start = versions.weights(incumbent)
         rivals = {"before": version_name(incumbent.number), **rivals}
-        if clips is not None:
-            forgotten = forgotten_by(versions, incumbent, clips, failed)
-    arguments = settings.codes, settings.seed, None if forgotten else start, store, verbose
-    trained = train_on(lessons, settings, *arguments, rival=start)
+    trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
     trained.write(settings.out)
     judgements = trained.judgements
     decision = gate(judgements, rivals)
-    facts = {**description, "scores": _scores(judgements), "forgotten": list(forgotten)}
-    added = versions.add(
-        trained.weights,
-        facts,
-        decision.better,
-        decision.why,
-        None if forgotten else incumbent,
-        rival=incumbent,
-        clips=None
-        if clips is None
-        else clips.filter(pc.is_in(clips["clip"], pc.unique(lessons.learnt["clip"]))),
-    )
+    facts = {**description, "scores": _scores(judgements)}
+    added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     done = "promoted" if added.promoted else "stored, not promoted"
-    anew = ""
-    if incumbent is not None and forgotten:
-        anew = (
-            f"; trained from scratch, as {version_name(incumbent.number)} was trained on clips "
-            f"that were withdrawn or changed since: {shorten(forgotten)}"
-        )
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
-    return Learnt(
-        f"version {added.number} {done}: {added.why}{anew}",
-        added,
-        "" if added.promoted else regressed,
-        forgotten,
-    )
-
-
-def forgotten_by(
-    versions: Versions, version: Version, clips: pa.Table, failed: Collection[str]
-) -> tuple[str, ...]:
-    """Return the training clips of a version that were withdrawn or changed since, sorted."""
-    gone: set[str] = set()
-    for learnt in versions.training_clips(version):
-        changed_clips = changes(learnt, clips, failed)
-        gone.update(changed_clips.withdrawn, changed_clips.changed)
-    return tuple(sorted(gone))
-
-
-def shorten(names: Sequence[str]) -> str:
-    """List the first names, and the number of the others."""
-    rest = f" and {len(names) - FEW} more" if len(names) > FEW else ""
-    return f"{', '.join(names[:FEW])}{rest}"
+    message = f"version {added.number} {done}: {added.why}"
+    return Learnt(message, added, "" if added.promoted else regressed)
 
 
 def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:

@@ -165,19 +165,20 @@ def train_on(
     start: Path | None,
     store: ArtifactStore,
     verbose: bool,
-    rival: Path | None = None,
 ) -> Trained:
     """Train from the weights ``start``, or random ones; evaluate and report.
 
-    The weights ``rival``, by default ``start``, are evaluated too, as ``before``. Stages that were
-    computed before are read from the store, and an interrupted training is resumed. The metadata of
-    the weights describe their training data and scores.
+    The weights ``start`` are evaluated too, as ``before``. Stages that were computed before are
+    read from the store, and an interrupted training is resumed. The metadata of the weights
+    describe their training data and scores.
     """
     find_device(options.device)
     architecture = Architecture() if start is None else load_branch(start).architecture
     chosen = options.model_dump(include={"widths", "hidden"}, exclude_none=True)
     architecture = replace(architecture, **chosen)
-    began, before = (_kept(file, store) for file in (start, rival or start))
+    began = None
+    if start is not None:
+        began = store.put("weights", {"safetensors": np.fromfile(start, np.uint8)})
     settings = TrainingSettings(
         **dict(TrainingConfig.of(options)),
         architecture=architecture,
@@ -193,7 +194,7 @@ def train_on(
     }
     learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
     checkpoints = home_of(store).parent / "checkpoints"
-    arguments = learnt, held_out, began, before, settings, manifest, checkpoints
+    arguments = learnt, held_out, began, settings, manifest, checkpoints
     task = SceneTask("branch", learn_and_judge, arguments)
     with _TrainingProgress(1, len(STAGES), verbose=verbose) as progress:
         artifacts, failure = compute_scene(task, store, 1, progress.update)
@@ -214,12 +215,6 @@ def train_on(
     )
 
 
-def _kept(weights: Path | None, store: ArtifactStore) -> ArtifactRef | None:
-    if weights is None:
-        return None
-    return store.put("weights", {"safetensors": np.fromfile(weights, np.uint8)})
-
-
 def _metrics(course: pa.Table, judgements: pa.Table) -> dict[str, Any]:
     """Return the mean loss of the last steps, and the IoU by lifting."""
     last = course["loss"].to_numpy()[-max(1, course.num_rows // LAST) :]
@@ -235,7 +230,6 @@ def learn_and_judge(
     learnt: ArtifactRef,
     held_out: ArtifactRef,
     start: ArtifactRef | None,
-    before: ArtifactRef | None,
     settings: TrainingSettings,
     manifest: Mapping[str, Any],
     checkpoints: Path,
@@ -243,7 +237,7 @@ def learn_and_judge(
     """Run the stages of a training: train, evaluate on held-out lessons, report."""
     arguments = settings.codes, settings.seed
     branch = train_stage(learnt, start, settings, checkpoints)
-    judgements = judge(held_out, branch, before, *arguments)
+    judgements = judge(held_out, branch, start, *arguments)
     training_report(judgements, held_out, branch, *arguments, manifest)
 
 

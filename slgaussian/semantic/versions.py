@@ -1,10 +1,9 @@
 """Versions of trained weights in one folder: all are kept, at most one is in use.
 
 ``versions/000003.parquet`` is the record of version 3, a row of spec ``versions``, written once and
-never changed; ``versions/000003.clips.parquet`` lists its training clips, spec ``clips``;
-``weights/<digest>.safetensors`` are its weights; ``current.json`` has the number of the version in
-use. Files are written atomically and ``current.json`` last, so after a crash at any moment the
-version in use exists. Concurrent additions get different numbers.
+never changed; ``weights/<digest>.safetensors`` are its weights; ``current.json`` has the number of
+the version in use. Files are written atomically and ``current.json`` last, so after a crash at any
+moment the version in use exists. Concurrent additions get different numbers.
 """
 
 from __future__ import annotations
@@ -82,22 +81,6 @@ class Versions:
         """Return the version with a number; SpecError if its record is damaged or missing."""
         return _read(self._file(number))
 
-    def training_clips(self, version: Version) -> list[pa.Table]:
-        """Return the training clips (spec ``clips``) of a version and of all its ancestors.
-
-        One table per version; versions older than these tables have none. SpecError if one is
-        damaged.
-        """
-        tables = []
-        while True:
-            file = self._clips_of(version.number)
-            if file.exists():
-                content, repair = file.read_bytes(), "train it again"
-                tables.append(decode_table(content, load_spec("clips"), str(file), repair))
-            if not version.parent:
-                return tables
-            version = self.version(version.parent)
-
     def weights(self, version: Version) -> Path:
         """Return the weights file of a version.
 
@@ -116,27 +99,21 @@ class Versions:
         promote: bool,
         why: str,
         parent: Version | None = None,
-        rival: Version | None = None,
-        clips: pa.Table | None = None,
     ) -> Version:
         """Add new weights, and put them to use if ``promote``.
 
         Args:
             facts: Settings, data and scores, as JSON data.
             why: Reason for ``promote`` being true or false, one sentence.
-            parent: The version that training started from.
-            rival: The version in use that they were compared with, by default ``parent``. If
-                another version has been put to use since, they are not promoted, whatever
-                ``promote`` says, because they were never compared with it.
-            clips: table of spec ``clips``, optional. Their training clips, without those of
-                ``parent``.
+            parent: The version in use that training started from. If another version has been put
+                to use since, they are not promoted, whatever ``promote`` says, because they were
+                never compared with it.
 
         Raises:
             InputError: If the folder cannot be written; the version in use is then unchanged.
         """
         digest = hashlib.sha256(weights).hexdigest()
-        compared = rival or parent
-        before = 0 if compared is None else compared.number
+        before = 0 if parent is None else parent.number
         with self._locked():
             try:
                 for name in ("weights", "versions"):
@@ -145,7 +122,7 @@ class Versions:
                 version = Version(
                     self._claim(),
                     digest,
-                    0 if parent is None else parent.number,
+                    before,
                     datetime.now(UTC).isoformat(timespec="seconds"),
                     promote,
                     why,
@@ -155,9 +132,6 @@ class Versions:
                 if promote and now != before:
                     reason = f"{version_name(now)} came into use while it was trained; {why}"
                     version = replace(version, promoted=False, why=reason)
-                if clips is not None:
-                    file = encode_table(clips, load_spec("clips"))
-                    write_atomic(self._clips_of(version.number), file)
                 file = encode_table(_table(version), load_spec("versions"))
                 write_atomic(self._file(version.number), file)
             except OSError as error:
@@ -222,9 +196,6 @@ class Versions:
                 return number
             except FileExistsError:
                 number += 1
-
-    def _clips_of(self, number: int) -> Path:
-        return self.folder / "versions" / f"{number:06d}.clips.parquet"
 
     def _file(self, number: int) -> Path:
         return self.folder / "versions" / f"{number:06d}.parquet"
