@@ -224,10 +224,13 @@ def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     assert frames == {0, 2, 3, 4}
 
 
+NAMES = ("view_00", "view_01", "view_02")
+
+
 def test_scenes_become_clips_of_chunks(clips, tmp_path):
     re10k.write(tmp_path / "chunks", [clips[0]])
     for name, seed in (("kitchen", 1), ("hall", 2), ("bad", 3)):
-        save_photographs(tmp_path / name, seed=seed)
+        save_photographs(tmp_path / name, names=NAMES, seed=seed)
     (tmp_path / "kitchen" / "view_01.png").write_bytes(b"no image")
     (tmp_path / "bad" / "transforms.json").write_text("{")
     names = ("chunks", "kitchen", "bad/transforms.json")

@@ -211,7 +211,7 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output,
     assert set(reason) == {"bad", "few"} and "transforms.json" in reason["bad"]
     assert "too few for a sample" in reason["few"]
     card = (tmp_path / "set/README.md").read_text()
-    assert "2 frames, clips and samples were refused." in card
+    assert "2 frames, clips and samples were refused;" in card
     assert str(tmp_path) not in card
     with pytest.raises(InputError, match="no sample is left of the sources; the reasons are in"):
         made_set(settings_for(tmp_path / "none", *settings.sources, **picky), store)
