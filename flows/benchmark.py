@@ -34,7 +34,6 @@ from flows.runners.task_runners import Workers, open_workers
 from flows.scene import (
     STAGES,
     baseline_tasks,
-    check_numerics,
     chosen_baselines,
     method_task_name,
     scene_task,
@@ -43,7 +42,6 @@ from flows.scenes import DATASET, THIRDS, labelled_scenes, room_scene, seeds
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.hard_cases import HardCase
 from slgaussian.benchmark.outputs import (
     clear_predictions,
     write_costs,
@@ -61,13 +59,12 @@ from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from slgaussian.storage.tables import read_table
 from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.baselines import baselines
-from tasks.numerics import numerics
 from tasks.report import Scored, report
 
 BUILDING = ("geometry", "masks", "supervision", "field")
 """Stages that build a field from a sample."""
 
-REFRESHABLE = [stage.name for stage in (*STAGES, baselines, report, numerics)]
+REFRESHABLE = [stage.name for stage in (*STAGES, baselines, report)]
 """Stages that ``refresh`` may name."""
 
 SWEPT = len(STAGES) - 1
@@ -181,14 +178,10 @@ def _compute(
     if refs.scored:
         failures = [asdict(failure) for failure in refs.failures]
         arguments = refs.scored, refs.manifest, failures
-        last = [
-            SceneTask("all scenes", report, arguments, first="report"),
-            SceneTask("this machine", check_numerics, (), "numerics"),
-        ]
-        outcome = map_shown(last, workers, 1, "last tasks", verbose)
+        last = SceneTask("all scenes", report, arguments, first="report")
+        outcome = map_shown([last], workers, 1, "report", verbose)
         refs.failures += outcome.failures
         refs.report = outcome.refs.get("all scenes", {}).get("report")
-        refs.hard_cases = outcome.refs.get("this machine", {}).get("numerics")
     return refs
 
 
@@ -250,16 +243,15 @@ def _write(
             "processors": str(os.cpu_count()),
             "workers": str(settings.workers),
         }
-        hard = [] if refs.hard_cases is None else store.get(refs.hard_cases).to_pylist()
-        cases = [HardCase(**row) for row in hard]
         paper = settings.method if settings.preset == "paper" else ""
-        took = Times(refs.stages, host, refs.machines, costs_of(costs), cases, paper)
+        took = Times(refs.stages, host, refs.machines, costs_of(costs), paper)
         stored = store.get(refs.report)
-        forms = {form: stored[form].tobytes().decode() for form in ("html", "markdown")}
+        forms = {form: stored[name].tobytes().decode()
+                 for form, name in (("html", "html"), ("md", "markdown"))}  # fmt: skip
         novel = [(r.dataset, r.method, r.scene_metrics["psnr"])
                  for r in results if "psnr" in r.scene_metrics]  # fmt: skip
         pages = with_times(forms, took, rows, novel)
-        files["report.html"], files["report.md"] = (page.encode() for page in pages.values())
+        files |= {f"report.{form}": page.encode() for form, page in pages.items()}
         files["times.json"] = _json(took.as_json())
     for name in LEFT:
         if name in files:
@@ -308,8 +300,7 @@ class _Refs:
     by scene, including scenes that failed later. ``build_seconds`` are the times to build a field,
     by scene and name of the sweep's combination, empty for the field of the method and baselines.
     ``stages`` has the costs of each stage when its artifacts were computed, possibly in an earlier
-    run, and ``machines`` the number of artifacts by processor. ``hard_cases`` are the numerical
-    errors on this machine.
+    run, and ``machines`` the number of artifacts by processor.
     """
 
     scored: list[Scored]
@@ -320,7 +311,6 @@ class _Refs:
     manifest: dict[str, Any]
     failures: list[Failure]
     report: ArtifactRef | None = None
-    hard_cases: ArtifactRef | None = None
 
 
 def _gather(

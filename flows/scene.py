@@ -17,14 +17,12 @@ from slgaussian.benchmark.baselines import ROWS, Row
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError, did_you_mean
-from slgaussian.kernels import threads
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
 from tasks.attribution import attribution
 from tasks.baselines import baselines
 from tasks.benchmark import benchmark
-from tasks.numerics import numerics
 from tasks.scene import Labels, Photographs, field, geometry, ingest, masks, supervision, truth
 
 STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
@@ -87,12 +85,6 @@ def score_baseline(
     """
     inputs = (refs[stage] for stage in ("ingest", "truth", "geometry", "masks", "field"))
     baselines(*inputs, method, settings, name, fields, package)
-
-
-def check_numerics() -> None:
-    """Measure numerical errors on the worker's machine, once for each kind of machine."""
-    machine = {"processor_name": threads.processor(), "code": threads.kernel_folder().name}
-    numerics(threads.kernels() | machine)
 
 
 def scene_task(settings: Settings, method: Method, scene: SceneSettings) -> SceneTask:

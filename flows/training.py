@@ -235,10 +235,9 @@ def learn_and_judge(
     checkpoints: Path,
 ) -> None:
     """Run the stages of a training: train, evaluate on held-out lessons, report."""
-    arguments = settings.codes, settings.seed
     branch = train_stage(learnt, start, settings, checkpoints)
-    judgements = judge(held_out, branch, start, *arguments)
-    training_report(judgements, held_out, branch, *arguments, manifest)
+    judgements = judge(held_out, branch, start, settings.codes, settings.seed)
+    training_report(judgements, branch, manifest)
 
 
 class _TrainingProgress(Progress):

@@ -34,7 +34,7 @@ class Scored:
     others: Mapping[str, ArtifactRef]
 
 
-@stage("report", version=13)
+@stage("report", version=14)
 def report(
     run: RunContext,
     scenes: Sequence[Scored],

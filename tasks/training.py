@@ -13,10 +13,9 @@ import numpy as np
 import pyarrow as pa
 
 from slgaussian.benchmark.reports import training
-from slgaussian.benchmark.reports.training import Example
 from slgaussian.semantic import Lifting
 from slgaussian.semantic.branch import Branch, BranchLifting, load_branch, save_branch
-from slgaussian.semantic.evaluation import label_iou, novel_labels
+from slgaussian.semantic.evaluation import label_iou
 from slgaussian.semantic.hard import Filled, HardIndex
 from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.training import Progress, TrainingSettings
@@ -129,62 +128,15 @@ def liftings(
     return {"hard": HardIndex(), "filled": Filled(), **learnt}
 
 
-@stage("training_report", version=7)
+@stage("training_report", version=8)
 def training_report(
     run: RunContext,
     judgements: ArtifactRef,
-    lessons: ArtifactRef,
     branch: ArtifactRef,
-    codes: str,
-    seed: int,
     manifest: Mapping[str, Any],
 ) -> ArtifactRef:
-    """Write the report of a training: spec ``report``.
-
-    ``lessons`` are the held-out ones, ``codes`` and ``seed`` those of the judgements.
-    """
+    """Write the report of a training: spec ``report``."""
     store = run.store
-    rows = store.get(judgements)
-    held_out = StoredLessons(store, store.get(lessons))
-    page = training.training_report(
-        store.get(ArtifactRef("metrics", **branch.meta["metrics"])),
-        rows,
-        _examples(held_out, liftings(store, branch, None), rows, codes, seed),
-        manifest,
-    ).as_html()
+    metrics = store.get(ArtifactRef("metrics", **branch.meta["metrics"]))
+    page = training.training_report(metrics, store.get(judgements), manifest).as_html()
     return store.put("report", {"html": np.frombuffer(page.encode(), np.uint8)})
-
-
-def _examples(
-    lessons: StoredLessons,
-    lifts: Mapping[str, Lifting],
-    judgements: pa.Table,
-    codes: str,
-    seed: int,
-) -> list[Example]:
-    """Choose the lessons with the largest, median and smallest gain over lifting ``hard``."""
-    ious: dict[str, dict[str, float]] = {}
-    for row in judgements.to_pylist():
-        by_object = ious.setdefault(row["sample"], {})
-        if row["iou"] is not None:
-            by_object[row["lifting"]] = row["iou"]
-    places = {sample: index for index, sample in enumerate(ious)}
-    judged = [sample for sample, by_object in ious.items() if by_object]
-    judged.sort(key=lambda sample: (ious[sample]["hard"] - ious[sample]["branch"], sample))
-    chosen = dict.fromkeys(judged[i] for i in (0, len(judged) // 2, -1)) if judged else {}
-    lifts = {name: lift for name, lift in lifts.items() if name in ("hard", "branch")}
-    drawn_lessons = []
-    for sample in chosen:
-        lesson = lessons[places[sample]]
-        predicted = novel_labels(lesson, lifts, codes, seed)
-        middle = len(lesson.targets) // 2
-        drawn_lessons.append(
-            Example(
-                sample,
-                lesson.labels[0],
-                lesson.targets[middle],
-                {name: views[middle] for name, views in predicted.items()},
-                ious[sample],
-            )
-        )
-    return drawn_lessons

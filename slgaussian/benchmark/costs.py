@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from slgaussian.storage.specs import load_spec
-
-if TYPE_CHECKING:  # slow import
-    from slgaussian.benchmark.hard_cases import HardCase
 
 Row = Mapping[str, Any]
 
@@ -115,7 +112,6 @@ class Times:
         machines: {processor: int}. Number of artifacts computed on each processor; cached ones may
             be from other machines.
         costs: sequence of Cost. Costs of each method on each data set.
-        hard_cases: sequence of HardCase. Measurements on this machine.
         paper: Name of the method that is compared with the paper's costs; "" for none.
     """
 
@@ -123,7 +119,6 @@ class Times:
     host: Mapping[str, str]
     machines: Mapping[str, int] = field(default_factory=dict)
     costs: Sequence[Cost] = ()
-    hard_cases: Sequence[HardCase] = ()
     paper: str = ""
 
     def as_json(self) -> dict[str, Any]:
@@ -135,7 +130,6 @@ class Times:
             "seconds_of_compiling": self.compiling,
             "host": dict(self.host),
             "artifacts_by_machine": dict(self.machines),
-            "hard_cases": [{**asdict(case), "good": case.good} for case in self.hard_cases],
         }
 
     @property

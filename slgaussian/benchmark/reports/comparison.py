@@ -14,7 +14,6 @@ from typing import Any
 
 from slgaussian.benchmark.costs import Cost, costs_of
 from slgaussian.benchmark.documents import read_json
-from slgaussian.benchmark.outputs import mask_path
 from slgaussian.benchmark.reports.model import (
     NO_VALUE,
     Block,
@@ -23,7 +22,6 @@ from slgaussian.benchmark.reports.model import (
     Report,
     Section,
     Table,
-    escape,
     flatten,
     number,
 )
@@ -32,17 +30,12 @@ from slgaussian.benchmark.reports.score_tables import (
     fold_protocols,
     method_tables,
 )
-from slgaussian.benchmark.scores import grouped, of_first_protocol, sample_key
+from slgaussian.benchmark.scores import grouped, sample_key
 from slgaussian.errors import InputError
 from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
-
-EXPECTED = "expected a folder that benchmark, run or demo wrote"
-
-CHANGED = 8
-"""Number of listed queries, those with the largest change of IoU."""
 
 COSTS = {
     "prepare": ("preparation of a scene, s", 1.0, 4),
@@ -85,28 +78,23 @@ def read_run(folder: str | Path) -> Run:
     """
     folder = Path(folder)
     if not (folder / "samples.parquet").is_file():
-        raise InputError(f"{folder / 'samples.parquet'}: found no such file, {EXPECTED}")
-    manifest, times = (_read_document(folder / name) for name in ("manifest.json", "times.json"))
-    rows, costs = (_read_rows(name, folder / f"{name}.parquet") for name in ("samples", "times"))
-    return Run(folder, rows, manifest, times, costs_of(costs))
-
-
-def _read_document(file: Path) -> dict[str, Any]:
-    content = read_json(file, "document") if file.exists() else {}
-    if not isinstance(content, dict):
-        raise InputError(f"{file}: found no JSON object; run the benchmark again")
-    return content
-
-
-def _read_rows(name: str, file: Path) -> list[Row]:
-    if not file.is_file():
-        return []
-    try:
-        table = decode_table(file.read_bytes(), load_spec(name), str(file), "run it again")
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); {EXPECTED}") from error
-    rows: list[Row] = table.to_pylist()
-    return rows
+        raise InputError(
+            f"{folder / 'samples.parquet'}: found no such file, expected a folder that benchmark, "
+            "run or demo wrote"
+        )
+    documents = []
+    for file in (folder / "manifest.json", folder / "times.json"):
+        documents.append(read_json(file, "document") if file.exists() else {})
+        if not isinstance(documents[-1], dict):
+            raise InputError(f"{file}: found no JSON object; run the benchmark again")
+    tables: list[list[Row]] = []
+    for name in ("samples", "times"):
+        file = folder / f"{name}.parquet"
+        data = file.read_bytes() if file.is_file() else None
+        table = data and decode_table(data, load_spec(name), str(file), "run it again")
+        tables.append(table.to_pylist() if table else [])
+    (rows, answers), (manifest, times) = tables, documents
+    return Run(folder, rows, manifest, times, costs_of(answers))
 
 
 def compare_runs(runs: Sequence[Run]) -> Report:
@@ -144,8 +132,6 @@ def compare_runs(runs: Sequence[Run]) -> Report:
         sections.append(Section(title, fold_protocols(tables)))
     if all(run.times for run in runs):
         sections.append(Section("Costs", [_costs_table(runs)]))
-    if len(runs) == 2 and (changes := _changes_table(*runs)):
-        sections.append(Section("Largest changes of IoU", [changes]))
     return Report("Comparison of runs", [Prose(SUMMARY)], sections)
 
 
@@ -189,7 +175,7 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
     Data are listed in one line: the scenes that are missing or differ in a manifest from the
     first manifest that contains them.
     """
-    lines = _side_by_side([dict(flatten({**m, "data": {}})) for m in manifests])
+    lines = _side_by_side([flatten({**m, "data": {}}) for m in manifests])
     data = [manifest.get("data", {}) for manifest in manifests]
     first: dict[str, Any] = {}
     for by_scene in data:
@@ -258,29 +244,3 @@ def _costs_by_name(run: Run) -> dict[str, str]:
     host = run.times.get("host", {})
     costs |= {name: host.get(name) for name in ("machine", "processor", "workers")}
     return {name: text for name, text in costs.items() if text is not None}
-
-
-def _changes_table(first: Run, second: Run) -> Table | None:
-    """List the most changed queries of the first common method, decreases first."""
-    name, earlier, later = next(_pair_methods(first, second), ("", [], []))
-    changes = [
-        (after["iou"] - row["iou"], row, after["iou"])
-        for row, after in _align(of_first_protocol(earlier), of_first_protocol(later))
-        if None not in (row["iou"], after["iou"]) and row["iou"] != after["iou"]
-    ]
-    if not changes:
-        return None
-    largest = sorted(changes, key=lambda change: -abs(change[0]))[:CHANGED]
-    rows = [
-        [
-            row["query"],
-            f"{row['scene']}, {row['frame']}",
-            number(row["iou"], 3),
-            number(after, 3),
-            mask_path(row).as_posix(),
-        ]
-        for _, row, after in sorted(largest, key=lambda change: change[0])
-    ]
-    place, mask = (Column(n, is_text=True) for n in ("Scene and frame", "Mask, in predictions/"))
-    note = f"Method {escape(name)}, protocol {escape(earlier[0]['protocol'])}."
-    return Table.of(["Query", place, "IoU of A", "IoU of B", mask], rows, notes=[note])

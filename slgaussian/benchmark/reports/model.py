@@ -9,24 +9,28 @@ from __future__ import annotations
 import base64
 import io
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar
 
 import cv2
 import jinja2
 import numpy as np
+import rich.console
+import rich.table
 from markdown_it import MarkdownIt
 from markupsafe import Markup
 from PIL import Image
-
-from slgaussian.benchmark.reports.text_table import table_text
 
 NO_VALUE = "–"
 
 TERMINAL_WIDTH = 100
 """Largest width of a table in a terminal, characters."""
+
+UNBOUNDED = 10_000
+"""Width of tables that are not wrapped."""
 
 WEBP_QUALITY = 75
 """Quality of pictures: a third of the size of a JPEG with equally clear thin outlines."""
@@ -34,14 +38,10 @@ WEBP_QUALITY = 75
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: numbers are aligned right, text is aligned left.
-
-    ``help`` describes it, and ``note`` is printed below the title.
-    """
+    """A column of a table: numbers are aligned right, text left; ``help`` is a tooltip."""
 
     title: str
     help: str = ""
-    note: str = ""
     is_text: bool = False
 
 
@@ -49,15 +49,13 @@ class Column:
 class Cell:
     """A cell of a table.
 
-    ``below`` is small print, such as an interval. ``mark`` is ``best`` (bold), ``better``,
-    ``worse``, ``noise`` or ``few`` for a difference, ``yes`` or ``no``. ``note`` is a tooltip, and
-    ``link`` the id of a section.
+    ``below`` is small print, such as an interval. ``mark`` is ``best`` (bold), or ``better``,
+    ``worse``, ``noise`` or ``few`` for a difference. ``link`` is the id of a section.
     """
 
     value: str
     below: str = ""
     mark: str = ""
-    note: str = ""
     link: str = ""
 
     @property
@@ -67,69 +65,80 @@ class Cell:
 
 
 @dataclass(frozen=True)
-class Line:
-    """A line of a table; ``description`` explains its first cell, style is ``mean`` or ``ours``."""
-
-    cells: tuple[Cell, ...]
-    description: str = ""
-    style: str = ""
-
-    @staticmethod
-    def of(cells: Sequence[Cell | str | None], description: str = "", style: str = "") -> Line:
-        """Return a line of plain values; None gives an empty cell."""
-        values = (NO_VALUE if cell is None else cell for cell in cells)
-        converted = (v if isinstance(v, Cell) else Cell(v) for v in values)
-        return Line(tuple(converted), description, style)
-
-
-@dataclass(frozen=True)
 class Table:
-    """A table; ``notes`` are prose below it, ``style`` is a class of the style sheet."""
+    """A table; ``notes`` are prose below it, ``style`` is a class of the style sheet.
+
+    With ``has_total`` the last row is a total.
+    """
 
     columns: tuple[Column, ...]
-    lines: tuple[Line, ...]
+    rows: tuple[tuple[Cell, ...], ...]
     title: str = ""
     notes: tuple[str, ...] = ()
     style: str = ""
+    has_total: bool = False
     kind: ClassVar[str] = "table"
 
     @staticmethod
     def of(
         columns: Sequence[Any],
-        rows: Iterable[Any],
+        rows: Iterable[Iterable[Any]],
         title: str = "",
         notes: Sequence[str] = (),
         style: str = "",
+        has_total: bool = False,
     ) -> Table:
-        """Return a table of plain values; the first column is text.
+        """Return a table of plain values.
 
-        Columns are strings or :class:`Column`; rows are :class:`Line` or sequences of strings,
+        Columns are strings, of which the first is text, or :class:`Column`; cells are strings,
         :class:`Cell`, or None for an empty cell.
         """
-        heads = tuple(
+        heads = (
             column if isinstance(column, Column) else Column(column, is_text=place == 0)
             for place, column in enumerate(columns)
         )
-        lines = tuple(row if isinstance(row, Line) else Line.of(row) for row in rows)
-        return Table(heads, lines, title, tuple(notes), style)
+        cells = (
+            tuple(v if isinstance(v, Cell) else Cell(NO_VALUE if v is None else v) for v in row)
+            for row in rows
+        )
+        return Table(tuple(heads), tuple(cells), title, tuple(notes), style, has_total)
 
     @staticmethod
     def of_values(tree: Mapping[str, Any], title: str = "") -> Table:
         """Return a table of two columns without headings: the leaves of nested mappings."""
-        return Table.of(["", Column("", is_text=True)], flatten(tree), title)
+        return Table.of(["", Column("", is_text=True)], flatten(tree).items(), title)
 
     def as_text(self) -> str:
         """Return the table as text for a terminal, cells two spaces apart.
 
-        A table that is too wide and has few lines is transposed.
+        A table that is too wide and has few rows is transposed.
         """
         titles = [column.title for column in self.columns]
-        rows = [titles, *([cell.text for cell in line.cells] for line in self.lines)]
+        rows = [titles, *([cell.text for cell in row] for row in self.rows)]
         sides = "".join("<" if column.is_text else ">" for column in self.columns)
         text = table_text(rows, sides, wrap=False)
-        if len(text.partition("\n")[0]) > TERMINAL_WIDTH and len(self.lines) < len(self.columns):
+        if len(text.partition("\n")[0]) > TERMINAL_WIDTH and len(self.rows) < len(self.columns):
             return table_text(zip(*rows, strict=True), wrap=False)
         return text
+
+
+def table_text(rows: Iterable[Sequence[str]], sides: str = "<", wrap: bool = True) -> str:
+    """Return rows of cells, with the header first, as text in columns two spaces apart.
+
+    ``sides`` has the alignment of each column, ``<`` (left) or ``>`` (right, the default). Cells
+    are wrapped to the width of the terminal if ``wrap`` and standard output is one.
+    """
+    header, *body = rows
+    table = rich.table.Table(box=None, pad_edge=False)
+    for title, side in zip(header, sides.ljust(len(header), ">"), strict=True):
+        table.add_column(title, justify="left" if side == "<" else "right")
+    for cells in body:
+        table.add_row(*cells)
+    width = None if wrap and sys.stdout.isatty() else UNBOUNDED
+    console = rich.console.Console(width=width, markup=False, emoji=False, highlight=False)
+    with console.capture() as text:
+        console.print(table)
+    return "\n".join(line.rstrip() for line in text.get().splitlines())
 
 
 def number(value: float | None, digits: int, unit: float = 1) -> str | None:
@@ -151,13 +160,11 @@ class Prose:
     kind: ClassVar[str] = "prose"
 
 
-@dataclass(frozen=True)
-class Terms:
-    """Definitions of terms; some have a ``swatch``, a class of the style sheet."""
-
-    terms: Mapping[str, str]
-    swatches: Mapping[str, str] = field(default_factory=dict)
-    kind: ClassVar[str] = "terms"
+def terms(definitions: Mapping[str, str]) -> Prose:
+    """Return a paragraph that defines terms."""
+    return Prose(
+        "; ".join(f"**{escape(term)}**: {escape(text)}" for term, text in definitions.items())
+    )
 
 
 @dataclass(frozen=True)
@@ -213,45 +220,30 @@ class Cards:
 
 @dataclass(frozen=True)
 class Fold:
-    """Blocks that are collapsed below a line of text; ``id`` is an anchor for links.
-
-    A fold ``only_html`` is left out of the Markdown.
-    """
+    """Blocks that are collapsed below a line of text; ``id`` is an anchor for links."""
 
     summary: str
     blocks: Sequence[Block]
     id: str = ""
-    only_html: bool = False
     kind: ClassVar[str] = "fold"
 
 
-@dataclass(frozen=True)
-class Slot:
-    """A placeholder comment that is replaced after rendering."""
-
-    text: str
-    kind: ClassVar[str] = "slot"
-
-
-Block = Table | Prose | Terms | Gallery | Cards | Fold | Slot
+Block = Table | Prose | Gallery | Cards | Fold
 
 
 @dataclass(frozen=True)
 class Section:
     """A section of a report.
 
-    ``id`` is its anchor, ``note`` is printed beside the title, and ``link`` is its text in the
-    list of links at the top. ``style`` is a class of the style sheet: ``failed`` or ``example``. A
-    section ``only_html`` contains only pictures and is left out of the Markdown.
+    The list of links at the top has those with an ``id``, its anchor. ``note`` is printed beside
+    the title, ``style`` is a class of the style sheet.
     """
 
     title: str
     blocks: Sequence[Block]
     id: str = ""
     note: str = ""
-    link: str = ""
     style: str = ""
-    only_html: bool = False
 
 
 @dataclass(frozen=True)
@@ -281,11 +273,14 @@ class Report:
         return "\n\n".join(parts)
 
 
-def blocks_as(form: str, blocks: Sequence[Block]) -> str:
-    """Render blocks of a section, as ``html`` or ``md``."""
+def append_section(page: str, form: str, section: Section) -> str:
+    """Append a section to a rendered report, ``html`` or ``md``."""
     template: Any = _template(f"page.{form}.j2").make_module({"report": None})
-    text = str(template.show(blocks))
-    return text if form == "html" else _compact(text)
+    text = str(template.section(section))
+    if form == "html":
+        link = f'<a href="#{section.id}">{section.title}</a></nav>'
+        return page.replace("</main>", f"{text}</main>").replace("</nav>", link)
+    return _compact(f"{page}\n{text}")
 
 
 def _compact(markdown: str) -> str:
@@ -303,14 +298,14 @@ def plain(text: str) -> str:
     return re.sub(r"\\(.)", r"\1", text)
 
 
-def flatten(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """List the leaves of nested mappings as text, keys joined by dots."""
-    flat: list[tuple[str, str]] = []
+def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """Return the leaves of nested mappings as text, keys joined by dots."""
+    flat: dict[str, str] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            flat += flatten(value, f"{prefix}{key}.")
+            flat |= flatten(value, f"{prefix}{key}.")
         else:
-            flat.append((f"{prefix}{key}", str(value)))
+            flat[f"{prefix}{key}"] = str(value)
     return flat
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import matplotlib
 from matplotlib.figure import Figure
@@ -28,7 +28,7 @@ STYLE = {
     "grid.color": "#eef0f4",
 }
 
-MARKERS = "sD^v<>pPXhd8"
+MARKERS = "osD^v<>pPXhd8"
 """Marker shapes of the methods, in their order."""
 
 
@@ -42,26 +42,19 @@ def plot(draw: Callable[[], Figure], caption: str) -> Picture:
 
 
 def plot_pareto(
-    points: Sequence[tuple[str, float, float, bool]], ours: str, label: str, score: str
+    points: Mapping[str, tuple[float, float]],
+    front: Sequence[tuple[float, float]],
+    label: str,
+    score: str,
 ) -> Picture:
-    """Plot a score over its cost; a line connects the Pareto front.
-
-    ``points`` are (method, score, cost, whether it is on the front), named by a legend.
-    """
+    """Plot (cost, score) by method; a line connects the Pareto front."""
 
     def draw() -> Figure:
         figure = Figure((6.6, 3.4 + 0.1 * len(points)), layout="constrained")
         axes = figure.subplots()
-        front = sorted((cost, value) for _, value, cost, is_on_front in points if is_on_front)
-        axes.plot(*zip(*front, strict=True), color=SOFT, lw=0.8, drawstyle="steps-post", zorder=1)
-        baselines = 0
-        for method, value, cost, _ in points:
-            style = {"marker": "o", "ms": 9, "color": ACCENT}
-            if method != ours:
-                baselines += 1
-                marker = MARKERS[baselines % len(MARKERS)]
-                style = {"marker": marker, "ms": 7.5, "color": f"C{baselines}"}
-            axes.plot(cost, value, ls="", mec="white", label=method, **style)
+        axes.plot(*zip(*sorted(front), strict=True), color=SOFT, lw=0.8, drawstyle="steps-post")
+        for place, (method, point) in enumerate(points.items()):
+            axes.plot(*point, MARKERS[place % len(MARKERS)], ms=8, mec="white", label=method)
         axes.set(xscale="log", xlabel=label, ylabel=score)
         axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         axes.xaxis.set_major_formatter("{x:g}")

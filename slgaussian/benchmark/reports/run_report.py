@@ -1,65 +1,74 @@
-"""Report of a benchmark: summary, key numbers, example scenes, then all details.
+"""Report of a benchmark: summary, key numbers, an example scene, then all details.
 
-It depends only on its arguments: same results, same bytes. :func:`with_times` adds the costs of a
-run afterwards: a section, and the seconds among the key numbers.
+It depends only on its arguments: same results, same bytes. :func:`with_times` appends the section
+of costs afterwards.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from slgaussian.benchmark.attribution import STAND_INS
+from slgaussian.benchmark.baselines import ROWS, is_variant
 from slgaussian.benchmark.costs import Times
+from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
 from slgaussian.benchmark.reports import examples
 from slgaussian.benchmark.reports.model import (
     Block,
     Card,
     Cards,
+    Cell,
     Column,
     Fold,
-    Line,
     Prose,
     Report,
     Section,
-    Slot,
     Table,
-    Terms,
-    blocks_as,
+    append_section,
+    count_text,
     escape,
     number,
+    terms,
 )
 from slgaussian.benchmark.reports.paper_tables import paper_section
 from slgaussian.benchmark.reports.score_tables import (
+    HIT_MASK,
+    IOU,
     METRICS,
+    PSNR,
     SCORES,
     fold_protocols,
+    mean_cells,
     method_tables,
     metrics_table,
     scores_of,
 )
 from slgaussian.benchmark.reports.speed import speed_blocks
-from slgaussian.benchmark.reports.summary import COSTS, key_costs, summarize
-from slgaussian.benchmark.scores import (
-    GOOD,
-    grouped,
-    key_of,
-    of_first_protocol,
-    score_table,
-)
+from slgaussian.benchmark.scores import GOOD, grouped, key_of, of_first_protocol, score_table
 
 Row = Mapping[str, Any]
 
 PICTURED = 24
 """Largest number of scenes with pictures, those with the worst answers; all are in the tables."""
 
+WORST, PER_SCENE = 8, 2
+"""Number of answers with the lowest scores that are shown, and the maximum per scene of many."""
+
 LISTED = 3
 """Largest number of scenes listed by name for one reason of being left out."""
 
-TIMES = "<!-- times -->"
-"""Placeholder of the section of :func:`with_times`."""
+CARD_TERMS = terms(
+    {
+        "prediction": "predicted mask, in colour and outlined in cyan; the label is outlined in "
+        "yellow",
+        "relevancy": "stretched to its range in the picture, 0 to 1",
+        "dot, point": "predicted point; ✓ inside the labelled mask, ✗ outside",
+    }
+)
 
 
 def run_report(
@@ -85,31 +94,30 @@ def run_report(
     ours = next(iter(methods), "")
     leading = of_first_protocol(rows)
     answers = [row for row in leading if row["method"] == ours]
-    scores = score_table(rows).to_pylist()
-    leading_scores = [s for s in scores if s["protocol"] == leading[0]["protocol"]]
-    lost_by = {key_of(row): row["lost"] or "" for row in attribution}
+    scores = score_table(leading).to_pylist()
+    our_scores = [score for score in scores if score["method"] == ours]
     data = manifest.get("data", {})
-    sections, worst, scene_folds = _picture_sections(scenes, answers, lost_by)
-    if leading_scores:
+    sections, worst, folds = _picture_sections(scenes, answers, attribution)
+    if scores:
         sections.append(_scores_section(rows, methods))
     if failures:
         sections.append(_failures_section(failures))
-    sections.append(Section("Speed and accuracy", [Slot(TIMES)], "times", link="Speed"))
     if worst:
         sections.append(_worst_section(answers, worst, attribution))
     if (paper := paper_section(rows, data, ours)) is not None:
         sections.append(paper)
     if scenes:
-        our_scores = [score for score in leading_scores if score["method"] == ours]
-        blocks = [*_scene_tables(scenes, our_scores, data), *scene_folds]
-        sections.append(Section("Scenes", blocks, "scenes", link="Scenes"))
+        sections.append(Section("Scenes", _scene_blocks(scenes, our_scores, data, folds), "scenes"))
     configuration = [
         Fold("Settings, methods and versions", [Table.of_values({**manifest, "data": {}})])
     ]
     if data:
         configuration.append(Fold("Data of each scene, with digests", [Table.of_values(data)]))
-    sections.append(Section("Configuration", configuration, "configuration", link="Configuration"))
-    summary = summarize(scenes, methods, answers, leading_scores, manifest, len(failures))
+    sections.append(Section("Configuration", configuration, "configuration"))
+    summary: list[Block] = [Prose(f"No scene was completed; {len(failures)} left out.", "lead")]
+    if scenes:
+        summary = [*_summary(scenes, methods, answers, data, len(failures)),
+                   *_key_scores(scenes, scores, ours)]  # fmt: skip
     return Report("SLGaussian report", summary, sections)
 
 
@@ -119,71 +127,127 @@ def with_times(
     rows: Sequence[Row] = (),
     novel: Sequence[tuple[str, str, float]] = (),
 ) -> dict[str, str]:
-    """Complete a report of :func:`run_report` with the costs of one run on one machine.
+    """Append the costs of one run on one machine to a report of :func:`run_report`.
 
-    ``pages`` are its forms ``html`` and ``markdown``; for other arguments see
+    ``pages`` are its forms ``html`` and ``md``; for other arguments see
     :func:`slgaussian.benchmark.reports.speed.speed_blocks`.
     """
-    costs, blocks = [key_costs(times.costs)], speed_blocks(times, rows, novel)
-    complete = {}
-    for name, form in (("html", "html"), ("markdown", "md")):
-        page = pages[name].replace(TIMES, blocks_as(form, blocks))
-        complete[name] = page.replace(COSTS, f"{COSTS}\n{blocks_as(form, costs)}\n{COSTS}")
-    return complete
+    section = Section("Speed and accuracy", speed_blocks(times, rows, novel), "times")
+    return {form: append_section(page, form, section) for form, page in pages.items()}
+
+
+def _summary(
+    scenes: Sequence[examples.Scene],
+    methods: Sequence[str],
+    answers: Sequence[Row],
+    data: Mapping[str, Any],
+    left_out: int,
+) -> list[Block]:
+    """Summarise a run in sentences; ``answers`` are those of our method, the first."""
+    sizes = sorted({len(scene["context"]) for scene in data.values() if "context" in scene})
+    names = dict.fromkeys(s.name if len(scenes) == 1 else s.dataset for s in scenes)
+    text = f"Semantic fields of {count_text(len(scenes), 'scene')} "
+    text += f"({', '.join(map(escape, names))})"
+    if sizes:
+        text += f", built from {' to '.join(map(str, dict.fromkeys((sizes[0], sizes[-1]))))} "
+        text += f"photographs{' each' if len(scenes) > 1 else ''}"
+    scored = sum(row["iou"] is not None for row in answers)
+    text += f". {count_text(scored or len(answers), 'query', 'queries')} "
+    text += "scored" if scored else "without ground truth, not scored"
+    variants = sum(map(is_variant, methods[1:]))
+    counts = {"baseline": len(methods) - 1 - variants, "variant": variants}
+    if compared := [count_text(n, kind) for kind, n in counts.items() if n]:
+        text += f", compared with {' and '.join(compared)}"
+    unknown = sum(row["note"].startswith(NOT_UNDERSTOOD) for row in answers)
+    exceptions = {
+        f"[Scenes left out](#left-out): {left_out}.": left_out,
+        f"Other queries, without ground truth: {len(answers) - scored}.": 0 < scored < len(answers),
+        f"Queries that the encoder does not understand (IoU 0): {unknown}.": unknown,
+    }
+    listed = [part for part, holds in exceptions.items() if holds]
+    return [Prose(f"{text}.", "lead"), Prose(" ".join(listed), "soft fine")]
+
+
+def _key_scores(scenes: Sequence[examples.Scene], scores: Sequence[Row], ours: str) -> list[Table]:
+    """Return the main scores of our method and of the best baseline, a row per data set."""
+    columns = [c for c in (IOU, HIT_MASK, PSNR) if any(c.metric in s.metrics for s in scenes)]
+    lines: list[list[Cell | str]] = []
+    for dataset in dict.fromkeys(scene.dataset for scene in scenes):
+        metrics = {scene.name: scene.metrics for scene in scenes if scene.dataset == dataset}
+        of_set = [score for score in scores if score["dataset"] == dataset]
+        our_scores = [score for score in of_set if score["method"] == ours]
+        means = mean_cells(metrics, our_scores, columns)
+        cells = []
+        for column, cell in zip(columns, means, strict=True):
+            baselines = [
+                (score["value"], score["method"])
+                for score in of_set
+                if score["metric"] == column.metric
+                and score["method"] != ours
+                and not is_variant(score["method"])
+            ]
+            parts = [cell.below] if cell.below else []
+            if baselines:
+                value, method = max(baselines)
+                parts.append(f"best baseline: {value:.{column.digits}f}, {method}")
+            cells.append(replace(cell, below="; ".join(parts)))
+        lines.append([dataset, *cells])
+    heads = ["Data set", *(column.column for column in columns)]
+    return [Table.of(heads, lines, style="key")] if columns else []
 
 
 def _picture_sections(
-    scenes: Sequence[examples.Scene], answers: Sequence[Row], lost_by: Mapping[examples.Key, str]
-) -> tuple[list[Section], list[Card], list[Fold]]:
-    """Make the section of the example scene, the worst answers, and the pictures of all scenes.
+    scenes: Sequence[examples.Scene], answers: Sequence[Row], attribution: Sequence[Row]
+) -> tuple[list[Section], list[Card], dict[str, Fold]]:
+    """Make the section of the example scene, the worst answers, and the pictures by scene.
 
     The pictures of one scene are in memory at a time.
     """
-    worst = examples.limit_per_scene(examples.sort_worst_first(answers), examples.WORST)
+    lost_by = {key_of(row): row["lost"] or "" for row in attribution}
+    per_scene = max(PER_SCENE, -(-WORST // (len(scenes) or 1)))
+    worst = examples.worst_answers(answers, WORST, per_scene)
     cards: dict[examples.Key, Card] = {}
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
     pictured = {scene.name for scene in worst_first[:PICTURED]}
-    example, reason = examples.choose_example(scenes) if scenes else (None, "")
-    sections, scene_folds = [], []
+    example = examples.choose_example(scenes) if scenes else None
+    sections, folds = [], {}
     for place, scene in enumerate(scenes):
-        rows = [row for row in answers if row["scene"] == scene.name]
         chosen = [row for row in worst if row["scene"] == scene.name]
-        has_pictures = scene.name in pictured or scene is example or chosen
-        images = scene.pictures() if has_pictures else {}
+        if not (chosen or scene is example or scene.name in pictured):
+            continue
+        images = scene.pictures()
         if scene is example:
-            sections = [examples.example_section(scene, reason, rows, images, lost_by)]
+            of_scene = [row for row in answers if row["scene"] == scene.name]
+            sections = [examples.example_section(scene, of_scene, images)]
         for row in chosen:
             cards[key_of(row)] = examples.answer_card(row, images, lost_by.get(key_of(row), ""))
-        images = images if scene.name in pictured else {}
-        scene_folds.append(examples.scene_fold(scene, f"scene-{place}", rows, images))
-    return sections, [cards[key_of(row)] for row in worst], scene_folds
+        if images and scene.name in pictured:
+            folds[scene.name] = examples.scene_fold(scene, f"scene-{place}", images)
+    return sections, [cards[key_of(row)] for row in worst], folds
 
 
 def _scores_section(rows: Sequence[Row], methods: Sequence[str]) -> Section:
     """Return the scores of all methods; tables of other protocols than the first are collapsed."""
-    terms = {score.title: score.help for score in scores_of(rows[0]["protocol"])} | {
-        "near-best": "selection of all objects whose score above the canonical phrases is at least "
-        "the given share of the best object's"
-    }
-    explanations: list[Block] = [Terms(terms)]
+    explanations: list[Block] = [terms({s.title: s.help for s in scores_of(rows[0]["protocol"])})]
     if methods[1:]:
         note = "Methods are sorted by the first column; the best value of a column is bold. A "
         note += "method called “like” is not the original program: it reimplements the main idea "
         note += "on the same photographs, Gaussians and encoder."
-        explanations.append(Prose(note))
+        abouts = {name: ROWS[name].about for name in methods if name in ROWS}
+        explanations += [Prose(note), terms(abouts)]
     tables = method_tables(rows, methods[0] if methods[1:] else "")
-    return Section("Scores", fold_protocols(tables, explanations), "scores", link="Scores")
+    return Section("Scores", fold_protocols(tables, explanations), "scores")
 
 
 def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
-    """List the scenes that were left out, one line per reason."""
+    """List the scenes that were left out, one row per reason."""
     rows = []
     for (stage, reason), members in grouped(failures, "stage", "reason").items():
         names = [failure["scene"] for failure in members]
         rest = [f"and {len(names) - LISTED} more"] if names[LISTED:] else []
         rows.append(["; ".join([*names[:LISTED], *rest]), stage, reason])
     heads = [Column(name, is_text=True) for name in ("Scene", "Stage", "Reason")]
-    return Section("Left out", [Table.of(heads, rows)], "left-out", link="Left out", style="failed")
+    return Section("Left out", [Table.of(heads, rows)], "left-out", style="failed")
 
 
 def _worst_section(
@@ -193,21 +257,17 @@ def _worst_section(
     blocks: list[Block] = []
     scored = [row for row in answers if row["iou"] is not None]
     for (dataset,), rows in grouped(scored, "dataset").items():
-        low = {key_of(row) for row in rows if row["iou"] < GOOD}
-        outside = {key_of(row) for row in rows if not row["hit_mask"]}
-        text = f"**{escape(dataset)}**: {len(low | outside)} misses in {len(rows)} queries: "
-        text += f"{len(low)} with an IoU below {GOOD}, {len(outside)} with a point outside the "
-        text += "labelled mask."
-        blocks.append(Prose(text))
-    protocol = escape(answers[0]["protocol"])
-    blocks += [Prose(f"The lowest scores, a few per scene, by {protocol}:"), Cards(worst)]
+        misses = sum(row["iou"] < GOOD or not row["hit_mask"] for row in rows)
+        text = f"**{escape(dataset)}**: {misses} misses in {len(rows)} queries, by an IoU below "
+        blocks.append(Prose(f"{text}{GOOD} or a point outside the labelled mask."))
+    blocks += [CARD_TERMS, Cards(worst)]
     if attribution:
         blocks += _attribution_blocks(attribution)
-    return Section("Lowest scores", blocks, "worst", link="Lowest scores")
+    return Section("Lowest scores" if scored else "Answers", blocks, "worst")
 
 
 def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
-    """List the causes of misses of each data set, and of all queries in the last line."""
+    """List the causes of misses of each data set, and of all queries in the last row."""
     columns = [Column("Responsible stage", is_text=True), Column("Queries")]
     columns += [Column(title, help) for title, help in STAND_INS.values()]
     blocks: list[Block] = []
@@ -219,28 +279,31 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
             rows = by_stage.get(stage, queries)
             ious = ([row[n] for row in rows if row[n] is not None] for n in STAND_INS)
             means = [number(float(np.mean(values)), 3) if values else None for values in ious]
-            style = "mean" if stage == "all" else ""
-            lines.append(Line.of([stage, str(len(rows)), *means], style=style))
-        blocks.append(Table.of(columns, lines, f"Misses by responsible stage, {dataset}"))
+            lines.append([stage, str(len(rows)), *means])
+        title = f"Misses by responsible stage, {dataset}"
+        blocks.append(Table.of(columns, lines, title, has_total=True))
     text = "Mean IoU if stages are replaced by ground truth one after the other, from left to "
     text += "right. The first replacement that turns a miss into a hit names the responsible stage."
-    terms = {title: help for title, help in STAND_INS.values() if help}
-    return [*blocks, Prose(text), Terms(terms)]
+    stand_ins = {title: help for title, help in STAND_INS.values() if help}
+    return [*blocks, Prose(text), terms(stand_ins)]
 
 
-def _scene_tables(
-    scenes: Sequence[examples.Scene], scores: Sequence[Row], data: Mapping[str, Any]
+def _scene_blocks(
+    scenes: Sequence[examples.Scene],
+    scores: Sequence[Row],
+    data: Mapping[str, Any],
+    folds: Mapping[str, Fold],
 ) -> list[Block]:
-    """List the metrics of all scenes; ``scores`` are those of our method, first protocol."""
+    """List the metrics of all scenes and their pictures; ``scores`` are those of our method."""
     blocks: list[Block] = []
-    links = {scene.name: f"scene-{place}" for place, scene in enumerate(scenes)}
+    links = {name: fold.id for name, fold in folds.items()}
     for dataset in dict.fromkeys(scene.dataset for scene in scenes):
         metrics = {scene.name: scene.metrics for scene in scenes if scene.dataset == dataset}
         of_set = [score for score in scores if score["dataset"] == dataset]
         blocks.append(metrics_table(metrics, of_set, dataset, links))
     present = {name for scene in scenes for name in scene.metrics}
     view_metrics = [m for m in METRICS if m.metric in present and m not in SCORES["slgaussian"]]
-    blocks.append(Terms({m.title: m.help for m in view_metrics}))
+    blocks.append(terms({m.title: m.help for m in view_metrics}))
     estimated = []
     for name, of in data.items():
         if (cameras := of.get("cameras", "given")) != "given":
@@ -249,4 +312,4 @@ def _scene_tables(
             estimated.append(f"{escape(name)} ({escape(cameras + note)})")
     if estimated:
         blocks.append(Prose(f"Estimated cameras: {', '.join(estimated)}."))
-    return blocks
+    return [*blocks, *folds.values()]

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.reports.model import (
     NO_VALUE,
     Block,
     Cell,
     Column,
     Fold,
-    Line,
     Table,
     count_text,
     escape,
@@ -79,14 +77,6 @@ METRICS = (
 SELECTIONS = {"none": "no mask", "given": "given masks"}
 """Descriptions of some selections in place of their names."""
 
-VERDICTS = {
-    "better": "significant gain",
-    "worse": "significant loss",
-    "noise": "not significant",
-    "few": "too few places for a test",
-}
-"""Descriptions by the mark of a difference, see :func:`comparison_cell`."""
-
 
 def scores_of(protocol: str) -> tuple[Score, ...]:
     """Return the scores of a protocol, given as ``name`` or ``name@version``."""
@@ -94,12 +84,11 @@ def scores_of(protocol: str) -> tuple[Score, ...]:
 
 
 def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
-    """Return a table for each data set and protocol: a line per method, best first.
+    """Return a table for each data set and protocol: a row per method, best first.
 
-    Scores that no method has are left out. A method with other settings or another number of
-    samples than most is marked. With a single method nothing is marked as best. The line of the
-    method ``ours`` is highlighted, and the last column is its difference to each other method in
-    the first score.
+    Scores that no method has are left out. Notes name the methods with other settings than most.
+    With a single method nothing is marked as best. The last column is the difference of the method
+    ``ours`` to each other method in the first score.
     """
     order = list(SCORES)
     groups = grouped(score_table(samples).to_pylist(), "dataset", "protocol")
@@ -115,42 +104,41 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
         columns = [s for s in scores_of(protocol) if any(s.metric in r for r in by_method.values())]
         if not columns:
             continue
-        usual = _most_common(conditions(row) for row in rows)
-        counts, best = {}, {}
-        for score in columns:
-            present = [r[score.metric] for r in by_method.values() if score.metric in r]
-            counts[score] = _most_common(row["samples"] for row in present)
-            best[score] = score_cell(max(present, key=lambda row: row["value"]), score.digits).value
-        lines = []
+        first = columns[0].metric
+        best = [
+            score_cell(max((r[s.metric] for r in by_method.values() if s.metric in r),
+                           key=lambda row: row["value"]), s.digits).value
+            for s in columns
+        ]  # fmt: skip
+        lines: list[list[Any]] = []
         for method, by_metric in by_method.items():
-            cells = [Cell(method)]
-            for score in columns:
-                row = by_metric.get(score.metric)
-                cell = score_cell(row, score.digits)
-                mark = "best" if len(by_method) > 1 and cell.value == best[score] else ""
-                note = f"n {row['samples']}" if row and row["samples"] != counts[score] else ""
-                cells.append(replace(cell, mark=mark, note=note))
+            cells = [score_cell(by_metric.get(score.metric), score.digits) for score in columns]
+            if len(by_method) > 1:
+                cells = [
+                    replace(cell, mark="best" if cell.value == highest else "")
+                    for cell, highest in zip(cells, best, strict=True)
+                ]
             if ours:
-                gain = gains.get((dataset, protocol, method, columns[0].metric))
-                cells.append(gain_cell(gain, columns[0], is_worded=True))
-            description = ROWS[method].about if method in ROWS else ""
-            settings = dict.fromkeys(conditions(row) for row in by_metric.values())
-            unusual = [text for text in settings if text != usual]
-            text = "; ".join(filter(None, (description, *unusual)))
-            lines.append(Line(tuple(cells), text, "ours" if method == ours else ""))
-        lines.sort(key=lambda line: line.cells[1].value.replace(NO_VALUE, ""), reverse=True)
-        heads = [Column("Method", is_text=True)]
-        heads += [replace(score.column, note=f"n {counts[score]}") for score in columns]
+                cells.append(gain_cell(gains.get((dataset, protocol, method, first)), columns[0]))
+            queries = max(row["samples"] for row in by_metric.values())
+            lines.append([Cell(method), *cells, str(queries)])
+        lines.sort(key=lambda line: line[1].value.replace(NO_VALUE, ""), reverse=True)
+        heads = ["Method", *(score.column for score in columns)]
         if ours:
             text = f"difference in {columns[0].title} on common queries, paired by scene"
             heads.append(Column(f"{ours} minus method", text))
+        settings = {method: conditions(next(iter(r.values()))) for method, r in by_method.items()}
+        ((usual, _),) = Counter(settings.values()).most_common(1)
+        unusual = [f"{escape(m)}: {escape(s)}." for m, s in settings.items() if s != usual]
         scenes, places = (max(row[unit] for row in rows) for unit in ("scenes", "places"))
-        notes = (
+        notes = [
             f"{escape(protocol)}: {escape(usual)}.",
-            f"Mean over {count_text(scenes, 'scene')} of the scene means; n: number of queries. "
+            *unusual,
+            f"Mean over {count_text(scenes, 'scene')} of the scene means. "
             f"{_describe_interval(scenes, places)}",
-        )
-        tables.append(Table(tuple(heads), tuple(lines), f"{dataset}, protocol {protocol}", notes))
+        ]
+        title = f"{dataset}, protocol {protocol}"
+        tables.append(Table.of([*heads, "Queries"], lines, title, notes))
     return tables
 
 
@@ -170,14 +158,13 @@ def fold_protocols(tables: Sequence[Table], explanations: Sequence[Block] = ()) 
     protocol = tables[0].title.rpartition(", ")[2]
     first = [table for table in tables if table.title.endswith(f", {protocol}")]
     rest = [table for table in tables if table not in first]
-    folded = [Fold("Other protocols", rest)] if rest else []
-    return [*first, *explanations, *folded]
+    return [*first, *explanations, *([Fold("Other protocols", rest)] if rest else [])]
 
 
 def difference_tables(pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]]) -> list[Table]:
-    """Return a table for each data set and protocol: a line per pair, first minus second.
+    """Return a table for each data set and protocol: a row per pair, first minus second.
 
-    ``pairs`` are rows of the spec ``samples`` by the name of the line.
+    ``pairs`` are rows of the spec ``samples`` by the name of the row.
     """
     groups: dict[tuple[str, str], dict[str, dict[str, Difference]]] = {}
     for name, (rows, baseline) in pairs.items():
@@ -220,19 +207,21 @@ def metrics_table(
     title: str = "",
     links: Mapping[str, str] | None = None,
 ) -> Table:
-    """Return a table with a line per scene and a line of means with intervals from ``scores``.
+    """Return a table with a row per scene and a row of means with intervals from ``scores``.
 
     The mean is unweighted over the scenes that have the metric. ``metrics`` are by scene and name,
     ``scores`` rows of the spec ``scores`` in their protocol; other metrics have no interval.
     ``links`` are ids of parts of the page by scene.
     """
     columns = [m for m in METRICS if any(m.metric in values for values in metrics.values())]
-    lines = []
-    for scene, values in metrics.items():
-        name = Cell(scene, link=(links or {}).get(scene, ""))
-        lines.append(Line.of([name, *(number(values.get(m.metric), m.digits) for m in columns)]))
-    means = Line.of(["mean", *mean_cells(metrics, scores, columns)], style="mean")
-    return Table.of(["Scene", *(m.column for m in columns)], [*lines, means], title)
+    lines = [
+        [Cell(scene, link=(links or {}).get(scene, "")),
+         *(number(values.get(m.metric), m.digits) for m in columns)]
+        for scene, values in metrics.items()
+    ]  # fmt: skip
+    means = ["mean", *mean_cells(metrics, scores, columns)]
+    heads = ["Scene", *(m.column for m in columns)]
+    return Table.of(heads, [*lines, means], title, has_total=True)
 
 
 def mean_cells(
@@ -248,15 +237,12 @@ def mean_cells(
     return cells
 
 
-def gain_cell(difference: Difference | None, score: Score, is_worded: bool = False) -> Cell:
-    """Format a difference, with its verdict in words if ``is_worded``."""
+def gain_cell(difference: Difference | None, score: Score) -> Cell:
+    """Format a difference; one of a single place has no interval."""
     if difference is None:
         return Cell(NO_VALUE)
-    gain = difference.gain
-    cell = comparison_cell(gain, score.digits)
-    below = [cell.below] * (gain.independent_samples > 1) + [VERDICTS[cell.mark]] * is_worded
-    note = f"{count_text(difference.samples, 'sample')} of {count_text(gain.samples, 'scene')}"
-    return replace(cell, below=", ".join(below), note=note)
+    cell = comparison_cell(difference.gain, score.digits)
+    return cell if difference.gain.independent_samples > 1 else replace(cell, below="")
 
 
 def comparison_cell(gain: Comparison, digits: int) -> Cell:
@@ -295,8 +281,3 @@ def score_cell(row: Row | None, digits: int) -> Cell:
     bounds = row["low"], row["high"]
     below = "" if None in bounds else "–".join(f"{bound:.{digits}f}" for bound in bounds)
     return Cell(f"{row['value']:.{digits}f}", below)
-
-
-def _most_common(values: Iterable[Any]) -> Any:
-    """Return the most common value, the first in a tie."""
-    return Counter(values).most_common(1)[0][0]

@@ -1,4 +1,4 @@
-"""Section of a report that is not reproducible from run to run: costs, hard cases, machine."""
+"""Section of a report that is not reproducible from run to run: costs and machine."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ from slgaussian.benchmark.reports.model import (
     Gallery,
     Prose,
     Table,
-    count_text,
-    escape,
     number,
 )
 from slgaussian.benchmark.reports.plots import plot_pareto
@@ -53,9 +51,7 @@ def speed_blocks(
         for score in score_table(leading).to_pylist()
         if score["metric"] == "iou"
     }
-    blocks: list[Block] = [
-        Prose("Only this section and the times at the top change if a run is repeated.")
-    ]
+    blocks: list[Block] = [Prose("Only this section changes if a run is repeated.")]
     for dataset in dict.fromkeys(cost.dataset for cost in times.costs):
         sizes = dict.fromkeys(
             f"{row['height']} x {row['width']}" for row in leading if row["dataset"] == dataset
@@ -68,8 +64,6 @@ def speed_blocks(
     blocks += [_paper_costs(cost, times) for cost in times.costs if cost.method == times.paper]
     if times.stages:
         blocks.append(_stages_table(times))
-    if times.hard_cases:
-        blocks.append(_hard_cases(times))
     machine: dict[str, Any] = dict(times.host)
     for name, count in times.machines.items():
         if name != times.host.get("processor"):
@@ -93,14 +87,16 @@ def _scores_by_cost(
     }
     by_method = {c.method: row for c in costs if (row := ious.get((c.dataset, c.method)))}
     values = {method: row["value"] for method, row in by_method.items()} or psnr
-    ranked = [cost for cost in costs if cost.method in values and cost.view_query]
-    ranked.sort(key=lambda cost: -values[cost.method])
-    if not ranked:
-        return []
-    has_fields = any(is_swept(cost.method) for cost in ranked)
+    has_fields = any(is_swept(cost.method) for cost in costs)
     label = "seconds to build and query" if has_fields else "seconds per query in a new view"
-    seconds = [cost.total if has_fields else cost.view_query for cost in ranked]
-    on_front = pareto_front(seconds, [values[cost.method] for cost in ranked])
+    seconds = {c.method: s for c in costs if (s := c.total if has_fields else c.view_query)}
+    ranked = sorted(costs, key=lambda cost: -values.get(cost.method, 0))
+    points = {
+        c.method: (seconds[c.method], values[c.method])
+        for c in ranked
+        if c.method in values and c.method in seconds
+    }
+    front = pareto_front(list(points.values()))
     rows = [
         [
             cost.method,
@@ -109,19 +105,14 @@ def _scores_by_cost(
             number(cost.build, 2),
             number(cost.prepare, 3),
             number(cost.view_query, 4),
-            "yes" if is_on_front else "",
+            "yes" if points.get(cost.method) in front else "",
         ]
-        for cost, is_on_front in zip(ranked, on_front, strict=True)
+        for cost in ranked
     ]
     heads = ["Method", "IoU", "PSNR, dB", "Build, s", "Prepare, s", "Query in a new view, s",
              "Pareto front"]  # fmt: skip
-    points = [
-        (cost.method, values[cost.method], time, is_on_front)
-        for cost, time, is_on_front in zip(ranked, seconds, on_front, strict=True)
-        if time
-    ]
     score = "IoU" if by_method else "PSNR, dB"
-    plots = [plot_pareto(points, costs[0].method, label, score)] if points[1:] else []
+    plots = [plot_pareto(points, front, label, score)] if len(points) > 1 else []
     return [Table.of(heads, rows, title), Gallery(plots, "grid plots")]
 
 
@@ -146,17 +137,12 @@ def _paper_costs(cost: Cost, times: Times) -> Table:
     return Table.of(heads, lines, f"{cost.dataset}: costs in the paper at 416 x 576")
 
 
-def pareto_front(costs: Sequence[float | None], values: Sequence[float]) -> list[bool]:
-    """Find the Pareto front: no other point costs at most as much and scores at least as well,
-    unless equal.
-
-    A point without a cost is not on the front.
-    """
-    points = [(cost, v) for cost, v in zip(costs, values, strict=True) if cost is not None]
+def pareto_front(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Return the (cost, value) points that no other point beats in one and equals in the other."""
     return [
-        cost is not None
-        and not any(c <= cost and v >= value and (c, v) != (cost, value) for c, v in points)
-        for cost, value in zip(costs, values, strict=True)
+        (cost, value)
+        for cost, value in points
+        if not any(c <= cost and v >= value and (c, v) != (cost, value) for c, v in points)
     ]
 
 
@@ -177,17 +163,3 @@ def _stages_table(times: Times) -> Table:
         note += f" Compiling kernels, once per installation, took {times.compiling:.0f} s more."
     heads = ["Stage", "Per scene, s", "Total, s", "Share", "Memory, MB"]
     return Table.of(heads, rows, "Time by stage", [note])
-
-
-def _hard_cases(times: Times) -> Prose:
-    """Summarise the numerical errors of hard cases; `times.json` lists all of them."""
-    failed = [
-        f"{case.case} ({case.part}: {case.error:.1e} {case.measure}, bound {case.bound:.0e})"
-        for case in times.hard_cases
-        if not case.good
-    ]
-    count = count_text(len(times.hard_cases), "hard case")
-    text = f"Numerical errors of {count} (float32 compared with float64 or more, `times.json`): "
-    if failed:
-        return Prose(f"{text}**{len(failed)} above the bound**: {escape('; '.join(failed))}.", "")
-    return Prose(f"{text}all within their bounds.", "")
