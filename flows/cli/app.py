@@ -4,10 +4,9 @@ import warnings
 from typing import Annotated, Any
 
 import typer
-from typer.exceptions import TyperException
 
 from flows.cli import ask, build, corpus, doctor, objects, run, score, show, store, train
-from flows.cli.help import Group, usage_sentence
+from flows.cli.help import Group
 from slgaussian import __version__
 from slgaussian.errors import SLGaussianError
 
@@ -26,6 +25,7 @@ COMMANDS = {
 
 app = typer.Typer(
     cls=Group,
+    no_args_is_help=True,
     help="From photographs to a 3D scene that answers words. Try `slgaussian demo`.",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     pretty_exceptions_enable=False,
@@ -61,13 +61,8 @@ def _show_warning(message: Warning | str, *where: Any, **more: Any) -> None:
 def main() -> None:
     """Run the command line; errors for users are printed in one sentence, with exit status 2."""
     warnings.showwarning = _show_warning
-
     try:
-        status = app(prog_name="slgaussian", standalone_mode=False)
-    except TyperException as error:
-        typer.echo(f"error: {usage_sentence(error)}", err=True)
-        raise SystemExit(error.exit_code) from None
+        app(prog_name="slgaussian")
     except SLGaussianError as error:
         typer.echo(f"error: {error}", err=True)
         raise SystemExit(2) from None
-    raise SystemExit(status or 0)

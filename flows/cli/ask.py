@@ -98,35 +98,17 @@ def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str
     """Return the JSON output of a text in a view, without the names of view and picture.
 
     ``text``, whether it is ``found``, ``verdict`` (``found``, ``not sure``, ``not here``,
-    ``cannot tell``; None if refused), a one-line ``summary``, ``confidence`` (``mask``, ``point``)
-    or None, the ``uncalibrated`` component or None, ``score``, ``point`` [x, y] and ``pixels`` of
-    the mask (None and 0 unless found or not sure), ``objects`` (``id``, ``relevancy``; the most
-    similar ones if not here), the interpretation ``read_as``, ``unknown`` words, ``unused`` words
-    (word: reason), the source of the meaning (``kind``: ``known``, ``named``, ``taught``,
-    ``unknown``, ``picture``), the number of taught ``examples``, the encoder's meaning of a name or
-    taught word (``instead_of``), and the reason if ``refused``, else None.
+    ``cannot tell``; None if refused), a one-line ``summary``, and the reason if ``refused``, else
+    None. An answer also has ``confidence`` (``mask``, ``point``) or None, the ``uncalibrated``
+    component or None, ``score``, ``point`` [x, y] and ``pixels`` of the mask (None and 0 unless
+    found or not sure), ``objects`` (``id``, ``relevancy``; the most similar ones if not here), the
+    interpretation ``read_as``, ``unknown`` words, ``unused`` words (word: reason), the source of
+    the meaning (``kind``: ``known``, ``named``, ``taught``, ``unknown``, ``picture``), the number
+    of taught ``examples``, and the encoder's meaning of a name or taught word (``instead_of``).
     """
-    answer: dict[str, Any] = {
-        "text": text,
-        "found": False,
-        "verdict": None,
-        "summary": f"refused: {refused}",
-        "confidence": None,
-        "uncalibrated": None,
-        "score": None,
-        "point": None,
-        "objects": [],
-        "pixels": 0,
-        "read_as": None,
-        "unknown": [],
-        "unused": {},
-        "kind": "unknown",
-        "examples": 0,
-        "instead_of": None,
-        "refused": refused,
-    }
+    answer: dict[str, Any] = {"text": text, "found": False, "verdict": None, "refused": refused}
     if hit is None:
-        return answer
+        return {**answer, "summary": f"refused: {refused}"}
     return answer | {
         "found": hit.found,
         "verdict": hit.verdict,
@@ -154,14 +136,11 @@ def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
     lines.append(answer["summary"])
     if answer["objects"]:
         best = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"][:BEST])
-        others_note = (
-            f" and {len(answer['objects']) - BEST} more" if answer["objects"][BEST:] else ""
-        )
+        more = len(answer["objects"]) - BEST
         if answer["point"]:
-            lines.append(
-                f"objects  {best}{others_note}; point x {answer['point'][0]}, "
-                f"y {answer['point'][1]}"
-            )
+            x, y = answer["point"]
+            rest = f" and {more} more" if more > 0 else ""
+            lines.append(f"objects  {best}{rest}; point x {x}, y {y}")
         elif answer["read_as"]:
             lines.append(f"most like it  {best}")
     return "\n".join([*lines, *_describe_words(answer)])

@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -158,30 +158,15 @@ def cameras(
     from flows.cli.photographs import print_warnings
     from slgaussian.datasets import nerfstudio, unposed
 
-    if out is not None:
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            ours = not out.exists() or f'"{nerfstudio.OWN}"'.encode() in out.read_bytes()
-        except OSError as error:
-            message = f"{out}: cannot be written ({error.strerror}); choose another"
-            raise InputError(message) from None
-        if not ours:
-            raise InputError(
-                f"{out}: exists and was not written by `slgaussian cameras`; choose another file, "
-                "or remove it"
-            )
+    if out is not None and out.exists() and nerfstudio.OWN.encode() not in out.read_bytes():
+        raise InputError(
+            f"{out}: exists and was not written by `slgaussian cameras`; choose another file, or "
+            "remove it"
+        )
     files = unposed.named(photos)
     estimate = unposed.find(files)
     if out is not None:
         nerfstudio.write(out, files, estimate)
-        turned = [name for name, file in files.items() if unposed.is_turned(file)]
-        if turned:
-            rest = f" and {len(turned) - 1} more" if turned[1:] else ""
-            typer.echo(
-                f"warning: {turned[0]}{rest} are stored rotated, and the cameras are those of "
-                "upright photographs: save upright copies for programs that do not rotate them",
-                err=True,
-            )
     doubts = [f"these cameras are doubtful: {estimate.doubt}"] if estimate.doubt else []
     print_warnings([*doubts, *estimate.warnings], verbose=True)
     typer.echo(estimate.summary(), err=True)
@@ -268,9 +253,7 @@ def masks(
             rows.append((view.name, files[view.name], str((areas > 0).sum()), labelled))
         look = pictures.side_by_side(panels)
         (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
-        identities: dict[str, Any] = {c.kind: c.name for c in components}
-        identities |= {"replicas": method.replicas, "votes": method.votes}
-        identities |= {c.name: c.identity() for c in components if c.settings}
+        identities = {c.kind: {c.name: c.identity()} for c in components}
         text = {"size": [height, width], "views": files, "settings": identities}
         (draft / MASKS).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
     typer.echo(table_text(rows, "<<"))

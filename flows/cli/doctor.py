@@ -7,16 +7,14 @@ import os
 import platform
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, packages_distributions, version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
 
 from flows.cli import options
 from flows.config import Settings
@@ -94,35 +92,20 @@ def _passes(name: str, check: Callable[..., str], *arguments: Any) -> bool:
 
 def _packages() -> str:
     """Compare the installed packages with the requirements in pyproject.toml."""
-    needed = requirements()
-    installed = packages_distributions()
-    modules: dict[str, str] = {
-        canonicalize_name(name): module for module in installed for name in installed[module]
-    }
-    modules.update(zip(installed, installed, strict=True))  # torch also provides torchgen
-    problems = {str(needs): problem for needs in needed if (problem := _problem(needs, modules))}
+    needed, problems = requirements(), {}
+    for needs in needed:
+        try:
+            installed = version(needs.name)
+        except PackageNotFoundError:
+            installed = "none"
+        if installed == "none" or not needs.specifier.contains(installed, prereleases=True):
+            problems[str(needs)] = f"{needs.name}: found {installed}, expected {needs.specifier}"
     if problems:
         install = " ".join(f"'{needs}'" for needs in problems)
         raise InputError(f"{'; '.join(problems.values())}; run `pip install {install}`")
+    for name in SHOWN:
+        import_module(name)
     return f"{len(needed)} as required: {', '.join(f'{n} {version(n)}' for n in SHOWN)}"
-
-
-def _problem(needs: Requirement, modules: Mapping[str, str]) -> str | None:
-    """Return the problem of a package, if any: missing, wrong version, or broken.
-
-    ``modules`` has the import name of each installed package.
-    """
-    try:
-        installed = version(needs.name)
-    except PackageNotFoundError:
-        return f"{needs.name} is not installed"
-    if not needs.specifier.contains(installed, prereleases=True):
-        return f"{needs.name}: found {installed}, expected {needs.specifier}"
-    try:
-        import_module(modules.get(canonicalize_name(needs.name), needs.name.replace("-", "_")))
-    except Exception as error:  # a broken package raises anything
-        return f"{needs.name} {installed} cannot be imported ({one_line(str(error))})"
-    return None
 
 
 def _store(place: str, opened: list[Any]) -> str:

@@ -36,7 +36,10 @@ Hits = tuple[tuple[int, float], ...]
 """Ids of objects with their relevancies."""
 
 objects = typer.Typer(
-    name="objects", cls=Group, help="List, teach, name, remove or extract objects."
+    name="objects",
+    cls=Group,
+    no_args_is_help=True,
+    help="List, teach, name, remove or extract objects.",
 )
 
 

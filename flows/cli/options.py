@@ -44,7 +44,6 @@ def configured(
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=option)
             for name, option in {**added, "set_": Set}.items()
         ]
-        call.settings_model = model  # type: ignore[attr-defined]  # for messages about options
         parameters = [*signature.parameters.values(), *fields]
         call.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
         return call

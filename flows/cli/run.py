@@ -123,25 +123,14 @@ def run_scenes(command: str, settings: Any, verbose: bool) -> None:
     if results.report is not None:
         typer.echo(f"report: {results.report}")
     if command == "demo":
-        typer.echo(_after_demo(settings.store))
+        typer.echo(
+            f"delete {settings.store} when you are done; it makes the next run fast\n"
+            "your own photographs: slgaussian field a.jpg b.jpg -o field/\n"
+            "and then: slgaussian view field/"
+        )
     if results.ready:
         typer.echo(f"look at it: {results.look}\n{results.ready}")
     report_left_out(settings.out, results.failures)
-
-
-def _after_demo(root: str) -> str:
-    """Return the size of the store, and the commands for the user's own photographs."""
-    from rich.filesize import decimal
-
-    from slgaussian.storage.store import ArtifactStore
-
-    store = ArtifactStore(root)
-    return (
-        f"store: {root} has {decimal(store.fs.du(store.path))}, which makes the next run fast; "
-        "delete that folder when you are done\n"
-        "your own photographs: slgaussian field a.jpg b.jpg -o field/\n"
-        "and then: slgaussian view field/"
-    )
 
 
 def report_left_out(out: Path, failures: Sequence[Any]) -> None:

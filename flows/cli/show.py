@@ -6,8 +6,8 @@ import os
 import signal
 import sys
 import webbrowser
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple, NoReturn
 
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from slgaussian.scene import Camera
 
 EXPORTS = (".html", ".ply", ".spz")
-
-SEEN_FOR_RANGE = 8
-"""Number of frames of a video that determine its depth range."""
 
 
 class Shot(NamedTuple):
@@ -54,9 +51,6 @@ def render(
         Path | None, typer.Option(help="Also write z-depth: .npy, .png (thousandths) or .exr.")
     ] = None,
     ids: Annotated[Path | None, typer.Option(help="Also write object ids: a .png.")] = None,
-    panels: Annotated[
-        bool, typer.Option("--panels", help="Show depth and objects beside the colours.")
-    ] = False,
     show: Annotated[
         str, typer.Option(help="Content: colours, or codes (the paper's feature maps).")
     ] = "colours",
@@ -69,7 +63,7 @@ def render(
 
     \b
     slgaussian render field/ -o picture.png --view 1 --depth depth.npy --ids ids.png
-    slgaussian render field/ -o middle.png --between 0 1 0.5 --panels
+    slgaussian render field/ -o middle.png --between 0 1 0.5
     slgaussian render field/ -o codes.png --between 0 1 0.5 --show codes
     slgaussian render field/ -o turn.mp4 --orbit 60
     slgaussian render field/ -o flight.mp4 --path camera_path.json
@@ -128,36 +122,17 @@ def render(
         shots = {f"turn {number} of {orbit}": shot for number, shot in enumerate(turn, 1)}
     else:
         shots = choose_cameras(source, cameras, view, camera, between)
-    see = lru_cache(1)(lambda name: look(shots[name]))
-    draw = (see(name).rgb for name in shots) if not panels else _draw_panels(see, list(shots))
+    rendered = map(look, shots.values())
     if film:
-        write_film(out, draw)
+        write_film(out, (shot.rgb for shot in rendered))
     else:
-        write_picture(out, *draw)
-        (name, *_) = shots
+        pictures = list(rendered)
+        write_picture(out, *(shot.rgb for shot in pictures))
         if depth is not None:
-            write_map(depth, see(name).depth)
-        if ids is not None and (labels := see(name).ids) is not None:
+            write_map(depth, pictures[0].depth)
+        if ids is not None and (labels := pictures[0].ids) is not None:
             write_file(ids, encode_ids(labels)[1])
     typer.echo(out)
-
-
-def _draw_panels(see: Callable[[str], Shot], names: Sequence[str]) -> Iterator[np.ndarray]:
-    """Draw colours, depth and objects side by side, with one depth scale for all frames."""
-    from slgaussian.benchmark import pictures
-
-    some = names[:: -(-len(names) // SEEN_FOR_RANGE)]
-    near, far = pictures.depth_range(*(see(name).depth for name in some))
-    for name in names:
-        rgb, depth, ids = see(name)
-        painted = pictures.paint_depth(depth, near, far)
-        panels = [
-            (f"rendering, {name}", rgb),
-            ("depth, scene units", pictures.with_depth_scale(painted, near, far)),
-        ]
-        if ids is not None:
-            panels.append(("objects", pictures.paint_labels(ids, rgb)))
-        yield pictures.side_by_side(panels)
 
 
 def _look_at_field(field: SemanticField, codes: bool, camera: Camera) -> Shot:

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 DAY = 86400.0
 
-store_app = typer.Typer(name="store", cls=Group, help="Clean or check a store.")
+store_app = typer.Typer(
+    name="store", cls=Group, no_args_is_help=True, help="Clean or check a store."
+)
 
 
 def inspect(

@@ -117,12 +117,6 @@ def _heat(share: np.ndarray) -> np.ndarray:
     return _colormap(1.5 * share - 0.5, cv2.COLORMAP_INFERNO).astype(np.float64)
 
 
-def with_depth_scale(image: np.ndarray, near: float, far: float) -> np.ndarray:
-    """Return a copy of an image of :func:`paint_depth` with a colour bar from near to far."""
-    bar = _colormap(np.linspace(1, 0, 256)[None], cv2.COLORMAP_TURBO)
-    return _with_scale(image, near, far, bar)
-
-
 def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) -> np.ndarray:
     """Return a copy with a labelled colour bar uint8 [1, 256, 3] at the bottom left."""
     height, width = image.shape[:2]

@@ -350,6 +350,7 @@ def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCamer
         pair["views"] = [paths[name] for name in pair["views"]]
     content = {"camera_model": "OPENCV", "frames": frames, OWN: record}
     try:
+        file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(file, (json.dumps(content, indent=1) + "\n").encode())
     except OSError as bad:
         raise InputError(f"{file}: cannot be written ({bad.strerror}); choose another") from bad

@@ -212,12 +212,3 @@ def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
 
 def _lens(camera: Camera, k1: float) -> Maps:
     return perspective_maps(camera.K, (camera.width, camera.height), np.array([k1, 0, 0, 0, 0]))
-
-
-def is_turned(file: Path) -> bool:
-    """Tell whether a photograph is stored rotated or mirrored."""
-    try:
-        with opened(file) as image:
-            return orientation_of(image) != 1
-    except (OSError, ValueError) as bad:
-        raise unreadable(file, bad) from None

@@ -25,7 +25,6 @@ def test_a_text_that_is_refused_does_not_take_the_others_along(field, ask, monke
     assert [(a["text"], a["verdict"]) for a in answers] == [
         ("red", "not sure"), ("qwxyz", "cannot tell"), ("not blue", None), ("blue", "not sure"),
     ]  # fmt: skip
-    assert len({tuple(answer) for answer in answers}) == 1  # one set of keys
     assert [a["refused"] is None for a in answers] == [True, True, False, True]
     assert "qwxyz" in answers[1]["summary"] and "'not'" in answers[2]["refused"]
     assert run(monkeypatch, "query", field, "red", "not blue") == 1
