@@ -26,7 +26,7 @@ from slgaussian.datasets.configs import Bounds, Rule
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.formats.text import read_lines
 from slgaussian.kernels import threads
-from slgaussian.language.configs import ClipConfig, GridConfig, LexiconConfig, SeparatedConfig
+from slgaussian.language.configs import ClipConfig, GridConfig, LexiconConfig
 from slgaussian.language.rules import Rules
 from slgaussian.masks.configs import PrecomputedConfig, Sam2Config, Sam2VideoConfig, SamConfig
 from slgaussian.predict.configs import MVSplatConfig, PlaneSweepConfig
@@ -142,7 +142,6 @@ class MethodSettings(Rules, BuildConfig):
     lexicon: LexiconConfig = LexiconConfig()
     clip: ClipConfig = ClipConfig()
     grid: GridConfig = GridConfig()
-    separated: SeparatedConfig = SeparatedConfig()
     branch: BranchConfig = BranchConfig()
 
     def component_names(self) -> dict[str, str]:

@@ -184,7 +184,6 @@ def lift_field(
         change_mean=change.mean,
         change_rms=change.rms,
         change_greatest=change.greatest,
-        code_dimensions=bank.dimension,
         replicas_asked=method.replicas,
         bytes_gaussians=_size(lifted.to_arrays()),
         bytes_bank=_size(bank.to_arrays()),

@@ -237,53 +237,37 @@ class SemanticField:
 
         ``backend`` as in :func:`slgaussian.rasterize.rasterize`.
         """
-        from slgaussian.semantic.decode import elected_ids
-
         check_type(camera, Camera, "render: expected a Camera, such as sample.context[0].camera")
         image = self._picture(camera, backend)
         drawn, alpha, depth = image.values, image.alpha, image.depth
-        if self.bank.dimension:
-            ids, confidence = self._decoder(drawn[..., 3:])
-        else:
-            ids, confidence = elected_ids(image.label, image.label_weights, self.bank.ids)
+        ids, confidence = self._decoder(drawn[..., 3:])
         rgb = shown(drawn[..., :3], alpha)
         if self.removed:
             rgb = hatched(rgb, alpha < VISIBLE)
         return FieldView(rgb, ids, confidence, alpha, depth, self, camera)
 
     def render_codes(self, camera: Camera, backend: str = "auto") -> np.ndarray:
-        """Render the semantic feature map F (paper, equation 3), float32 [H, W, D], D at most 3.
+        """Render the semantic feature map F (paper, equation 3), float32 [H, W, 3].
 
-        Codes are multiplied by blending weights, so they are 0 where the view is empty. InputError
-        for a field without codes, as built with ``codes=exact``.
+        Codes are multiplied by blending weights, so they are 0 where the view is empty.
         """
-        if not self.bank.dimension:
-            raise InputError(
-                "render: found a field without codes, as codes=exact builds it, expected codes to "
-                "draw; build it with --set codes=grid or codes=separated"
-            )
         return self._picture(camera, backend).values[..., 3:-1]
 
     def _picture(self, camera: Camera, backend: str) -> Picture:
-        """Render colours and codes, or colours and rows of objects, as arrays on the CPU."""
+        """Render colours, codes and their weight, as arrays on the CPU."""
         from slgaussian.rasterize.picture import Picture, picture, seen_colors
 
         gaussians = self.drawn
         if backend == "cpu" or (backend == "auto" and not gaussians.is_cuda):
             values, features = seen_colors(gaussians, camera), gaussians.to_arrays()["features"]
-            if self.bank.dimension:
-                return picture(gaussians, np.concatenate([values, features], 1), camera)
-            return picture(gaussians, values, camera, labels=features[:, 0].astype(np.int32))
+            return picture(gaussians, np.concatenate([values, features], 1), camera)
         import torch
 
         from slgaussian.rasterize import harmonics, rasterize
 
-        colours, tensor = harmonics.colors(gaussians, camera), gaussians.require_features()
-        rows = None if self.bank.dimension else tensor[:, 0].int()
-        if self.bank.dimension:
-            colours = torch.cat([colours, tensor], 1)
-        image = rasterize(gaussians, colours, camera, backend=backend, labels=rows)
-        return Picture.of(image)
+        colours, codes = harmonics.colors(gaussians, camera), gaussians.require_features()
+        drawn = torch.cat([colours, codes], 1)
+        return Picture.of(rasterize(gaussians, drawn, camera, backend=backend))
 
     def changed(self, **parts: Any) -> SemanticField:
         """Return the field with ``parts`` replaced; cached results that stay valid are shared."""
@@ -454,8 +438,6 @@ class SemanticField:
     @cached_property
     def _labels(self) -> np.ndarray:
         features = self.gaussians.to_arrays()["features"]
-        if not self.bank.dimension:
-            return np.append(np.int32(0), self.bank.ids)[features[:, 0].astype(np.int64)]
         labelled = features[:, -1] >= VISIBLE
         ids = np.zeros(len(features), np.int32)
         if labelled.any():
@@ -474,9 +456,7 @@ class SemanticField:
         counts = np.bincount(rows, minlength=len(self.bank.ids))
         columns: dict[str, Any] = {"id": self.bank.ids.astype(np.int64)}
         for channel, letter in enumerate("rgb"):
-            known = channel < self.bank.dimension
-            column = self.bank.codes[:, channel].astype(np.float64) if known else None
-            columns[f"code_{letter}"] = pa.nulls(len(self.bank)) if column is None else column
+            columns[f"code_{letter}"] = self.bank.codes[:, channel].astype(np.float64)
         columns["gaussians"] = counts.astype(np.int64)
         return pa.table(columns, schema=load_spec("objects").schema)
 
@@ -632,12 +612,7 @@ def _checked(arrays: Arrays, bank: MemoryBank) -> Gaussians:
     """Make the Gaussians from arrays; InputError with the file if they do not match the bank."""
     with _naming_file("gaussians"):
         gaussians = Gaussians.from_arrays(arrays)
-    file, wide = field_folder.FILES["gaussians"], bank.dimension + 1
     features = gaussians.to_arrays().get("features")
-    if features is None or features.shape[1] != wide:
-        raise InputError(f"{file}: no features [N, {wide}]")
-    if bank.dimension == 0:
-        rows = features[:, 0]
-        if not ((rows >= 0) & (rows <= len(bank)) & (rows == np.rint(rows))).all():
-            raise InputError(f"{file}: features are no rows of a bank of {len(bank)} objects")
+    if features is None or features.shape[1] != 4:
+        raise InputError(f"{field_folder.FILES['gaussians']}: no features [N, 4]")
     return gaussians

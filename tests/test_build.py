@@ -33,7 +33,6 @@ NAMES = {
         ({"mvsplat": {}}, "found some of 'mvsplat', expected only those .* 'planesweep'"),
         ({"planesweep": {"nearest": 1.0}}, "unknown key 'planesweep.nearest'"),
         ({"planesweep": {"depth_candidates": 4}}, "planesweep depth_candidates: found 4"),
-        ({"separated": {"dimension": 4}}, "separated dimension: found 4"),
     ],
 )
 def test_settings_that_no_part_takes_are_one_sentence(settings, sentence):
@@ -65,7 +64,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         assert account.gaussians_kept == len(field.gaussians) < account.gaussians_made
         assert 0 < account.change_mean < account.change_rms < 1 < account.change_greatest
         held = sum(array.nbytes for array in field.gaussians.to_arrays().values())
-        assert (account.bytes_gaussians, account.code_dimensions) == (held, 3)
+        assert account.bytes_gaussians == held
         assert 2 * 32 <= account.depths_tried <= account.depths_possible == 2 * most
         assert (account.replicas_computed, account.replicas_asked) == (1, 1)
         assert settings.pop("verdict") == Quality(**quality).verdict()._asdict()
@@ -79,7 +78,6 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
             "keep": "needed",
             "bank": "groups",
             **given,
-            "separated": {"dimension": 3, "error": 0.01},
         }
         cameras = [view.camera for view in sample.context]
         depths[most] = source_depths(field.gaussians, cameras)

@@ -30,7 +30,7 @@ LATER = (
     "slgaussian.rasterize.tiles",
     "slgaussian.rasterize.blend",
     "slgaussian.masks.merge",
-    "slgaussian.language.separated",
+    "slgaussian.language.codes",
     "slgaussian.language.nearest",
 )
 

@@ -55,7 +55,7 @@ KINDS = {
         "language",
         "codes",
         "separated",
-        "Assigns ID codes to objects (grid as in the paper, exact without codes).",
+        "Assigns ID codes to objects (grid as in the paper).",
     ),
     "lifting": Kind("semantic", "liftings", "hard", "Assigns ID codes to Gaussians."),
 }

@@ -21,8 +21,7 @@ ENCODERS = {
 }
 CODES = {
     "grid": "slgaussian.language.configs:GridConfig",
-    "separated": "slgaussian.language.configs:SeparatedConfig",
-    "exact": "slgaussian.language.codes:Exact",
+    "separated": "slgaussian.language.codes:Separated",
 }
 
 
@@ -69,10 +68,9 @@ class CodeStrategy(Protocol):
     """Assigns an ID code to every object of label maps (section 3.2)."""
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
-        """Return distinct codes in [0, 1], float32 [N, D], in the order of ``label_maps.ids``.
+        """Return distinct codes in [0, 1], float32 [N, 3], in the order of ``label_maps.ids``.
 
-        D is 1 to 3, or 0 for no codes: Gaussians then carry the object's row. ``rng`` is the only
-        source of randomness. InputError if there is no object.
+        ``rng`` is the only source of randomness. InputError if there is no object.
         """
 
 

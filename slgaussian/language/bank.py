@@ -13,7 +13,6 @@ from slgaussian.geometry.room import Surroundings
 from slgaussian.io import short_repr
 from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
-from slgaussian.language.configs import MOST_DIMENSIONS
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.language.wholes import Wholes
 from slgaussian.masks.nms import mask_boxes
@@ -35,9 +34,7 @@ class MemoryBank:
 
     Attributes:
         ids: int32 [N]. Object ids as in the label maps, positive and ascending.
-        codes: float32 [N, D]. ID codes in [0, 1], all different, D from 1 to 3. D = 0 means no
-            codes: Gaussians carry the object's row in this bank; see
-            :class:`slgaussian.semantic.Lifting`.
+        codes: float32 [N, 3]. ID codes in [0, 1], all different.
         features: float32 [N, V, C]. Unit vectors of the encoder that built the bank; zero where
             absent. Lengths differ from 1 by less than
             :data:`slgaussian.language.relevancy.UNIT_TOLERANCE`.
@@ -79,7 +76,7 @@ class MemoryBank:
         views, width = self.features.shape[1:] if self.features.ndim == 3 else (0, 0)
         expected = {
             "ids": ("int32", (n,)),
-            "codes": ("float32", (n, self.dimension)),
+            "codes": ("float32", (n, 3)),
             "features": ("float32", (n, views, width)),
             "present": ("bool", (n, views)),
         }
@@ -110,12 +107,7 @@ class MemoryBank:
             raise InputError("memory bank ids: expected positive ids in ascending order")
         if not ((self.codes >= 0) & (self.codes <= 1)).all():
             raise InputError("memory bank codes: found NaN or numbers outside [0, 1]")
-        if self.dimension > MOST_DIMENSIONS:
-            raise InputError(
-                f"memory bank codes: found {self.dimension} numbers a code, expected at most "
-                f"{MOST_DIMENSIONS}"
-            )
-        if self.dimension and len(np.unique(self.codes, axis=0)) != n:
+        if len(np.unique(self.codes, axis=0)) != n:
             raise InputError("memory bank codes: two objects share one code")
         _check_lengths("features: object", self.ids, self.features, self.present)
         if self.levels is not None and self.group_features is not None:
@@ -147,11 +139,6 @@ class MemoryBank:
 
     def __len__(self) -> int:
         return len(self.ids)
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of a code; 0 without codes."""
-        return self.codes.shape[1] if self.codes.ndim == 2 else 0
 
     @property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -193,7 +180,7 @@ def build_bank(
     Args:
         views: sequence of V View. The photographs that the label maps belong to, in the same order.
         label_maps: labels [V, H, W].
-        codes: float32 [N, D]. One code for each of ``label_maps.ids``, in that order.
+        codes: float32 [N, 3]. One code for each of ``label_maps.ids``, in that order.
         surroundings: sequence of V Surroundings, optional. 3D positions of the pixels of each view,
             for encoders that use them.
         groups: int [L, N], optional. Group of each object at each level, from

@@ -1,23 +1,43 @@
-"""ID codes: a low-dimensional vector for every object.
+"""ID codes: three numbers in [0, 1] for every object (paper, section 3.2).
 
-Section 3.2 of the paper: N points of a grid of ceil(cbrt N)^3 points in [0, 1]^3 are chosen at
-random; a rendered vector is decoded to the object whose code is nearest in L1
-(:mod:`slgaussian.language.nearest`). :mod:`slgaussian.language.separated` optimises the choice.
+The paper chooses N points of a grid of ceil(cbrt N)^3 points at random; a rendered vector is
+decoded to the object whose code is nearest in L1 (:mod:`slgaussian.language.nearest`).
+
+:class:`Separated` assigns codes such that mixtures at borders do not decode to a third object.
+Compositing at the border of objects a and b gives ``(1 - s) a + s b``. This value is nearest to a,
+then to b, if and only if no other code lies within the L1 ball with a and b on opposite sides:
+centre ``m = (a + b) / 2``, radius ``r = |a - b| / 2``. (For s < 1/2 its distance from a is
+s |a - b|, and a code c with |m - c| >= r is at least r - (1/2 - s) |a - b| = s |a - b| away; the
+other half is symmetric.) Simulated annealing searches for an assignment in which few codes lie in
+the balls of neighbouring objects.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.language.configs import GridConfig, SeparatedConfig
-from slgaussian.language.separated import misread, neighbours, place
+from slgaussian.kernels.jit import kernel
+from slgaussian.labels import LabelMaps
+from slgaussian.language.configs import GridConfig
 
-if TYPE_CHECKING:
-    from slgaussian.labels import LabelMaps
+GAPS = (1, 2, 4, 8, 16)
+"""Distances in pixels, along rows or columns, at which objects count as neighbours, with weight
+1 / distance^2. Objects that are close but do not touch may touch in another view."""
+
+MARGIN = 1.2
+"""Factor of the balls' radii: leaves room for noise and for neighbours that are not known."""
+
+MOVES_PER_OBJECT = 1000
+MOST_COMPARISONS = 6e7
+"""Number of moves, and limit of moves times pairs of neighbours: half a second at most."""
+
+HEAT = (1e-3, 1e-6)
+"""Temperature at the start and the end of the annealing, relative to the initial energy."""
 
 
 class Grid(GridConfig):
@@ -32,69 +52,42 @@ class Grid(GridConfig):
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`."""
-        return grid_codes(count_objects(label_maps), rng, self.dimension)
+        return grid_codes(count_objects(label_maps), rng)
 
 
-class Separated(SeparatedConfig):
-    """Points of a checkerboard grid, assigned to objects by simulated annealing.
+@dataclass(frozen=True)
+class Separated:
+    """Points of a checkerboard grid, assigned to objects by simulated annealing; see the module.
 
     Every second point of a grid is used: such points are farther apart in L1 than equally many of a
     full grid. If the cube has enough corners for all objects, only corners are used.
-
-    The dimension "auto" is the smallest with which at most ``error`` of the mixtures of neighbours
-    decode to a third object, or 3 if there is none.
-
-    Raises:
-        InputError: If a setting is out of its range.
     """
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
         """See :class:`slgaussian.language.CodeStrategy`."""
-        n = count_objects(label_maps)
-        pairs = neighbours(label_maps)
-        if self.dimension != "auto":
-            return place(n, pairs, self.dimension, rng)
-        for dimension in (1, 2, 3):
-            codes = place(n, pairs, dimension, rng)
-            if misread(codes, pairs) <= self.error:
-                break
-        return codes
+        return place(count_objects(label_maps), neighbours(label_maps), rng)
 
 
-@dataclass(frozen=True)
-class Exact:
-    """No codes: Gaussians carry the object itself; a pixel shows that of the largest total weight.
-
-    This is the control: its errors are caused by geometry, additional errors of coded fields by the
-    codes.
-    """
-
-    def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
-        """See :class:`slgaussian.language.CodeStrategy`; float32 [N, 0]."""
-        return np.empty((count_objects(label_maps), 0), np.float32)
-
-
-def grid_codes(n: int, rng: np.random.Generator, dimension: int = 3) -> np.ndarray:
+def grid_codes(n: int, rng: np.random.Generator) -> np.ndarray:
     """Draw ``n`` distinct codes from the paper's even grid.
 
     Args:
         n: Number of objects, at least 1.
         rng: numpy Generator. Draws the grid points and their order.
-        dimension: 1 to 3; in the paper 3.
 
     Returns:
-        float32 [n, dimension]: Points of a grid on [0, 1]^dimension, ends included, with k points
-            per axis, k the smallest integer with k^dimension >= n. A single object gets the centre.
+        float32 [n, 3]: Points of a grid on [0, 1]^3, ends included, with k points per axis, k the
+            smallest integer with k^3 >= n. A single object gets the centre.
 
     Raises:
         InputError: If ``n`` is less than 1.
     """
     if n < 1:
         raise InputError(f"ID codes: asked for {n}, expected at least one object")
-    k = _ceil_root(n, dimension)
+    k = math.ceil(round(math.cbrt(n), 9))  # rounded, as the root of a cube may be slightly larger
     levels = np.linspace(0, 1, k, dtype=np.float32) if k > 1 else np.array([0.5], np.float32)
-    chosen = rng.choice(k**dimension, n, replace=False)
-    return np.stack([levels[axis] for axis in np.unravel_index(chosen, (k,) * dimension)], 1)
+    chosen = rng.choice(k**3, n, replace=False)
+    return np.stack([levels[axis] for axis in np.unravel_index(chosen, (k, k, k))], 1)
 
 
 def count_objects(label_maps: LabelMaps) -> int:
@@ -105,11 +98,163 @@ def count_objects(label_maps: LabelMaps) -> int:
     return n
 
 
-def _ceil_root(n: int, degree: int) -> int:
-    """Compute the smallest integer k with k^degree >= n, without float errors near powers."""
-    k = round(n ** (1 / degree))
-    while k**degree < n:
-        k += 1
-    while (k - 1) ** degree >= n:
-        k -= 1
-    return k
+class Pairs(NamedTuple):
+    """Pairs of objects that are near each other in some view.
+
+    Attributes:
+        rows: int64 [E, 2]. Indices into the ascending ids, the smaller first.
+        weights: float64 [E]. Length of the common border, normalised to sum 1.
+    """
+
+    rows: np.ndarray
+    weights: np.ndarray
+
+
+def neighbours(label_maps: LabelMaps) -> Pairs:
+    """Find the pairs of objects that are near each other in any view; see :data:`GAPS`."""
+    ids = label_maps.ids
+    rows = np.searchsorted(ids, label_maps.labels)
+    rows[label_maps.labels == 0] = -1
+    keys, weights = [np.empty(0, np.int64)], [np.empty(0)]
+    for gap in GAPS:
+        for a, b in ((rows[..., gap:], rows[..., :-gap]), (rows[:, gap:], rows[:, :-gap])):
+            border = (a != b) & (a >= 0) & (b >= 0)
+            a, b = a[border], b[border]
+            pair_keys, counts = np.unique(
+                np.minimum(a, b) * len(ids) + np.maximum(a, b), return_counts=True
+            )
+            keys.append(pair_keys)
+            weights.append(counts / gap**2)
+    pair_keys, place_of = np.unique(np.concatenate(keys), return_inverse=True)
+    total = np.bincount(place_of, np.concatenate(weights), len(pair_keys))
+    pairs = np.stack([pair_keys // max(len(ids), 1), pair_keys % max(len(ids), 1)], 1)
+    return Pairs(pairs, total / max(total.sum(), 1e-300))
+
+
+def place(n: int, pairs: Pairs, rng: np.random.Generator) -> np.ndarray:
+    """Choose distinct codes in [0, 1], float32 [n, 3], for objects with these pairs."""
+    points = checkerboard(n)
+    assignment = rng.permutation(len(points))[:n]
+    moves = int(min(MOVES_PER_OBJECT * n, MOST_COMPARISONS / max(len(pairs.weights), 1)))
+    if n > 2 and len(pairs.weights):
+        _anneal(
+            points, assignment, pairs.rows, pairs.weights.astype(np.float32),
+            rng.integers(n, size=moves), rng.integers(len(points), size=moves), rng.random(moves),
+        )  # fmt: skip
+    return points[assignment]
+
+
+def checkerboard(n: int) -> np.ndarray:
+    """Return at least ``n`` points of the cube, float32 [P, 3]: its corners, or every second
+    point of the coarsest grid that has enough."""
+    side = 2
+    while (side**3 if side == 2 else (side**3 + 1) // 2) < n:
+        side += 1
+    grid = np.stack([*np.indices((side,) * 3)], -1).reshape(-1, 3)
+    # No corner of the cube lies between two others, so all corners are used.
+    used = grid if side == 2 else grid[grid.sum(1) % 2 == 0]
+    return (used / (side - 1)).astype(np.float32)
+
+
+@kernel
+def _anneal(points, assignment, pairs, weights, movers, targets, randoms):
+    """Reduce the energy, the weighted depth of codes in balls, by simulated annealing.
+
+    A move puts an object on a free point or swaps two objects. ``assignment`` [n], the point of
+    each object, is changed in place; ``randoms`` are uniform in [0, 1).
+    """
+    owners = np.full(len(points), -1)
+    owners[assignment] = np.arange(len(assignment))
+    codes = np.ascontiguousarray(points[assignment].T)
+    balls = np.empty((5, len(pairs)), np.float32)  # centre, 1 / (radius * MARGIN), weight
+    balls[4] = weights
+    start = np.float32(0)
+    for e in range(len(pairs)):
+        _update_ball(e, pairs, codes, balls)
+        start += _ball_energy(e, codes, balls)
+    for step in range(len(movers)):
+        i, target = movers[step], targets[step]
+        j, source = owners[target], assignment[i]
+        if j == i:
+            continue
+        heat = start * HEAT[0] * (HEAT[1] / HEAT[0]) ** (step / len(movers))
+        most = _energy_of(i, j, pairs, codes, balls, np.inf) - heat * np.log(randoms[step])
+        _move(i, points[target], pairs, codes, balls)
+        if j >= 0:
+            _move(j, points[source], pairs, codes, balls)
+        if _energy_of(i, j, pairs, codes, balls, most) <= most:
+            assignment[i], owners[target], owners[source] = target, i, j
+            if j >= 0:
+                assignment[j] = source
+        else:
+            _move(i, points[source], pairs, codes, balls)
+            if j >= 0:
+                _move(j, points[target], pairs, codes, balls)
+
+
+@kernel
+def _move(i, point, pairs, codes, balls):
+    """Give object ``i`` the code ``point`` [3]."""
+    for k in range(3):  # not a slice, for which Numba compiles error messages
+        codes[k, i] = point[k]
+    for e in range(len(pairs)):
+        if pairs[e, 0] == i or pairs[e, 1] == i:
+            _update_ball(e, pairs, codes, balls)
+
+
+@kernel(inline="always")
+def _update_ball(e, pairs, codes, balls):
+    """Update the ball of pair ``e`` from its codes; during a swap its radius may be 0."""
+    a, b = pairs[e]
+    radius = np.float32(0)
+    for k in range(3):
+        balls[k, e] = np.float32(0.5) * (codes[k, a] + codes[k, b])
+        radius += np.float32(0.5) * abs(codes[k, a] - codes[k, b])
+    balls[3, e] = np.float32(1) / (radius * np.float32(MARGIN))
+
+
+@kernel(inline="always")
+def _depth(c, e, codes, balls):
+    """Compute the weighted depth of code ``c`` in the ball of pair ``e``: 0 outside."""
+    far = abs(codes[0, c] - balls[0, e]) + abs(codes[1, c] - balls[1, e])
+    far += abs(codes[2, c] - balls[2, e])
+    return balls[4, e] * max(np.float32(0), np.float32(1) - far * balls[3, e])
+
+
+@kernel(fastmath={"reassoc", "contract"})  # sums in any order, and so by SIMD
+def _ball_energy(e, codes, balls):
+    """Sum the depth of all codes in the ball of pair ``e``."""
+    total = np.float32(0)
+    for c in range(codes.shape[1]):
+        total += _depth(c, e, codes, balls)
+    return total
+
+
+@kernel(fastmath={"reassoc", "contract"})
+def _code_energy(c, codes, balls):
+    """Sum the depth of code ``c`` in all balls."""
+    total = np.float32(0)
+    for e in range(balls.shape[1]):
+        total += _depth(c, e, codes, balls)
+    return total
+
+
+@kernel
+def _energy_of(i, j, pairs, codes, balls, most):
+    """Compute the part of the energy that depends on the codes of i and j; j may be -1.
+
+    Stops above ``most``, as the remaining terms are positive.
+    """
+    total = _code_energy(i, codes, balls)
+    if j >= 0:
+        total += _code_energy(j, codes, balls)
+    for e in range(len(pairs)):
+        a, b = pairs[e]
+        if total > most:
+            break
+        if a in (i, j) or b in (i, j):
+            # Without the codes of i and j, which were counted above.
+            total += _ball_energy(e, codes, balls) - _depth(i, e, codes, balls)
+            if j >= 0:
+                total -= _depth(j, e, codes, balls)
+    return total

@@ -13,11 +13,6 @@ from slgaussian.components.pretrained import model_digest, tokenizer_digest
 CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """The model of LangSplat and the paper."""
 
-MOST_DIMENSIONS = 3
-"""Largest dimension of a code, in rendered channels."""
-
-Dimension = Annotated[int, Field(ge=1, le=MOST_DIMENSIONS)]
-
 
 class LexiconConfig(ComponentConfig, title="lexicon"):
     """Encoder with an explicit vocabulary of words and measurements, without training."""
@@ -72,26 +67,8 @@ class GridConfig(ComponentConfig, title="grid"):
 
     target = "slgaussian.language.codes:Grid"
 
-    dimension: Dimension = Field(3, description="Dimension of a code, 1 to 3.")
     decode: Literal["settled", "nearest"] = Field(
         "settled",
         description="Decoding of pixels: settled, which uses neighbours at borders, or nearest, "
         "the paper's.",
-    )
-
-
-class SeparatedConfig(ComponentConfig, title="separated"):
-    """Points of a checkerboard grid, assigned to objects by simulated annealing."""
-
-    target = "slgaussian.language.codes:Separated"
-
-    dimension: Dimension | Literal["auto"] = Field(
-        3, description="Dimension of a code, 1 to 3, or 'auto': the smallest that suffices."
-    )
-    error: float = Field(
-        0.01,
-        ge=0,
-        le=1,
-        description="With 'auto': fraction of mixtures of neighbours that may decode to a third "
-        "object.",
     )

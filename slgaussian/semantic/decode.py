@@ -38,12 +38,11 @@ class Decoder:
     """Decodes feature images of one bank. Construction takes some milliseconds.
 
     Args:
-        bank: With codes [N, D], D from 1 to 3.
+        bank: The codes and ids.
     """
 
     def __init__(self, bank: MemoryBank) -> None:
         self._ids = bank.ids
-        self._dimension = bank.codes.shape[1]
         self._lookup = make_lookup(bank.codes) if len(bank) else None
         self._gaps = _gaps(bank.codes.astype(np.float64))
 
@@ -51,7 +50,7 @@ class Decoder:
         """Decode the object of each pixel, with a confidence.
 
         Args:
-            features: float32 [H, W, D + 1]. Rendered features: code times weight, and the weight.
+            features: float32 [H, W, 4]. Rendered features: code times weight, and the weight.
 
         Returns:
             ids: int32 [H, W]. Ids of the bank, 0 where the weight is below :data:`VISIBLE`.
@@ -67,10 +66,8 @@ class Decoder:
             InputError: If the shape is wrong, or a value is NaN or infinite where an object is
                 visible.
         """
-        if features.ndim != 3 or features.shape[2] != self._dimension + 1:
-            raise InputError(
-                f"decode: found features {features.shape}, expected [H, W, {self._dimension + 1}]"
-            )
+        if features.ndim != 3 or features.shape[2] != 4:
+            raise InputError(f"decode: found features {features.shape}, expected [H, W, 4]")
         shape = features.shape[:2]
         ids, confidence = np.zeros(shape, np.int32), np.zeros(shape, np.float32)
         if self._lookup is None:
@@ -89,7 +86,7 @@ class NearestCode:
     Rendered codes are not divided by their weight, so partly transparent ones are biased to zero.
 
     Args:
-        bank: With codes [N, D], D from 1 to 3.
+        bank: The codes and ids.
     """
 
     def __init__(self, bank: MemoryBank) -> None:
@@ -125,7 +122,7 @@ def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | Neare
 def elected_ids(
     label: np.ndarray, weights: np.ndarray, ids: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Decode a picture rendered by label votes (no codes); returns as :class:`Decoder`.
+    """Decode a picture rendered by label votes; returns as :class:`Decoder`.
 
     ``label`` and ``weights`` are the picture's ``label`` (rows of ``ids`` int32 [N], from 1) and
     ``label_weights``. The confidence is the object's weight minus that of the next one.
@@ -155,17 +152,14 @@ def _gaps(codes: np.ndarray) -> np.ndarray:
 def _decode(features, lookup, gaps, table, ids, confidence):
     """Write ``ids`` and ``confidence``; return the image rows with NaN or infinity, bool [H]."""
     height, width = ids.shape
-    codes, (across, down, deep), starts, members = lookup
+    codes, starts, members = lookup
     bad = np.zeros(height, np.bool_)
     rows, lead = np.empty((height, width), np.int32), np.empty((height, width), np.float32)
     # Padded, so that the neighbourhood loops need no bounds checks.
     close = np.full((height + 2, width + 2), -1, np.int32)
     agreed = np.full((height + 2 * REACH, width + 2 * REACH), -1, np.int32)
     for v in range(height):
-        bad[v] = _nearest(
-            features[v], codes, across, down, deep, starts, members, gaps, rows[v], close[v + 1],
-            lead[v],
-        )  # fmt: skip
+        bad[v] = _nearest(features[v], codes, starts, members, gaps, rows[v], close[v + 1], lead[v])
     for v in range(height):
         _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + REACH])
     for v in range(height):
@@ -175,34 +169,30 @@ def _decode(features, lookup, gaps, table, ids, confidence):
 
 
 @kernel
-def _nearest(features, codes, across, down, deep, starts, members, gaps, rows, close, lead):
+def _nearest(features, codes, starts, members, gaps, rows, close, lead):
     """Find the nearest code of each pixel of an image row, -1 where none is visible, and its lead.
 
     ``close`` gets the code, one pixel to the right, where it is within :data:`CLOSE`. Returns
     whether the row holds NaN or infinity.
     """
-    channels = features.shape[1]
     x, y, z, bad = 0.0, 0.0, 0.0, False
     row, near = np.uint32(0), -1.0
     at_x, at_y, at_z, per_gap = 0.0, 0.0, 0.0, 0.0
     for u in range(len(rows)):
-        weight = features[u, channels - 1]
+        weight = features[u, 3]
         rows[u] = -1
         if weight < VISIBLE:
             continue
-        # Divided in float32. With D = 1 or 2 the missing coordinates stay 0.
-        x = np.float64(features[u, 0] / weight)
-        if channels > 2:
-            y = np.float64(features[u, 1] / weight)
-        if channels > 3:
-            z = np.float64(features[u, 2] / weight)
+        x = np.float64(features[u, 0] / weight)  # divided in float32
+        y = np.float64(features[u, 1] / weight)
+        z = np.float64(features[u, 2] / weight)
         if not abs(x) + abs(y) + abs(z) + weight < np.inf:
             bad = True
             continue
         # Closer than half way to the next code, the previous pixel's code is still the nearest.
         d = abs(x - at_x) + abs(y - at_y) + abs(z - at_z)
         if not d < near:
-            row, d = find(x, y, z, codes, across, down, deep, starts, members)
+            row, d = find(x, y, z, codes, starts, members)
             at_x, at_y, at_z = codes[row, 0], codes[row, 1], codes[row, 2]
             near, per_gap = 0.499999 * gaps[row], 1 / gaps[row]
         fraction = d * per_gap
@@ -227,19 +217,15 @@ def _mark_settled(above, close, below, agreed):
 @kernel
 def _decode_row(features, codes, rows, leads, agreed, table, ids, confidence):
     """Write ids and confidence of an image row; ``agreed`` is padded by :data:`REACH`."""
-    channels = features.shape[1]
-    x, y, z = 0.0, 0.0, 0.0
     for u in range(len(rows)):
         row = rows[u]
         if row < 0:
             continue
-        weight, lead = features[u, channels - 1], leads[u]
+        weight, lead = features[u, 3], leads[u]
         if agreed[REACH, u + REACH] < 0:
             x = np.float64(features[u, 0] / weight)
-            if channels > 2:
-                y = np.float64(features[u, 1] / weight)
-            if channels > 3:
-                z = np.float64(features[u, 2] / weight)
+            y = np.float64(features[u, 1] / weight)
+            z = np.float64(features[u, 2] / weight)
             row, lead = _choose(x, y, z, codes, agreed[:, u : u + 2 * REACH + 1], row, lead)
         ids[u] = table[row]
         confidence[u] = min(weight, np.float32(1)) * lead

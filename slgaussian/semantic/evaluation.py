@@ -45,7 +45,7 @@ def novel_labels(
 
     Args:
         liftings: {name: Lifting}. All get the same labels and codes.
-        codes: Name of the code strategy; codes have one to three dimensions.
+        codes: Name of the code strategy.
         seed: Seed of the codes.
 
     Returns:

@@ -19,12 +19,7 @@ class HardIndex:
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; the weight is 1 or, unlabelled, 0."""
         labels = label_maps.labels.ravel()[gaussians.to_arrays()["source"]]
-        features = code_images(labels, bank.ids, bank.codes)
-        if not bank.dimension:
-            # Without codes the only channel is the row in the bank, counted from 1.
-            rows = np.searchsorted(bank.ids, labels) + 1
-            features *= rows[:, None].astype(np.float32)
-        return gaussians.with_arrays(features=features)
+        return gaussians.with_arrays(features=code_images(labels, bank.ids, bank.codes))
 
 
 class Filled:

@@ -1,4 +1,4 @@
-"""Statistics of a field, stored with it: numbers of Gaussians and codes, and bytes.
+"""Statistics of a field, stored with it: numbers of Gaussians, and bytes.
 
 They are deterministic; timings are not among them.
 """
@@ -18,7 +18,6 @@ class FieldStatistics:
         change_mean, change_rms, change_greatest: Difference between renderings of the context views
             before and after merging Gaussians, in grey levels; see
             :class:`slgaussian.rasterize.merging.Change`.
-        code_dimensions: Dimension of the ID codes; 0 without codes.
         replicas_asked: Number of copies of each view that vote.
         bytes_gaussians, bytes_bank: Sizes of the arrays of Gaussians and memory bank.
         replicas_computed: Largest number of copies of one view that were segmented or tracked; the
@@ -32,7 +31,6 @@ class FieldStatistics:
     change_mean: float
     change_rms: float
     change_greatest: float
-    code_dimensions: int
     replicas_asked: int
     bytes_gaussians: int
     bytes_bank: int
@@ -57,7 +55,6 @@ class FieldStatistics:
         computed = self.replicas_computed
         return [
             *lines,
-            f"ID codes: {self.code_dimensions} numbers each",
             f"replicas: {'' if computed is None else f'{computed} computed of '}"
             f"{self.replicas_asked} requested",
             f"bytes: Gaussians {self.bytes_gaussians:,}, memory bank {self.bytes_bank:,}",

@@ -37,7 +37,6 @@ def test_the_identity_is_flat_plain_and_complete():
         "bank": "groups",
         "planesweep": {"depth_candidates": 144},
         "lexicon": {"classifier": "none"},
-        "separated": {"dimension": 3, "error": 0.01},
     }
     method = Method(settings={"lexicon": {"classifier": "none"}})
     assert json.dumps(method.identity()) == json.dumps(expected)

@@ -165,7 +165,6 @@ def count_steps(monkeypatch) -> list[int]:
     ("more", "expected"),
     [
         (("--set", "held_out=0.001"), "found 6 training clips and 0 held-out clips"),
-        (("--set", "codes=exact"), "found codes of 0 numbers, expected 3"),
         (("--store", "elsewhere"), "give the --store of `slgaussian supervise`"),
     ],
 )

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from slgaussian.errors import InputError
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.codes import grid_codes
-from slgaussian.language.separated import _points
+from slgaussian.language.codes import checkerboard, grid_codes
 from slgaussian.semantic.decode import Decoder, NearestCode, decoder_of
 
 # Written out, not imported: a slip in the module must show here.
@@ -74,12 +73,12 @@ def plain(features: np.ndarray, bank: MemoryBank) -> tuple[np.ndarray, np.ndarra
     return ids, confidence
 
 
-def borders(seed: int, n: int, dimension: int, size=(40, 30)) -> tuple[np.ndarray, MemoryBank]:
+def borders(seed: int, n: int, size=(40, 30)) -> tuple[np.ndarray, MemoryBank]:
     """A picture of patches with blurred borders, noise, thin and empty places."""
     rng = np.random.default_rng(seed)
-    codes = grid_codes(n, rng, dimension)
+    codes = grid_codes(n, rng)
     if seed % 2:  # as on a chessboard, where the next code in L1 is not the next in L2
-        codes = rng.permutation(_points(n, dimension).astype(np.float32))[:n]
+        codes = rng.permutation(checkerboard(n))[:n]
     patches = codes[rng.integers(n, size=(size[0] // 8 + 1, size[1] // 8 + 1))]
     sharp = patches.repeat(8, 0).repeat(8, 1)[: size[0], : size[1]]
     soft = (sharp + np.roll(sharp, 1, 0) + np.roll(sharp, 1, 1) + np.roll(sharp, 2, 1)) / 4
@@ -90,10 +89,10 @@ def borders(seed: int, n: int, dimension: int, size=(40, 30)) -> tuple[np.ndarra
 
 
 @settings(max_examples=25, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(1, 3))
-def test_the_decoder_does_what_it_says(seed, n, dimension):
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40))
+def test_the_decoder_does_what_it_says(seed, n):
     """Ids exactly; confidence to float32 rounding, measured 1.2e-7."""
-    features, mine = borders(seed, n, dimension)
+    features, mine = borders(seed, n)
     ids, confidence = Decoder(mine)(features)
     wanted_ids, wanted = plain(features, mine)
     np.testing.assert_array_equal(ids, wanted_ids)
@@ -105,7 +104,7 @@ def test_the_decoder_does_what_it_says(seed, n, dimension):
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 30), (2, 5), (30, 1), (3, 3)])
 def test_small_pictures(size):
-    features, mine = borders(5, 12, 3, size)
+    features, mine = borders(5, 12, size)
     np.testing.assert_array_equal(ids_of(features, mine), plain(features, mine)[0])
 
 
@@ -135,7 +134,7 @@ def test_features_of_another_dimension_are_refused():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_papers_decoding_is_the_nearest_code_of_what_is_drawn(seed):
-    features, mine = borders(seed, 20, 3)
+    features, mine = borders(seed, 20)
     features[5:10, 5:10] *= 0.7
     ids, confidence = NearestCode(mine)(features)
     codes = mine.codes.astype(np.float64)
@@ -153,8 +152,8 @@ def test_the_papers_decoding_is_the_nearest_code_of_what_is_drawn(seed):
 
 def test_a_field_is_decoded_as_its_codes_say():
     assert isinstance(decoder_of(bank(), {"codes": "separated"}), Decoder)
-    assert isinstance(decoder_of(bank(), {"codes": "grid", "grid": {"dimension": 3}}), Decoder)
-    paper = {"codes": "grid", "grid": {"dimension": 3, "decode": "nearest"}}
+    assert isinstance(decoder_of(bank(), {"codes": "grid", "grid": {}}), Decoder)
+    paper = {"codes": "grid", "grid": {"decode": "nearest"}}
     assert isinstance(decoder_of(bank(), paper), NearestCode)
 
 

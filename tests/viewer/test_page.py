@@ -54,7 +54,7 @@ def field() -> SemanticField:
         guessed=torch.tensor(rng.uniform(size=n) < 0.2),
     )
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
-    method = Method(codes="exact", keep="all", settings={"lexicon": {"classifier": "none"}})
+    method = Method(keep="all", settings={"lexicon": {"classifier": "none"}})
     return known_field(sample, gaussians, maps, method)
 
 
