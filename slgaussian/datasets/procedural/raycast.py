@@ -21,6 +21,9 @@ from slgaussian.kernels.work_sharing import share, take
 
 BOX, BALL, CYLINDER, CONE, RING = range(5)
 
+STEPS, TOUCH = 50_000, 1e-12
+"""Largest number of steps along a ray to a torus, and the distance that counts as a hit."""
+
 
 @dataclass(frozen=True, eq=False)
 class Solid:
@@ -227,64 +230,16 @@ def _roots(a, b, c):
 
 @kernel
 def _torus(ring, tube, origin, ray):
-    """Find the first positive root of the torus quartic, by the roots of its derivatives."""
+    """Find the first hit by sphere tracing (Hart, 1996): steps as long as the distance is."""
     length = math.sqrt(dot(ray, ray))
     d = (ray[0] / length, ray[1] / length, ray[2] / length)
-    # With t measured from the point nearest the centre, the quartic has no cubic term.
-    start = dot(origin, d)
-    p = (origin[0] - start * d[0], origin[1] - start * d[1], origin[2] - start * d[2])
-    m = dot(p, p)
-    span = (ring + tube) ** 2 - m
-    if span <= 0:
-        return np.inf
-    hi = math.sqrt(span) * (1 + 1e-12)
-    lo = max(-hi, start)
-    if lo >= hi:
-        return np.inf
-    k = m + ring * ring - tube * tube
-    four = 4 * ring * ring
-    c2 = 2 * k - four * (d[0] * d[0] + d[1] * d[1])
-    c1 = -2 * four * (p[0] * d[0] + p[1] * d[1])
-    c0 = k * k - four * (p[0] * p[0] + p[1] * p[1])
-
-    # Find the extrema of the derivative, then of the quartic, which is monotone between them.
-    bend = math.sqrt(-c2 / 6) if c2 < 0 else 0.0
-    left = lo
-    previous = lo
-    for step in range(3):
-        right = -bend if step == 0 else (bend if step == 1 else hi)
-        right = min(max(right, lo), hi)
-        if right > left:
-            turn = _monotone_root(0.0, 4.0, 0.0, 2 * c2, c1, left, right)
-            if turn < np.inf:
-                t = _monotone_root(1.0, 0.0, c2, c1, c0, previous, turn)
-                if t < np.inf:
-                    return (t - start) / length
-                previous = turn
-        left = right
-    t = _monotone_root(1.0, 0.0, c2, c1, c0, previous, hi)
-    return (t - start) / length
-
-
-@kernel
-def _monotone_root(c4, c3, c2, c1, c0, lo, hi):
-    """Find the root of a quartic that is monotone on [lo, hi], by Newton in a shrinking bracket."""
-    at_lo = (((c4 * lo + c3) * lo + c2) * lo + c1) * lo + c0
-    at_hi = (((c4 * hi + c3) * hi + c2) * hi + c1) * hi + c0
-    if at_lo * at_hi > 0 or at_lo == at_hi:
-        return np.inf
-    t = 0.5 * (lo + hi)
-    for _ in range(80):
-        value = (((c4 * t + c3) * t + c2) * t + c1) * t + c0
-        if (value > 0) == (at_hi > 0):
-            hi = t
-        else:
-            lo = t
-        slope = ((4 * c4 * t + 3 * c3) * t + 2 * c2) * t + c1
-        new = t - value / slope if slope != 0.0 else lo
-        if not lo < new < hi:
-            new = 0.5 * (lo + hi)
-        if abs(new - t) <= 1e-15 * (1 + abs(t)):
-            return new
-        t = new
-    return t
+    t, far = 0.0, ring + tube - dot(origin, d)
+    for _ in range(STEPS):
+        x, y, z = origin[0] + t * d[0], origin[1] + t * d[1], origin[2] + t * d[2]
+        distance = math.hypot(math.hypot(x, y) - ring, z) - tube
+        if distance < TOUCH:
+            return t / length
+        t += distance
+        if t > far:
+            break
+    return np.inf
