@@ -182,11 +182,11 @@ class TestLargeImages:
             "images": [torch.zeros(10_000, dtype=torch.uint8)] * 50,
         }
         torch.save([entry], tmp_path / "x.torch")
-        with pytest.raises(InputError, match=r"x\.torch: clip 0: has more bytes of images than"):
+        with pytest.raises(InputError, match=r"x\.torch: clip 0: .*has more bytes of images than"):
             re10k.read_chunk(tmp_path / "x.torch")
         stretched = torch.zeros(1, dtype=torch.uint8).expand(10**12)
         torch.save([{**entry, "images": [stretched] * 50}], tmp_path / "x.torch")
-        with pytest.raises(InputError, match=r"x\.torch: clip 0: images are not all uint8"):
+        with pytest.raises(InputError, match=r"x\.torch: clip 0: .*repeats its elements"):
             re10k.read_chunk(tmp_path / "x.torch")
 
     def test_an_array_that_says_more_than_its_file_has_is_not_allocated(self, tmp_path):

@@ -17,7 +17,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import fsspec
 import numpy as np
@@ -32,16 +32,11 @@ from slgaussian.io import write_atomic
 from slgaussian.scene import Camera, Scene, View
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 
-if TYPE_CHECKING:  # reading the name of the index must not wait for the import of torch
-    import torch
-
 INDEX = "index.json"
 CHUNK_BYTES = 100_000_000
 """A new chunk is begun when the images of the current one reach this size, as in the original."""
 JPEG_QUALITY = 95
 ROW = 18
-WHOLE = ("torch.int64", "torch.int32")
-REAL = ("torch.float32", "torch.float64", "torch.float16")
 FRAME_TIME = 33_333
 """Interval between the frames of a scene without timestamps, microseconds."""
 
@@ -66,19 +61,16 @@ class Clip:
         """Decode one frame, independently of the others; messages begin with ``prefix``.
 
         Raises:
-            InputError: If its image cannot be decoded or its camera is invalid; the message names
-                clip and frame.
+            InputError: If its image cannot be decoded or its camera is invalid.
         """
         label = f"{prefix}clip {self.key!r}, frame {number}"
         try:
             with opened(io.BytesIO(self.images[number])) as image:
                 pixels = rgb(image)
-            camera = camera_of(self.cameras[number], pixels.shape[1], pixels.shape[0])
-        except InputError as error:
-            raise InputError(f"{label}: {error}") from None
         except ValueError as error:
             raise InputError(f"{label}: its JPEG cannot be decoded ({error})") from None
-        return View(str(number), camera, pixels)
+        height, width = pixels.shape[:2]
+        return View(str(number), camera_of(self.cameras[number], width, height, label), pixels)
 
     def scene(self, source: str = "") -> Scene:
         """Return the clip as a scene with views "0" to "N - 1", each decoded when it is read.
@@ -97,12 +89,10 @@ class Clip:
         usual = next((size for size in sizes if size is not None), None)
         if usual is None:
             raise InputError(f"{label}: none of its {len(sizes)} images can be decoded")
-        cameras = {}
-        for number, (row, size) in enumerate(zip(self.cameras, sizes, strict=True)):
-            try:
-                cameras[str(number)] = camera_of(row, *(size or usual))
-            except InputError as error:
-                raise InputError(f"{label}, frame {number}: {error}") from None
+        cameras = {
+            str(number): camera_of(row, *(size or usual), f"{label}, frame {number}")
+            for number, (row, size) in enumerate(zip(self.cameras, sizes, strict=True))
+        }
 
         def read(name: str) -> View:
             if name not in cameras:
@@ -213,66 +203,55 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
 
 def _clip(file: str | Path, number: int, entry: Any, max_bytes: int) -> Clip:
     """Parse an entry as a clip, whose images may have ``max_bytes`` bytes in total."""
-    import torch
-
-    def wrong(problem: str) -> InputError:
-        return InputError(f"{file}: clip {number}: {problem}")
-
-    if not isinstance(entry, dict):
-        raise wrong(f"found a {type(entry).__name__}, expected a dict")
-    kinds = {"key": str, "url": str, "timestamps": torch.Tensor, "cameras": torch.Tensor}
-    for name, kind in {**kinds, "images": list}.items():
-        if not isinstance(entry.get(name), kind):
-            raise wrong(f"{name} is {type(entry.get(name)).__name__}, expected {kind.__name__}")
-    times, cameras, images = entry["timestamps"], entry["cameras"], entry["images"]
-    for name, tensor, types in (("timestamps", times, WHOLE), ("cameras", cameras, REAL)):
-        if not _is_plain(tensor) or str(tensor.dtype) not in types or not tensor.ndim:
-            raise wrong(f"{name} is a tensor of {tensor.dtype}, expected one of {types[0]}")
-    if tuple(cameras.shape) != (len(images), ROW) or len(times) != len(images):
-        raise wrong(
-            f"found {len(images)} images, cameras {tuple(cameras.shape)} and {len(times)} "
-            f"timestamps, expected as many rows of {ROW}"
-        )
-    if not all(
-        isinstance(i, torch.Tensor) and i.dtype == torch.uint8 and _is_plain(i) for i in images
-    ):
-        raise wrong("images are not all uint8 tensors of JPEG bytes")
-    if sum(image.numel() for image in images) > max_bytes:
-        raise wrong("has more bytes of images than the file")
-    encoded_images = tuple(image.numpy().tobytes() for image in images)
-    rows = cameras.numpy().astype(np.float32)
-    return Clip(entry["key"], entry["url"], times.numpy().astype(np.int64), rows, encoded_images)
-
-
-def _is_plain(tensor: torch.Tensor) -> bool:
-    """Tell whether a tensor stores each of its elements exactly once."""
-    import torch
-
-    if tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
-        return False
-    stored = tensor.untyped_storage().nbytes()
-    return not tensor.requires_grad and tensor.numel() * tensor.element_size() <= stored
-
-
-def camera_of(row: np.ndarray, width: int, height: int) -> Camera:
-    """Return the camera of a row of 18 numbers; InputError if it is invalid."""
-    row = np.asarray(row, np.float64)
-    if row.shape != (ROW,) or not np.isfinite(row).all():
-        raise InputError(f"camera row: found {row.tolist()}, expected {ROW} finite numbers")
-    if row[4:6].any():
+    try:
+        key, url, images = entry["key"], entry["url"], entry["images"]
+        times, cameras = (_array(entry[name]) for name in ("timestamps", "cameras"))
+        fits = isinstance(key, str) and isinstance(url, str) and isinstance(images, list)
+        fits = fits and times.shape == (len(images),) and times.dtype.kind == "i"
+        fits = fits and cameras.shape == (len(images), ROW) and cameras.dtype.kind == "f"
+        arrays = [_array(image) for image in images]
+        if not fits or any(array.dtype != np.uint8 for array in arrays):
+            raise ValueError("its values have other types or lengths")
+        if sum(array.size for array in arrays) > max_bytes:
+            raise ValueError("it has more bytes of images than the file")
+    except (KeyError, TypeError, ValueError) as error:
         raise InputError(
-            f"camera row: its numbers 5 and 6 are {row[4]:g} and {row[5]:g}, expected 0, as a lens "
-            "distortion there is not read; undistort the photographs first"
+            f"{file}: clip {number}: expected key, url, N images of uint8, N timestamps of int64 "
+            f"and cameras float32 [N, {ROW}] ({error})"
+        ) from None
+    encoded_images = tuple(array.tobytes() for array in arrays)
+    return Clip(key, url, times.astype(np.int64), cameras.astype(np.float32), encoded_images)
+
+
+def _array(tensor: Any) -> np.ndarray:
+    """Return the array of a tensor that stores each of its elements; else raise."""
+    import torch
+
+    if not isinstance(tensor, torch.Tensor):
+        raise TypeError(f"found a {type(tensor).__name__}, expected a tensor")
+    array = tensor.numpy()  # raises for other layouts
+    if array.nbytes > tensor.untyped_storage().nbytes():
+        raise ValueError("a tensor repeats its elements")
+    return array
+
+
+def camera_of(row: np.ndarray, width: int, height: int, label: str = "camera") -> Camera:
+    """Return the camera of a row of 18 numbers; InputError with the label if it is invalid."""
+    row = np.asarray(row, np.float64)
+    if row.shape != (ROW,) or not np.isfinite(row).all() or row[4:6].any():
+        raise InputError(
+            f"{label}: found {row.tolist()}, expected {ROW} finite numbers, the fifth and sixth 0"
         )
     fx, fy, cx, cy = row[:4] * (width, height, width, height)
-    w2c = np.eye(4)
-    w2c[:3] = row[6:].reshape(3, 4)
-    rotation = w2c[:3, :3]
+    rotation, translation = row[6:].reshape(3, 4)[:, :3], row[9::4]
     c2w = np.eye(4)
     c2w[:3, :3] = rotation.T
-    c2w[:3, 3] = -rotation.T @ w2c[:3, 3]
+    c2w[:3, 3] = -rotation.T @ translation
     K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return checked_camera(Camera(K, c2w, width, height), fractions=True)
+    try:
+        return checked_camera(Camera(K, c2w, width, height), fractions=True)
+    except InputError as error:
+        raise InputError(f"{label}: {error}") from None
 
 
 def row_of(camera: Camera) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Exact intersections of rays with boxes, spheres, cylinders, cones and tori.
+"""Intersections of rays with boxes, spheres, cylinders, cones and tori.
 
 A solid has a local frame, centred at the origin: a box has half extents ``size``; a sphere has
 radius ``size[0]``; a cylinder and a cone have radius ``size[0]`` and half height ``size[1]`` along
