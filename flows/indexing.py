@@ -94,9 +94,10 @@ def _surrounded(
     barred = {place[view] for view in views.values() if view in place}
     around = surround(clip, list(wanted.values()), barred, rule)
     for frame, contexts in zip(wanted, around, strict=True):
-        if (pair := contexts.pair) is None:
-            out[frame] = contexts.reason
+        if isinstance(contexts, str):
+            out[frame] = contexts
             continue
+        pair = contexts.pair
         owners = {
             "overlap": pair, "baseline": pair, "cover": contexts, "aside": contexts, "score": pair,
         }  # fmt: skip

@@ -72,17 +72,15 @@ class Pair:
 
 @dataclass(frozen=True)
 class Surrounding:
-    """Two context views around a target, or the reason why there are none.
+    """Two context views around a target, with the measures of the rule.
 
     Attributes:
-        cover, aside: As in :class:`slgaussian.datasets.configs.Rule`; 0 without a pair.
-        reason: Empty with a pair.
+        cover, aside: As in :class:`slgaussian.datasets.configs.Rule`.
     """
 
-    pair: Pair | None
-    cover: float = 0.0
-    aside: float = 0.0
-    reason: str = ""
+    pair: Pair
+    cover: float
+    aside: float
 
 
 def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
@@ -122,13 +120,12 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
         pair = _pair(clip, frames[[a, b]], shared[a, b], baselines[a, b], bounds)
         pairs.append(replace(pair, targets=_part(frames[a : b + 1], targets)))
     if not pairs:
-        upper = np.triu(np.ones_like(fits), 1)
+        upper = np.triu_indices_from(fits, 1)
         raise InputError(
-            f"no two of its views have an overlap of {bounds.min_overlap:g} to "
-            f"{bounds.max_overlap:g}, a baseline of {bounds.min_baseline:g} to "
-            f"{bounds.max_baseline:g} depths and {targets} usable views between them; found "
-            f"overlaps of {shared[upper].min():.2f} to {shared[upper].max():.2f} and baselines "
-            f"of {baselines[upper].min():.2f} to {baselines[upper].max():.2f}"
+            f"no two of its views have {targets} usable views between them, an overlap of "
+            f"{bounds.min_overlap:g} to {bounds.max_overlap:g} and a baseline of "
+            f"{bounds.min_baseline:g} to {bounds.max_baseline:g} depths; found overlaps up to "
+            f"{shared[upper].max():.2f} and baselines up to {baselines[upper].max():.2f}"
         )
     best = schedule(pairs)
     if bounds.most:
@@ -138,56 +135,51 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
 
 def surround(
     clip: Views, targets: Sequence[int], barred: Collection[int], rule: Rule
-) -> list[Surrounding]:
+) -> list[Surrounding | str]:
     """Choose the best two context views of each target; none may be barred or a target.
 
     The best pair within the rule maximises its score (overlap near the middle of its bounds, sharp
     views) times the cover, reduced by up to a half for a target off the midpoint. Views may have
-    any order.
+    any order. If there is no pair, the entry of the target is the reason.
     """
-    out = set(targets) | set(barred)
-    usable = [int(i) for i in np.flatnonzero(clip.usable(rule)) if int(i) not in out]
-    if len(usable) < 2:
-        too_few = (
-            f"{len(usable)} of {len(clip.cameras)} views are sharp, well exposed and not held out"
-        )
-        return [Surrounding(None, reason=too_few) for _ in targets]
+    is_usable = clip.usable(rule)
+    is_usable[[*targets, *barred]] = False
+    usable = np.flatnonzero(is_usable)
+    count = len(usable)
+    if count < 2:
+        total = len(clip.cameras)
+        return [f"{count} of {total} views are sharp, well exposed and not held out"] * len(targets)
     if np.isnan(clip.depths).any():
-        flat = "the views show no parallax that a depth could be found from"
-        return [Surrounding(None, reason=flat) for _ in targets]
-    count, shown_views = len(usable), [*usable, *targets]
-    sights = list(sightings([clip.cameras[i] for i in shown_views], clip.depths[shown_views]))
+        return ["the views show no parallax that a depth could be found from"] * len(targets)
+    shown = [*usable, *targets]
+    sights = list(sightings([clip.cameras[i] for i in shown], clip.depths[shown]))
     overlap_matrix = np.stack([sight[:count].mean(-1) for sight in sights[:count]])
-    shared, baselines, fits = _compare(clip, np.array(usable), overlap_matrix, rule)
-    places = np.argwhere(np.triu(fits & (baselines > 0), 1))
+    shared, baselines, fits = _compare(clip, usable, overlap_matrix, rule)
+    a, b = np.nonzero(np.triu(fits & (baselines > 0), 1))
     pairs = [
-        _pair(clip, np.array(usable)[[a, b]], shared[a, b], baselines[a, b], rule)
-        for a, b in places
+        _pair(clip, usable[[i, j]], shared[i, j], baselines[i, j], rule)
+        for i, j in zip(a, b, strict=True)
     ]
-    a, b = np.array([pair.context for pair in pairs], np.int64).reshape(-1, 2).T
-    centers = np.stack([camera.center for camera in clip.cameras])
-    separations = np.linalg.norm(centers[a] - centers[b], axis=1)
     scores = np.array([pair.score for pair in pairs])
-    surroundings = []
+    centers = np.stack([camera.center for camera in clip.cameras])
+    first, second = centers[usable[a]], centers[usable[b]]
+    separations = np.linalg.norm(first - second, axis=1)
+    surroundings: list[Surrounding | str] = []
     for target, sight in zip(targets, sights[count:], strict=True):
-        aside = (
-            np.linalg.norm((centers[a] + centers[b]) / 2 - centers[target], axis=1) / separations
-        )
-        cover = (sight[places[:, 0]] | sight[places[:, 1]]).mean(1)
+        aside = np.linalg.norm((first + second) / 2 - centers[target], axis=1) / separations
+        cover = (sight[a] | sight[b]).mean(1)
         between = aside <= rule.max_aside
         good = between & (cover >= rule.min_cover)
-        if good.any():
-            values = scores * cover * (1 - 0.5 * aside / max(rule.max_aside, 1e-9))
-            k = int(np.where(good, values, -1).argmax())
-            pair = replace(pairs[k], targets=(target,), score=float(values[k]))
-            surroundings.append(Surrounding(pair, float(cover[k]), float(aside[k])))
+        if not good.any():
+            surroundings.append(
+                f"{len(pairs)} pairs of views fit by overlap and baseline and are not held out; "
+                f"{between.sum()} of them have it between them, none sees {rule.min_cover:g} of it"
+            )
             continue
-        reason = (
-            f"{len(pairs)} pairs of views fit by overlap and baseline and are not held out; "
-            f"{between.sum() or 'none'} of them have it between them"
-        )
-        reason += f", but see less than {rule.min_cover:g} of it" if between.any() else ""
-        surroundings.append(Surrounding(None, reason=reason))
+        values = scores * cover * (1 - 0.5 * aside / max(rule.max_aside, 1e-9))
+        k = int(np.where(good, values, -1).argmax())
+        pair = replace(pairs[k], targets=(target,), score=float(values[k]))
+        surroundings.append(Surrounding(pair, float(cover[k]), float(aside[k])))
     return surroundings
 
 

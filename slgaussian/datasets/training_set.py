@@ -16,8 +16,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from slgaussian.datasets.shards import unpack
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
 from slgaussian.formats.images import opened
-from slgaussian.storage.encoding import Arrays, decode_arrays, decode_table
+from slgaussian.storage.encoding import decode_arrays, decode_table
 from slgaussian.storage.remote import explain_error, file_system_errors, open_file_system
 from slgaussian.storage.specs import load_spec
 
@@ -70,8 +69,8 @@ class TrainingSet(Dataset[dict[str, Any]]):
         rows: pyarrow.Table. Rows of the index, in the order of the items.
 
     Raises:
-        InputError: If there is no such split, column or folder, or no row remains.
-        SpecError: If the index violates its spec.
+        InputError: If there is no such split or column, or no row remains.
+        SpecError: If the index cannot be read or violates its spec.
     """
 
     def __init__(
@@ -83,7 +82,9 @@ class TrainingSet(Dataset[dict[str, Any]]):
         self.folder = os.fspath(folder).rstrip("/")
         if split is not None and split not in SPLITS:
             raise InputError(f"split: found {split!r}, expected one of {', '.join(SPLITS)}")
-        rows = self._index()
+        rows = decode_table(
+            self._read(INDEX), load_spec("training_set"), f"{self.folder}/{INDEX}", ANEW
+        )
         if split is not None:
             rows = rows.filter(pc.field("split") == split)
         if where is not None:
@@ -110,19 +111,27 @@ class TrainingSet(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         """Read one sample; SpecError, which names the shard, if it is damaged or missing."""
         members = self.members(index)
-        arrays = {name: self.arrays(index, name, members) for name in SPECS}
-        info = self._about(index, members)
-        contexts = len(info["context"])
-        geometry, labels, bank = (arrays[name] for name in ("geometry", "labels", "bank"))
+        row: dict[str, Any] = self.rows.slice(index, 1).to_pylist()[0]
+        label = f"{self.folder}/{self._places[index][0]}: {row['sample']}"
+        try:
+            geometry, labels, bank = (
+                decode_arrays(members[f"{name}.npz"], load_spec(spec), f"{label}.{name}.npz", ANEW)
+                for name, spec in SPECS.items()
+            )
+            info = strict_json.parse(members["about.json"])
+            images = {role: _images(members, role) for role in ("context", "target")}
+        except KeyError as missing:
+            raise SpecError(f"{label}: has no {missing}; {ANEW}") from None
+        except ValueError as error:
+            raise SpecError(f"{label}: is damaged ({error}); {ANEW}") from None
         numbers = ("K", "c2w", "near_far", "depth")
         views = {name: torch.from_numpy(geometry[name].astype(np.float32)) for name in numbers}
         views["labels"] = torch.from_numpy(labels["labels"].astype(np.int64))
         views["margin"] = torch.from_numpy(labels["margin"])
-        row = self.rows.slice(index, 1).select(["sample", "clip", "place"])
-        item: dict[str, Any] = row.to_pylist()[0]
+        item: dict[str, Any] = {name: row[name] for name in ("sample", "clip", "place")}
+        contexts = len(images["context"])
         for role, part in (("context", slice(contexts)), ("target", slice(contexts, None))):
-            images = self._images(index, members, role)
-            item[role] = {"image": images, **{name: of[part] for name, of in views.items()}}
+            item[role] = {"image": images[role], **{name: of[part] for name, of in views.items()}}
         item["context"]["confirmed"] = torch.from_numpy(geometry["confirmed"])
         item["objects"] = _Ragged(
             ids=torch.from_numpy(bank["ids"].astype(np.int64)),
@@ -136,75 +145,34 @@ class TrainingSet(Dataset[dict[str, Any]]):
     def members(self, index: int) -> dict[str, bytes]:
         """Read the stored members of a sample, by the suffix of their names."""
         shard, offset, length = self._places[index]
-        file = f"{self.folder}/{shard}"
+        data = self._read(shard, offset, offset + length)
         try:
-            # Open it in the calling process: some file systems cannot be shared.
-            fs, path = open_file_system(self.folder, "training set")
-            data = fs.cat_file(f"{path}/{shard}", start=offset, end=offset + length)
-        except file_system_errors() as error:
-            raise SpecError(f"{file}: cannot be read ({explain_error(error)}); {ANEW}") from error
-        with _readable(file):
             if len(data) != length:
                 raise ValueError(f"it has {len(data)} of the {length} bytes from {offset} on")
             return unpack(data)
+        except ValueError as error:
+            raise SpecError(f"{self.folder}/{shard}: is damaged ({error}); {ANEW}") from None
 
-    def arrays(self, index: int, name: str, members: Mapping[str, bytes] | None = None) -> Arrays:
-        """Read the NumPy arrays of one of :data:`SPECS` of a sample.
-
-        Raises:
-            SpecError: If they are missing or damaged.
-        """
-        members = self.members(index) if members is None else members
-        label, data = self._member(index, members, f"{name}.npz")
-        return decode_arrays(data, load_spec(SPECS[name]), label, ANEW)
-
-    def _images(self, index: int, members: Mapping[str, bytes], role: str) -> torch.Tensor:
-        names = sorted(
-            (name for name in members if name.startswith(f"{role}_") and name.endswith(ENDINGS)),
-            key=lambda name: int(name.partition(".")[0].rpartition("_")[2]),
-        )
-        pixels = []
-        for name in names or [f"{role}_0.jpg"]:
-            label, data = self._member(index, members, name)
-            with _readable(label), opened(io.BytesIO(data)) as image:
-                pixels.append(rgb(image))
-        return torch.from_numpy(np.stack(pixels).transpose(0, 3, 1, 2).copy())
-
-    def _about(self, index: int, members: Mapping[str, bytes]) -> dict[str, Any]:
-        label, data = self._member(index, members, "about.json")
-        with _readable(label):
-            info = strict_json.parse(data)
-            if not isinstance(info, dict):
-                raise ValueError("it is no object")
-        return info
-
-    def _member(self, index: int, members: Mapping[str, bytes], name: str) -> tuple[str, bytes]:
-        """Return a member's label for messages, and its bytes."""
-        sample = self.rows["sample"][index].as_py()
-        label = f"{self.folder}/{self._places[index][0]}: {sample}.{name}"
-        if name not in members:
-            raise SpecError(f"{label}: is not there; {ANEW}")
-        return label, members[name]
-
-    def _index(self) -> pa.Table:
-        file = f"{self.folder}/{INDEX}"
-        fs, path = open_file_system(self.folder, "training set")
+    def _read(self, name: str, start: int | None = None, end: int | None = None) -> bytes:
         try:
-            data = fs.cat_file(f"{path}/{INDEX}")
+            # Open it in the calling process: some file systems cannot be shared.
+            fs, path = open_file_system(self.folder, "training set")
+            return fs.cat_file(f"{path}/{name}", start=start, end=end)
         except file_system_errors() as error:
-            raise InputError(
-                f"{file}: cannot be read ({explain_error(error)}); "
-                "expected what `slgaussian dataset` wrote"
+            raise SpecError(
+                f"{self.folder}/{name}: cannot be read ({explain_error(error)}); {ANEW}"
             ) from None
-        return decode_table(data, load_spec("training_set"), file, ANEW)
 
 
-@contextmanager
-def _readable(label: str) -> Iterator[None]:
-    try:
-        yield
-    except ValueError as error:
-        raise SpecError(f"{label}: is damaged ({error}); {ANEW}") from None
+def _images(members: Mapping[str, bytes], role: str) -> torch.Tensor:
+    """Decode the images of a role in the order of their numbers, uint8 [V, 3, H, W]."""
+    pixels: list[np.ndarray] = []
+    while data := next(
+        (members[n] for e in ENDINGS if (n := f"{role}_{len(pixels)}.{e}") in members), None
+    ):
+        with opened(io.BytesIO(data)) as image:
+            pixels.append(rgb(image))
+    return torch.from_numpy(np.stack(pixels).transpose(0, 3, 1, 2).copy())
 
 
 class _Ragged(dict[str, torch.Tensor]):

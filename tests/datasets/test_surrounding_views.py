@@ -89,13 +89,11 @@ def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
     for target, found in zip(targets, surround(clip, targets, barred, rule), strict=True):
         best = plain(clip, target, {*targets, *barred}, rule)
         if best is None:
-            assert found.pair is None
-            assert "have it between them" in found.reason
+            assert "have it between them" in found
         else:
             assert found.pair.score == pytest.approx(best[0], rel=1e-9)
             assert found.pair.context == best[1]
             assert found.pair.targets == (target,)
-            assert found.reason == ""
 
 
 @pytest.mark.parametrize(
@@ -104,13 +102,12 @@ def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
         (views(path(), depth=np.nan), "no parallax"),
         (views(path(2)), "0 of 2 views are sharp"),
         (views([camera((0, 0, 0))] * 5), "0 pairs of views fit"),
-        (views(path()[:11]), "none of them have it between them"),
-        (views([*path()[:10], camera((1, 0, 0), 60), *path()[11:]]), "but see less than 0.9 of it"),
+        (views(path()[:11]), "0 of them have it between them"),
+        (views([*path()[:10], camera((1, 0, 0), 60), *path()[11:]]), "none sees 0.9 of it"),
     ],
 )
 def test_without_a_pair_the_reason_is_said(clip, reason):
     target = min(10, len(clip.cameras) - 1)
     barred = {0} if len(clip.cameras) == 2 else set()
     (found,) = surround(clip, [target], barred, Rule())
-    assert found.pair is None
-    assert reason in found.reason
+    assert reason in found

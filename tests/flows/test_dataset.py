@@ -221,7 +221,7 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output,
 
 def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path):
     folder, *_ = output
-    with pytest.raises(InputError, match=r"index\.parquet: cannot be read"):
+    with pytest.raises(SpecError, match=r"index\.parquet: cannot be read"):
         TrainingSet(tmp_path)
     with pytest.raises(InputError, match="split: found 'val', expected one of train, test"):
         TrainingSet(folder / "set", "val")
