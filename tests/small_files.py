@@ -163,12 +163,10 @@ def new_folder(folder: Path) -> Path:
 
 
 def sparse_cameras() -> list[tuple[int, int, str, tuple[float, ...]]]:
-    cameras = [(1, 1, "PINHOLE", (20.0, 21.0, 12.0, 8.0))]
-    try:
-        import pycolmap  # noqa: F401  (a bent lens needs it)
-    except ImportError:
-        return cameras
-    return [*cameras, (2, 4, "OPENCV", (20.0, 21.0, 12.0, 8.0, 0.05, 0.0, 0.001, 0.0))]
+    return [
+        (1, 1, "PINHOLE", (20.0, 21.0, 12.0, 8.0)),
+        (2, 4, "OPENCV", (20.0, 21.0, 12.0, 8.0, 0.05, 0.0, 0.001, 0.0)),
+    ]
 
 
 def make_sparse_text(folder: Path) -> None:

@@ -5,7 +5,7 @@
 :mod:`benches.cameras.posed_photographs` reads DATA. Both methods get only the photographs, and the
 information that they share one lens. The error of a pair of views is the larger of the angular
 errors of rotation and direction of translation; pairs with a view that was not registered count as
-wrong. pycolmap (extra ``colmap``) runs if it is installed, with two-view tracks, and initial pairs
+wrong. pycolmap runs if it is installed, with two-view tracks, and initial pairs
 from 4 degrees and 30 inliers. FILE gets a row per chain and method, as JSON lines.
 """
 

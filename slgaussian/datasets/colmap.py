@@ -1,23 +1,20 @@
 """COLMAP reconstructions: undistorted images and the cameras of the sparse model.
 
 COLMAP's poses are world-to-camera with OpenCV axes, and its pixel centres lie at +0.5, as here
-(https://colmap.github.io/format.html). pycolmap undistorts, so every camera model with a focal
-length is supported; photographs without distortion do not need pycolmap.
+(https://colmap.github.io/format.html). Camera models are supported that OpenCV has too.
 """
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from slgaussian.datasets.intrinsics import checked_camera
-from slgaussian.datasets.lens import OUTSIDE, Maps
+from slgaussian.datasets.lens import Maps, checked_camera, lens_maps
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
     has_shape,
@@ -34,7 +31,6 @@ from slgaussian.datasets.sparse import (
     read_model,
 )
 from slgaussian.errors import InputError
-from slgaussian.extras import install_line
 from slgaussian.scene import Camera, Scene
 
 PLACES = ("sparse", "colmap/sparse", ".")
@@ -46,8 +42,13 @@ TRACK = 3
 POINTS = 12
 """Smallest number of such points for the depth range of an image."""
 
-ROWS = 64
-"""Rows of an undistortion map computed at a time, in float64."""
+PERSPECTIVE = (
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV",
+)  # fmt: skip
+FISHEYE = (
+    "SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE",
+)  # fmt: skip
+"""Supported camera models; their distortion is the first of OpenCV's coefficients."""
 
 
 def read(path: str | Path, images: str | None = None) -> Scene:
@@ -70,9 +71,8 @@ def read(path: str | Path, images: str | None = None) -> Scene:
             so on.
 
     Raises:
-        InputError: If there is no model, a file of it is damaged, a camera model has no focal
-            length, or pycolmap is needed and not installed. A missing or unreadable photograph is
-            an error only when its view is read.
+        InputError: If there is no model, a file of it is damaged, or a camera model is not
+            supported. A missing or unreadable photograph is an error only when its view is read.
     """
     path = Path(path)
     models = models_in(path)
@@ -103,8 +103,9 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     cameras, maps = {}, {}
     for name in files:
         image = model.images[numbers[name]]
-        lens = lenses[image.camera]
-        maps[name] = lens.maps
+        K, size, lens = lenses[image.camera]
+        if lens is not None:
+            maps[name] = lens
         points = model.points[observations[observations[:, 1] == numbers[name], 0]]
         depths = np.sort(points @ image.w2c[2, :3] + image.w2c[2, 3])
         depths = depths[depths > 0]
@@ -113,7 +114,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
             near, far = 0.8 * float(depths[2]), 2 * float(np.percentile(depths, 98))
         try:
             c2w = np.linalg.inv(image.w2c)
-            cameras[name] = checked_camera(Camera(lens.K, c2w, *lens.size, near, far))
+            cameras[name] = checked_camera(Camera(K, c2w, *size, near, far))
         except InputError as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
     name = path.resolve().name or "scene"
@@ -157,78 +158,23 @@ def _file(scene: Path, folder: Path, name: str) -> Path:
     return folder / name
 
 
-@dataclass(frozen=True, eq=False)
-class _Lens:
-    """A camera of the model, whose photographs are stored at ``size`` (width, height)."""
-
-    stored: SparseCamera
-    size: tuple[int, int]
-    K: np.ndarray
-    straight: bool
-
-    def maps(self) -> Maps | None:
-        """Compute undistortion maps (:mod:`slgaussian.datasets.lens`); None for a pinhole."""
-        if self.straight:
-            return None
-        width, height = self.size
-        lens, inverse = _pycolmap_camera(self.stored), np.linalg.inv(self.K).T
-        maps = np.empty((2, height, width), np.float32)
-        for top in range(0, height, ROWS):
-            rows = np.arange(top, min(top + ROWS, height))
-            u, v = np.meshgrid(np.arange(width) + 0.5, rows + 0.5)
-            rays = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ inverse
-            distorted = lens.img_from_cam(rays)
-            distorted *= (width / self.stored.width, height / self.stored.height)
-            # OpenCV has pixel centres at integers.
-            distorted = np.where(np.isfinite(distorted), distorted - 0.5, OUTSIDE)
-            maps[:, rows] = distorted.astype(np.float32).reshape(*u.shape, 2).transpose(2, 0, 1)
-        return maps[0], maps[1]
-
-
-def _lens(stored: SparseCamera, photograph: Path | None, label: str) -> _Lens:
-    """Return the lens of a camera, at the size of one of its photographs."""
-    if stored.model in ("PINHOLE", "SIMPLE_PINHOLE"):
-        fx, fy, cx, cy = stored.params[0], *stored.params[-3:]
-        K, straight = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), True
-    else:
-        lens = _pycolmap_camera(stored)
-        if not len(lens.focal_length_idxs()):
-            raise InputError(
-                f"{label}: its model {stored.model} has no focal length, so it cannot be "
-                "undistorted to a pinhole camera; cut its images into pinhole images and "
-                "reconstruct again"
-            )
-        K = lens.calibration_matrix()
-        corners = [(u, v, 1.0) for u in (0, stored.width) for v in (0, stored.height)]
-        try:
-            rays = np.array(corners) @ np.linalg.inv(K).T
-        except np.linalg.LinAlgError:
-            raise InputError(f"{label}: its focal length is 0; reconstruct again") from None
-        # pycolmap reports a fisheye with zero distortion as undistorted, but it is not a pinhole.
-        distorted = lens.img_from_cam(rays)
-        straight = np.allclose(distorted, np.array(corners)[:, :2], rtol=0, atol=1e-6)
+def _lens(
+    stored: SparseCamera, photograph: Path | None, label: str
+) -> tuple[np.ndarray, tuple[int, int], Callable[[], Maps] | None]:
+    """Return K, size and undistortion of a camera, at the size of one of its photographs."""
+    if stored.model not in PERSPECTIVE + FISHEYE:
+        raise InputError(
+            f"{label}: its model {stored.model} cannot be undistorted, only "
+            f"{', '.join(PERSPECTIVE + FISHEYE)}; undistort with `colmap image_undistorter`"
+        )
+    focals = 1 if "SIMPLE" in stored.model or "RADIAL" in stored.model else 2
+    (cx, cy), distortion = stored.params[focals : focals + 2], stored.params[focals + 2 :]
+    K = np.array([[stored.params[0], 0, cx], [0, stored.params[focals - 1], cy], [0, 0, 1]])
     full_size = (stored.width, stored.height)
     size = None if photograph is None else stored_size(photograph, full_size)
     if size is None or not has_shape(size, full_size):  # else it was shrunk
         size = full_size
-    scale = np.array([size[0] / full_size[0], size[1] / full_size[1], 1])
-    return _Lens(stored, size, scale[:, None] * K, straight)
-
-
-def _pycolmap_camera(camera: SparseCamera) -> Any:
-    try:
-        import pycolmap
-    except ImportError:
-        raise InputError(
-            f"the camera model {camera.model} is distorted, and pycolmap, which knows it, is not "
-            f"installed; install it with {install_line('colmap')}"
-        ) from None
-    try:
-        return pycolmap.Camera(
-            model=camera.model, width=camera.width, height=camera.height, params=camera.params
-        )
-    except (RuntimeError, ValueError):
-        raise InputError(
-            f"the camera model {camera.model} is not known to pycolmap {pycolmap.__version__}; "
-            f"install another with {install_line('colmap')}"
-        ) from None
+    K[:2] *= np.array([[size[0] / full_size[0]], [size[1] / full_size[1]]])
+    fisheye = stored.model in FISHEYE
+    is_pinhole = not fisheye and not any(distortion)
+    return K, size, None if is_pinhole else partial(lens_maps, K, size, distortion, fisheye)

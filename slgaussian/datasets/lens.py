@@ -1,4 +1,4 @@
-"""Undistortion of photographs to a pinhole camera.
+"""Undistortion of photographs to a pinhole camera, and the check of its intrinsics.
 
 A lens is represented by two maps, float32 [H, W]: for each pixel of the undistorted photograph, its
 column and row in the stored photograph, with pixel centres at integers as in OpenCV.
@@ -6,28 +6,43 @@ column and row in the stored photograph, with pixel centres at integers as in Op
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
+from slgaussian.errors import InputError
 from slgaussian.formats.resampling import sample_depth
-from slgaussian.scene import View
+from slgaussian.scene import Camera, View
 
 OUTSIDE = -1e4
 """Column and row of pixels outside the lens's image, which makes them black."""
 
+NARROWEST, WIDEST = 3.0, 175.0
+"""Range of plausible fields of view, degrees."""
+
 Maps = tuple[np.ndarray, np.ndarray]
 
 
-def perspective_maps(K: np.ndarray, size: tuple[int, int], lens: np.ndarray) -> Maps:
-    """Compute the maps of a lens with OpenCV's coefficients k1, k2, p1, p2, k3.
+def lens_maps(
+    K: np.ndarray, size: tuple[int, int], distortion: Sequence[float], fisheye: bool = False
+) -> Maps:
+    """Compute the maps of a lens; the undistorted photograph has the same intrinsics.
 
-    The undistorted photograph has the same intrinsics ``K`` [3, 3].
+    Args:
+        K: float64 [3, 3]
+        size: (width, height)
+        distortion: sequence of float. OpenCV's coefficients, the first of k1, k2, p1, p2, k3 to k6,
+            or with ``fisheye`` of k1 to k4; others are 0.
     """
     centred = K.copy()
     centred[:2, 2] -= 0.5  # OpenCV counts from pixel centres
-    return cv2.initUndistortRectifyMap(centred, lens, None, centred, size, cv2.CV_32FC1)
+    undistort = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
+    lens = np.zeros(4 if fisheye else 8)
+    lens[: len(distortion)] = distortion
+    return undistort(centred, lens, np.eye(3), centred, size, cv2.CV_32FC1)
 
 
 def straightened(view: View, maps: Maps) -> View:
@@ -65,3 +80,40 @@ def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
         np.where(visible, columns, np.float32(OUTSIDE)),
         np.where(visible, rows, np.float32(OUTSIDE)),
     )
+
+
+def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
+    """Return a camera unchanged if its intrinsics are plausible; every reader calls this.
+
+    The field of view across each side is at most :data:`WIDEST` degrees, and across the longer
+    side, with either focal length, at least :data:`NARROWEST`. The principal point is at most a
+    photograph's size away from the photograph, and not in its first pixel, where fractions lie.
+
+    Args:
+        fractions: Whether the file has fractions of width and height, as in RealEstate10K, not
+            pixels.
+
+    Raises:
+        InputError: If they are not; the message gives the number as in the file.
+    """
+    width, height = camera.width, camera.height
+    unit = "fractions of width and height" if fractions else "pixels"
+    for axis, focal, side in (("x", camera.K[0, 0], width), ("y", camera.K[1, 1], height)):
+        sides = (side, max(width, height))
+        view, longest_view = (math.degrees(2 * math.atan2(s / 2, focal)) for s in sides)
+        if view > WIDEST or longest_view < NARROWEST:
+            raise InputError(
+                f"focal length {axis} is {focal / side if fractions else focal:.6g}, for "
+                f"{width}x{height} pixels a field of view of {view:.3g} degrees, expected "
+                f"{NARROWEST:g} to {WIDEST:g}; give it in {unit}"
+            )
+    x, y = camera.K[:2, 2]
+    is_near = -width <= x <= 2 * width and -height <= y <= 2 * height
+    is_fraction = not fractions and 0 <= x < 1 and 0 <= y < 1 and min(width, height) > 2
+    if not is_near or is_fraction:
+        x, y = (x / width, y / height) if fractions else (x, y)
+        raise InputError(
+            f"principal point is ({x:.6g}, {y:.6g}), far from the middle of {width}x{height} "
+            f"pixels; give it in {unit}"
+        )
+    return camera

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slgaussian.datasets.intrinsics import checked_camera
+from slgaussian.datasets.lens import checked_camera
 from slgaussian.datasets.photographs import (
     has_shape,
     image_folder,

@@ -19,12 +19,10 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.datasets.intrinsics import checked_camera
-from slgaussian.datasets.lens import Maps, perspective_maps, straightened
+from slgaussian.datasets.lens import Maps, checked_camera, lens_maps, straightened
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
     absent,
@@ -195,14 +193,11 @@ class Frame:
         p1, p2 = (self.number(f"p{i}", 0.0) for i in range(1, 3))
         size = (camera.width, camera.height)
         if self.values.get("is_fisheye") or self.values.get("camera_model") == FISHEYE:
-            K = camera.K.copy()
-            K[:2, 2] -= 0.5  # OpenCV counts from pixel centres
-            lens = np.array([k1, k2, k3, k4])
-            return cv2.fisheye.initUndistortRectifyMap(K, lens, np.eye(3), K, size, cv2.CV_32FC1)
+            return lens_maps(camera.K, size, [k1, k2, k3, k4], fisheye=True)
         if k4:
             raise self.error(f"k4 is {k4:g}, expected a camera_model {FISHEYE} with it")
-        lens = np.array([k1, k2, p1, p2, k3])
-        return perspective_maps(camera.K, size, lens) if lens.any() else None
+        lens = [k1, k2, p1, p2, k3]
+        return lens_maps(camera.K, size, lens) if any(lens) else None
 
     def view(self, camera: Camera) -> View:
         """Open and undistort the photograph, with its mask and depth.

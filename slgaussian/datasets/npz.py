@@ -21,7 +21,7 @@ import numpy as np
 from slgaussian.cameras.check import COARSE, agree
 from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.cameras.two_view import Photograph
-from slgaussian.datasets.intrinsics import checked_camera
+from slgaussian.datasets.lens import checked_camera
 from slgaussian.datasets.photographs import scene_of
 from slgaussian.datasets.unposed import folder_of, named, photograph
 from slgaussian.errors import InputError

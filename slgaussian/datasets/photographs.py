@@ -168,7 +168,7 @@ def scene_of(
     photographs: Mapping[str, Path],
     named_by: str | Path,
     files: Sequence[Path] = (),
-    lenses: Mapping[str, Callable[[], Maps | None]] | None = None,
+    lenses: Mapping[str, Callable[[], Maps]] | None = None,
     upright: bool = False,
     estimation: Mapping[str, Any] | None = None,
 ) -> Scene:
@@ -179,7 +179,7 @@ def scene_of(
         named_by: File that lists the photographs, for messages.
         files: sequence of Path. Files from which the cameras were read.
         lenses: mapping str -> callable, optional. Computes the undistortion maps of a view
-            (:mod:`slgaussian.datasets.lens`), or None.
+            (:mod:`slgaussian.datasets.lens`); pinhole views are left out.
         upright: Whether the cameras refer to the upright photographs, see :func:`open_photograph`.
         estimation: Record of the estimation of the cameras.
     """
@@ -192,7 +192,7 @@ def _read_view(
     cameras: Mapping[str, Camera],
     photographs: Mapping[str, Path],
     named_by: str | Path,
-    lenses: Mapping[str, Callable[[], Maps | None]],
+    lenses: Mapping[str, Callable[[], Maps]],
     upright: bool,
     name: str,
 ) -> View:
@@ -209,8 +209,7 @@ def _read_view(
             "bring it to that size and orientation"
         )
     view = View(name, camera, pixels, opaque=opaque)
-    maps = lenses[name]() if name in lenses else None
-    return view if maps is None else straightened(view, maps)
+    return straightened(view, lenses[name]()) if name in lenses else view
 
 
 def absent(path: Path, named_by: str | Path) -> InputError:

@@ -23,7 +23,7 @@ import fsspec
 import numpy as np
 from PIL import Image
 
-from slgaussian.datasets.intrinsics import checked_camera
+from slgaussian.datasets.lens import checked_camera
 from slgaussian.datasets.photographs import rgb
 from slgaussian.errors import InputError
 from slgaussian.formats import strict_json, tensorfile

@@ -20,7 +20,7 @@ from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.two_view import LONGEST, Photograph
 from slgaussian.datasets.exif import SIDEWAYS, orientation_of, read_lens, upright
-from slgaussian.datasets.lens import Maps, perspective_maps, straightened
+from slgaussian.datasets.lens import Maps, lens_maps, straightened
 from slgaussian.datasets.photographs import photographs_of, rgb, scene_of
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
@@ -211,4 +211,4 @@ def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
 
 
 def _lens(camera: Camera, k1: float) -> Maps:
-    return perspective_maps(camera.K, (camera.width, camera.height), np.array([k1, 0, 0, 0, 0]))
+    return lens_maps(camera.K, (camera.width, camera.height), [k1])

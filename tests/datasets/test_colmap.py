@@ -25,21 +25,10 @@ LENSES = {
     "OPENCV": (160.0, 163.0, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006),
     "FULL_OPENCV": (160.0, 163.0, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006, 0.01, 0.02, 0.01, 0.0),
     "OPENCV_FISHEYE": (160.0, 163.0, 121.4, 104.7, 0.05, -0.02, 0.004, -0.001),
-    "FOV": (160.0, 163.0, 121.4, 104.7, 0.6),
     "SIMPLE_FISHEYE": (150.0, 121.4, 104.7),
     "FISHEYE": (150.0, 153.0, 121.4, 104.7),
     "SIMPLE_RADIAL_FISHEYE": (150.0, 121.4, 104.7, 0.04),
     "RADIAL_FISHEYE": (150.0, 121.4, 104.7, 0.04, -0.01),
-    "THIN_PRISM_FISHEYE": (
-        *(160.0, 163.0, 121.4, 104.7, 0.05, -0.02, 0.002, -0.003, 0.001, 0.001, 0.004, -0.003),
-    ),
-    "RAD_TAN_THIN_PRISM_FISHEYE": (
-        *(160.0, 163.0, 121.4, 104.7, 0.05, -0.02, 0.004, 0.0, 0.0, 0.0),
-        *(0.002, -0.003, 0.001, 0.0, 0.002, 0.0),
-    ),
-    "SIMPLE_DIVISION": (150.0, 121.4, 104.7, -0.1),
-    "DIVISION": (150.0, 153.0, 121.4, 104.7, -0.1),
-    "EUCM": (160.0, 163.0, 121.4, 104.7, 0.5, 1.1),
 }
 
 
@@ -155,10 +144,13 @@ class TestLenses:
         assert (image[radius < fold - 0.03] == 255).all()
         assert (image[radius > fold + 0.03] == 0).all()
 
-    def test_without_a_focal_length_are_refused(self, tmp_path):
-        cameras = {1: ("EQUIRECTANGULAR", (WIDTH, HEIGHT))}
-        write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, cameras)
-        with pytest.raises(InputError, match="camera 1: its model EQUIRECTANGULAR has no focal"):
+    @pytest.mark.parametrize(
+        ("model", "params"),
+        [("EQUIRECTANGULAR", (WIDTH, HEIGHT)), ("FOV", (80, 80, 48, 32, 0.6))],
+    )
+    def test_that_opencv_does_not_have_are_refused(self, tmp_path, model, params):
+        write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: (model, params)})
+        with pytest.raises(InputError, match=f"camera 1: its model {model} cannot be undistorted"):
             colmap.read(tmp_path)
 
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slgaussian.datasets.lens import perspective_maps, straightened
+from slgaussian.datasets.lens import lens_maps, straightened
 from slgaussian.errors import InputError
 from slgaussian.formats.resampling import Window
 from slgaussian.scene import Camera, View
@@ -120,7 +120,7 @@ class TestDepth:
         full = photographed()
         lens = np.array([0.2, 0.05, 0, 0, 0])
         K = full.camera.K
-        maps = perspective_maps(K, (90, 60), lens)
+        maps = lens_maps(K, (90, 60), lens)
         # The plane in the bent photograph: where each of its pixels looks.
         u, v = np.meshgrid(np.arange(90), np.arange(60))
         pixels = np.stack([u, v], -1).reshape(-1, 1, 2).astype(float)
