@@ -82,7 +82,7 @@ def field(
     from slgaussian import precompile
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import POOR, Quality, camera_doubt
-    from slgaussian.language.weights import INSTALL, find_weights
+    from slgaussian.language.configs import INSTALL, find_weights
     from slgaussian.storage.field_folder import check_target
     from slgaussian.storage.inputs import describe_photographs
     from slgaussian.storage.statistics import FieldStatistics

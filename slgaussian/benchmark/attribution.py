@@ -23,8 +23,7 @@ from slgaussian.benchmark.scores import GOOD
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.locate import central_point
-from slgaussian.language.objectmap import ObjectMap
+from slgaussian.language.objectmap import ObjectMap, central_point
 from slgaussian.language.query import QueryResult, ask
 from slgaussian.masks.flatten import nearest_pixel
 from slgaussian.rasterize import rasterize

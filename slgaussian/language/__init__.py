@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 from slgaussian.components.registry import load_component
@@ -13,7 +14,6 @@ if TYPE_CHECKING:  # listing the components must not import torch
     from slgaussian.geometry.room import Surroundings
     from slgaussian.labels import LabelMaps
     from slgaussian.language.confidence import Calibration
-    from slgaussian.language.understood import Understood
 
 ENCODERS = {
     "lexicon": "slgaussian.language.configs:LexiconConfig",
@@ -23,6 +23,51 @@ CODES = {
     "grid": "slgaussian.language.configs:GridConfig",
     "separated": "slgaussian.language.codes:Separated",
 }
+
+
+TYPICAL_MEASUREMENTS = 6
+"""Default number of measurements, used for taught words: the median over texts."""
+
+
+@dataclass(frozen=True)
+class Understood:
+    """An encoder's reading of a text.
+
+    Attributes:
+        read_as: The words that count, in the encoder's spelling.
+        unknown: tuple of str. Unknown words, which are ignored.
+        unused: {word: reason}. Other ignored words, such as "plant" of "plant pot".
+        kind: ``known``: answered by the encoder, which knows every word that counts. ``unknown``:
+            answered by the encoder without the unknown words. ``named``: answered by the objects
+            with this name. ``taught``: answered by the examples of a taught word. ``picture``: the
+            query is a picture or an object, not a text.
+        examples: Number of examples of a taught word.
+        instead_of: For a name or a taught word, the encoder's reading of it, if it has one.
+        measurements: Number of measurements that the text asks for, or the typical number.
+        named: Evidence of the classifier; see :class:`slgaussian.language.confidence.Signs`.
+        describing: Number of words that describe the noun.
+        classes: tuple of int. ImageNet classes of the noun.
+        untold: Reason why the text cannot be answered; empty if it can.
+        question: Suggestions for unknown words, as the end of a sentence.
+    """
+
+    read_as: str
+    unknown: tuple[str, ...]
+    unused: Mapping[str, str]
+    kind: str = "known"
+    examples: int = 0
+    instead_of: str = ""
+    measurements: int = TYPICAL_MEASUREMENTS
+    named: float = 0.0
+    describing: int = 0
+    classes: tuple[int, ...] = ()
+    untold: str = ""
+    question: str = ""
+
+    @property
+    def alone(self) -> str:
+        """Note that unknown words are ignored, as the end of a sentence; empty without any."""
+        return f", for {self.read_as!r} alone{self.question}" if self.unknown else ""
 
 
 class Encoder(Protocol):

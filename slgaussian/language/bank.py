@@ -48,7 +48,7 @@ class MemoryBank:
         group_features: float32 [G, V, C], with ``levels``. Unit vectors of the groups, zero where a
             view shows none of a group's objects.
         class_scores: uint8 [N + G, V, 1000], optional. ImageNet log-probabilities of objects and,
-            after them, groups, quantised by :func:`slgaussian.language.class_evidence.quantised`;
+            after them, groups, quantised by :func:`slgaussian.language.classifier.quantised`;
             zeros where absent.
         photograph_scores: uint8 [V, 1000], with ``class_scores``. Means over whole photographs.
         wholes: Candidate sets of objects for answers; without it, an answer is all near-best
@@ -73,44 +73,21 @@ class MemoryBank:
 
     def __post_init__(self) -> None:
         n = len(self.ids)
-        views, width = self.features.shape[1:] if self.features.ndim == 3 else (0, 0)
-        expected = {
-            "ids": ("int32", (n,)),
-            "codes": ("float32", (n, 3)),
-            "features": ("float32", (n, views, width)),
-            "present": ("bool", (n, views)),
-        }
-        if self.boxes is not None:
-            expected["boxes"] = ("int32", (n, views, 4))
-        if (self.levels is None) != (self.group_features is None):
-            raise InputError("memory bank: levels and group_features go together, found only one")
-        groups = 0
-        if self.levels is not None and self.group_features is not None:
-            groups = len(self.group_features)
-            expected["levels"] = ("int32", (len(self.levels), n))
-            expected["group_features"] = ("float32", (groups, views, width))
-        if (self.class_scores is None) != (self.photograph_scores is None):
-            raise InputError(
-                "memory bank: class_scores and photograph_scores go together, found only one"
-            )
-        if self.class_scores is not None:
-            expected["class_scores"] = ("uint8", (n + groups, views, 1000))
-            expected["photograph_scores"] = ("uint8", (views, 1000))
-        for name, (dtype, shape) in expected.items():
-            array = getattr(self, name)
-            if array.dtype != dtype or array.shape != shape:
-                raise InputError(
-                    f"memory bank {name}: found {array.dtype} {array.shape}, "
-                    f"expected {dtype} {shape}"
-                )
         if n and (self.ids[0] < 1 or (np.diff(self.ids) <= 0).any()):
             raise InputError("memory bank ids: expected positive ids in ascending order")
-        if not ((self.codes >= 0) & (self.codes <= 1)).all():
-            raise InputError("memory bank codes: found NaN or numbers outside [0, 1]")
+        if self.codes.shape != (n, 3) or not ((self.codes >= 0) & (self.codes <= 1)).all():
+            raise InputError(
+                f"memory bank codes: found {self.codes.shape}, NaN or numbers outside [0, 1], "
+                f"expected ({n}, 3) in [0, 1]"
+            )
         if len(np.unique(self.codes, axis=0)) != n:
             raise InputError("memory bank codes: two objects share one code")
         _check_lengths("features: object", self.ids, self.features, self.present)
+        for one, other in (("levels", "group_features"), ("class_scores", "photograph_scores")):
+            if (getattr(self, one) is None) != (getattr(self, other) is None):
+                raise InputError(f"memory bank: {one} and {other} go together, found only one")
         if self.levels is not None and self.group_features is not None:
+            groups = len(self.group_features)
             single = self.levels == np.arange(n)
             if not (single | ((self.levels >= n) & (self.levels < n + groups))).all():
                 raise InputError(
@@ -121,21 +98,6 @@ class MemoryBank:
             _check_lengths(
                 "group_features: group", range(groups), self.group_features, present_groups
             )
-        if self.wholes is not None and len(self.wholes.at_edge) != n:
-            raise InputError(
-                f"memory bank wholes: are of {len(self.wholes.at_edge)} objects, expected {n}"
-            )
-        if self.boxes is not None:
-            size = self.boxes[..., 2:] - self.boxes[..., :2]
-            has_box = (size > 0).all(-1) & (self.boxes >= 0).all(-1)
-            wrong = np.where(self.present, ~has_box, self.boxes.any(-1))
-            if wrong.any():
-                row, view = np.argwhere(wrong)[0]
-                raise InputError(
-                    f"memory bank boxes: that of object {self.ids[row]} in view {view} is "
-                    f"{self.boxes[row, view].tolist()}, expected columns and rows from and to, or "
-                    "zeros if absent"
-                )
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -189,8 +151,7 @@ def build_bank(
         wholes: From the same function.
 
     Raises:
-        InputError: If views, label maps, codes and groups do not match, or there is no object at
-            all.
+        InputError: If views and label maps do not match, or there is no object at all.
     """
     from slgaussian.kernels.work_sharing import share_items
 
@@ -203,33 +164,19 @@ def build_bank(
             f"memory bank: views are {sizes} and label maps {label_maps.labels.shape}, expected "
             "one map of the same size for each view"
         )
-    if len(codes) != len(ids):
-        raise InputError(f"memory bank: found {len(codes)} codes for {len(ids)} objects")
-    if groups is not None and groups.shape[1:] != (len(ids),):
-        raise InputError(
-            f"memory bank: found groups {groups.shape} for {len(ids)} objects, expected [levels, "
-            f"{len(ids)}]"
-        )
     present = label_maps.areas() > 0
-    members, levels = None, None
-    if groups is not None:
-        members, levels = _members(groups)
-    arounds: Sequence[Surroundings | None] = (
-        [None] * len(views) if surroundings is None else surroundings
-    )
+    members, levels = _members(np.zeros((0, len(ids))) if groups is None else groups)
+    arounds: Sequence[Surroundings | None] = surroundings or [None] * len(views)
     columns, boxes, unions = [], np.zeros((*present.shape, 4), np.int32), []
     classify, classes, photographs = getattr(encoder, "class_scores", None), [], []
     of_views = zip(views, label_maps.labels, present.T, arounds, strict=True)
     for v, (view, labels, visible, around) in enumerate(of_views):
         masks = labels == ids[visible][:, None, None]
         boxes[visible, v] = mask_boxes(masks)
-        visible_groups = np.zeros(0, bool) if members is None else (members & visible).any(1)
+        visible_groups = (members & visible).any(1)
         groups_here = np.zeros((visible_groups.sum(), *labels.shape), bool)
-        if members is not None:
-            inside = labels > 0
-            groups_here[:, inside] = members[visible_groups][
-                :, np.searchsorted(ids, labels[inside])
-            ]
+        rows = np.searchsorted(ids, labels[labels > 0])
+        groups_here[:, labels > 0] = members[visible_groups][:, rows]
         # One call for both, so that the encoder processes the photograph once.
         regions = np.concatenate([masks, groups_here])
         tasks = [partial(encoder.encode_regions, view.image, regions, around)]
@@ -244,13 +191,17 @@ def build_bank(
             column[np.concatenate([visible, visible_groups])] = of_regions
             classes.append(column)
             photographs.append(of_photograph)
-    features = np.stack(columns, 1)
-    together = np.stack(unions, 1) if members is not None else None
-    codes = np.asarray(codes, np.float32)
-    named = np.stack(classes, 1) if classes else None
-    photograph_scores = np.stack(photographs) if classes else None
     return MemoryBank(
-        ids, codes, features, present, boxes, levels, together, named, photograph_scores, wholes
+        ids,
+        np.asarray(codes, np.float32),
+        np.stack(columns, 1),
+        present,
+        boxes,
+        None if groups is None else levels,
+        None if groups is None else np.stack(unions, 1),
+        np.stack(classes, 1) if classes else None,
+        np.stack(photographs) if classes else None,
+        wholes,
     )
 
 

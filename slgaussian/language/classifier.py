@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import threading
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -18,13 +19,16 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.language import lite0
-from slgaussian.language.weights import INSTALL, PACKAGE, SHA256, find_weights
+from slgaussian.language.configs import INSTALL, PACKAGE, SHA256, find_weights
 
 SIZES = (448, 672, 960)
 """Long sides, in pixels, to which a photograph is resized."""
 
 STRIDE = 32
 """Side of a cell, in pixels of the resized photograph."""
+
+STEP = 1 / 12
+"""Quantisation step of stored log-probabilities, nats."""
 
 
 class Classifier:
@@ -120,3 +124,29 @@ def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
     # Not BLAS, whose last digits depend on the number of threads.
     pooled: np.ndarray = np.einsum("nk,kc->nc", weights, class_map.reshape(h * w, classes))
     return pooled
+
+
+def quantised(log_probabilities: np.ndarray) -> np.ndarray:
+    """Quantise log-probabilities to uint8: k stands for -k * :data:`STEP` nats."""
+    return np.rint(np.clip(log_probabilities / -STEP, 0, 255)).astype(np.uint8)
+
+
+def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int]) -> np.ndarray:
+    """Compute the log-ratio of class probabilities in regions and in whole photographs.
+
+    Args:
+        regions: uint8 [..., V, 1000]. Scores of regions of V photographs, from :func:`quantised`.
+        photographs: uint8 [V, 1000]. Mean scores of whole photographs.
+        classes: sequence of int. The classes of a noun.
+
+    Returns:
+        float64 [..., V]: In nats.
+    """
+    lead: np.ndarray = log_probability(regions, classes) - log_probability(photographs, classes)
+    return lead
+
+
+def log_probability(stored: np.ndarray, classes: Sequence[int]) -> np.ndarray:
+    """Compute the log-probability of any of the classes, float64 [...], from uint8 [..., 1000]."""
+    total: np.ndarray = np.logaddexp.reduce(-STEP * stored[..., list(classes)], axis=-1)
+    return total

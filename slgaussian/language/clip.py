@@ -32,8 +32,8 @@ from slgaussian.components.pretrained import (
 )
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
+from slgaussian.language import Understood
 from slgaussian.language.configs import CLIP, ClipConfig
-from slgaussian.language.understood import Understood
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings

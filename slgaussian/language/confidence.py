@@ -30,9 +30,6 @@ STD_OFFSET = 0.02
 TYPICAL_STAND_OUT = 2.1
 """Value of ``stands_out`` without other objects to compare with: the median of right masks."""
 
-TYPICAL_MEASUREMENTS = 6
-"""Default number of measurements, used for taught words: the median over texts."""
-
 NEUTRAL_LOG_PROBABILITY = -3.0
 """Highest log-probability of a noun's classes in any object at which it is neutral evidence."""
 

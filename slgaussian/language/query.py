@@ -12,12 +12,12 @@ from functools import cached_property
 import numpy as np
 
 from slgaussian.io import short
+from slgaussian.language import Understood
 from slgaussian.language.confidence import Confidence, confidence, signs
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.reader import BankReader
 from slgaussian.language.relevancy import sigmoid
 from slgaussian.language.rules import Rules, unmeasured
-from slgaussian.language.understood import Understood
 from slgaussian.language.wholes import LEAST_PIXELS
 
 AS_GOOD = 0.9
@@ -136,7 +136,7 @@ class QueryResult:
     def point(self) -> tuple[int, int] | None:
         """Column and row (x, y) of the most likely pixel of the object.
 
-        It is the :func:`slgaussian.language.locate.central_point` of the largest of the selected
+        It is the :func:`slgaussian.language.objectmap.central_point` of the largest of the selected
         objects that fit about as well as the best of them (:data:`AS_GOOD`): small ones are more
         likely to fit by chance. If no object is selected, all visible objects are considered; None
         if the image shows no object.

@@ -9,14 +9,13 @@ from functools import lru_cache
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.language import Encoder
+from slgaussian.language import Encoder, Understood
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.class_evidence import evidence, log_probability
+from slgaussian.language.classifier import evidence, log_probability
 from slgaussian.language.confidence import NEUTRAL_LOG_PROBABILITY
 from slgaussian.language.relevancy import SOFT, Scorer, sigmoid
 from slgaussian.language.rules import Rules, unmeasured
 from slgaussian.language.taught import TaughtWords, normal, spelled
-from slgaussian.language.understood import Understood
 from slgaussian.language.wholes import Candidates, near_best
 
 CLASS_LEAD = 0.1
@@ -157,7 +156,7 @@ class BankReader(TextReader):
     def class_evidence(self, text: str) -> np.ndarray:
         """Compute the evidence for the noun's classes in ``bank.nodes``, float64 [M, V], in nats.
 
-        See :func:`slgaussian.language.class_evidence.evidence`; zeros if the noun has no classes or
+        See :func:`slgaussian.language.classifier.evidence`; zeros if the noun has no classes or
         nothing was classified. InputError if the text cannot be used.
         """
         bank = self.bank

@@ -1,11 +1,15 @@
 """The vocabulary of the lexicon, and its parser of texts.
 
-The data are in two files: ``nouns.toml`` has the nouns, ``vocabulary.toml`` everything else.
+The data are in three files: ``nouns.toml`` has the nouns that appearance describes,
+``noun_classes.txt.xz`` the ImageNet classes of nouns, ``vocabulary.toml`` everything else.
+``benches/language/noun_table.py`` makes the classes from WordNet 3.0, Copyright 2006 by Princeton
+University, all rights reserved; ``noun_classes.LICENSE`` beside them is its licence.
 """
 
 from __future__ import annotations
 
 import difflib
+import lzma
 import re
 import tomllib
 import unicodedata
@@ -15,7 +19,6 @@ from functools import cache, cached_property
 from importlib.resources import files
 
 from slgaussian.errors import InputError
-from slgaussian.language.nouns import noun_classes
 
 NOUNS = frozenset(
     {
@@ -31,6 +34,9 @@ NEAR = 0.8
 
 LONGEST = 40
 """Largest number of letters of a word for which a correction is searched."""
+
+TABLE = "noun_classes.txt.xz"
+"""One line per set of classes: their numbers, a tab, and its words."""
 
 _WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*")
 
@@ -54,7 +60,7 @@ class Reading:
         unused: {spelling: reason}. Other ignored spellings.
         noun: Spelling of the word that names the object; empty if there is none, or if it may be an
             unknown word.
-        classes: tuple of int. ImageNet classes of the noun; see :mod:`slgaussian.language.nouns`.
+        classes: tuple of int. ImageNet classes of the noun; see :func:`noun_classes`.
     """
 
     words: tuple[Word, ...]
@@ -302,6 +308,17 @@ def load_vocabulary() -> Vocabulary:
         relations=frozenset(data["relations"]),
         negations=frozenset(data["negations"]),
     )
+
+
+@cache
+def noun_classes() -> Mapping[str, tuple[int, ...]]:
+    """Read the table: classes by noun, which has one to three words in lower case."""
+    table: dict[str, tuple[int, ...]] = {}
+    content = files(__package__).joinpath(TABLE).read_bytes()
+    for line in lzma.decompress(content).decode().splitlines():
+        numbers, words = line.split("\t")
+        table |= dict.fromkeys(words.split(","), tuple(map(int, numbers.split())))
+    return table
 
 
 def spellings(text: str) -> list[str]:

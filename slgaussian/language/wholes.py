@@ -16,7 +16,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slgaussian.errors import InputError
 from slgaussian.io import short_repr
 from slgaussian.language.rules import NEAR_BEST
 
@@ -108,9 +107,6 @@ class Wholes:
         borders: int32 [E, 2]. Rows of adjacent objects, the lower first.
         border_sums: float32 [E, 2]. Length in pixels and summed strength of each border, over all
             views.
-
-    Raises:
-        InputError: If dtypes or shapes disagree.
     """
 
     members: np.ndarray
@@ -121,23 +117,6 @@ class Wholes:
     border_sums: np.ndarray
 
     __repr__ = short_repr
-
-    def __post_init__(self) -> None:
-        (w, n), e = self.members.shape, len(self.borders)
-        expected = {
-            "members": ("bool", (w, n)),
-            "standing": ("float32", (n + w,)),
-            "shares": ("float32", (n, *self.shares.shape[1:2])),
-            "at_edge": ("float32", (n,)),
-            "borders": ("int32", (e, 2)),
-            "border_sums": ("float32", (e, 2)),
-        }
-        for name, (dtype, shape) in expected.items():
-            array = getattr(self, name)
-            if array.dtype != dtype or array.shape != shape:
-                raise InputError(
-                    f"wholes {name}: found {array.dtype} {array.shape}, expected {dtype} {shape}"
-                )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays as they are stored in ``bank.npz``, each as ``whole_NAME``."""

@@ -61,19 +61,11 @@ def test_damage_is_refused_by_name(bank):
     long[1, 0] *= 1.1
     ghost = bank.features.copy()
     ghost[1, 1] = ghost[1, 0]
-    inside_out = bank.boxes.copy()
-    inside_out[1, 0] = inside_out[1, 0][[2, 1, 0, 3]]
     for changes, match in (
-        ({"boxes": inside_out}, "that of object 2 in view 0"),
-        ({"boxes": bank.boxes * 0}, "that of object 1 in view 0"),
-        ({"boxes": np.repeat(bank.boxes[:, :1], 2, 1)}, "that of object 2 in view 1"),
-        ({"boxes": bank.boxes.astype(np.int64)}, "boxes: found int64"),
         ({"features": nan}, "object 1 in view 1"),
         ({"features": long}, "object 2 in view 0 has length 1.1"),
         ({"features": ghost}, "object 2 in view 1 has length 1, expected 0"),
         ({"features": np.zeros_like(bank.features)}, "length 0, expected 1"),
-        ({"features": bank.features.astype(np.float64)}, "float64"),
-        ({"present": bank.present[:, :1]}, "present"),
         ({"codes": bank.codes * np.float32(np.nan)}, "NaN"),
         ({"codes": bank.codes + np.float32(1)}, "outside"),
         ({"codes": np.repeat(bank.codes[:1], 2, axis=0)}, "share one code"),
@@ -94,8 +86,6 @@ def test_views_maps_and_codes_must_agree(bank, lexicon):
         build_bank([], maps, lexicon, bank.codes[:1])
     with pytest.raises(InputError, match="one map"):
         build_bank([view_of(image[1:])], maps, lexicon, bank.codes[:1])
-    with pytest.raises(InputError, match="2 codes for 1 objects"):
-        build_bank([view], maps, lexicon, bank.codes)
 
 
 @pytest.fixture(scope="module")
@@ -127,9 +117,6 @@ def test_wholes_are_stored_with_the_bank(pieces, lexicon):
     again = MemoryBank.from_arrays(arrays).wholes
     for name, array in wholes.to_arrays().items():
         np.testing.assert_array_equal(again.to_arrays()[name], array)
-    other = group_objects([SeenView(views[0])], LabelMaps(maps.labels[:1] * 0 + 1, maps.margin[:1]))
-    with pytest.raises(InputError, match="wholes: are of 1 objects, expected 5"):
-        replace(bank, wholes=other.wholes)
 
 
 def test_groups_are_encoded_as_what_they_show_together(pieces, lexicon):
@@ -163,12 +150,8 @@ def test_groups_that_make_no_sense_are_refused(pieces, lexicon):
         ({"levels": None}, "go together"),
         ({"levels": beyond}, "one of the 3 groups, 5 to 7"),
         ({"levels": others}, "own row"),
-        ({"levels": bank.levels[:, :4]}, "levels: found int32"),
         ({"group_features": bank.group_features * 2}, "group 0 in view 0 has length 2"),
-        ({"group_features": bank.group_features[:, :1]}, "group_features: found float32"),
         ({"group_features": bank.group_features * np.float32(np.nan)}, "group 0 in view 0"),
     ):
         with pytest.raises(InputError, match=match):
             replace(bank, **changes)
-    with pytest.raises(InputError, match=r"found groups \(3, 4\) for 5 objects"):
-        grouped_bank(pieces, lexicon, groups=pieces[2][:, :4])

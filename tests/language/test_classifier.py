@@ -9,12 +9,12 @@ from torch.nn import functional as F
 
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
-from slgaussian.language import classifier, lite0, weights
-from slgaussian.language.class_evidence import STEP, evidence, quantised
-from slgaussian.language.nouns import noun_classes
+from slgaussian.language import classifier, configs, lite0
+from slgaussian.language.classifier import STEP, evidence, quantised
+from slgaussian.language.vocabulary import noun_classes
 
 needs_weights = pytest.mark.skipif(
-    weights.find_weights() is None, reason=f"needs the weights: {weights.INSTALL}"
+    configs.find_weights() is None, reason=f"needs the weights: {configs.INSTALL}"
 )
 
 
@@ -115,7 +115,7 @@ class Lite0(nn.Module):
 @needs_weights
 def test_network_agrees_with_float64_whatever_the_size_and_the_threads():
     network = Lite0()
-    network.load_state_dict(tensorfile.load(weights.find_weights()))
+    network.load_state_dict(tensorfile.load(configs.find_weights()))
     network.double().eval()
     fast = classifier.load()
     noise = np.random.default_rng(0).uniform(-1, 1, (320, 64, 3)).astype(np.float32)

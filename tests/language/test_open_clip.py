@@ -186,28 +186,6 @@ def test_a_file_is_converted(tensors, tokens, expected, tmp_path, name):
     assert np.array_equal(said(load_encoder("clip", model=file)), expected)
 
 
-class Scripted(torch.nn.Module):
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return 2 * x
-
-
-@pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
-def test_openais_checkpoint_is_read_once_its_tensors_are_saved_alone(tensors, tokens, tmp_path):
-    """They publish TorchScript archives, of networks with QuickGELU."""
-    scripted, file = Scripted(), beside(tokens, tmp_path) / "ViT.pt"
-    for name, tensor in tensors.items():
-        scripted.register_buffer(name.replace(".", "_"), tensor)
-    torch.jit.script(scripted).save(str(file))
-    with pytest.raises(InputError, match=r"ViT\.pt: .* TorchScript archive, .*; if"):
-        load_encoder("clip", model=file)
-    sizes = {"input_resolution": 32, "context_length": 77, "vocab_size": 548}
-    state = {**tensors, **{name: torch.tensor(size) for name, size in sizes.items()}}
-    found = load_encoder("clip", model=save(state, tmp_path / "plain.pt")).network
-    quick = clip_model(548, activation="quick_gelu")
-    quick.load_state_dict(found.state_dict())
-    assert torch.equal(answers(found)[0], answers(quick.eval())[0])
-
-
 def test_weights_in_half_precision_are_read_as_they_are(tensors, model, tokens, tmp_path):
     halves = {name: tensor.half() for name, tensor in tensors.items()}
     found = load_encoder("clip", model=save(halves, beside(tokens, tmp_path) / "half.pt"))
@@ -234,46 +212,22 @@ def test_a_checkpoint_is_known_by_content_and_not_by_name(tensors, tokens, tmp_p
     assert model_digest(first) != model_digest(again)
 
 
-def test_a_tokenizer_is_asked_for(tensors, tokens, expected, tmp_path):
-    file = save(tensors, tmp_path / "clip.bin")
-    with pytest.raises(InputError, match=r"has no tokenizer beside it; put its tokenizer\.json"):
-        load_encoder("clip", model=file)
-    assert np.array_equal(said(load_encoder("clip", model=file, tokenizer=tokens)), expected)
-
-
-def changed(tensors, how):
-    tensors = dict(tensors)
-    if how == "lacks":
-        del tensors["visual.proj"]
-        del tensors["transformer.resblocks.1.ln_1.bias"]
-    elif how == "more":
-        tensors["visual.transformer.resblocks.0.ls_1.gamma"] = torch.ones(3)
-
-    elif how == "other":
-        tensors = {f"visual.trunk.{i}": torch.ones(2) for i in range(4)}
-    elif how == "shape":
-        tensors["text_projection"] = tensors["text_projection"][:, :-1].contiguous()
-    elif how == "rank":
-        tensors["visual.conv1.weight"] = tensors["visual.conv1.weight"].flatten(1)
-
-    return tensors
-
-
 @pytest.mark.parametrize(
-    ("how", "says"),
+    ("change", "says"),
     [
-        ("lacks", "lacks 2 of the tensors of open_clip's ViTs"),
-        ("more", ": has 1 that they have not, such as visual.transformer"),
-        ("other", "lacks .* and has 4 that they have not, such as visual.trunk.0"),
-        ("shape", "do not fit each other"),
-        ("rank", r"visual.conv1.weight is \(128, 192\), expected 4 axes"),
+        ({"visual.proj": None}, "KeyError: 'visual.proj'"),
+        ({"ln_final.bias": None}, "missing keys such as text_model.final_layer_norm.bias"),
+        ({"visual.transformer.resblocks.0.ls_1.gamma": torch.ones(3)}, "unexpected keys such as"),
+        ({"text_projection": torch.ones(64, 23)}, "RuntimeError"),
+        ({"visual.conv1.weight": torch.ones(128, 192)}, "ValueError"),
     ],
 )
-def test_tensors_that_are_no_clip_are_one_sentence(tensors, tokens, tmp_path, capfd, how, says):
-    file = save(changed(tensors, how), beside(tokens, tmp_path) / "clip.pt")
-    with pytest.raises(InputError, match=says) as error:
+def test_tensors_that_are_no_clip_are_one_sentence(tensors, tokens, tmp_path, capfd, change, says):
+    content = {k: v for k, v in {**tensors, **change}.items() if v is not None}
+    file = save(content, beside(tokens, tmp_path) / "clip.pt")
+    with pytest.raises(InputError, match=f"are not those of a ViT .*{says}") as error:
         load_encoder("clip", model=file)
-    assert str(file) in str(error.value)
+    assert str(file) in str(error.value) and "\n" not in str(error.value)
     assert capfd.readouterr() == ("", "")
 
 
@@ -290,7 +244,7 @@ def test_a_model_of_another_make_is_named(tensors, tokens, tmp_path, table, key,
     (config["model_cfg"][table] if table else config["model_cfg"])[key] = value
     folder = beside(tokens, tmp_path, config)
     save(tensors, folder / "open_clip_model.safetensors")
-    with pytest.raises(InputError, match=rf"{key} is {value!r}, but models with it cannot"):
+    with pytest.raises(InputError, match=rf"{key} {value!r}, and models with it cannot"):
         load_encoder("clip", model=folder)
 
 
@@ -323,8 +277,8 @@ def test_a_file_that_is_no_checkpoint_is_one_sentence(tokens, tmp_path, name, co
         load_encoder("clip", model=file)
 
 
-def test_a_checkpoint_of_other_things_is_one_sentence(tokens, tmp_path):
-    for i, content in enumerate(([1, 2], {"a": 1}, {1: torch.ones(1)}, torch.ones(3))):
-        file = save(content, beside(tokens, tmp_path) / f"{i}.pt")
-        with pytest.raises(InputError, match="holds other things than tensors by name"):
-            load_encoder("clip", model=file)
+@pytest.mark.parametrize("content", [[1, 2], {"a": 1}, {1: torch.ones(1)}, torch.ones(3)])
+def test_a_checkpoint_of_other_things_is_one_sentence(tokens, tmp_path, content):
+    file = save(content, beside(tokens, tmp_path) / "clip.pt")
+    with pytest.raises(InputError, match="cannot be read as weights"):
+        load_encoder("clip", model=file)

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slgaussian.errors import InputError
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.wholes import (
     EVIDENCE,
@@ -158,11 +157,3 @@ def plainly(wholes, gaps, evidence, areas, ranking):
         if score > best_score:
             best, best_score = node, score
     return np.array([i in best and gaps[i] > -np.inf for i in range(n)])
-
-
-def test_arrays_must_fit(mug):
-    with pytest.raises(InputError, match=r"standing: found float32 \(5,\)"):
-        replace(mug, standing=mug.standing[:5])
-    again = Wholes.from_arrays(mug.to_arrays())
-    assert again.to_arrays().keys() == mug.to_arrays().keys()
-    assert Wholes.from_arrays({}) is None

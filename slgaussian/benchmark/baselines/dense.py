@@ -9,8 +9,8 @@ pixel is its cosine with the text minus its cosine with the best rival:
 
 The point is the maximum of the relevancy after LangSplat's smoothing, with a filter scaled to the
 image; on a plateau the pixel farthest from its edge
-(:func:`slgaussian.language.locate.central_point`). Of several scales, a text uses the one with its
-largest gap for the whole image, as LERF does. The rule for absent views does not apply, because
+(:func:`slgaussian.language.objectmap.central_point`). Of several scales, a text uses the one with
+its largest gap for the whole image, as LERF does. The rule for absent views does not apply, because
 views are mixed here. LangSplat's own mask and point are computed by its protocol
 (:mod:`slgaussian.benchmark.protocols`) from the relevancy of any method.
 """
@@ -30,7 +30,7 @@ from slgaussian.formats.resampling import Window
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
 from slgaussian.language import langsplat
-from slgaussian.language.locate import central_point
+from slgaussian.language.objectmap import central_point
 from slgaussian.language.reader import TextReader
 from slgaussian.language.rules import Rules
 
