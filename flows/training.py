@@ -196,7 +196,7 @@ def train_on(
     checkpoints = home_of(store).parent / "checkpoints"
     arguments = learnt, held_out, began, settings, manifest, checkpoints
     task = SceneTask("branch", learn_and_judge, arguments)
-    with _TrainingProgress(1, len(STAGES), verbose=verbose) as progress:
+    with Progress(1, len(STAGES), verbose=verbose) as progress:
         artifacts, failure = compute_scene(task, store, 1, progress.update)
     if failure is not None:
         raise InputError(failure.reason)
@@ -238,12 +238,3 @@ def learn_and_judge(
     branch = train_stage(learnt, start, settings, checkpoints)
     judgements = judge(held_out, branch, start, settings.codes, settings.seed)
     training_report(judgements, branch, manifest)
-
-
-class _TrainingProgress(Progress):
-    """Progress of a single task, whose failure is raised at the end."""
-
-    def report_failure(self, text: str, traceback: str) -> None:
-        """Print only the traceback, as the reason is in the raised error."""
-        if self.verbose and traceback:
-            self.line(traceback)

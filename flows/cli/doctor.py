@@ -68,8 +68,8 @@ def doctor(
         _passes("store", _store, settings.store, opened),
         _passes("server", _server, *opened),
     ]
-    if "runner" in settings.model_fields_set and opened:
-        checks.append(_passes("runner", _runner, settings.runner, opened[0]))
+    if "runner" in settings.model_fields_set:
+        checks.append(_passes("runner", _runner, settings.runner))
     for kind, name in settings.component_names().items():
         checks.append(_passes(name, check_component, kind, name, tables.get(name, {})))
     raise typer.Exit(0 if all(checks) else 1)
@@ -156,8 +156,8 @@ def _server(store: Any = None) -> str:
     return "Prefect's server starts and answers"
 
 
-def _runner(runner: str, store: Any) -> str:
+def _runner(runner: str) -> str:
     from flows.runners.task_runners import check_runner
 
-    check_runner(runner, store)
+    check_runner(runner)
     return f"{runner} {'answers' if '://' in runner else 'can be started'}"

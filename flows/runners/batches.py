@@ -26,7 +26,7 @@ from prefect.task_runners import TaskRunner
 
 from flows.runners.progress import Progress
 from flows.runners.task_runners import Workers, last_line
-from slgaussian.errors import SLGaussianError, one_line
+from slgaussian.errors import SLGaussianError
 from slgaussian.io import write_atomic
 from slgaussian.storage.encoding import encode_table
 from slgaussian.storage.specs import load_spec
@@ -173,7 +173,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     """
     outcome = Outcome()
     damaged: DamagedError | None = None
-    waiting = deque(_sendable(scene_tasks, outcome, progress))
+    waiting = deque(scene_tasks)
     retried_singly: deque[SceneTask] = deque()
     lost_before: set[str] = set()
     news: queue.SimpleQueue[StageEvent | PrefectFuture[Any]] = queue.SimpleQueue()
@@ -197,10 +197,15 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
         event_text = f"died ({reason})" if died else f"raised {type(error).__name__}: {reason}"
         progress.lost(event_text, [scene_task.scene for scene_task in scenes])
         for scene_task in scenes:
-            if scene_task.scene in lost_before:
-                _leave_out(scene_task, died, event_text, outcome, progress)
-            else:
+            if scene_task.scene not in lost_before:
                 retried_singly.append(scene_task)
+                continue
+            text = f"its worker {event_text} twice, the second time with no other scene"
+            if died:
+                text += "; it may need more memory than there is: try it with --workers 1"
+            kind = "WorkerDied" if died else "WorkerRaised"
+            outcome.failures.append(Failure(scene_task.scene, scene_task.first, kind, text))
+            progress.update(StageEvent(scene_task.scene, scene_task.first, "failed", text))
         lost_before.update(scene_task.scene for scene_task in scenes)
         if died:
             workers.restart(runner)
@@ -222,10 +227,18 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
                     results = event.result()
                 except DamagedError as error:
                     damaged = error
+                    continue
                 except Exception as error:  # each task runner has its own
                     retry(scenes, runner, error)
-                else:
-                    _collect(results, outcome, progress)
+                    continue
+                for result in results:
+                    for stage_event in result.events:
+                        progress.update(stage_event)
+                    if result.failure is None:
+                        outcome.refs[result.scene] = result.refs
+                    else:
+                        outcome.failures.append(result.failure)
+                        outcome.partial[result.scene] = result.refs
         finally:
             stopped.set()
     if damaged is not None:
@@ -242,47 +255,6 @@ def map_shown(
         return Outcome()
     with Progress(len(scene_tasks), stages, verbose, unit=unit) as progress:
         return map_scenes(scene_tasks, workers, progress)
-
-
-def _sendable(
-    scene_tasks: Iterable[SceneTask], outcome: Outcome, progress: Progress
-) -> list[SceneTask]:
-    """Return the scene tasks that can be pickled; report the others as failures."""
-    sendable = []
-    for scene_task in scene_tasks:
-        try:
-            pickle.dumps(scene_task)
-        except Exception as error:  # pickling may raise any error
-            kind = type(error).__name__
-            reason = one_line(f"cannot be sent to a worker: unexpected {kind}: {error}")
-            failure = Failure(scene_task.scene, scene_task.first, kind, reason)
-            outcome.failures.append(failure)
-            progress.update(StageEvent(scene_task.scene, scene_task.first, "failed", reason))
-        else:
-            sendable.append(scene_task)
-    return sendable
-
-
-def _leave_out(
-    scene_task: SceneTask, died: bool, event_text: str, outcome: Outcome, progress: Progress
-) -> None:
-    reason = f"its worker {event_text} twice, the second time with no other scene"
-    if died:
-        reason += "; it may need more memory than there is: try it with --workers 1"
-    kind = "WorkerDied" if died else "WorkerRaised"
-    outcome.failures.append(Failure(scene_task.scene, scene_task.first, kind, reason))
-    progress.update(StageEvent(scene_task.scene, scene_task.first, "failed", reason))
-
-
-def _collect(results: Sequence[SceneResult], outcome: Outcome, progress: Progress) -> None:
-    for result in results:
-        for event in result.events:
-            progress.update(event)
-        if result.failure is None:
-            outcome.refs[result.scene] = result.refs
-        else:
-            outcome.failures.append(result.failure)
-            outcome.partial[result.scene] = result.refs
 
 
 def failures_table(failures: Sequence[Failure]) -> pa.Table:

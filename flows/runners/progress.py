@@ -142,13 +142,9 @@ class Progress:
         self.active.pop(scene, None)
         self.failed += 1
         self.total -= self.stages - len(self.of_scene[scene])
-        self.report_failure(f"{scene}  left out at {event.stage}: {event.message}", event.traceback)
-
-    def report_failure(self, text: str, traceback: str) -> None:
-        """Print that a scene was left out, and log the traceback, which ``verbose`` prints."""
-        self.line(text, logging.ERROR)
-        if traceback:
-            (self.line if self.verbose else logger.error)(traceback)
+        self.line(f"{scene}  left out at {event.stage}: {event.message}", logging.ERROR)
+        if event.traceback:
+            (self.line if self.verbose else logger.error)(event.traceback)
 
 
 def console(stream: TextIO | None = None) -> Console:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import multiprocessing
 import os
@@ -31,7 +30,6 @@ from prefect.logging.handlers import set_api_log_sink
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
 from flows.runners.environment import ray_variables
-from flows.runners.server import LOOPBACK
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import install_line
 from slgaussian.storage.remote import redacted
@@ -107,7 +105,7 @@ def open_workers(
         InputError: As :func:`check_runner`, if the cluster refuses the connection, or no worker can
             do the work.
     """
-    check_runner(name, store)
+    check_runner(name)
     stack = ExitStack()
     try:
         workers = Workers(
@@ -134,7 +132,12 @@ def _task_runner(name: str, count: int) -> Any:
         return ThreadPoolTaskRunner(max_workers=count)
     if kind == "processes":
         return ProcessPoolTaskRunner(max_workers=count, initializer=become_worker)
-    return {"dask": _dask, "ray": _ray}[kind](address)
+    if kind == "ray":
+        return _ray(address)
+    from prefect_dask import DaskTaskRunner
+
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    return DaskTaskRunner(address=f"tcp://{address}")
 
 
 @task(name="roll-call", cache_policy=NO_CACHE, persist_result=False)
@@ -179,43 +182,29 @@ def _check_workers(name: str, workers: Workers) -> None:
         store.remove([probe])
 
 
-def check_runner(runner: str, store: ArtifactStore) -> None:
-    """Check a runner as far as possible before its start.
-
-    Args:
-        runner: See :data:`flows.config.Runner`.
-        store: Store of its workers.
+def check_runner(runner: str) -> None:
+    """Check a runner (:data:`flows.config.Runner`) as far as possible before its start.
 
     Raises:
-        InputError: If the package of the runner is not installed, its cluster does not answer, or
-            its workers could not reach the store or the Prefect server.
+        InputError: If the package of the runner is not installed, or its cluster does not answer.
     """
     kind, _, address = runner.partition("://")
-    if kind != "threads" and store.near and not store.local:
+    if not address:
+        return
+    try:
+        import_module(f"prefect_{kind}")
+    except ImportError as error:
         raise InputError(
-            f"runner: found {runner!r}, whose workers cannot see the store {store.root}, which is "
-            "in the memory of this process; choose a folder or a bucket with --store, or the "
-            "runner threads"
-        )
-    if address:
-        try:
-            import_module(f"prefect_{kind}")
-        except ImportError as error:
-            raise InputError(
-                f"runner: {kind} is not installed ({error}); install it with {install_line(kind)}"
-            ) from error
-        near, place = (LOOPBACK, "localhost", "::1"), urlsplit(runner)
-        server = urlsplit(os.environ.get("PREFECT_API_URL", "")).hostname
-        if place.hostname not in near and server in near:
-            raise InputError(
-                f"runner: found {runner!r}, whose workers cannot reach the Prefect server of this "
-                "run, which is on loopback; start one that they can with `prefect server start "
-                "--host 0.0.0.0`, and set PREFECT_API_URL to its address"
-            )
-        try:
-            socket.create_connection((place.hostname, place.port), CONNECT).close()
-        except OSError as error:
-            raise InputError(_nobody(runner, error)) from error
+            f"runner: {kind} is not installed ({error}); install it with {install_line(kind)}"
+        ) from error
+    place = urlsplit(runner)
+    try:
+        socket.create_connection((place.hostname, place.port), CONNECT).close()
+    except OSError as error:
+        raise InputError(
+            f"runner: nothing answers at {runner} ({error}); start the cluster, or correct the "
+            "address"
+        ) from error
 
 
 def become_worker() -> None:
@@ -234,27 +223,6 @@ def become_worker() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _dask(address: str) -> Iterator[TaskRunner[Any]]:
-    from distributed.comm import connect
-    from prefect_dask import DaskTaskRunner
-
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    url = f"tcp://{address}"
-
-    async def greet() -> None:
-        comm = await connect(url, timeout=CONNECT)
-        await comm.close()
-
-    try:
-        # Dask's clients wait indefinitely for a greeting from a server that is no scheduler.
-        asyncio.run(asyncio.wait_for(greet(), 2 * CONNECT))
-    except (OSError, ValueError) as error:
-        raise InputError(_nobody(f"dask://{address}", error)) from error
-    with DaskTaskRunner(address=url) as task_runner:
-        yield task_runner
 
 
 @contextmanager
@@ -305,9 +273,3 @@ def _ray(address: str) -> Iterator[TaskRunner[Any]]:
 def last_line(text: str) -> str:
     """Return the last line of an error, which may contain another process's traceback."""
     return (text.strip().splitlines() or ["unknown"])[-1].strip()
-
-
-def _nobody(runner: str, error: Exception) -> str:
-    service = "Dask scheduler" if runner.startswith("dask") else "Ray head"
-    reason = str(error) or type(error).__name__
-    return f"runner: no {service} answers at {runner} ({reason}); start it, or correct the address"
