@@ -58,8 +58,7 @@ from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from slgaussian.storage.tables import read_table
 from tasks.artifacts import predictions_of, result_from_arrays
-from tasks.baselines import baselines
-from tasks.report import Scored, report
+from tasks.benchmark import Scored, baselines, report
 
 BUILDING = ("geometry", "masks", "supervision", "field")
 """Stages that build a field from a sample."""
@@ -217,7 +216,7 @@ def _write(
     ]
     for scene, ref in scored:
         arrays = store.get(ref)
-        result = result_from_arrays(arrays, with_images=False)
+        result = result_from_arrays(arrays)
         write_predictions(result.rows, predictions_of(arrays), out / "predictions")
         results.append(result)
         shared = refs.build_seconds[scene, ""]

@@ -291,29 +291,7 @@ class IndexSettings(Rule):
     )
 
 
-class Withdrawal(Config):
-    """Clips that may no longer be used."""
-
-    withdrawn: Path | None = Field(
-        None,
-        description="File with the keys of clips that may no longer be used, one per line.",
-    )
-
-    def withdrawn_clips(self) -> set[str]:
-        """Read the keys in the file; InputError if it cannot be read."""
-        if self.withdrawn is None:
-            return set()
-        try:
-            lines = read_lines(self.withdrawn)
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(
-                f"withdrawn {self.withdrawn}: cannot be read ({error}); expected keys of clips, "
-                "one per line"
-            ) from error
-        return {line.strip() for line in lines if line.strip()}
-
-
-class CorpusSettings(Withdrawal, Bounds, Engine, Method):
+class CorpusSettings(Bounds, Engine, Method):
     """Settings of views, samples and lessons, and their output folder."""
 
     size: Sides = Field(
@@ -323,6 +301,21 @@ class CorpusSettings(Withdrawal, Bounds, Engine, Method):
         min_length=1, description="Chunks (a folder or URL), or folders of any scenes."
     )
     out: Path = Field(description="Folder for the results.")
+    withdrawn: Path | None = Field(
+        None,
+        description="File with the keys of clips that may no longer be used, one per line.",
+    )
+
+    def withdrawn_clips(self) -> set[str]:
+        """Read the keys in the file; InputError if it cannot be read."""
+        try:
+            lines = [] if self.withdrawn is None else read_lines(self.withdrawn)
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(
+                f"withdrawn {self.withdrawn}: cannot be read ({error}); expected keys of clips, "
+                "one per line"
+            ) from error
+        return {line.strip() for line in lines if line.strip()}
 
 
 class SetSettings(Config):

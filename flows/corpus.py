@@ -26,8 +26,7 @@ from slgaussian.storage.provenance import with_provenance
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactStore
 from tasks.chunks import Framing, PosedFolder, Room, packed, packed_clips
-from tasks.predictions import predictions
-from tasks.samples import lessons
+from tasks.samples import lessons, predictions
 
 INGEST = ("views", "pairs")
 SUPERVISE = (*INGEST, "predictions", "lessons")

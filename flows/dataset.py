@@ -32,7 +32,7 @@ from slgaussian.kernels.seeding import hold_out
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.chunks import Framing, known_chunk, packed, pairs, views
 from tasks.example import example
-from tasks.samples import Frames, all_masks, framed
+from tasks.samples import all_masks, framed
 from tasks.scene import geometry, supervision
 
 SAMPLES = (framed, geometry, all_masks, supervision, example)
@@ -116,7 +116,7 @@ def build(
 
 def make_example(
     chunk: KnownFile | ArtifactRef,
-    frames: Frames,
+    frames: Mapping[str, Any],
     framing: Framing,
     method: Method,
     trust_cameras: bool,
@@ -171,7 +171,7 @@ def _finish(
     tasks = []
     for choice in chosen:
         row = {name: value for name, value in choice.row.items() if name != "chunk"}
-        frames = Frames(row["sample"], row["clip"], tuple(row["context"]), tuple(row["targets"]))
+        frames = {name: row[name] for name in ("sample", "clip", "context", "targets")}
         properties = {**row, "cameras": choice.cameras}
         arguments = (
             choice.chunk,

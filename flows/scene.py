@@ -20,9 +20,7 @@ from slgaussian.errors import InputError, did_you_mean
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Size
 from slgaussian.storage.store import ArtifactRef
-from tasks.attribution import attribution
-from tasks.baselines import baselines
-from tasks.benchmark import benchmark
+from tasks.benchmark import attribution, baselines, benchmark
 from tasks.scene import Labels, Photographs, field, geometry, ingest, masks, supervision, truth
 
 STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)

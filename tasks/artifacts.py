@@ -219,19 +219,16 @@ def result_to_arrays(result: SceneResult) -> Arrays:
     }
 
 
-def result_from_arrays(arrays: Arrays, with_images: bool = True) -> SceneResult:
-    """Inverse of :func:`result_to_arrays`; decoding pictures and masks is slow and optional."""
-    masks, pictures = {}, {}
-    if with_images:
-        masks, pictures = dict(Decoded(predictions_of(arrays))), dict(Decoded(pictures_of(arrays)))
+def result_from_arrays(arrays: Arrays) -> SceneResult:
+    """Inverse of :func:`result_to_arrays`, without pictures and masks, which are slow to decode."""
     return SceneResult(
         scene=str(arrays["scene"]),
         dataset=str(arrays["dataset"]),
         method=str(arrays["method"]),
         rows=json.loads(str(arrays["rows"])),
         scene_metrics=json.loads(str(arrays["metrics"])),
-        predictions=masks,
-        pictures=pictures,
+        predictions={},
+        pictures={},
     )
 
 

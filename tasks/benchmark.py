@@ -1,19 +1,36 @@
-"""Evaluation of the field of one scene on the queries of its ground truth."""
+"""Scores of the field of one scene and of baselines, attribution of misses, report of a run."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
+
+from slgaussian.benchmark.attribution import attribute_errors
+from slgaussian.benchmark.baselines import load_method
+from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
+from slgaussian.benchmark.reports.examples import Scene
+from slgaussian.benchmark.reports.run_report import run_report
 from slgaussian.benchmark.scores import GOOD
 from slgaussian.components.component import Component
+from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
-from slgaussian.storage.store import ArtifactRef
+from slgaussian.kernels import compiling
+from slgaussian.storage.specs import load_spec
+from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
+    Decoded,
     get_field,
     labels_from_arrays,
+    pictures_of,
+    predictions_of,
+    result_from_arrays,
     result_to_arrays,
     sample_from_arrays,
     truth_from_arrays,
@@ -79,3 +96,120 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
         return None
     *_, text, iou = max(candidates, key=lambda candidate: candidate[:2])
     return {"text": text, "iou": iou}
+
+
+@stage("baselines", version=7)
+def baselines(
+    run: RunContext,
+    sample: ArtifactRef,
+    truth: ArtifactRef,
+    gaussians: ArtifactRef,
+    labels: ArtifactRef,
+    field: ArtifactRef,
+    method: Method,
+    settings: EvaluationSettings,
+    of: str,
+    own: Mapping[str, Any],
+    brought_by: str,
+) -> ArtifactRef:
+    """Answer the queries by a baseline and score them, without pictures: spec ``scene_result``.
+
+    ``gaussians`` are the predicted ones, ``method`` is the method of the field, ``of`` is the
+    baseline's name in the registry, and ``own`` are its settings. ``brought_by`` is the digest of
+    the package of an external baseline.
+    """
+    views = run.read(sample, sample_from_arrays)
+    label_maps = run.read(labels, labels_from_arrays)
+    scene_truth = run.read(truth, truth_from_arrays)
+    texts = [text for masks in scene_truth.masks.values() for text in masks]
+    inputs = Inputs(
+        sample=views,
+        field=get_field(run.store, field, method.encoder.places()),
+        gaussians=run.read(gaussians, Gaussians.from_arrays),
+        label_maps=label_maps,
+        proposer=method.proposer.load(),
+        seed=method.seed,
+        settings={part.name: part.values() for part in (method.proposer, method.lifting)},
+        classes=tuple(dict.fromkeys([*texts, *settings.queries])),
+    )
+    begun = compiling.clock()
+    answering = load_method(of, **own)(inputs)
+    prepared = compiling.clock() - begun
+    result = evaluate(answering, views, label_maps, scene_truth, settings)
+    costs = [{**row, "prepare_seconds": prepared} for row in result.costs]
+    return run.store.put("scene_result", result_to_arrays(result), {"costs": costs})
+
+
+@stage("attribution", version=6)
+def attribution(
+    run: RunContext,
+    sample: ArtifactRef,
+    truth: ArtifactRef,
+    gaussians: ArtifactRef,
+    field: ArtifactRef,
+    method: Method,
+    settings: EvaluationSettings,
+) -> ArtifactRef:
+    """Attribute each miss to a stage: spec ``attribution``.
+
+    ``gaussians`` are the predicted ones, ``method`` is the method of the field.
+    """
+    scene_truth = run.read(truth, truth_from_arrays)
+    rows = []
+    if any(mask.any() for masks in scene_truth.masks.values() for mask in masks.values()):
+        built_field = get_field(run.store, field, method.encoder.places())
+        base, views = (
+            run.read(gaussians, Gaussians.from_arrays),
+            run.read(sample, sample_from_arrays),
+        )
+        rows = attribute_errors(built_field, base, views, scene_truth, settings)
+    table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
+    misses = sum(row["lost"] is not None for row in rows)
+    return run.store.put("attribution", table, {"misses": misses})
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Results of one scene: our answers, ground truth, attribution of misses, and the answers of
+    baselines by method."""
+
+    scene: str
+    answer: ArtifactRef
+    truth: ArtifactRef
+    attribution: ArtifactRef
+    others: Mapping[str, ArtifactRef]
+
+
+@stage("report", version=14)
+def report(
+    run: RunContext,
+    scenes: Sequence[Scored],
+    manifest: Mapping[str, Any],
+    failures: Sequence[Mapping[str, str]],
+) -> ArtifactRef:
+    """Write the report of a run: spec ``report``. Images are read one scene at a time.
+
+    It contains no timings, so that it is reproducible.
+    """
+    report_scenes = [_report_scene(run.store, scored) for scored in scenes]
+    tables = [run.store.get(scored.attribution) for scored in scenes]
+    lost = [row for table in tables for row in table.to_pylist()]
+    page = run_report(report_scenes, manifest, failures, lost)
+    forms = {"html": page.as_html(), "markdown": page.as_markdown()}
+    arrays = {name: np.frombuffer(text.encode(), np.uint8) for name, text in forms.items()}
+    return run.store.put("report", arrays)
+
+
+def _report_scene(store: ArtifactStore, scored: Scored) -> Scene:
+    refs = [scored.answer, *scored.others.values()]
+    ours, *baselines = (result_from_arrays(store.get(ref)) for ref in refs)
+
+    return Scene(
+        name=scored.scene,
+        dataset=ours.dataset,
+        rows=[row for each in (ours, *baselines) for row in each.rows],
+        metrics=ours.scene_metrics,
+        pictures=lambda: Decoded(pictures_of(store.get(scored.answer))),
+        truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
+        masks=lambda: Decoded(predictions_of(store.get(scored.answer))),
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import pyarrow as pa
 import torch
 
 from slgaussian.components.component import Component
+from slgaussian.datasets.re10k import Clip
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry, SeenView
@@ -24,30 +25,21 @@ from slgaussian.storage.store import ArtifactRef
 from tasks.artifacts import labels_to_arrays, sample_from_arrays, sample_to_arrays
 from tasks.chunks import Framing, framed_views, left_out, read_chunk
 from tasks.context import RunContext
-from tasks.predictions import read_sample
-from tasks.scene import masks
+from tasks.scene import geometry, masks
 from tasks.stage import stage
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Frame numbers of a sample in its clip."""
-
-    sample: str
-    clip: str
-    context: tuple[int, ...]
-    targets: tuple[int, ...]
 
 
 @stage("framed", version=2)
 def framed(
-    run: RunContext, chunk: KnownFile | ArtifactRef, frames: Frames, framing: Framing
+    run: RunContext, chunk: KnownFile | ArtifactRef, frames: Mapping[str, Any], framing: Framing
 ) -> ArtifactRef:
-    """Read a sample of a chunk: spec ``sample``. ``meta["url"]`` is the URL of its video."""
-    clip = read_chunk(run, chunk)[frames.clip]
-    context = framed_views(clip, frames.context, framing)
-    targets = framed_views(clip, frames.targets, framing)
-    sample = Sample(frames.sample, context, targets)
+    """Read a sample of a chunk: spec ``sample``. ``meta["url"]`` is the URL of its video.
+
+    ``frames`` has the names of ``sample`` and ``clip``, and the numbers of the frames of
+    ``context`` and ``targets``.
+    """
+    clip = read_chunk(run, chunk)[frames["clip"]]
+    sample = read_sample(clip, frames, framing, targets=True)
     return run.store.put("sample", sample_to_arrays(sample), {"url": clip.url})
 
 
@@ -68,11 +60,7 @@ def all_masks(
     """
     frames = read_everywhere(run, sample, gaussians)
     label_maps = associate(frames, proposer.load(), tracker.load(), replicas, votes)
-    count = len(run.read(sample, sample_from_arrays).context)
-    context = LabelMaps(label_maps.labels[:count], label_maps.margin[:count])
-    targets = LabelMaps(
-        known_alone(label_maps.labels[count:], context.labels), label_maps.margin[count:]
-    )
+    context, targets = _split(label_maps, len(run.read(sample, sample_from_arrays).context))
     target_ref = run.store.put("labels", labels_to_arrays(targets))
     meta = {
         "objects": len(context.ids),
@@ -104,9 +92,62 @@ def seen_everywhere(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
     return [*SceneGeometry.of(sample.context, gaussians).frames, *targets]
 
 
-def known_alone(targets: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Remove objects from target labels that no context view shows, as they have no code."""
-    return np.where(np.isin(targets, np.unique(labels)), targets, 0).astype(np.int32)
+def _split(label_maps: LabelMaps, count: int) -> tuple[LabelMaps, LabelMaps]:
+    """Split the labels of all views into those of ``count`` context views and of the targets.
+
+    Objects that no context view shows have no code, and are removed from the targets.
+    """
+    labels, margin = label_maps.labels, label_maps.margin
+    in_context = np.isin(labels[count:], np.unique(labels[:count]))
+    targets = np.where(in_context, labels[count:], 0).astype(np.int32)
+    return LabelMaps(labels[:count], margin[:count]), LabelMaps(targets, margin[count:])
+
+
+# Its version depends on that of the stage for a single scene.
+@stage("predictions", version=1000 * geometry.version + 1)
+def predictions(
+    run: RunContext,
+    pairs: ArtifactRef,
+    chunk: KnownFile | ArtifactRef,
+    framing: Framing,
+    predictor: Component,
+    seed: int,
+) -> ArtifactRef:
+    """Predict the Gaussians of the samples of a chunk: spec ``predictions``.
+
+    ``meta["left_out"]`` lists samples that failed.
+    """
+    store, clips, predict = run.store, read_chunk(run, chunk), predictor.load()
+    rows, bad = [], []
+    for row in store.get(pairs).to_pylist():
+        try:
+            sample = read_sample(clips[row["clip"]], row, framing, targets=False)
+            gaussians = predict(sample, seed)
+            gaussians.check()
+        except InputError as error:
+            bad.append(left_out(row["sample"], error))
+            continue
+        ref = store.put("gaussians", gaussians.to_arrays())
+        entry = {"sample": row["sample"], "uri": ref.uri, "digest": ref.digest}
+        rows.append({**entry, "gaussians": len(gaussians)})
+    table = pa.Table.from_pylist(rows, schema=load_spec("predictions").schema)
+    parts = [row["uri"] for row in rows]
+    meta = {"samples": len(rows), "left_out": bad, "parts": parts}
+    return store.put("predictions", table, meta)
+
+
+def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: bool) -> Sample:
+    """Read the sample of a row of spec ``pairs`` at the common size.
+
+    Decoding ``targets`` takes as long as the context and is optional.
+
+    Raises:
+        InputError: If a view cannot be decoded, or the views do not make a sample.
+    """
+
+    context = framed_views(clip, row["context"], framing)
+    target_views = framed_views(clip, row["targets"], framing) if targets else ()
+    return Sample(row["sample"], context, target_views)
 
 
 # Its version is raised with that of the stage that labels the views of a single scene.
@@ -141,19 +182,17 @@ def lessons(
         except InputError as error:
             bad.append(left_out(prediction["sample"], error))
             continue
-        count = len(sample.context)
-        labels, target_labels = label_maps.labels[:count], label_maps.labels[count:]
+        context, targets = _split(label_maps, len(sample.context))
         cameras = tuple(view.camera for view in sample.targets)
-        targets = known_alone(target_labels, labels)
-        lesson = Lesson(sample.scene, gaussians, labels, cameras, targets)
+        lesson = Lesson(sample.scene, gaussians, context.labels, cameras, targets.labels)
         ref = store.put("lesson", lesson.to_arrays())
-        rows.append({**row_of(lesson, ref), "clip": row["clip"]})
+        rows.append({**_lesson_row(lesson, ref), "clip": row["clip"]})
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
     meta = {"samples": len(rows), "left_out": bad, "parts": [row["uri"] for row in rows]}
     return store.put("lessons", table, meta)
 
 
-def row_of(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
+def _lesson_row(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
     """Return the row of spec ``lessons`` of a stored lesson, without its clip and chunk."""
     context_ids, target_ids = np.unique(lesson.labels), np.unique(lesson.targets)
     return {

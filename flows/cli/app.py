@@ -5,8 +5,19 @@ from typing import Annotated, Any
 
 import typer
 
-from flows.cli import ask, build, corpus, doctor, objects, run, score, show, store, train
-from flows.cli.help import Group
+from flows.cli import (
+    ask,
+    build,
+    corpus,
+    doctor,
+    objects,
+    options,
+    run,
+    score,
+    show,
+    store,
+    train,
+)  # fmt: skip
 from slgaussian import __version__
 from slgaussian.errors import SLGaussianError
 
@@ -24,7 +35,7 @@ COMMANDS = {
 """Commands and groups of commands, by the heading in the help."""
 
 app = typer.Typer(
-    cls=Group,
+    cls=options.Group,
     no_args_is_help=True,
     help="From photographs to a 3D scene that answers words. Try `slgaussian demo`.",
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flows.cli import options
-from flows.cli.help import Group
 from flows.config import Method
 from slgaussian.errors import InputError
 
@@ -37,7 +36,7 @@ Hits = tuple[tuple[int, float], ...]
 
 objects = typer.Typer(
     name="objects",
-    cls=Group,
+    cls=options.Group,
     no_args_is_help=True,
     help="List, teach, name, remove or extract objects.",
 )

@@ -1,4 +1,4 @@
-"""Options of several commands, and settings from options and ``--set``."""
+"""Options of several commands, settings from options and ``--set``, and groups of commands."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 from pydantic import BaseModel
+from typer.core import TyperGroup
 
 from flows.config import Settings
 from slgaussian.components.registry import KINDS, names_of
@@ -150,3 +151,21 @@ def settings_from(
         except ValueError:
             inner[name] = text.strip()
     return values
+
+
+class Group(TyperGroup):
+    """A group that lists its commands under their headings."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the complete first sentence of each command."""
+        width = max(map(len, self.commands))
+        formatter.write_paragraph()
+        rows: dict[str, list[tuple[str, str]]] = {}
+        all_commands: Any = self.commands.values()  # only Typer's commands have a heading
+        for command in all_commands:
+            row = command.name.ljust(width), command.get_short_help_str(1000)
+            rows.setdefault(command.rich_help_panel or "Commands", []).append(row)
+        for heading, lines in rows.items():
+            formatter.write_heading(heading)
+            with formatter.indentation():
+                formatter.write_dl(lines)

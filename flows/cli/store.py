@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flows.cli import options
-from flows.cli.help import Group
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 DAY = 86400.0
 
 store_app = typer.Typer(
-    name="store", cls=Group, no_args_is_help=True, help="Clean or check a store."
+    name="store", cls=options.Group, no_args_is_help=True, help="Clean or check a store."
 )
 
 

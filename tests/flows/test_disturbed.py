@@ -1,6 +1,5 @@
-"""Other runs on the same store, a disk that fills, a server that dies, a clock that jumps."""
+"""Other runs on the same store, a disk that fills, a server that dies."""
 
-import importlib.util
 import json
 import os
 import signal
@@ -109,35 +108,4 @@ def test_work_goes_on_without_the_server_of_a_run(tmp_path, home, server, comple
     os.kill(itself, signal.SIGKILL)
     _, messages = process.communicate(timeout=120)
     assert process.returncode == 0, messages.decode()
-    check_nothing_is_left_to_do(store, log, complete)
-
-
-def test_a_clock_that_jumps(tmp_path, home, server, complete):
-    """By hours, by years, ahead and back, while scenes are worked on."""
-    result = importlib.util.find_spec("libfaketime")
-    if result is None:
-        pytest.skip("needs another clock: pip install libfaketime")
-    (library,) = Path(result.origin).parent.rglob("libfaketime.so.1")
-    jump = tmp_path / "jump"
-    jump.write_text("+0")
-    clock = {
-        "LD_PRELOAD": str(library),
-        "FAKETIME_TIMESTAMP_FILE": str(jump),
-        "FAKETIME_NO_CACHE": "1",
-        "DONT_FAKE_MONOTONIC": "1",  # no jump of a real clock changes that one
-    }
-    store, log = with_database(tmp_path / "store", server), tmp_path / "log"
-    process = start(home, store, log, 1.0, "processes", **clock)
-    offsets = ("-3h", "+40d", "-400d", "+10y")
-
-    def begun() -> int:
-        return len(log.read_text().splitlines()) if log.exists() else 0
-
-    for stages, offset in enumerate(offsets, 3):
-        assert wait_until(lambda stages=stages: begun() >= stages, 120)
-        jump.write_text(offset)
-    _, messages = process.communicate(timeout=120)
-    assert process.returncode == 0, messages.decode()
-    assert lines_of(messages)[:3] == ["scene_0", "scene_1", "scene_2"]
-    assert begun() == 9
     check_nothing_is_left_to_do(store, log, complete)

@@ -1,11 +1,6 @@
 """Deployments: what the files promise can be loaded, and what an operator sees of runs."""
 
 import logging
-import os
-import shlex
-import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -107,28 +102,6 @@ def wait_for(server, which: dict, count: int) -> list[dict]:
             return tasks
         time.sleep(0.2)
     raise AssertionError([(t["name"], t["state_name"]) for t in tasks])
-
-
-LINES = (
-    "prefect server start",
-    "export PREFECT_API_URL=http://127.0.0.1:4200/api",
-    "prefect work-pool create slgaussian --type process",
-    "prefect --no-prompt deploy --all",
-    "prefect worker start --pool slgaussian",
-)
-"""What it takes to deploy, in this order."""
-
-
-def test_the_documented_lines_deploy(server, tmp_path):
-    """With the server of the tests."""
-    shutil.copy(ROOT / "prefect.yaml", tmp_path)
-    env = {**os.environ, "PREFECT_API_URL": server.url, "PREFECT_HOME": str(tmp_path / "home")}
-    for line in LINES[2:4]:
-        command = [sys.executable, "-m", *shlex.split(line)]
-        done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
-        assert done.returncode == 0, done.stdout + done.stderr
-    output = {d["name"]: d["work_pool_name"] for d in asked(server, "deployments/filter", {})}
-    assert output.items() >= {d["name"]: "slgaussian" for d in DEPLOYMENTS}.items()
 
 
 def asked(server, path: str, inputs: dict):

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from flows.config import Withdrawal
+from flows.config import CorpusSettings
 from flows.read_config import read_values
 from slgaussian.benchmark import class_masks
 from slgaussian.formats import strict_json
@@ -21,7 +21,9 @@ def test_names_are_what_stands_between_line_breaks(tmp_path, mark, end):
     file.write_bytes(mark + end.join([*NAMES, ""]).encode())
     assert read_lines(file) == [*NAMES, ""]
     assert class_masks.classes(tmp_path) == tuple(sorted(NAMES))
-    assert Withdrawal(withdrawn=file).withdrawn_clips() == set(NAMES)
+    assert CorpusSettings(
+        sources=["chunks"], out=tmp_path, withdrawn=file
+    ).withdrawn_clips() == set(NAMES)
     (tmp_path / "run.toml").write_bytes(mark + f'out = "x"{end}'.encode())
     assert read_values(tmp_path / "run.toml", {})["out"] == str(tmp_path / "x")
     assert strict_json.parse(mark + json.dumps(NAMES).encode()) == NAMES

@@ -80,15 +80,11 @@ def test_where_an_artifact_lies_and_its_meta_are_not():
     [
         np.zeros(3),
         np.float32(1),
-        np.float64(1),
         Path("photo.png"),
         {1, 2},
         (i for i in range(3)),
         float("nan"),
-        float("inf"),
         {1: "number as key"},
-        object(),
-        b"bytes",
         [1, [2, {"deep": {3}}]],
     ],
     ids=lambda value: type(value).__name__,
@@ -96,13 +92,6 @@ def test_where_an_artifact_lies_and_its_meta_are_not():
 def test_what_has_no_canonical_form_is_refused_by_name(value):
     with pytest.raises(InputError, match=r"settings\.thing.* cannot be part of a cache key"):
         key({"thing": value})
-
-
-def test_a_generator_is_not_consumed_by_the_refusal():
-    numbers = (i for i in range(3))
-    with pytest.raises(InputError):
-        key({"thing": numbers})
-    assert list(numbers) == [0, 1, 2]
 
 
 def test_a_stage_of_another_version_works_anew(tmp_path):
