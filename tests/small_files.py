@@ -180,8 +180,6 @@ def make_sparse_text(folder: Path) -> None:
         lens = cameras[number % len(cameras)][0]
         lines.append(f"{number} 1 0 0 0 {number} 0.5 0 {lens} {number}.png\n{seen}")
     (sparse / "images.txt").write_text("# images\n" + "\n".join(lines) + "\n")
-    lines = [f"{n} {n} 0 {5 + n} 9 9 9 0.1 1 0 2 0 3 0" for n in range(1, 15)]
-    (sparse / "points3D.txt").write_text("\n".join(lines) + "\n")
 
 
 def make_sparse_binary(folder: Path) -> None:
@@ -198,11 +196,6 @@ def make_sparse_binary(folder: Path) -> None:
         data += struct.pack("<i7di", number, 1, 0, 0, 0, number, 0.5, 0, lens)
         data += f"{number}.png".encode() + b"\0" + struct.pack("<Qddq", 1, 1.0, 2.0, 1)
     (sparse / "images.bin").write_bytes(data)
-    data = struct.pack("<Q", 14)
-    for number in range(1, 15):
-        data += struct.pack("<Q3d3BdQ", number, number, 0, 5 + number, 9, 9, 9, 0.1, 3)
-        data += struct.pack("<6i", 1, 0, 2, 0, 3, 0)
-    (sparse / "points3D.bin").write_bytes(data)
 
 
 def camera(x: float) -> Camera:

@@ -11,9 +11,8 @@ import numpy as np
 
 from flows.config import SceneSettings, Settings
 from slgaussian.datasets import unposed
-from slgaussian.datasets.keyframes import choose_keyframes
 from slgaussian.datasets.recognise import posed_scene, recognise
-from slgaussian.datasets.sharpness import blur, glance, small
+from slgaussian.datasets.sharpness import blur, choose_keyframes, glance, small
 from slgaussian.errors import InputError
 from slgaussian.objects import COMMON_OBJECTS
 from slgaussian.scene import Camera, Sample, Scene

@@ -36,12 +36,6 @@ from slgaussian.scene import Camera, Scene
 PLACES = ("sparse", "colmap/sparse", ".")
 """Folders of the model, or of models in subfolders 0, 1, ..., relative to the scene's folder."""
 
-TRACK = 3
-"""Smallest number of images that must show a point for its depth to be used."""
-
-POINTS = 12
-"""Smallest number of such points for the depth range of an image."""
-
 PERSPECTIVE = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV",
 )  # fmt: skip
@@ -59,10 +53,6 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     folder of photographs, as in the model, and sorted by it. Undistorted views have the focal
     lengths and principal point of the lens; pixels outside the lens's image are black. If
     photographs were downscaled (all of one camera equally), the cameras are scaled too.
-
-    ``near`` and ``far`` of a camera are 0.8 times the depth of its third nearest point and twice
-    the 98th percentile, if it has enough points, because points lie on texture, not on the nearest
-    or farthest surface.
 
     Args:
         path: Folder of the scene, with the model in ``sparse/0``, ``sparse`` or itself; or the
@@ -86,35 +76,23 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         )
     path = scene_folder(path)
     folder = image_folder(path, images)
-    model = read_model(source)
-    if not model.images:
+    stored_cameras, stored_images = read_model(source)
+    if not stored_images:
         raise InputError(f"{source}: has no posed image; reconstruct again")
-    numbers = {name_in(folder, image.name): number for number, image in model.images.items()}
-    files = {name: _file(path, folder, name) for name in sorted(numbers)}
-    observations = np.unique(model.sightings, axis=0)  # an image may show a point twice
-    lengths = np.bincount(observations[:, 0], minlength=len(model.points))
-    observations = observations[lengths[observations[:, 0]] >= TRACK]
-    lenses = {}
-    for number, stored in model.cameras.items():
-        taken = [n for n in files if model.images[numbers[n]].camera == number]
-        existing = next((files[name] for name in taken if is_there(files[name])), None)
+    posed = {name_in(folder, image.name): image for image in stored_images}
+    files = {name: _file(path, folder, name) for name in sorted(posed)}
+    lenses, cameras, maps = {}, {}, {}
+    for number, stored in stored_cameras.items():
+        taken = [files[name] for name in files if posed[name].camera == number]
         if taken:
+            existing = next(filter(is_there, taken), None)
             lenses[number] = _lens(stored, existing, f"{source}: camera {number}")
-    cameras, maps = {}, {}
     for name in files:
-        image = model.images[numbers[name]]
-        K, size, lens = lenses[image.camera]
+        K, size, lens = lenses[posed[name].camera]
         if lens is not None:
             maps[name] = lens
-        points = model.points[observations[observations[:, 1] == numbers[name], 0]]
-        depths = np.sort(points @ image.w2c[2, :3] + image.w2c[2, 3])
-        depths = depths[depths > 0]
-        near = far = None
-        if len(depths) >= POINTS:
-            near, far = 0.8 * float(depths[2]), 2 * float(np.percentile(depths, 98))
         try:
-            c2w = np.linalg.inv(image.w2c)
-            cameras[name] = checked_camera(Camera(K, c2w, *size, near, far))
+            cameras[name] = checked_camera(Camera(K, np.linalg.inv(posed[name].w2c), *size))
         except InputError as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
     name = path.resolve().name or "scene"

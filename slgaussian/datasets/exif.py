@@ -72,40 +72,33 @@ def _lens_name(base: Mapping[int, Any], exif_ifd: Mapping[int, Any]) -> str:
 
 
 def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None:
-    """Return the focal length in pixels of a photograph of the given size, upright or not."""
+    """Return the focal length in pixels of a photograph of the given size, upright or not.
+
+    It is that for 35 mm film, of equal field of view and with digital zoom, or else that of the
+    lens over the resolution of the sensor.
+    """
     tags = ExifTags.Base
-    across, down = (_number(exif_ifd.get(t)) for t in (tags.ExifImageWidth, tags.ExifImageHeight))
+
+    def number(tag: int) -> float | None:
+        return _number(exif_ifd.get(tag))
+
+    across, down = number(tags.ExifImageWidth), number(tags.ExifImageHeight)
     captured = (across, down) if across and down else (float(width), float(height))
+    longest = max(width, height)
     # Another aspect ratio than captured means a crop, whose position and scale are unknown.
-    was, is_now = max(captured) / min(captured), max(width, height) / min(width, height)
-    if abs(np.log(was / is_now)) > 0.01:
+    if abs(np.log(max(captured) / min(captured) / (longest / min(width, height)))) > 0.01:
         return None
-    film = _number(
-        exif_ifd.get(tags.FocalLengthIn35mmFilm)
-    )  # equal field of view; includes digital zoom
-    by_film = film * float(np.hypot(width, height)) / FILM_DIAGONAL if film else None
-    for focal in (by_film, _focal_by_sensor(exif_ifd, captured, max(width, height))):
-        if focal is not None and WIDEST <= focal / max(width, height) <= LONGEST_FOCAL:
-            return focal
-    return None
-
-
-def _focal_by_sensor(
-    exif_ifd: Mapping[int, Any], captured: tuple[float, float], longest: int
-) -> float | None:
-    """Return the focal length in pixels from millimetres and focal-plane resolution; None if the
-    resolutions in x and y differ."""
-    tags = ExifTags.Base
-    focal = _number(exif_ifd.get(tags.FocalLength))
-    across = _number(exif_ifd.get(tags.FocalPlaneXResolution))
-    down = _number(exif_ifd.get(tags.FocalPlaneYResolution))
+    focals = []
+    if film := number(tags.FocalLengthIn35mmFilm):
+        focals.append(film * float(np.hypot(width, height)) / FILM_DIAGONAL)
+    focal = number(tags.FocalLength)
+    x, y = number(tags.FocalPlaneXResolution), number(tags.FocalPlaneYResolution)
     unit = UNITS.get(exif_ifd.get(tags.FocalPlaneResolutionUnit, 2))
-    if not (focal and across and down and unit) or abs(np.log(across / down)) > 0.05:
-        return None
-    if not SENSOR_WIDTHS[0] <= max(captured) * unit / across <= SENSOR_WIDTHS[1]:
-        return None
-    zoom = _number(exif_ifd.get(tags.DigitalZoomRatio)) or 1.0
-    return focal * zoom * across / unit * longest / max(captured)
+    if focal and x and y and unit and abs(np.log(x / y)) <= 0.05:
+        if SENSOR_WIDTHS[0] <= max(captured) * unit / x <= SENSOR_WIDTHS[1]:
+            zoom = number(tags.DigitalZoomRatio) or 1.0
+            focals.append(focal * zoom * x / unit * longest / max(captured))
+    return next((f for f in focals if WIDEST <= f / longest <= LONGEST_FOCAL), None)
 
 
 def _number(value: Any) -> float | None:

@@ -1,14 +1,16 @@
-"""Quality of a photograph: blur and exposure, measured on a small grey image."""
+"""Quality of photographs, blur and exposure on a small grey image, and the choice of keyframes."""
 
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened
+from slgaussian.scene import Camera
 
 SIDE = 180
 """Shorter side of the small image, pixels. A JPEG of 640 x 360 is decoded at half its size for it,
@@ -69,3 +71,46 @@ def exposure(grey: np.ndarray) -> tuple[float, float]:
     """Return the mean of an image uint8 [h, w], 0 to 1, and the fraction of clipped pixels."""
     clipped = (grey <= CLIPPED) | (grey >= 255 - CLIPPED)
     return float(grey.mean() / 255), float(clipped.mean())
+
+
+def choose_keyframes(
+    blurs: Sequence[float], count: int, cameras: Sequence[Camera] | None = None
+) -> list[int]:
+    """Choose keyframes that cover the content of a video; return their indices, ascending.
+
+    The camera path is divided into ``count`` equal segments, and the sharpest frame in the middle
+    half of each is chosen, or else of the whole segment. Path length is translation plus rotation,
+    each as a fraction of its total, so a camera at rest adds nothing. Without cameras, frames are
+    assumed to be evenly spaced. A segment without a frame gives no keyframe.
+
+    Args:
+        blurs: sequence of N float. :func:`blur` of every frame, in temporal order.
+        count: Two or more.
+        cameras: sequence of N Camera, optional
+
+    Raises:
+        InputError: If ``count`` is below two.
+    """
+    if count < 2:
+        raise InputError(f"keyframes: found {count}, expected two or more")
+    if len(blurs) <= count:
+        return list(range(len(blurs)))
+    way = np.linspace(0, 1, len(blurs))
+    if cameras is not None:
+        centers = np.array([camera.center for camera in cameras])
+        axes = np.array([camera.c2w[:3, 2] for camera in cameras])
+        moved = np.linalg.norm(np.diff(centers, axis=0), axis=1)
+        turned = np.arccos((axes[1:] * axes[:-1]).sum(1).clip(-1, 1))
+        shares = [steps / steps.sum() for steps in (moved, turned) if steps.any()]
+        if shares:
+            way[1:] = np.cumsum(np.mean(shares, axis=0))
+    part = way * count
+    segment = np.minimum(part.astype(int), count - 1)
+    middle = np.abs(part - segment - 0.5) <= 0.25
+    chosen = []
+    for k in range(count):
+        inside = np.flatnonzero(segment == k)
+        inside = inside[middle[inside]] if middle[inside].any() else inside
+        if len(inside):
+            chosen.append(int(inside[np.argmin(np.asarray(blurs)[inside])]))
+    return chosen

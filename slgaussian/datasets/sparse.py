@@ -1,7 +1,7 @@
-"""Reading of a COLMAP sparse model: cameras, posed images and points, ``.bin`` or ``.txt``.
+"""Reading of a COLMAP sparse model: cameras and posed images, ``.bin`` or ``.txt``.
 
-The formats are https://colmap.github.io/format.html; the newer files of rigs and frames repeat the
-poses and are not needed. pycolmap reads these files too, but for a truncated file some versions
+The formats are https://colmap.github.io/format.html. Points are not read; the newer files of rigs
+and frames repeat the poses. pycolmap reads these files too, but for a truncated file some versions
 (such as 4.2.1) return arbitrary numbers, hang or end the process.
 """
 
@@ -28,8 +28,6 @@ MODELS = {
 }  # fmt: skip
 """Camera models: name and number of parameters by the id in binary files."""
 
-KINDS = ("cameras", "images", "points3D")
-
 T = TypeVar("T")
 
 
@@ -52,33 +50,10 @@ class SparseImage:
     w2c: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class SparseModel:
-    """Content of the files of a model.
-
-    Attributes:
-        cameras: {id: SparseCamera}
-        images: {id: SparseImage}
-        points: float64 [P, 3]. World points, in scene units.
-        sightings: int64 [M, 2]. Observations: row of the point in ``points``, and id of the image.
-    """
-
-    cameras: dict[int, SparseCamera]
-    images: dict[int, SparseImage]
-    points: np.ndarray
-    sightings: np.ndarray
-
-
 def model_files(folder: Path) -> list[Path]:
-    """List the files of the model in a folder, all of one format; empty without cameras or images.
-
-    Points may be missing: such a reconstruction still has poses.
-    """
-    for kind in (".bin", ".txt"):
-        files = [folder / f"{name}{kind}" for name in KINDS]
-        if files[0].is_file() and files[1].is_file():
-            return [file for file in files if file.is_file()]
-    return []
+    """List the files of cameras and images in a folder, of one format; empty if one is missing."""
+    pairs = ([folder / f"cameras{kind}", folder / f"images{kind}"] for kind in (".bin", ".txt"))
+    return next((files for files in pairs if all(file.is_file() for file in files)), [])
 
 
 def count_images(folder: Path) -> int:
@@ -86,8 +61,8 @@ def count_images(folder: Path) -> int:
     return len(_checked(model_files(folder)[1], _images))
 
 
-def read_model(folder: Path) -> SparseModel:
-    """Read the model in a folder; the binary files if both formats exist.
+def read_model(folder: Path) -> tuple[dict[int, SparseCamera], list[SparseImage]]:
+    """Read cameras by id and images from a folder; the binary files if both formats exist.
 
     Raises:
         InputError: If there is no model, or a file is truncated or invalid; the message names the
@@ -99,16 +74,13 @@ def read_model(folder: Path) -> SparseModel:
             f"{folder}: has no COLMAP model; expected cameras and images there, .bin or .txt"
         )
     cameras, images = _checked(files[0], _cameras), _checked(files[1], _images)
-    points, sightings = np.zeros((0, 3)), np.zeros((0, 2), np.int64)
-    if len(files) > 2:
-        points, sightings = _checked(files[2], _points)
-    for image in images.values():
+    for image in images:
         if image.camera not in cameras:
             raise InputError(
                 f"{files[1]}: {image.name!r} was taken with camera {image.camera}, which "
                 f"{files[0].name} does not have; the two files are not of one model"
             )
-    return SparseModel(cameras, images, points, sightings)
+    return cameras, images
 
 
 def _checked(file: Path, read: Callable[[Path], T]) -> T:
@@ -177,34 +149,34 @@ def _stored_cameras(file: Path) -> Iterator[tuple[int, str, int, int, tuple[floa
         yield number, model, width, height, data.take(f"{count}d")
 
 
-def _images(file: Path) -> dict[int, SparseImage]:
-    images: dict[int, SparseImage] = {}
-    for number, pose, camera, name in _stored_images(file):
+def _images(file: Path) -> list[SparseImage]:
+    images = []
+    for pose, camera, name in _stored_images(file):
         if not np.isfinite(pose).all() or abs(np.linalg.norm(pose[:4]) - 1) > 0.01:
-            raise ValueError(f"image {number}: {pose} is no unit quaternion and translation")
+            raise ValueError(f"image {name!r}: {pose} is no unit quaternion and translation")
         w2c = np.eye(4)
         w2c[:3, :3] = Rotation.from_quat(np.roll(pose[:4], -1)).as_matrix()
         w2c[:3, 3] = pose[4:]
-        images[number] = SparseImage(name, camera, w2c)
+        images.append(SparseImage(name, camera, w2c))
     return images
 
 
-def _stored_images(file: Path) -> Iterator[tuple[int, list[float], int, str]]:
-    """Yield id, quaternion (w first) with translation, camera and name of each image."""
+def _stored_images(file: Path) -> Iterator[tuple[list[float], int, str]]:
+    """Yield quaternion (w first) with translation, camera and name of each image."""
     if file.suffix == ".txt":
         for line in _lines(file):
             # COLMAP writes a line of points, triples of numbers, after each image. Files written
             # from known poses often lack these lines.
             if not _are_points(line):
-                *numbers, name = line.split(None, 9)
-                yield int(numbers[0]), list(map(float, numbers[1:8])), int(numbers[8]), name
+                _, *pose, camera, name = line.split(None, 9)
+                yield list(map(float, pose)), int(camera), name
         return
     data = _Bytes(file)
     for _ in data.entries():
-        number, *pose, camera = data.take("i7di")
+        *pose, camera = data.take("4x7di")
         name = data.text()
         data.take(f"{24 * data.take('Q')[0]}x")
-        yield number, pose, camera, name
+        yield pose, camera, name
 
 
 def _are_points(line: str) -> bool:
@@ -212,25 +184,6 @@ def _are_points(line: str) -> bool:
         return len(list(map(float, line.split()))) % 3 == 0
     except ValueError:
         return False
-
-
-def _points(file: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Read positions and observations, as in :class:`SparseModel`."""
-    points: list[tuple[float, ...]] = []
-    tracks: list[tuple[int, ...]] = []
-    if file.suffix == ".txt":
-        for words in map(str.split, _lines(file)):
-            points.append((float(words[1]), float(words[2]), float(words[3])))
-            tracks.append(tuple(map(int, words[8::2])))
-    else:
-        data = _Bytes(file)
-        for _ in data.entries():
-            *position, count = data.take("8x3d11xQ")
-            points.append(tuple(position))
-            tracks.append(data.take(f"{2 * count}i")[::2])
-    rows = np.repeat(np.arange(len(points)), list(map(len, tracks)))
-    images = np.array([image for track in tracks for image in track], np.int64)
-    return np.array(points, np.float64).reshape(-1, 3), np.stack([rows, images], 1)
 
 
 def _lines(file: Path) -> Iterator[str]:

@@ -185,7 +185,6 @@ def _colmap(root: Path) -> Folder:
     more: dict[str, Change] = {
         "a binary model is added": lambda _: write([0, 0.2, 0.3, 0.4], [0, 1, 2, 3], text=False),
         "the model is moved": lambda _: (root / "sparse/0").rename(root / "sparse/1"),
-        "the points are removed": lambda _: (root / "sparse/0/points3D.txt").unlink(),
     }
     return Folder("colmap", root, root / "images", write=write, more=more)
 

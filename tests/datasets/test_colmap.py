@@ -8,8 +8,9 @@ from posed_folders import HEIGHT, PINHOLE, WIDTH, Shot, picture, write_model, wr
 
 from slgaussian.datasets import colmap, load
 from slgaussian.datasets.recognise import posed_scene
-from slgaussian.datasets.sparse import KINDS, read_model
 from slgaussian.errors import InputError
+
+KINDS = ("cameras", "images")
 
 SHOTS = {
     "b.png": Shot(3, place=(0.1, 0.2, -0.3), turn=20),
@@ -109,27 +110,6 @@ class TestSeveralModels:
         assert (scene.read("01.png").image == picture(1)).all()
 
 
-class TestDepthRange:
-    def test_is_a_little_wider_than_the_points(self, scene):
-        cameras = colmap.read(scene).cameras
-        model = read_model(scene / "sparse/0")
-        for name, shot in SHOTS.items():
-            w2c = shot.w2c()
-            depths = np.sort(model.points @ w2c[2, :3] + w2c[2, 3])
-            assert cameras[name].near == pytest.approx(0.8 * depths[2])
-            assert cameras[name].far == pytest.approx(2 * np.percentile(depths, 98))
-
-    def test_is_not_made_of_few_points_or_those_of_two_views(self, tmp_path):
-        write_model(tmp_path / "few/sparse", SHOTS, CAMERAS, POINTS[:11])
-        two = dict(list(SHOTS.items())[:2])
-        write_model(tmp_path / "two/sparse", two, CAMERAS, POINTS)
-        write_model(tmp_path / "none/sparse", SHOTS, CAMERAS)
-        for name in ("few", "two", "none"):
-            assert all(
-                c.near is c.far is None for c in colmap.read(tmp_path / name).cameras.values()
-            )
-
-
 class TestLenses:
     def test_beyond_the_fold_of_a_polynomial_there_is_nothing(self, tmp_path):
         # Beyond r = 1 / sqrt(3 * 0.9) of the image plane this lens turns back towards the middle.
@@ -203,7 +183,6 @@ class TestDamage:
             ("cameras", "2 SIMPLE_PINHOLE", "7 SIMPLE_PINHOLE", "taken with camera 2"),
             ("images", "2 1 0 -0 0", "2 1 0", "is damaged"),
             ("images", "2 1 0 -0 0", "2 1 1 0 0", "is no unit quaternion"),
-            ("points3D", ".", "x", "is damaged"),
         ],
     )
     def test_what_cannot_be_is_said(self, tmp_path, kind, old, new, sentence):
