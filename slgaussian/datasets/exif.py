@@ -18,9 +18,6 @@ FILM_DIAGONAL = 43.27
 WIDEST, LONGEST_FOCAL = 0.3, 20.0
 """Range of plausible focal lengths, in units of the longer side."""
 
-SENSOR_WIDTHS = 1.0, 100.0
-"""Range of plausible sensor widths, in millimetres."""
-
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """Units of the focal-plane resolution, in millimetres."""
 
@@ -95,9 +92,8 @@ def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None
     x, y = number(tags.FocalPlaneXResolution), number(tags.FocalPlaneYResolution)
     unit = UNITS.get(exif_ifd.get(tags.FocalPlaneResolutionUnit, 2))
     if focal and x and y and unit and abs(np.log(x / y)) <= 0.05:
-        if SENSOR_WIDTHS[0] <= max(captured) * unit / x <= SENSOR_WIDTHS[1]:
-            zoom = number(tags.DigitalZoomRatio) or 1.0
-            focals.append(focal * zoom * x / unit * longest / max(captured))
+        zoom = number(tags.DigitalZoomRatio) or 1.0
+        focals.append(focal * zoom * x / unit * longest / max(captured))
     return next((f for f in focals if WIDEST <= f / longest <= LONGEST_FOCAL), None)
 
 
