@@ -41,7 +41,6 @@ class TestDamage:
         ("rows", "sentence"),
         [
             (np.zeros((2, 16)), r"found float64 (2, 16), expected a row of 17 numbers"),
-            (np.zeros(17), r"found float64 (17,)"),
             ([llff_row()], "has 1 rows, but"),
             (
                 [llff_row(), [*llff_row()[:15], 3, np.nan]],
@@ -49,9 +48,7 @@ class TestDamage:
             ),
             ([llff_row(), llff_row(near=3, far=2)], "row of 'b.png': camera far: found 2.0"),
             ([llff_row(), llff_row(size=(WIDTH, HEIGHT))], "'b.png': has 64x96 pixels"),
-            ([llff_row(), [0.0] * 17], "'b.png': has 0x0 pixels"),
             ([llff_row(), llff_row(focal=0.8)], "'b.png': focal length x is 0.8"),
-            ([llff_row(), [2 * v for v in llff_row()]], "'b.png': camera c2w: its 3x3 part"),
         ],
     )
     def test_ends_in_one_sentence_that_names_the_file(self, tmp_path, rows, sentence):

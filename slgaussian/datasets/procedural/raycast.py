@@ -184,13 +184,8 @@ def _intersect(kind, size, start, ray):
     a = dx * dx + dy * dy - k2 * dz * dz
     b = x * dx + y * dy + k2 * w * dz
     c = x * x + y * y - k2 * w * w
-    if a == 0.0:  # parallel to the cone's side: the inside is a half line
-        if b == 0.0:
-            return _entry(lo, hi) if c <= 0 else np.inf
-        edge = -c / (2 * b)
-        return _entry(lo, min(hi, edge)) if b > 0 else _entry(max(lo, edge), hi)
     t0, t1 = _roots(a, b, c)
-    if a > 0:
+    if a >= 0:
         return _entry(max(lo, t0), min(hi, t1))
     # A ray steeper than the side is inside one nappe before t0 and inside the other after t1; the
     # slab contains only the nappe below the apex.
@@ -218,7 +213,7 @@ def _entry(lo, hi):
 
 @kernel
 def _roots(a, b, c):
-    """Return ordered roots of a t^2 + 2 b t + c, a != 0, without cancellation; else inf, -inf."""
+    """Return ordered roots of a t^2 + 2 b t + c, without cancellation; inf, -inf if none."""
     disc = b * b - a * c
     if disc < 0:
         return np.inf, -np.inf
