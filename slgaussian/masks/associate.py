@@ -93,7 +93,6 @@ def associate(
         detected = _detect(frame, proposer, propagated)
         detections.append(detected)
         first = without_crumbs(match_detections(propagated, detected, last_id + 1))
-        first = _without_gaps(first, last_id)
         last_id = max(last_id, int(first.max()))
         tracker.add(frame, first)
         copies, times = _copies(frame, tracker, first, replicas, all_copies)
@@ -160,14 +159,6 @@ def _detect(frame: SeenView, proposer: MaskProposer, propagated: np.ndarray) -> 
         extra = flatten(proposer.propose(frame, missed))
         detected = np.where(missed & (extra > 0), extra + detected.max(), detected)
     return detected
-
-
-def _without_gaps(labels: np.ndarray, last_id: int) -> np.ndarray:
-    """Renumber labels above ``last_id`` without gaps, in their order."""
-    new = np.unique(labels[labels > last_id])
-    table = np.arange(int(labels.max(initial=0)) + 1, dtype=np.int32)
-    table[new] = last_id + 1 + np.arange(len(new))
-    return table[labels]
 
 
 def _copies(

@@ -89,7 +89,7 @@ class SamConfig(AutomaticConfig, title="sam"):
 class Sam2Config(AutomaticConfig, title="sam2"):
     """Masks by SAM 2; folders and hub names like ``facebook/sam2.1-hiera-tiny`` or ``-large``."""
 
-    target: ClassVar[str] = "slgaussian.masks.sam2:Sam2"
+    target: ClassVar[str] = "slgaussian.masks.sam:Sam2"
 
 
 class Sam2VideoConfig(ComponentConfig, title="sam2-video"):

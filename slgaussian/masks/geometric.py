@@ -8,12 +8,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from slgaussian.errors import InputError
 from slgaussian.masks.shared import SurfacePoints, match_points, overlap
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
-    from slgaussian.scene import View
 
 MATCHED_SHARE = 0.3
 """Smallest fraction of matched pixels at which matches determine the label of a leaf."""
@@ -69,14 +67,8 @@ class GeometricTracker:
         self._color_counts = np.zeros((1, int(np.prod(COLOR_BINS))))
 
     def add(self, frame: SeenView, labels: np.ndarray) -> None:
-        """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
-
-        Raises:
-            InputError: If labels or depth are missing, have the wrong type or size, or a label is
-                negative.
-        """
-        check_labels(frame.view, labels)
-        labelled = _make_frame(frame, labels.copy())
+        """Remember a frame with depth; see :class:`slgaussian.masks.MaskTracker`."""
+        labelled = LabelledFrame(frame, labels.copy())
         self._frames.append(labelled)
         new_ids = int(labels.max()) + 1 - len(self._color_counts)
         self._color_counts = np.pad(self._color_counts, ((0, max(new_ids, 0)), (0, 0)))
@@ -93,7 +85,7 @@ class GeometricTracker:
             if np.array_equal(past.frame.image, frame.image):
                 return past.labels.copy()
         labels = np.zeros(frame.image.shape[:2], np.int32)
-        new = _make_frame(frame, labels)
+        new = LabelledFrame(frame, labels)
         if not any(past.labels.any() for past in self._frames):
             return labels
         leaves = watershed_leaves(_gradient(new.lab))
@@ -148,31 +140,6 @@ class GeometricTracker:
             np.add.at(border, (leaf[wins], label[wins]), weights)
             grown = np.unique(leaf[wins])
             of_leaf[grown] = border[grown].argmax(1)
-
-
-def check_labels(view: View, labels: np.ndarray) -> None:
-    """Raise InputError unless ``labels`` are int32 of the size of ``view``, none negative."""
-    if labels.dtype != np.int32 or labels.shape != view.image.shape[:2]:
-        raise InputError(
-            f"view {view.name!r}: labels are {labels.dtype} {labels.shape}, expected int32 "
-            f"{view.image.shape[:2]}"
-        )
-    if labels.min() < 0:
-        raise InputError(f"view {view.name!r}: negative label {labels.min()}; ids start at 1")
-
-
-def _make_frame(frame: SeenView, labels: np.ndarray) -> LabelledFrame:
-    """Make a frame; InputError if its depth is missing or has the wrong size."""
-    view, depth = frame.view, frame.depth
-    if depth is None:
-        raise InputError(
-            f"tracker 'geometric': view {view.name!r} comes without predicted depth; give depths"
-        )
-    if depth.shape != view.image.shape[:2]:
-        raise InputError(
-            f"view {view.name!r}: depth is {depth.shape}, expected {view.image.shape[:2]}"
-        )
-    return LabelledFrame(frame, labels)
 
 
 def _gradient(lab: np.ndarray) -> np.ndarray:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slgaussian.errors import InputError
 from slgaussian.masks import Proposals
 
 if TYPE_CHECKING:
@@ -33,21 +32,9 @@ class Regions:
         """Propose masks for a view; see :class:`slgaussian.masks.MaskProposer`.
 
         A score is the height at which the region merges, relative to the height of the tree.
-
-        Raises:
-            InputError: If ``region`` or the depth have the wrong type or size, or depth is not
-                finite.
         """
         from slgaussian.masks.segmentation import grow_tree
 
-        depth, size = frame.depth, frame.image.shape[:2]
-        for name, array in (("region", region), ("depth", depth)):
-            if array is not None and array.shape != size:
-                raise InputError(f"propose {name}: found shape {array.shape}, expected {size}")
-        if region is not None and region.dtype != bool:
-            raise InputError(f"propose region: found {region.dtype}, expected bool")
-        if depth is not None and not np.isfinite(depth).all():
-            raise InputError("propose depth: holds NaN or infinity; use 0 where depth is unknown")
         tree = grow_tree(frame, region)
         nodes = tree.cut(HEIGHT, MOST)
         masks = tree.labels(nodes) == np.arange(1, len(nodes) + 1)[:, None, None]

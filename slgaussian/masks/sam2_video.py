@@ -14,8 +14,7 @@ from torch.nn import functional as F
 from slgaussian.components.pretrained import Family, load_pretrained
 from slgaussian.kernels.threads import inside
 from slgaussian.masks.configs import Sam2VideoConfig
-from slgaussian.masks.geometric import check_labels
-from slgaussian.masks.sam_image import normalised
+from slgaussian.masks.sam import normalised
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
@@ -63,12 +62,7 @@ class Sam2Video(Sam2VideoConfig):
         self._network = load_pretrained(self.model, self.FAMILY, self.device)
 
     def add(self, frame: SeenView, labels: np.ndarray) -> None:
-        """Remember a frame; see :class:`slgaussian.masks.MaskTracker`.
-
-        Raises:
-            InputError: If the labels are not int32 of the view's size, or negative.
-        """
-        check_labels(frame.view, labels)
+        """Remember a frame; see :class:`slgaussian.masks.MaskTracker`."""
         self._frames.append(_Frame(labels.copy(), self._features(frame.image)))
 
     @torch.inference_mode()

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slgaussian.errors import InputError
-
 
 def vote(stack: np.ndarray, times: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Compute the per-pixel majority of label maps of R replicas.
@@ -24,14 +22,7 @@ def vote(stack: np.ndarray, times: Sequence[int] | None = None) -> tuple[np.ndar
         labels: int32 [H, W]
         margin: float32 [H, W]. (votes for the winner - votes for the runner-up) / R, in [0, 1]; 1
             if unanimous.
-
-    Raises:
-        InputError: If ``stack`` has the wrong type or shape, or no replica.
     """
-    if stack.dtype != np.int32 or stack.ndim != 3 or stack.shape[0] == 0:
-        raise InputError(
-            f"vote: found {stack.dtype} {stack.shape}, expected int32 [R, H, W] with R at least 1"
-        )
     weights = np.ones(len(stack), np.int32) if times is None else np.array(times, np.int32)
     counts = np.stack([np.tensordot(weights, stack == replica, 1) for replica in stack])
     first = counts.argmax(0)[None]  # argmax returns the first maximum, as ties require

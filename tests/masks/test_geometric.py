@@ -1,16 +1,14 @@
-from dataclasses import replace
 from functools import cache
 
 import cv2
 import numpy as np
 import pytest
-from drawn_views import canvas, paste, view, with_depths
+from drawn_views import canvas, paste, with_depths
 
 from slgaussian.datasets.procedural import reader
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import geometric, load_tracker
-from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.shared import SurfacePoints, reproject
 from slgaussian.scene import Camera, View
 
@@ -124,14 +122,10 @@ def test_same_bytes_again_and_whatever_the_number_of_threads():
     assert len(set(results)) == 1
 
 
-def test_a_view_without_depth_or_with_that_of_another_is_refused():
-    tracker = GeometricTracker()
-    picture = view(canvas())
-    labels = np.ones(picture.image.shape[:2], np.int32)
-    with pytest.raises(InputError, match="without predicted depth; give depths"):
-        tracker.add(picture, labels)
-    with pytest.raises(InputError, match=r"depth is \(3, 3\), expected \(120, 160\)"):
-        tracker.add(replace(picture, depth=np.ones((3, 3), np.float32)), labels)
+def test_a_view_without_depth_is_refused():
+    old, new = room()
+    with pytest.raises(InputError, match="found no predicted depth"):
+        carried(old, new, [None, None])
 
 
 def test_a_view_is_matched_with_the_few_frames_that_show_most_of_it(monkeypatch):

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from drawn_views import SIZE, canvas, main_label, paste, view
 
-from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.regions import Regions
@@ -67,19 +66,3 @@ def test_same_bytes_whatever_the_number_of_threads(scene):
         alone = Regions().propose(SeenView.alone(scene))
     assert alone.masks.tobytes() == expected.masks.tobytes()
     assert alone.scores.tobytes() == expected.scores.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("image", "extra", "says"),
-    [
-        (np.zeros((4, 4), np.uint8), {}, "expected uint8"),
-        (np.zeros((4, 4, 3), np.float32), {}, "expected uint8"),
-        (np.zeros((0, 4, 3), np.uint8), {}, "expected uint8"),
-        (np.zeros((4, 4, 3), np.uint8), {"region": np.ones((4, 5), bool)}, "region"),
-        (np.zeros((4, 4, 3), np.uint8), {"region": np.ones((4, 4))}, "region"),
-        (np.zeros((4, 4, 3), np.uint8), {"depth": np.full((4, 4), np.nan)}, "NaN"),
-    ],
-)
-def test_bad_input_is_refused(image, extra, says):
-    with pytest.raises(InputError, match=says):
-        Regions().propose(SeenView.alone(image, extra.pop("depth", None)), **extra)

@@ -17,7 +17,7 @@ from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.masks import load_proposer
 from slgaussian.masks.configs import Automatic
-from slgaussian.masks.sam_image import normalised, pixel_values
+from slgaussian.masks.sam import normalised, pixel_values
 
 SAVE = {"sam": save_sam, "sam2": save_sam2}
 LENIENT = Automatic(points=5, predicted_iou=0.2, stability=0.6, box_iou=0.9)

@@ -4,7 +4,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from slgaussian.errors import InputError
 from slgaussian.masks.vote import vote
 
 
@@ -58,14 +57,6 @@ def test_named_ballots(ballots, winner, margin):
     labels, won_by = vote(column(*ballots))
     assert labels[0, 0] == winner
     assert won_by[0, 0] == pytest.approx(margin)
-
-
-@pytest.mark.parametrize(
-    "stack", [np.zeros((0, 2, 2), np.int32), np.zeros((2, 2), np.int32), np.zeros((2, 2, 2))]
-)
-def test_refuses_what_is_no_stack(stack):
-    with pytest.raises(InputError, match=r"expected int32 \[R, H, W\]"):
-        vote(stack)
 
 
 @given(stacks, st.lists(st.integers(1, 4), min_size=7, max_size=7))
