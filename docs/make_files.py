@@ -18,9 +18,9 @@ them.
 
 `made` in the metadata names the program, the stage with its version and settings (files and
 weights by their content), the specs of the inputs, and the versions of software; no time and no
-place. A file names its spec as `slgaussian/labels@1`. The version is raised when older files no
-longer fit the spec. A file of a later version, or one that does not fit its spec, is refused. How
-to read a file without this program: [storage](../guides/storage.md#self-describing-files)."""
+place. A file names its spec as `slgaussian/labels@1`. A file of another version, or one that does
+not fit its spec, is refused. How to read a file without this program:
+[storage](../guides/storage.md#self-describing-files)."""
 
 KINDS = {
     "Tables": lambda spec: spec.columns,

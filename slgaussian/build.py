@@ -27,7 +27,6 @@ from slgaussian.predict import CountingPredictor, Depths
 from slgaussian.predict.view_graph import select_usable
 from slgaussian.rasterize.merging import Change, merge
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.storage.statistics import FieldStatistics
 
 
 class Predicted(NamedTuple):
@@ -65,9 +64,8 @@ def build_field(
     Returns:
         SemanticField: Its ``settings`` are :meth:`slgaussian.components.method.Method.identity`
             and: ``quality``, the :class:`slgaussian.cameras.quality.Quality` of the views;
-            ``verdict``, the expected quality of the scene; ``account``, its
-            :class:`slgaussian.storage.statistics.FieldStatistics`; ``cameras``, if they were
-            estimated, the way in which they were.
+            ``verdict``, the expected quality of the scene; ``account``, counts and sizes;
+            ``cameras``, if they were estimated, the way in which they were.
 
     Raises:
         InputError: If a setting is out of range, a checkpoint does not fit, the views cannot be
@@ -178,22 +176,22 @@ def lift_field(
     if method.keep == "needed":
         merged = merge(lifted, list(cameras.values()))
         lifted, change = merged.gaussians, merged.change
-    statistics = FieldStatistics(
-        gaussians_made=len(gaussians),
-        gaussians_kept=len(lifted),
-        change_mean=change.mean,
-        change_rms=change.rms,
-        change_greatest=change.greatest,
-        replicas_asked=method.replicas,
-        bytes_gaussians=_size(lifted.to_arrays()),
-        bytes_bank=_size(bank.to_arrays()),
-        replicas_computed=label_maps.computed,
-        depths_tried=None if depths is None else depths.tried,
-        depths_possible=None if depths is None else depths.possible,
-    )
     settings = {"scene": sample.scene, **method.identity(), "quality": quality.as_json()}
     settings["verdict"] = quality.verdict()._asdict()
-    settings["account"] = statistics.as_json()
+    settings["account"] = {
+        "gaussians_made": len(gaussians),
+        "gaussians_kept": len(lifted),
+        # Between renderings of the context views before and after merging, grey levels.
+        "change_mean": round(change.mean, 4),
+        "change_rms": round(change.rms, 4),
+        "change_greatest": round(change.greatest, 4),
+        "replicas_asked": method.replicas,
+        "bytes_gaussians": _size(lifted.to_arrays()),
+        "bytes_bank": _size(bank.to_arrays()),
+        "replicas_computed": label_maps.computed,  # the other copies of a view are identical
+        "depths_tried": None if depths is None else depths.tried,
+        "depths_possible": None if depths is None else depths.possible,
+    }
     if sample.found:
         confidence = round(quality.camera_confidence(sample.found["confidence"]), 3)
         settings["cameras"] = {**sample.found, "confidence": confidence}

@@ -25,14 +25,13 @@ Digest = Callable[[str | Path], str]
 
 
 def write_atomic(
-    path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False, new: bool = False
+    path: str | os.PathLike[str], data: bytes | memoryview, sync: bool = False
 ) -> None:
     """Write a local file atomically: readers see the complete file or none, also after a crash.
 
-    With ``sync``, also after a crash of the machine, as the data are flushed to the disk. With
-    ``new``, FileExistsError if the file exists and the file system supports hard links.
+    With ``sync``, also after a crash of the machine, as the data are flushed to the disk.
     """
-    with atomic_path(path, new) as temporary, open(temporary, "wb") as file:
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write(data)
         if sync:
             file.flush()
@@ -40,25 +39,12 @@ def write_atomic(
 
 
 @contextmanager
-def atomic_path(path: str | os.PathLike[str], new: bool = False) -> Iterator[str]:
-    """Yield the name of a temporary file, which replaces ``path`` when the block ends.
-
-    ``new`` as in :func:`write_atomic`.
-    """
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[str]:
+    """Yield the name of a temporary file, which replaces ``path`` when the block ends."""
     folder, name = os.path.split(os.fspath(path))
     temporary = os.path.join(folder, f".{name}.{uuid.uuid4().hex[:8]}.tmp")
     try:
         yield temporary
-        if new:
-            try:
-                os.link(temporary, path)
-            except FileExistsError:
-                raise
-            except OSError:
-                pass  # a file system without hard links
-            else:
-                os.remove(temporary)
-                return
         os.replace(temporary, path)
     except BaseException:
         if os.path.exists(temporary):

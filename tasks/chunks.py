@@ -64,7 +64,7 @@ def digest_of(store: ArtifactStore, file: str) -> str:
         with fs.open(path, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except file_system_errors() as error:
-        raise InputError(f"{file}: cannot be read ({explain_error(error, path)})") from error
+        raise InputError(f"{file}: cannot be read ({explain_error(error)})") from error
     if stamp is not None:
         store.write(uri, json.dumps({**identity, "sha256": digest}).encode())
     return digest

@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import source_depths
 from slgaussian.scene import Sample
-from slgaussian.storage.statistics import FieldStatistics
 from slgaussian.viewer.page.scene_page import scene_page
 
 NAMES = {
@@ -60,7 +60,7 @@ def test_the_predictor_gets_its_settings_and_the_field_says_so(tmp_path):
         field.save(tmp_path / "field")
         settings = dict(SemanticField.load(tmp_path / "field").settings)
         settings.pop("lexicon", None)  # names the classifier where its weights are installed
-        quality, account = settings.pop("quality"), FieldStatistics(**settings.pop("account"))
+        quality, account = settings.pop("quality"), SimpleNamespace(**settings.pop("account"))
         assert account.gaussians_kept == len(field.gaussians) < account.gaussians_made
         assert 0 < account.change_mean < account.change_rms < 1 < account.change_greatest
         held = sum(array.nbytes for array in field.gaussians.to_arrays().values())

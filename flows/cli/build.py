@@ -83,9 +83,7 @@ def field(
     from slgaussian.build import build_field
     from slgaussian.cameras.quality import POOR, Quality, camera_doubt
     from slgaussian.language.configs import INSTALL, find_weights
-    from slgaussian.storage.field_folder import check_target
-    from slgaussian.storage.inputs import describe_photographs
-    from slgaussian.storage.statistics import FieldStatistics
+    from slgaussian.storage.field_folder import check_target, describe_photographs
 
     settings = make_settings(options.settings_from(ctx), "field")
     check_target(out)  # before the work
@@ -105,7 +103,7 @@ def field(
     size_text = f"{len(built.gaussians):,} Gaussians, {len(built.bank)} objects"
     lines = [f"{size_text}, {time.perf_counter() - start:.1f} s"]
     if verbose:
-        lines += [quality.summary(), *FieldStatistics(**built.settings["account"]).lines()]
+        lines += [quality.summary(), *(f"{k}: {v}" for k, v in built.settings["account"].items())]
         steps = ", ".join(f"{step} {spent:.2f}" for step, spent in seconds.items())
         lines.append(f"seconds: {steps}")
     lines.append(quality.verdict().sentence())

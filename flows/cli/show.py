@@ -48,7 +48,7 @@ def render(
         Path | None, typer.Option(help="Render a frame from each camera of a JSON file.")
     ] = None,
     depth: Annotated[
-        Path | None, typer.Option(help="Also write z-depth: .npy, .png (thousandths) or .exr.")
+        Path | None, typer.Option(help="Also write z-depth: .npy or .png (thousandths).")
     ] = None,
     ids: Annotated[Path | None, typer.Option(help="Also write object ids: a .png.")] = None,
     show: Annotated[
@@ -74,7 +74,7 @@ def render(
     from slgaussian.cameras import paths
     from slgaussian.datasets.recognise import cameras_in
     from slgaussian.field import SemanticField
-    from slgaussian.formats.depth_maps import WRITTEN, check_exr, write_map
+    from slgaussian.formats.depth_maps import WRITTEN, write_map
     from slgaussian.formats.ply import load_ply
     from slgaussian.io import write_file
     from slgaussian.masks.precomputed import encode_ids
@@ -92,8 +92,6 @@ def render(
             raise InputError(f"{name}: is of one view; leave out {chosen[0]}, or name one view")
         if file is not None:
             check_picture(file, kinds)
-    if depth is not None and depth.suffix.lower() == ".exr":
-        check_exr(depth)
     is_ply = source.suffix.lower() == ".ply" and not source.is_dir()
     if is_ply and (ids is not None or show == "codes"):
         raise InputError(f"{source}: a .ply has no objects; leave out --ids and --show")
@@ -226,26 +224,21 @@ def export(
         list[str] | None,
         typer.Option("--text", help="Further text that a page answers; may be repeated."),
     ] = None,
-    points: Annotated[
-        bool, typer.Option("--points", help="Write a .ply of points, not of Gaussians.")
-    ] = False,
 ) -> None:
     """Write a field as a web page, or as a file for other viewers.
 
     A page (.html) opens from disk in any browser, without a network, with queries and object
     selection. It contains small copies of the photographs. A .ply has all data: each Gaussian also
     has its ID code and weight (f_sem_0 and on; without codes the number of its object), its source
-    pixel (source), and its object (label, 0 for none); with --points it is a plain point cloud with
-    colours and labels for MeshLab and Open3D. A .spz stores Gaussians in fewer bytes.
+    pixel (source), and its object (label, 0 for none). A .spz stores Gaussians in fewer bytes.
 
     \b
     slgaussian export field/ -o scene.html
     slgaussian export field/ -o scene.spz
-    slgaussian export field/ -o cloud.ply --points
     """
     from flows.cli.open_field import open_field
     from slgaussian.field import SemanticField
-    from slgaussian.formats.ply import save_ply, save_points
+    from slgaussian.formats.ply import save_ply
     from slgaussian.formats.spz import save_spz
     from slgaussian.io import write_file
     from slgaussian.viewer.page.scene_page import scene_page
@@ -259,8 +252,6 @@ def export(
         )
     if suffix != ".html" and texts:
         raise InputError(f"{out}: --text is for pages (.html); leave it out")
-    if points and suffix != ".ply":
-        raise InputError(f"{out}: --points are written as .ply; name such a file")
     if suffix == ".html":
         _, field = open_field(folder, options.settings_from(ctx, Method), rules=False)
         data = scene_page(field.dropped(), _photographs(folder, field), texts or []).encode()
@@ -272,7 +263,7 @@ def export(
         if suffix == ".spz":
             save_spz(field.gaussians, out)
         else:
-            (save_points if points else save_ply)(field.gaussians, out, field.labels())
+            save_ply(field.gaussians, out, field.labels())
     typer.echo(out)
 
 
@@ -280,7 +271,7 @@ def _photographs(folder: Path, field: SemanticField) -> dict[str, np.ndarray]:
     """Read the photographs of a field that are still at their paths, by view."""
     from slgaussian.datasets.photographs import open_photograph
     from slgaussian.io import file_digest
-    from slgaussian.storage.inputs import read_photographs
+    from slgaussian.storage.field_folder import read_photographs
 
     images = {}
     for name, (file, digest) in read_photographs(folder).items():

@@ -17,7 +17,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from slgaussian.components.hub_cache import hub_download, is_hub_name
 from slgaussian.errors import InputError
 from slgaussian.extras import install_line
 from slgaussian.formats import strict_json
@@ -187,12 +186,12 @@ class ModelFiles:
     checkpoint: Path | None = None
 
 
-def find_model(model: str | Path) -> ModelFiles:
+def find_model(model: str | Path, download: bool = True) -> ModelFiles:
     """Find the files of a model; download a name that is not in the hub's cache.
 
     Raises:
         InputError: If there is no such folder, file or name, the hub cannot be reached, or the
-            folder contains no model.
+            folder contains no model; without ``download``, also if the cache does not hold it.
     """
     path = Path(model)
     if path.is_dir():
@@ -202,23 +201,24 @@ def find_model(model: str | Path) -> ModelFiles:
         return ModelFiles(path.parent, (config, path) if config.is_file() else (path,), path)
     beside = [CONFIG, OPEN_CLIP_CONFIG, PREPROCESSOR, *TOKENIZER]
     formats = [[WEIGHTS, INDEX, "model-*.safetensors"], *([name] for name in OPEN_CLIP_WEIGHTS)]
-    wanted = [beside + weights for weights in formats]
+    wanted = [beside + weights for weights in formats] if download else []
     return _files_of_model(
         _from_hub("model", model, wanted, f"one with {CONFIG} and {WEIGHTS}", _files_of_model)
     )
 
 
-def find_tokenizer(place: str | Path) -> Path:
+def find_tokenizer(place: str | Path, download: bool = True) -> Path:
     """Find the folder of a tokenizer, given as a folder or name on the hub.
 
     Raises:
-        InputError: If its files are missing, or the hub cannot be reached.
+        InputError: If its files are missing, or the hub cannot be reached; as :func:`find_model`.
     """
     if Path(place).is_dir():
         _tokenizer_files(Path(place))
         return Path(place)
     expected = "one with tokenizer.json, or vocab.json and merges.txt"
-    return _from_hub("tokenizer", place, [list(TOKENIZER)], expected, _tokenizer_files)
+    wanted = [list(TOKENIZER)] if download else []
+    return _from_hub("tokenizer", place, wanted, expected, _tokenizer_files)
 
 
 def _from_hub(
@@ -230,16 +230,27 @@ def _from_hub(
 ) -> Path:
     """Return the hub's cached folder of a name, downloading the first of ``wanted`` that passes."""
     name = str(name)
-    if not is_hub_name(name):
+    if name.count("/") != 1 or name.startswith((".", "~", "/")):
         raise InputError(
             f"{kind} {name}: there is no such folder; expected {expected}, or a name on the hub, "
             "such as OWNER/NAME"
         )
-    snapshot_download = hub_download(f"{kind} {name}")
+    try:
+        from huggingface_hub import snapshot_download
+    except ImportError as problem:
+        raise InputError(
+            f"{kind} {name}: is no folder here, and the hub needs the package huggingface_hub "
+            f"({problem}); install it with {install_line('models')}"
+        ) from None
     with contextlib.suppress(OSError, ValueError, InputError):
         cached = Path(snapshot_download(name, local_files_only=True))
         check(cached)
         return cached
+    if not wanted:
+        raise InputError(
+            f"{kind} {name}: is no folder here, and not in the cache of the hub yet; it is "
+            f"downloaded when it is first used, or now with `hf download {name}`"
+        )
     for patterns in wanted:
         try:
             folder = Path(snapshot_download(name, allow_patterns=patterns))

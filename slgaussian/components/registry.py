@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 
 from slgaussian.components.config import ComponentConfig
 from slgaussian.errors import InputError, did_you_mean
+from slgaussian.io import file_sha256
 
 
 @dataclass(frozen=True)
@@ -145,27 +146,18 @@ _installed = cache(entry_points)  # reads a file of every package
 def plugin_identity(group: str, name: str) -> str:
     """Return the identity of an entry point for cache keys, "" for a built-in object.
 
-    It has package, version and the SHA-256 of the Python files, as code changes more often than
-    versions. The files are those of the top-level package or module of the entry point, which is
-    not imported.
+    It has package and SHA-256 of the Python files of the top-level module, which is not imported.
     """
     if name not in plugins(group):
         return ""
-    entry = plugins(group)[name]
-    try:
-        spec = find_spec(entry.module.partition(".")[0])
-    except (ImportError, ValueError):  # importing it gives a better message
-        spec = None
-    folders = [] if spec is None else [Path(p) for p in spec.submodule_search_locations or ()]
-    files = [(file.relative_to(top), file) for top in folders for file in top.rglob("*.py")]
-    if spec is not None and not folders and spec.origin is not None:
-        files = [(Path(Path(spec.origin).name), Path(spec.origin))]
-    content = hashlib.sha256()
-    for place, file in sorted((str(place), file) for place, file in files):
-        for part in (place.encode("utf-8", "surrogateescape"), file.read_bytes()):
-            content.update(len(part).to_bytes(8, "little") + part)
-    version = entry.dist.version if entry.dist is not None else "?"
-    return f"{_owner(entry)} {version} {content.hexdigest()}"
+    entry, content = plugins(group)[name], hashlib.sha256()
+    spec = find_spec(entry.module.partition(".")[0])
+    if spec is not None:
+        folders = map(Path, spec.submodule_search_locations or ())
+        files = sorted(file for folder in folders for file in folder.rglob("*.py"))
+        for file in files or [Path(spec.origin or "")]:
+            content.update(f"{file.name} {file_sha256(file)}\n".encode())
+    return f"{_owner(entry)} {content.hexdigest()}"
 
 
 def _owner(entry: EntryPoint) -> str:

@@ -153,8 +153,7 @@ def chunk_names(path: str | Path) -> list[str]:
         entries = fs.ls(folder, detail=False)
     except file_system_errors() as error:
         raise InputError(
-            f"{path}: cannot be listed ({explain_error(error, folder)}); "
-            "expected a folder of chunks"
+            f"{path}: cannot be listed ({explain_error(error)}); expected a folder of chunks"
         ) from None
     return sorted(os.path.basename(file) for file in entries if file.endswith(".torch"))
 

@@ -1,4 +1,4 @@
-"""Files of depth and cameras from other programs: NPZ, PNG, TIFF, NPY, PFM and EXR.
+"""Files of depth and cameras from other programs: NPZ, PNG, TIFF, NPY and PFM.
 
 Values are returned as stored; the caller determines which of several conventions they follow
 (:mod:`slgaussian.predict.precomputed`).
@@ -6,10 +6,8 @@ Values are returned as stored; the caller determines which of several convention
 
 from __future__ import annotations
 
-import importlib.util
 import io
-import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from zipfile import ZipFile
@@ -19,7 +17,6 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.errors import InputError
-from slgaussian.extras import install_line
 from slgaussian.formats.images import MOST_PIXELS, opened, read_npy, unreadable
 from slgaussian.io import short_repr, write_file
 
@@ -41,11 +38,8 @@ MILLIMETRE = 1e-3
 MOST_BYTES = 48 * MOST_PIXELS
 """Largest decompressed size of an NPZ, bytes: 4 GiB."""
 
-WRITTEN = (".npy", ".png", ".exr")
+WRITTEN = (".npy", ".png")
 """Suffixes that :func:`write_map` supports."""
-
-CHANNELS = ("Z", "Y", "R", "V", "depth.Z", "Depth.Z", "depth.V", "Depth.V")
-"""EXR channels that contain depth; the first that exists is read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,8 +171,6 @@ def read_map(file: Path, byte: bool = False) -> np.ndarray:
     try:
         if file.suffix == ".npy":
             pixels = read_npy(file)
-        elif file.suffix == ".exr":
-            pixels = _read_exr(file)
         elif file.suffix == ".pfm":
             pixels = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
             if pixels is None:
@@ -200,13 +192,13 @@ def read_map(file: Path, byte: bool = False) -> np.ndarray:
 
 
 def write_map(file: Path, depth: np.ndarray) -> None:
-    """Write z-depth float32 [H, W] as :func:`read_map` reads it: .npy, .png or .exr.
+    """Write z-depth float32 [H, W] as :func:`read_map` reads it: .npy or .png.
 
     A .png has 16 bits, in thousandths of a scene unit.
 
     Raises:
-        InputError: If the suffix is not supported, a value is too large for .png, OpenEXR is not
-            installed, or the file cannot be written.
+        InputError: If the suffix is not supported, a value is too large for .png, or the file
+            cannot be written.
     """
     content, suffix = io.BytesIO(), file.suffix.lower()
     if suffix == ".npy":
@@ -218,24 +210,9 @@ def write_map(file: Path, depth: np.ndarray) -> None:
                 "write .npy"
             )
         Image.fromarray(np.rint(depth / MILLIMETRE).astype(np.uint16)).save(content, "PNG")
-    elif suffix == ".exr":
-        check_exr(file)
-        import OpenEXR
-
-        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-        with tempfile.TemporaryDirectory() as folder:
-            draft = Path(folder) / "depth.exr"
-            OpenEXR.File(header, {"Z": np.ascontiguousarray(depth)}).write(str(draft))
-            content.write(draft.read_bytes())
     else:
         raise InputError(f"{file}: expected the name to end in {', '.join(WRITTEN)}")
     write_file(file, content.getvalue())
-
-
-def check_exr(file: Path) -> None:
-    """Raise InputError unless OpenEXR is installed."""
-    if importlib.util.find_spec("OpenEXR") is None:
-        raise InputError(f"{file}: is EXR, which needs OpenEXR; {install_line('exr')}, or take NPY")
 
 
 def known_depth(depth: np.ndarray) -> np.ndarray:
@@ -259,23 +236,6 @@ def _read_npz(file: Path) -> dict[str, np.ndarray]:
             return {ours: stored[theirs] for ours, theirs in present.items() if theirs is not None}
     except Exception as problem:  # a damaged archive raises almost anything
         raise unreadable(file, problem) from None
-
-
-def _read_exr(file: Path) -> np.ndarray:
-    check_exr(file)
-    import OpenEXR
-
-    try:
-        with OpenEXR.File(str(file), separate_channels=True) as image:
-            channels: Mapping[str, np.ndarray] = {
-                name: channel.pixels for name, channel in image.channels().items()
-            }
-    except RuntimeError as problem:
-        raise ValueError(str(problem)) from None
-    name = next((name for name in CHANNELS if name in channels), None)
-    if name is None:
-        raise ValueError(f"channels {', '.join(channels)}, none of depth")
-    return channels[name]
 
 
 def _stacked(file: Path, name: str, values: np.ndarray) -> np.ndarray:

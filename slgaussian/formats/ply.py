@@ -17,16 +17,14 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from plyfile import PlyData, PlyElement
 from scipy.special import expit, logit
 
 from slgaussian.errors import InputError, check_type
-from slgaussian.gaussians import SH_C0, Gaussians
+from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
-from slgaussian.labels import VISIBLE
 
 LOWEST = -104.0
 """Written for the logit and the logarithm of 0: the largest integer whose sigmoid and exponential
@@ -58,23 +56,6 @@ _ANTIALIASED = re.compile(
 )
 """Header comments by which Postshot, Brush and others mark training with anti-aliasing:
 ``postshot.anti_aliasing=1``, ``SplatRenderMode: mip``."""
-
-_UNITS = {
-    "f_dc_": "[1] colour that does not depend on the view, harmonic of degree 0",
-    "f_rest_": "[1] harmonics of degree 1 and up, of red, then green, then blue",
-    "f_sem_": "[1] ID code or feature",
-    "opacity": "[1] logit of the opacity",
-    "scale_": "[natural logarithm of scene units] standard deviation along an axis",
-    "rot_": "[1] rotation, quaternion wxyz",
-    "label": "[id] object",
-    "source": "[index] pixel that the Gaussian comes from",
-    **dict.fromkeys(("red", "green", "blue"), "[1] colour, 0 to 255"),
-    **dict.fromkeys(("nx", "ny", "nz"), "[1] normal, unused"),
-    **dict.fromkeys("xyz", "[scene unit] centre"),
-}
-"""Unit and meaning of properties by the prefix of their names."""
-
-_BLOCK = 4096  # rows copied at a time, column by column, so that they fit into the CPU cache
 
 
 def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
@@ -125,37 +106,8 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     ]
     columns += integers.items()
     table = np.empty(n, kinds)
-    for start in range(0, n, _BLOCK):
-        block = slice(start, start + _BLOCK)
-        for name, values in columns:
-            table[name][block] = values[block]
-    buffer = io.BytesIO()
-    PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
-    write_file(path, buffer.getbuffer())
-
-
-def save_points(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
-    """Write the centres of Gaussians as a binary ``.ply`` point cloud for MeshLab, Open3D etc.
-
-    Properties are ``red``, ``green`` and ``blue`` (uchar, view-independent colour), and ``label``
-    (int) if ``labels`` int [N] are given. Gaussians of opacity below 0.5 are left out. Raises
-    InputError as :func:`save_ply`.
-    """
-    check_type(gaussians, Gaussians, "save_points: expected Gaussians, and then a path")
-    gaussians.check()
-    arrays = gaussians.to_arrays()
-    opaque = arrays["opacities"] >= VISIBLE
-    colours = (SH_C0 * arrays["sh"][:, 0] + 0.5).clip(0, 1)
-    columns = [
-        (name, "<f4", column) for name, column in zip(_MEANS, arrays["means"].T, strict=True)
-    ]
-    for name, column in zip(("red", "green", "blue"), np.rint(255 * colours).T, strict=True):
-        columns.append((name, "u1", column))
-    if labels is not None:
-        columns.append(("label", "<i4", _checked(labels, len(gaussians))))
-    table = np.empty(int(opaque.sum()), [(name, kind) for name, kind, _ in columns])
-    for name, _, column in columns:
-        table[name] = column[opaque]
+    for name, values in columns:
+        table[name] = values
     buffer = io.BytesIO()
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
     write_file(path, buffer.getbuffer())
@@ -188,8 +140,8 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     names = [name for name in fields if table.dtype[name].kind != "O"]
     if missing := [name for name in _NEEDED if name not in names]:
         raise InputError(
-            f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; "
-            f"{_advice(path, missing, names)}"
+            f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; expected "
+            "plain 3D Gaussian splatting, not compressed, 2D Gaussians, points or a mesh"
         )
     rest, semantic = _numbered(names, "f_rest_"), _numbered(names, "f_sem_")
     if len(rest) not in REST:
@@ -242,24 +194,6 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     return Gaussians.from_arrays(arrays), extra
 
 
-def describe(path: str | Path) -> dict[str, Any]:
-    """Return ``meaning`` and ``fields`` (unit and meaning by name) of a ``.ply`` after a full read.
-
-    Gaussians are checked as by :func:`load_ply`; a file without ``opacity`` contains points. Raises
-    InputError as :func:`load_ply`.
-    """
-    table, _ = _vertices(path)
-    names = table.dtype.names or ()
-    kind = "Gaussians" if "opacity" in names else "Points"
-    if kind == "Gaussians":
-        load_ply(path)
-    fields = {
-        name: next((text for start, text in _UNITS.items() if name.startswith(start)), "[1] other")
-        for name in names
-    }
-    return {"spec": "ply", "meaning": f"{kind}, {len(table)} of them.", "fields": fields}
-
-
 def _finite(
     path: str | Path,
     table: np.ndarray,
@@ -272,13 +206,9 @@ def _finite(
     """
     values = np.empty((len(table), len(names)), np.float32)
     with np.errstate(over="ignore"):  # overflow gives infinity, which is refused below
-        for start in range(0, len(table), _BLOCK):
-            block = table[start : start + _BLOCK]
-            for column, name in enumerate(names):
-                raw = block[name]
-                if convert is not None:
-                    raw = convert(raw.astype(np.float64))
-                values[start : start + _BLOCK, column] = raw
+        for column, name in enumerate(names):
+            raw = table[name]
+            values[:, column] = raw if convert is None else convert(raw.astype(np.float64))
     finite = np.isfinite(values)
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
@@ -287,22 +217,6 @@ def _finite(
             "Gaussian; remove it, or write the file again"
         )
     return values
-
-
-def _advice(path: str | Path, missing: Sequence[str], names: Sequence[str]) -> str:
-    """Describe a file that lacks properties of Gaussians, and what to do."""
-    if "packed_position" in names:
-        plain = f"{Path(path).stem.removesuffix('.compressed')}.plain.ply"
-        return (
-            "it is a compressed .ply of SuperSplat; convert it, as with "
-            f"`splat-transform {Path(path).name} {plain}`, and give the new file"
-        )
-    if list(missing) == [_SCALES[2]]:
-        return (
-            "it has the flat Gaussians of 2D Gaussian splatting, which are drawn by another rule; "
-            "train 3D ones"
-        )
-    return "expected a .ply of 3D Gaussian splatting, not a point cloud or a mesh"
 
 
 def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:

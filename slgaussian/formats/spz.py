@@ -13,10 +13,7 @@ from __future__ import annotations
 
 import gzip
 import struct
-import zlib
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +22,6 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
 MAGIC, VERSION = 0x5053474E, 3
-CHUNK = 2**20
 COLOUR = 0.15
 
 MOST_BITS = 20
@@ -83,35 +79,6 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
         _bytes(higher),
     ]
     write_file(path, gzip.compress(b"".join(parts), 6, mtime=0))
-
-
-def describe(path: str | Path) -> dict[str, Any]:
-    """Return ``meaning`` and ``fields`` (unit and meaning by name) of an ``.spz`` of version 3.
-
-    Raises InputError if the file is damaged, truncated, or of another version.
-    """
-    try:
-        with gzip.open(path) as stream:
-            magic, version, n, degree, bits, *_ = struct.unpack("<IIIBBBB", stream.read(16))
-            length = 16 + sum(map(len, iter(partial(stream.read, CHUNK), b"")))
-    except (EOFError, OSError, struct.error, zlib.error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"{path}: is not a whole .spz file ({reason}); copy it again") from error
-    size = 16 + n * (20 + 3 * ((degree + 1) ** 2 - 1))
-    if (magic, version) != (MAGIC, VERSION) or degree > 3 or length != size:
-        raise InputError(
-            f"{path}: found magic {magic:#x}, version {version}, degree {degree} and {length} "
-            f"bytes, expected {MAGIC:#x}, {VERSION}, at most 3 and {size}; export it again"
-        )
-    fields = {
-        "means": f"[scene unit] centres, in steps of 2^-{bits}",
-        "opacities": "[1] 0 to 255 for 0 to 1",
-        "colours": f"[1] harmonics of degree 0, 255 ({COLOUR} sh + 0.5)",
-        "scales": "[logarithm of scene units] standard deviations, in steps of 1/16 from -10",
-        "quats": "[1] rotations, the three smaller components in 10 bits each",
-        "sh": f"[1] harmonics up to degree {degree}, 128 (sh + 1)",
-    }
-    return {"spec": "spz@3", "meaning": f"Gaussians, {n} of them.", "fields": fields}
 
 
 def pack_quats(quats: np.ndarray) -> np.ndarray:

@@ -4,19 +4,11 @@ from __future__ import annotations
 
 import io
 import pickle
-import pickletools
 import re
 import warnings
 import zipfile
 from pathlib import Path
-from typing import Any, BinaryIO
-
-LONGEST = 200
-"""Largest length of a global's name in a pickle: torch's check takes quadratic time."""
-
-PICKLES = 5
-"""Number of pickles in a legacy file: three for the format, the content, its tensors."""
-
+from typing import Any
 
 SCRIPTED = (
     "it is a TorchScript archive, which holds code; if you trust it, save its tensors alone: "
@@ -50,15 +42,6 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
                     raise ValueError(SCRIPTED)
                 if any(member.compress_type for member in archive.infolist()):
                     raise ValueError("it is packed")
-                for name in archive.namelist():
-                    if name.endswith(".pkl"):
-                        _check_names(io.BytesIO(archive.read(name)), 1)
-        elif isinstance(stream, io.BytesIO):
-            stream.seek(0)
-            _check_names(stream, PICKLES)
-        else:
-            with stream.open("rb") as file:
-                _check_names(file, PICKLES)
         if isinstance(stream, io.BytesIO):
             stream.seek(0)
         with warnings.catch_warnings():
@@ -77,21 +60,3 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
         lines = str(bad).strip().splitlines()
         reason = f"{type(bad).__name__} {lines[0][:200] if lines else ''}"
         raise ValueError(reason.removeprefix("ValueError ").strip()) from None
-
-
-def _check_names(stream: BinaryIO, count: int) -> None:
-    """Raise ValueError if one of ``count`` pickles has a name that is too long; unpickle none."""
-    for _ in range(count):
-        try:
-            longest = max(
-                (
-                    len(name)
-                    for code, name, _ in pickletools.genops(stream)
-                    if code.name == "GLOBAL" and isinstance(name, str)
-                ),
-                default=0,
-            )
-        except Exception:  # an invalid pickle raises almost anything
-            raise ValueError("it cannot be unpickled") from None
-        if longest > LONGEST:
-            raise ValueError(f"it has a name of {longest} letters")

@@ -23,7 +23,7 @@ Level = Literal["s", "m", "l"]
 MAPS = (".png", ".npy")
 """Suffixes of id maps."""
 
-DEPTHS = (".npz", ".png", ".npy", ".exr", ".pfm", ".tiff", ".tif")
+DEPTHS = (".npz", ".png", ".npy", ".pfm", ".tiff", ".tif")
 """Suffixes of depth files."""
 
 LEVELS: tuple[Level, ...] = ("s", "m", "l")

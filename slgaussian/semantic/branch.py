@@ -181,14 +181,8 @@ def load_branch(path: str | Path) -> Branch:
     """
     tensors, statement = read_tensors(path)
     try:
-        values = {**statement["architecture"], "widths": tuple(statement["architecture"]["widths"])}
-        if values.pop("name", "paper") != "paper" or "others" in values:
-            raise InputError(
-                f"weights {path}: are of a network that is not the paper's, and is gone; train "
-                "again (if they are a version in use, `slgaussian versions FOLDER --use none` "
-                "ends its use)"
-            )
-        architecture = Architecture(**values)
+        values = statement["architecture"]
+        architecture = Architecture(**{**values, "widths": tuple(values["widths"])})
     except (KeyError, TypeError):
         raise InputError(
             f"weights {path}: does not say which branch it is of, expected a file that "

@@ -7,10 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slgaussian.kernels.threads import allotted
+
 if TYPE_CHECKING:
     from slgaussian.gaussians import Gaussians
     from slgaussian.labels import LabelMaps
     from slgaussian.language.bank import MemoryBank
+
+
+REACH = 6.0
+"""Largest distance of a match, in standard deviations of the pixel's Gaussian along its longest
+axis: two predictions of one surface are rarely nearer than 1, the next object is mostly farther."""
 
 
 class HardIndex:
@@ -25,16 +32,40 @@ class HardIndex:
 class Filled:
     """Fill unlabelled pixels from other views, then copy the label of the source pixel.
 
-    An unlabelled pixel gets the label of the nearest Gaussian of another view, if one is within
-    reach (:mod:`slgaussian.semantic.cross_view_labels`). Not in the paper.
+    See :func:`fill_from_other_views`. Not in the paper.
     """
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
         """See :class:`slgaussian.semantic.Lifting`; the weight is 1 or, still unlabelled, 0."""
-        from slgaussian.semantic.cross_view_labels import fill_from_other_views
-
         filled = fill_from_other_views(label_maps.labels, gaussians)
         return HardIndex()(gaussians, replace(label_maps, labels=filled), bank)
+
+
+def fill_from_other_views(labels: np.ndarray, gaussians: Gaussians) -> np.ndarray:
+    """Copy labels int32 [V, H, W], and fill unlabelled pixels from the nearest of another view.
+
+    A pixel's position is that of its first Gaussian; a pixel without Gaussians, or without one of
+    another view within :data:`REACH`, stays as it is.
+    """
+    from scipy.spatial import cKDTree  # queries must not wait for its import
+
+    filled = labels.copy()
+    arrays = gaussians.to_arrays()
+    means = arrays["means"].astype(np.float64)
+    widths = arrays["scales"].max(1, initial=0).astype(np.float64)
+    owners, firsts = np.unique(arrays["source"], return_index=True)
+    views = owners // labels[0].size
+    unlabelled = labels.ravel()[owners] == 0
+    for view in np.unique(views[unlabelled]):
+        inner, outer = np.flatnonzero((views == view) & unlabelled), np.flatnonzero(views != view)
+        if len(outer) == 0:
+            continue
+        reach = np.maximum(REACH * widths[firsts[inner]], 1e-12)
+        tree, queries = cKDTree(means[firsts[outer]]), means[firsts[inner]]
+        distance, match = tree.query(queries, distance_upper_bound=reach.max(), workers=allotted())
+        matched = distance < reach
+        filled.ravel()[owners[inner[matched]]] = labels.ravel()[owners[outer[match[matched]]]]
+    return filled
 
 
 def code_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> np.ndarray:

@@ -34,12 +34,11 @@ from pydantic import Field
 from torch.nn import functional as F
 
 from slgaussian.errors import InputError
-from slgaussian.kernels.seeding import seed_for
+from slgaussian.kernels.seeding import rng_for, seed_for
 from slgaussian.kernels.threads import fixed
 from slgaussian.labels import LabelMaps
 from slgaussian.language import load_codes
 from slgaussian.rasterize import rasterize
-from slgaussian.semantic.batch_sampler import Draw, draw_batch
 from slgaussian.semantic.branch import (
     DIMENSION,
     Architecture,
@@ -95,6 +94,35 @@ class Trained:
 
     branch: Branch
     metrics: pa.Table
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """One lesson of a batch.
+
+    Attributes:
+        views: list of int. Indices of the target views.
+        epoch: Number of completed passes over all lessons.
+        rng: numpy Generator. Draws the codes.
+    """
+
+    lesson: Lesson
+    views: list[int]
+    epoch: int
+    rng: np.random.Generator
+
+
+def draw_batch(lessons: Sequence[Lesson], settings: TrainingSettings, step: int) -> list[Draw]:
+    """Draw the lessons of ``step`` (counted from 0), without replacement within an epoch."""
+    batch = []
+    for number in range(step * settings.batch, (step + 1) * settings.batch):
+        epoch, place = divmod(number, len(lessons))
+        order = rng_for(settings.seed, "", f"order {epoch}").permutation(len(lessons))
+        lesson = lessons[int(order[place])]
+        rng = rng_for(settings.seed, lesson.content, f"step {epoch}")
+        views = sorted(rng.permutation(len(lesson.cameras))[: settings.targets].tolist())
+        batch.append(Draw(lesson, views, epoch, rng))
+    return batch
 
 
 def train(

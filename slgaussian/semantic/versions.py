@@ -3,7 +3,7 @@
 ``versions/000003.parquet`` is the record of version 3, a row of spec ``versions``, written once and
 never changed; ``weights/<digest>.safetensors`` are its weights; ``current.json`` has the number of
 the version in use. Files are written atomically and ``current.json`` last, so after a crash at any
-moment the version in use exists. Concurrent additions get different numbers.
+moment the version in use exists. A lock keeps concurrent additions apart.
 """
 
 from __future__ import annotations
@@ -119,8 +119,9 @@ class Versions:
                 for name in ("weights", "versions"):
                     (self.folder / name).mkdir(parents=True, exist_ok=True)
                 write_atomic(self.folder / "weights" / f"{digest}.safetensors", weights)
+                written = (self.folder / "versions").glob("[0-9]*.parquet")
                 version = Version(
-                    self._claim(),
+                    max((int(file.name.partition(".")[0]) for file in written), default=0) + 1,
                     digest,
                     before,
                     datetime.now(UTC).isoformat(timespec="seconds"),
@@ -184,18 +185,6 @@ class Versions:
 
     def _locked(self) -> AbstractContextManager[None]:
         return hold_lock(self.folder / ".lock", "versions", wait=True)
-
-    def _claim(self) -> int:
-        """Reserve the next number by exclusively creating an empty file."""
-        numbers = [int(f.stem) for f in (self.folder / "versions").iterdir() if f.stem.isdigit()]
-        number = max(numbers, default=0) + 1
-        while True:
-            try:
-                claim = self.folder / "versions" / f"{number:06d}.claim"
-                os.close(os.open(claim, os.O_CREAT | os.O_EXCL))
-                return number
-            except FileExistsError:
-                number += 1
 
     def _file(self, number: int) -> Path:
         return self.folder / "versions" / f"{number:06d}.parquet"

@@ -115,21 +115,17 @@ def encode_table(table: pa.Table, spec: Spec, digest: str = "") -> bytes:
 
 
 def decode_table(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> pa.Table:
-    """Read a table of :func:`encode_table`, including files of older versions without metadata.
-
-    Columns that only an older version of the spec had are left out.
+    """Read a table of :func:`encode_table`.
 
     Raises:
-        SpecError: If the bytes are damaged or truncated, have another spec or a later version of
-            it, or break ``spec``. The message names ``file`` and gives the advice ``repair``.
+        SpecError: If the bytes are damaged or truncated, have another spec or version of it, or
+            break ``spec``. The message names ``file`` and gives the advice ``repair``.
     """
     with _whole(data, file, spec, repair):
         table = read_table(data)
         table.validate(full=True)
         label = (table.schema.metadata or {}).get(b"spec", b"").decode() or None
-    spec.check_stated(label, file, repair)
-    if label != spec.label:
-        table = table.select([name for name in table.column_names if name in spec.columns])
+    spec.check_label(label, file, repair)
     spec.check_table(table, file)
     return table
 
@@ -138,17 +134,13 @@ def decode_arrays(data: bytes, spec: Spec, file: str, repair: str = REPAIR) -> A
     """Read arrays of :func:`encode_arrays`; SpecError as in :func:`decode_table`."""
     with _whole(data, file, spec, repair):
         arrays, metadata = decode_npz(data)
-        label = metadata.get("spec")
-    spec.check_stated(label, file, repair)
+    spec.check_label(metadata.get("spec"), file, repair)
     spec.check_arrays(arrays, file)
     return arrays
 
 
 def decode_npz(data: bytes) -> tuple[Arrays, dict[str, Any]]:
-    """Return arrays and metadata of an ``.npz`` file of :func:`encode_arrays`.
-
-    Metadata are empty for older files. Raises any exception for other data.
-    """
+    """Return arrays and metadata of an ``.npz`` file; raises any exception for other data."""
     with zipfile.ZipFile(io.BytesIO(data)) as archived:
         if sum(member.file_size for member in archived.infolist()) > MAX_UNPACKED_BYTES:
             raise ValueError(f"it unpacks to more than {MAX_UNPACKED_BYTES >> 30} GiB")
@@ -166,8 +158,8 @@ def decode_npz(data: bytes) -> tuple[Arrays, dict[str, Any]]:
 def read_metadata(data: bytes) -> dict[str, Any]:
     """Return the metadata of a Parquet or NPZ file, without reading its content.
 
-    Plain data: ``spec``, ``meaning``, ``made`` ...; empty for older files. Raises any exception for
-    other data.
+    Plain data: ``spec``, ``meaning``, ``made`` ...; empty for files of other programs. Raises any
+    exception for other data.
     """
     if data[:4] != b"PAR1":
         with zipfile.ZipFile(io.BytesIO(data)) as members:

@@ -20,7 +20,7 @@ import numpy as np
 from slgaussian import __version__
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
-from slgaussian.io import atomic_folder
+from slgaussian.io import atomic_folder, file_digest
 from slgaussian.scene import Camera, Estimated
 from slgaussian.storage.encoding import Arrays, arrays_digest, decode_arrays
 from slgaussian.storage.specs import load_spec, mismatch
@@ -32,6 +32,9 @@ FORMAT = 1
 ABOUT = "field.json"
 FILES = {"gaussians": "gaussians.npz", "bank": "bank.npz", "objects": "objects.parquet"}
 """Names of the other files by data spec."""
+
+PHOTOGRAPHS = "photographs.json"
+"""Optional file with paths and digests of the photographs, which the viewer page shows."""
 
 WHAT = (
     "A semantic field: 3D Gaussians that carry ID codes (gaussians.npz), the memory bank that says "
@@ -126,7 +129,7 @@ def write(
         text: ``field.json``, by :meth:`About.to_json`.
         fill: Writes the file of a spec of :data:`FILES` to a path.
         beside: mapping str -> bytes, optional. Further files of the folder by name, such as that of
-            :mod:`slgaussian.storage.inputs`.
+            :func:`describe_photographs`.
 
     Raises:
         InputError: If the folder cannot be written, or exists and is not a field.
@@ -172,6 +175,36 @@ def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
         expected = f"{digest[:12]} by {ABOUT}: it was changed or belongs to another field; {AGAIN}"
         raise mismatch(str(file), "digest", f"content {actual[:12]}", expected)
     return arrays
+
+
+def describe_photographs(places: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the content of :data:`PHOTOGRAPHS` by its name, from places of photographs by view.
+
+    A place is the absolute path of a file, which is read to compute its digest, or the name of a
+    view in a camera file; the latter are omitted.
+    """
+    files = {name: place for name, place in places.items() if os.path.isabs(place)}
+    content = {
+        "what": "The photographs of the field in this folder. No question needs this file.",
+        "photographs": {name: [place, file_digest(place)] for name, place in files.items()},
+    }
+    return {PHOTOGRAPHS: (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()}
+
+
+def read_photographs(folder: Path) -> dict[str, tuple[Path, str]]:
+    """Return path and SHA-256 (hexadecimal) of a field's photographs by view name, if recorded.
+
+    Raises:
+        SpecError: If the file is damaged.
+    """
+    file = folder / PHOTOGRAPHS
+    if not file.is_file():
+        return {}
+    try:
+        entries = strict_json.parse(file.read_bytes())["photographs"].items()
+        return {name: (Path(place), str(digest)) for name, (place, digest) in entries}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error
 
 
 def check_target(path: Path, marker: str = ABOUT, kind: str = "a field") -> None:

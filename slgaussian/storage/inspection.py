@@ -9,12 +9,11 @@ from typing import Any
 from safetensors import deserialize
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.formats import ply, spz, strict_json
+from slgaussian.formats import strict_json
 from slgaussian.storage import encoding
 from slgaussian.storage.specs import load_spec, mismatch, parse_label, spec_names
 
-SPLATS = {".ply": ply.describe, ".spz": spz.describe}
-SUFFIXES = (".npz", ".parquet", ".json", ".safetensors", *SPLATS)
+SUFFIXES = (".npz", ".parquet", ".json", ".safetensors")
 REPAIR = "download or create it again"
 
 
@@ -47,8 +46,6 @@ def _read(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: found suffix {path.suffix!r}, expected {', '.join(SUFFIXES)}")
     try:
         data = path.read_bytes()
-        if path.suffix in SPLATS:
-            return {**SPLATS[path.suffix](path), "digest": hashlib.sha256(data).hexdigest()}
         if path.suffix == ".safetensors":
             deserialize(data)
             metadata = strict_json.parse(data[8 : 8 + int.from_bytes(data[:8], "little")])
@@ -59,8 +56,6 @@ def _read(path: Path) -> dict[str, Any]:
         label = metadata.get("spec", "")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a file") from error
-    except InputError as error:  # of the reader of exported Gaussians
-        raise SpecError(str(error)) from error
     except Exception as error:  # a damaged file raises almost anything
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
         raise SpecError(f"{path}: is damaged ({reason}); {REPAIR}") from error

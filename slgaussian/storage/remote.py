@@ -26,12 +26,6 @@ _QUERY = re.compile(
     re.IGNORECASE,
 )
 
-_NO_CREDENTIALS = {
-    "NoCredentialsError",
-    "PartialCredentialsError",
-    "CredentialRetrievalError",
-    "ProfileNotFound",
-}
 _LOGINS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE"
 
 
@@ -108,23 +102,12 @@ def file_system_errors() -> tuple[type[Exception], ...]:
     return (OSError, *(getattr(module, error) for module, error in loaded if module is not None))
 
 
-def explain_error(error: Exception, path: str = "") -> str:
-    """Describe an error of :func:`file_system_errors`, with advice.
-
-    For errors of the local disk, the operating system's message. ``path`` begins with the bucket.
-    """
-    kind = type(error).__name__
-    if isinstance(error, OSError) and error.strerror and not isinstance(error, PermissionError):
-        return error.strerror
-    message = redacted(" ".join(str(error).split())) or kind
-    if kind in _NO_CREDENTIALS:
-        return f"no credentials: {message}; set {_LOGINS}"
-    if isinstance(error, FileNotFoundError) and "bucket" in message:
-        return f"no bucket {path.split('/')[0]!r}: {message}; make it first, or correct its name"
-    if isinstance(error, PermissionError):
-        do = f"; check the credentials ({_LOGINS}) and the bucket's rights"
-        return f"no permission: {message}{'' if error.errno else do}"
-    if isinstance(error, TimeoutError | ConnectionError) or not isinstance(error, OSError):
-        do = "check the network, and AWS_ENDPOINT_URL if the server is yours"
-        return f"no answer: {message}; {do}"
-    return message
+def explain_error(error: Exception) -> str:
+    """Describe an error of :func:`file_system_errors`; those of remote file systems with advice."""
+    if isinstance(error, OSError) and error.errno and error.strerror:
+        return redacted(error.strerror)
+    message = redacted(" ".join(str(error).split())) or type(error).__name__
+    return (
+        f"{message}; check the network, the bucket (which is never made), its rights, "
+        f"AWS_ENDPOINT_URL and the credentials ({_LOGINS})"
+    )

@@ -109,7 +109,7 @@ class Spec:
     """One kind of file: ``fields`` of an ``.npz``, ``columns`` of a table or ``keys`` of JSON.
 
     Attributes:
-        version: Increased by hand when files of the previous version break the spec.
+        version: Increased by hand with every change; files of other versions are not read.
         compress: Whether arrays are compressed.
         file: File name outside a store, if it is always the same.
         axes: Meaning of each letter of a shape.
@@ -164,19 +164,10 @@ class Spec:
             },
         }
 
-    def check_stated(self, label: str | None, file: str, repair: str) -> None:
-        """Raise :class:`SpecError` if a file with this label has another spec or a later version.
-
-        Old files have no label (None); for them only the content is checked.
-        """
-        if label is None or label == self.label:
-            return
-        name, version = parse_label(label)
-        if name != self.name:
-            raise mismatch(file, "spec", f"{label:.80}", f"{self.label}; {repair}")
-        if version > self.version:
-            text = f"at most {self.label}: a later {OWNER} wrote it, so install that version"
-            raise mismatch(file, "spec", label, f"{text}, or {repair}")
+    def check_label(self, label: str | None, file: str, repair: str) -> None:
+        """Raise :class:`SpecError` if a file with this label has another spec or version of it."""
+        if label != self.label:
+            raise mismatch(file, "spec", f"{label or 'none'!s:.80}", f"{self.label}; {repair}")
 
     def check_arrays(self, arrays: Mapping[str, np.ndarray], file: str) -> None:
         """Raise :class:`SpecError` at the first array that breaks this spec."""

@@ -141,24 +141,13 @@ class ArtifactStore:
             InputError: If the store cannot be written.
         """
         digest, data = encode_artifact(spec, content, f"new {spec} artifact")
-        ref, is_new = ArtifactRef(spec, address(spec, digest), digest, dict(meta or {})), True
-        while True:
-            stored = None
-            with suppress(SpecError):  # missing or damaged
-                stored, _ = self.fetch(
-                    ref.uri, "an artifact", lambda read: self.near or self.decode(ref, read)
-                )
-                if _precedence(stored) < _precedence(data):
-                    self.decode(ref, stored)
-                    data = stored
-            try:
-                self.write(ref.uri, data, new=is_new and stored is None)
-            except FileExistsError:  # another process wrote it meanwhile, or it is unreadable
-                is_new = False
-                continue
-            if self.cache is not None:
-                self.cache.put(ref.uri, data)
-            return ref
+        ref = ArtifactRef(spec, address(spec, digest), digest, dict(meta or {}))
+        with suppress(SpecError):  # missing or damaged
+            data = min(data, self._fetch_artifact(ref)[0], key=_precedence)
+        self.write(ref.uri, data)
+        if self.cache is not None:
+            self.cache.put(ref.uri, data)
+        return ref
 
     def get(self, ref: ArtifactRef) -> Any:
         """Read an artifact, arrays by name or a table, and check its spec and digest.
@@ -294,24 +283,21 @@ class ArtifactStore:
         finally:
             self.remove([probe])
 
-    def write(self, uri: str, data: bytes, new: bool = False) -> None:
-        """Write a file atomically; InputError if that fails.
-
-        With ``new``, FileExistsError if the file exists and the file system can detect that.
-        """
+    def write(self, uri: str, data: bytes) -> None:
+        """Write a file atomically; InputError if that fails."""
         path = f"{self.path}/{uri}"
 
         def write_file() -> None:
             if self.local:
                 os.makedirs(os.path.dirname(path), exist_ok=True)
-                write_atomic(path, data, sync=True, new=new)
+                write_atomic(path, data, sync=True)
             else:
                 # A single put or a multipart upload, both of which are atomic.
                 self.fs.pipe_file(
                     path, data, **({} if self.near else {"chunksize": UPLOAD_PART_BYTES})
                 )
 
-        self._ask("write", write_file, FileExistsError if new else ())
+        self._ask("write", write_file)
 
     def remove(self, uris: Iterable[str]) -> None:
         """Delete files; missing files are ignored. InputError if that fails."""
@@ -364,8 +350,7 @@ class ArtifactStore:
             hint = "; choose a writable folder with --store" if writes else ""
             if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
                 hint = "; make room there (`slgaussian store gc`), and run again"
-            reason = explain_error(error, self.path)
-            message = f"store {self.root}: cannot {verb} there ({reason}){hint}"
+            message = f"store {self.root}: cannot {verb} there ({explain_error(error)}){hint}"
             raise InputError(message) from error
 
     def _fetch_artifact(self, ref: ArtifactRef) -> tuple[bytes, Any]:

@@ -8,7 +8,6 @@ import pytest
 import torch
 from command import run, said, transforms, two_walls
 from PIL import Image
-from plyfile import PlyData
 
 from flows.config import Settings
 from flows.read_config import read_toml
@@ -88,11 +87,6 @@ def test_render_and_export_write_their_files(field, tmp_path, monkeypatch):
     assert torch.equal(output.source, stored.source)
     is_red = (np.arange(32 * 48) % 48) < 24
     assert extra["label"].tolist() == np.where(is_red, 1, 2).tolist()
-    assert run(monkeypatch, "export", field, "-o", tmp_path / "cloud.ply", "--points") == 0
-    points = PlyData.read(tmp_path / "cloud.ply")["vertex"]
-    assert np.array_equal(points["x"], stored.means[:, 0]) and len(points) == len(stored)
-    assert np.array_equal(points["label"], extra["label"])
-    assert (points["red"][is_red] > points["blue"][is_red]).all()
 
 
 def test_codes_are_drawn_as_the_papers_feature_maps(field, tmp_path, monkeypatch):

@@ -45,8 +45,7 @@ def write(path, data, kind="f4", text=False, order="<"):
     return path
 
 
-@pytest.mark.parametrize("count", [1, 4, 9, 16])
-@pytest.mark.parametrize("width", [0, 4])
+@pytest.mark.parametrize(("count", "width"), [(1, 0), (4, 4), (16, 4)])
 def test_gaussians_round_trip(tmp_path, count, width):
     features = torch.rand(50, width) if width else None
     made = some(count=count, features=features)
@@ -108,12 +107,11 @@ def test_whole_numbers_that_floats_would_change_are_ints(tmp_path):
     assert extra["label"].tolist() == [2**24, 0, -1]
 
 
-@pytest.mark.parametrize("kind", ["f4", "f8"])
 @pytest.mark.parametrize(
-    "form", [{"text": True}, {"order": "<"}, {"order": ">"}], ids=["ascii", "little", "big"]
+    ("count", "kind", "form"),
+    [(1, "f8", {"text": True}), (4, "f4", {"order": ">"}), (16, "f8", {"order": "<"})],
 )
-@pytest.mark.parametrize("count", [1, 4, 9, 16])
-def test_files_of_any_form_and_order_are_read(tmp_path, kind, form, count):
+def test_files_of_any_form_and_order_are_read(tmp_path, count, kind, form):
     data = columns(count=count)
     again, extra = load_ply(write(tmp_path / "a.ply", data, kind, **form))
     as_stored = {name: values.astype(kind).astype(np.float64) for name, values in data.items()}
@@ -189,22 +187,15 @@ def spoil(name, row, value):
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        (spoil("x", 3, np.nan), "vertex 3 has x nan"),
         (spoil("f_rest_5", 1, np.inf), "vertex 1 has f_rest_5 inf"),
-        (spoil("opacity", 2, np.nan), "vertex 2 has opacity nan"),
         (spoil("scale_1", 4, 1000), "vertex 4 has scale_1 1000.0"),
-        (spoil("rot_2", 0, np.nan), "vertex 0 has rot_2 nan"),
         (spoil("y", 0, 1e300), "vertex 0 has y 1e"),
         (lambda d: d.pop("f_rest_8"), "has 8 properties f_rest_"),
-        (lambda d: d.pop("scale_2"), "lacks scale_2.*the flat Gaussians of 2D Gaussian splatting"),
+        (lambda d: d.pop("scale_2"), "lacks scale_2"),
         (lambda d: [d[f"rot_{i}"].__setitem__(2, 0) for i in range(4)], r"vertex 2 .*\(0, 0, 0, 0"),
         (lambda d: [d.pop(n) for n in list(d) if n not in "xyz"], "lacks f_dc_0, .* has z, y, x"),
         (lambda d: d.update(filter_3D=np.ones(5)), "has filter_3D, by which"),
-        (lambda d: d.update(scaling_factor=np.ones(5)), "has scaling_factor, by which"),
-        (lambda d: d.update(roughness=np.ones(5), albedo=np.ones(5)), "has roughness, albedo, by"),
         (lambda d: d.update(f_rest_11=np.ones(5)), "has f_rest_11, by which"),
-        (lambda d: (d.clear(), d.update(packed_position=np.ones(5))), "compressed .ply of Super"),
-        (lambda d: [d.update({f"features_dc_{i}": d.pop(f"f_dc_{i}")}) for i in range(3)], "lacks"),
     ],
 )
 def test_what_makes_no_gaussian_is_named(tmp_path, change, sentence):
@@ -215,15 +206,12 @@ def test_what_makes_no_gaussian_is_named(tmp_path, change, sentence):
     assert str(error.value).startswith(str(tmp_path / "a.ply"))
 
 
-@pytest.mark.parametrize("text", [True, False])
-def test_a_file_cut_short_anywhere_is_one_sentence(tmp_path, text):
-    whole = write(tmp_path / "whole.ply", columns(3), text=text).read_bytes()
-    cut = tmp_path / "cut.ply"
-    # Of a number in ascii the last digits may go, and nobody can tell.
-    for length in (*range(0, 60, 7), len(whole) // 2, len(whole) - 30):
-        cut.write_bytes(whole[:length])
+def test_a_file_cut_short_is_one_sentence(tmp_path):
+    whole = write(tmp_path / "whole.ply", columns(3)).read_bytes()
+    for length in (0, 30, len(whole) // 2, len(whole) - 30):
+        (tmp_path / "cut.ply").write_bytes(whole[:length])
         with pytest.raises(InputError, match=r"cut\.ply: is not a whole \.ply file"):
-            load_ply(cut)
+            load_ply(tmp_path / "cut.ply")
 
 
 @pytest.mark.parametrize(
@@ -231,11 +219,7 @@ def test_a_file_cut_short_anywhere_is_one_sentence(tmp_path, text):
     [
         (b"\x89PNG\r\n\x1a\n", "is not a whole .ply file"),
         (b"ply\nformat binary_little_endian 1.0\nelement face 0\nend_header\n", "only face"),
-        (b"ply\nformat ascii 1.0\nend_header\n", "no element vertex"),
-        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\nabc\n", "whole"),
         (b"ply\nformat ascii 1.0\nelement vertex 99999999999999\nend_header\n", "whole .ply"),
-        (b"ply\nformat binary_little_endian 1.0\nelement vertex -5\nend_header\n", "whole .ply"),
-        (b"ply\nformat ascii 1.0\ncomment \xc3\xa9\nelement vertex 0\nend_header\n", "whole .ply"),
         (None, "cannot be read"),
     ],
 )
@@ -251,8 +235,6 @@ def test_what_is_no_such_file_is_one_sentence(tmp_path, data, sentence):
     ("given", "labels", "sentence"),
     [
         ({"sh": torch.zeros(50, 25, 3)}, None, "found 25 coefficients a colour"),
-        ({"opacities": torch.full((50,), 1.5)}, None, r"opacities\[0\]: found 1.5, expected 0 to"),
-        ({"scales": torch.full((50, 3), -1.0)}, None, r"scales\[0\]: found .*, expected 0 or more"),
         ({"means": torch.full((50, 3), torch.nan)}, None, r"means\[0\]: holds NaN"),
         ({}, np.zeros(49, int), r"labels: found int64 \(49,\), expected .*\(50,\)"),
         ({}, np.zeros(50), "labels: found float64"),

@@ -68,11 +68,6 @@ def test_depth_of_a_sweep_read_again_makes_the_gaussians_of_the_sweep(tmp_path, 
         np.testing.assert_allclose(arrays[name], values, atol=1e-6, err_msg=name)
 
 
-def write_exr(file: Path, depth: np.ndarray) -> None:
-    pytest.importorskip("OpenEXR")
-    write_map(file, depth)
-
-
 def write_pfm(file: Path, depth: np.ndarray) -> None:
     head = f"Pf\n{depth.shape[1]} {depth.shape[0]}\n-1.0\n".encode()
     file.write_bytes(head + depth[::-1].astype("<f4").tobytes())
@@ -83,7 +78,6 @@ KINDS = {
     "tiff": lambda file, depth: Image.fromarray(depth).save(file),
     "npy": write_map,
     "pfm": write_pfm,
-    "exr": write_exr,
 }
 
 

@@ -14,14 +14,13 @@ from drawn_lessons import lesson
 from train_and_die import LESSONS, SETTINGS
 
 from slgaussian.errors import InputError
-from slgaussian.semantic.batch_sampler import draw_batch
 from slgaussian.semantic.branch import (
     Architecture,
     make_branch,
     save_branch,
 )
 from slgaussian.semantic.checkpoints import CHECKPOINT
-from slgaussian.semantic.training import TrainingSettings, loss_of, train
+from slgaussian.semantic.training import TrainingSettings, draw_batch, loss_of, train
 from slgaussian.storage.specs import load_spec
 from tests.kernel_threads import kernels_on
 

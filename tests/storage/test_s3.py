@@ -99,7 +99,7 @@ def test_kill_9_in_the_middle_of_an_upload_leaves_nothing_to_be_seen(
 
 
 def test_a_bucket_is_never_made_by_writing(bucket):
-    with pytest.raises(InputError, match=r"cannot write there \(no bucket 'slg-not-there'"):
+    with pytest.raises(InputError, match=r"cannot write there \(.*bucket"):
         ArtifactStore("s3://slg-not-there/slg").check_writable()
     assert not s3fs.S3FileSystem(use_listings_cache=False).exists("slg-not-there")
 
@@ -107,7 +107,7 @@ def test_a_bucket_is_never_made_by_writing(bucket):
 def test_without_credentials_the_sentence_says_where_they_go(bucket, fresh, monkeypatch):
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)
-    with pytest.raises(InputError, match=r"no credentials: .*; set AWS_ACCESS_KEY_ID and"):
+    with pytest.raises(InputError, match=r"the credentials .AWS_ACCESS_KEY_ID and"):
         ArtifactStore(bucket).check_writable()
 
 
@@ -119,7 +119,7 @@ def test_with_wrong_credentials_the_sentence_does_not_say_them(bucket, fresh, s3
 
     guard("0")
     try:
-        with pytest.raises(InputError, match=r"no permission: .*check the credentials") as error:
+        with pytest.raises(InputError, match=r"check .*the credentials") as error:
             ArtifactStore(bucket).check_writable()
         assert "AKIAEXAMPLE" not in str(error.value)
         assert "not/a+secret" not in str(error.value)
@@ -134,6 +134,6 @@ def test_a_server_that_does_not_answer_is_no_damage(bucket, fresh, monkeypatch):
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://someone:hidden@127.0.0.1:9")
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)
-    with pytest.raises(InputError, match=r"no answer: .*AWS_ENDPOINT_URL") as error:
+    with pytest.raises(InputError, match=r"cannot read there .*AWS_ENDPOINT_URL") as error:
         Records(ArtifactStore(bucket)).find(f"masks/v1/{'0' * 64}")
     assert "hidden" not in str(error.value)
