@@ -107,7 +107,7 @@ class BranchLifting:
     branch: Branch
 
     def __call__(self, gaussians: Gaussians, label_maps: LabelMaps, bank: MemoryBank) -> Gaussians:
-        """See :class:`slgaussian.semantic.Lifting`; InputError if codes are not [N, 3]."""
+        """See :class:`slgaussian.semantic.Lifting`."""
         images = input_images(label_maps.labels, bank.ids, bank.codes)
         with torch.no_grad(), inside(self.branch):
             features = features_of(self.branch, images, gaussians.source)
@@ -138,15 +138,7 @@ def input_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> torc
 
     Returns:
         float32 [V, H, W, 3]
-
-    Raises:
-        InputError: If codes are not three-dimensional.
     """
-    if codes.shape[1] != DIMENSION:
-        raise InputError(
-            f"lifting 'branch': found codes of {codes.shape[1]} numbers, expected {DIMENSION}, "
-            "which branches are trained for; choose such codes, or the lifting 'hard'"
-        )
     return torch.from_numpy(code_images(labels, ids, codes)[..., :DIMENSION])
 
 

@@ -164,14 +164,6 @@ def test_a_file_that_is_no_weights_is_refused(tmp_path):
             load_branch(file)
 
 
-@pytest.mark.parametrize("dimension", [0, 1, 2])
-def test_other_codes_than_the_papers_are_refused(dimension):
-    mine = lesson()
-    maps = label_maps(mine.labels)
-    with pytest.raises(InputError, match=f"codes of {dimension} numbers, expected 3"):
-        BranchLifting(shaken())(mine.gaussians, maps, bank_of(maps.ids, dimension))
-
-
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 3))
 def test_labels_come_from_the_nearest_within_reach(seed, views):
