@@ -19,8 +19,7 @@ class StageEvent:
     """A change of state of one stage of one scene.
 
     Attributes:
-        state: ``running``, ``completed``, ``cached``, ``repeated`` (its artifact was damaged, and
-            it is computed again) or ``failed`` (the scene is left out).
+        state: ``running``, ``completed``, ``cached`` or ``failed`` (the scene is left out).
         message: Progress within a running stage, or the reason of a failure.
         seconds: Wall time of a completed stage.
         traceback: Of a failure that is a defect.

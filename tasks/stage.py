@@ -145,9 +145,7 @@ class Stage:
         """
         run = current_run()
         run.stage = self.name
-        before = run.refs.get(self.name)
-        if before is None:
-            run.notify(StageEvent(run.scene, self.name, "running"))
+        run.notify(StageEvent(run.scene, self.name, "running"))
         bound = self.signature.bind(run, *args, **kwargs)
         bound.apply_defaults()
         _, *arguments = bound.arguments.items()
@@ -160,12 +158,8 @@ class Stage:
         stage_result = result.result() if cached else result
         run.refs[self.name] = ref = stage_result.ref
         run.results[ref.digest] = stage_result
-        if before is not None and not cached:
-            run.notify(StageEvent(run.scene, self.name, "repeated"))
-        if before is None or not cached:
-            seconds = time.perf_counter() - start
-            state = "cached" if cached else "completed"
-            run.notify(StageEvent(run.scene, self.name, state, seconds=seconds))
+        state, seconds = "cached" if cached else "completed", time.perf_counter() - start
+        run.notify(StageEvent(run.scene, self.name, state, seconds=seconds))
         return ref
 
     def key(self, arguments: Mapping[str, Any]) -> str:

@@ -106,16 +106,23 @@ def run_batch(label: str, pickled: bytes) -> list[SceneResult]:
 
     ``pickled`` are the store's root, the scene tasks, the number of workers and the stages to
     recompute. Arguments are pickled for threads too, so that all task runners behave alike. Events
-    are sent to the flow if it is in this process.
+    are sent to the flow if it is in this process. DamagedError at the end, if a scene needs a
+    damaged artifact.
     """
     root, scene_tasks, workers, refresh = pickle.loads(pickled)
     store, enclosing = ArtifactStore(root), enclosing_run()
-    results = []
+    results, damaged = [], None
     for scene_task in scene_tasks:
         events: list[StageEvent] = []
         notify = events.append if enclosing is None else enclosing.notify
-        result = compute_scene(scene_task, store, workers, notify, refresh)
+        try:
+            result = compute_scene(scene_task, store, workers, notify, refresh)
+        except DamagedError as error:
+            damaged = error
+            continue
         results.append(SceneResult(scene_task.scene, *result, events))
+    if damaged is not None:
+        raise damaged
     return results
 
 
@@ -128,37 +135,23 @@ def compute_scene(
 ) -> tuple[dict[str, ArtifactRef], Failure | None]:
     """Return the refs of all stages, or of those before the one that failed, and its failure.
 
-    A damaged artifact of this scene is recomputed once, by another call of the pipeline, which
-    takes other results from the store. DamagedError if it is of another scene.
+    DamagedError if it needs a damaged artifact, which is deleted.
     """
     run = RunContext(store, scene_task.scene, workers, notify, refresh, stage=scene_task.first)
-    repaired: set[str] = set()
-    while True:
-        try:
-            with run_context(run):
-                scene_task.pipeline(*scene_task.arguments)
-            return run.refs, None
-        except StoppedError:
-            raise
-        except DamagedError as error:
-            uris = (
-                uri for ref in run.refs.values() for uri in (ref.uri, *ref.meta.get("parts", ()))
-            )
-            if error.uri not in uris:
-                raise
-            if error.uri not in repaired:
-                repaired.add(error.uri)
-                continue
-            problem: Exception | SystemExit = error
-        except (Exception, SystemExit) as error:  # other scenes continue after any error
-            problem = error
-        expected = isinstance(problem, SLGaussianError)
-        reason = " ".join(str(problem).split()) or type(problem).__name__
+    try:
+        with run_context(run):
+            scene_task.pipeline(*scene_task.arguments)
+        return run.refs, None
+    except (StoppedError, DamagedError):
+        raise
+    except (Exception, SystemExit) as error:  # other scenes continue after any error
+        expected = isinstance(error, SLGaussianError)
+        reason = " ".join(str(error).split()) or type(error).__name__
         if not expected:
-            reason = f"unexpected {type(problem).__name__}: {reason}"
-        trace = "" if expected else "".join(traceback.format_exception(problem)).rstrip()
+            reason = f"unexpected {type(error).__name__}: {reason}"
+        trace = "" if expected else "".join(traceback.format_exception(error)).rstrip()
         notify(StageEvent(run.scene, run.stage, "failed", reason, traceback=trace))
-        return run.refs, Failure(run.scene, run.stage, type(problem).__name__, reason)
+        return run.refs, Failure(run.scene, run.stage, type(error).__name__, reason)
 
 
 def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Progress) -> Outcome:
@@ -167,8 +160,8 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     At most one batch per worker is submitted at a time, each with one scene in memory.
 
     Raises:
-        DamagedError: At the end, if a scene needs a damaged artifact that belongs to another scene;
-            the artifact is deleted.
+        DamagedError: At the end, if a scene needs a damaged artifact, which is deleted: the next
+            run of the scenes computes it again.
         SLGaussianError: If the task runner accepts no more work.
     """
     outcome = Outcome()

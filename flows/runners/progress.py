@@ -83,11 +83,6 @@ class Progress:
                     self.line(text)
             case "completed" | "cached":
                 self._finished(event)
-            case "repeated":
-                self.line(f"{scene}  {stage}  again: its artifact was damaged", logging.WARNING)
-                self.steps -= 1
-                done = self.of_scene[scene]
-                done.remove(next(earlier for earlier in done if earlier.stage == stage))
             case "failed":
                 self._failed(event)
         texts = self._counts()

@@ -38,8 +38,8 @@ MOST_ROWS = 500
 def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Result]) -> Result:
     """Do the work of a flow with its store, and repair damaged artifacts.
 
-    An artifact that is found damaged during export or by another scene is removed, and the work is
-    repeated: that recomputes the artifact and finds the others in the store.
+    An artifact that is found damaged is removed, and the work is repeated: that recomputes the
+    artifact and finds the others in the store.
 
     Args:
         command: Name of the command, for provenance.

