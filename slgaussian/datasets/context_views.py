@@ -57,44 +57,42 @@ def context_of(
     Raises:
         InputError: If a name does not exist in the scene, or there are not enough views.
     """
-    chosen_views = [scene.find(name) for name in context]
-    if count <= len(chosen_views):
-        places = [round(i * (len(chosen_views) - 1) / (count - 1)) for i in range(count)]
-        return tuple(chosen_views[place] for place in places)
-    first, last = (scene.cameras[name] for name in (chosen_views[0], chosen_views[-1]))
-    baseline = max(float(np.linalg.norm(first.center - last.center)), 1e-12)
-    middle = (first.center + last.center) / 2
-    sights = np.stack([first.c2w[:3, 2], last.c2w[:3, 2]])
-    centers = {name: (c.center - middle) / baseline for name, c in scene.cameras.items()}
-    held_out = [centers[scene.find(name)] for name in targets]  # at distance 0 from themselves
-    left = [
-        name
-        for name, camera in scene.cameras.items()
-        if name not in chosen_views
-        and (sights @ camera.c2w[:3, 2]).max() >= np.cos(np.radians(TURNED))
-        and _least_distance(centers[name], held_out) >= APART
-    ]
-    while len(chosen_views) < count:
-        # Distances are rounded, so that ties are resolved equally on every machine.
-        radii = {name: round(float(np.linalg.norm(centers[name])), 6) for name in left}
-        chosen_centers = [centers[name] for name in chosen_views]
-        gaps = {name: round(_least_distance(centers[name], chosen_centers), 6) for name in left}
-        within = [name for name in left if radii[name] <= 0.5 and gaps[name] >= WITHIN]
-        beyond = [name for name in left if radii[name] > 0.5 and gaps[name] >= BEYOND]
-        if not (within or beyond):
+    names = list(scene.cameras)
+    chosen, held_out = (
+        [names.index(scene.find(name)) for name in some] for some in (context, targets)
+    )
+    if count <= len(chosen):
+        places = [round(i * (len(chosen) - 1) / (count - 1)) for i in range(count)]
+        return tuple(names[chosen[place]] for place in places)
+    axes = np.stack([camera.c2w[:3, 2] for camera in scene.cameras.values()])
+    centers = np.stack([camera.center for camera in scene.cameras.values()])
+    first, last = centers[[chosen[0], chosen[-1]]]
+    centers = (centers - (first + last) / 2) / max(float(np.linalg.norm(first - last)), 1e-12)
+    # Distances are rounded, so that ties are resolved equally on every machine.
+    radii = np.linalg.norm(centers, axis=1).round(6)
+
+    def distances(views: Sequence[int]) -> np.ndarray:
+        away = np.linalg.norm(centers[:, None] - centers[views], axis=-1)
+        return away.min(1, initial=np.inf)
+
+    free = (axes @ axes[[chosen[0], chosen[-1]]].T).max(1) >= np.cos(np.radians(TURNED))
+    free &= distances(held_out) >= APART
+    free[chosen] = False
+    while len(chosen) < count:
+        gaps = distances(chosen).round(6)
+        within = free & (radii <= 0.5) & (gaps >= WITHIN)
+        beyond = free & (radii > 0.5) & (gaps >= BEYOND)
+        if not (within | beyond).any():
             raise InputError(
-                f"scene {scene.name!r}: found {len(chosen_views)} context views around its "
-                f"targets, expected {count}; ask for fewer, or add photographs"
+                f"scene {scene.name!r}: found {len(chosen)} context views around its targets, "
+                f"expected {count}; ask for fewer, or add photographs"
             )
-        chosen = max(within, key=gaps.__getitem__) if within else min(beyond, key=radii.__getitem__)
-        left.remove(chosen)
+        inner, outer = np.where(within, gaps, -1), np.where(beyond, radii, np.inf)
+        view = int(inner.argmax() if within.any() else outer.argmin())
+        free[view] = False
         try:
-            scene.read(chosen)
+            scene.read(names[view])
         except InputError:
             continue
-        chosen_views.append(chosen)
-    return tuple(chosen_views)
-
-
-def _least_distance(place: np.ndarray, centers: Sequence[np.ndarray]) -> float:
-    return min((float(np.linalg.norm(place - center)) for center in centers), default=np.inf)
+        chosen.append(view)
+    return tuple(names[view] for view in chosen)

@@ -13,7 +13,7 @@ import math
 import os
 import re
 from collections import ChainMap
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -22,14 +22,12 @@ from typing import Any
 import numpy as np
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.datasets.lens import Maps, checked_camera, lens_maps, straightened
+from slgaussian.datasets.lens import Maps, checked_camera, lens_maps
 from slgaussian.datasets.photographs import (
     EXTENSIONS,
-    absent,
     is_there,
-    masked,
     name_in,
-    open_photograph,
+    open_view,
     stored_size,
 )
 from slgaussian.errors import InputError
@@ -187,44 +185,23 @@ class Frame:
             raise self.error(f"{OWN} is {extra!r}, expected an object")
         return extra
 
-    def undistortion(self, camera: Camera) -> Maps | None:
-        """Compute undistortion maps (:mod:`slgaussian.datasets.lens`); None for a pinhole."""
+    def lens(self, camera: Camera) -> Callable[[], Maps] | None:
+        """Return a function that computes undistortion maps; None for a pinhole."""
         k1, k2, k3, k4 = (self.number(f"k{i}", 0.0) for i in range(1, 5))
         p1, p2 = (self.number(f"p{i}", 0.0) for i in range(1, 3))
         size = (camera.width, camera.height)
         if self.values.get("is_fisheye") or self.values.get("camera_model") == FISHEYE:
-            return lens_maps(camera.K, size, [k1, k2, k3, k4], fisheye=True)
+            return partial(lens_maps, camera.K, size, [k1, k2, k3, k4], fisheye=True)
         if k4:
             raise self.error(f"k4 is {k4:g}, expected a camera_model {FISHEYE} with it")
-        lens = [k1, k2, p1, p2, k3]
-        return lens_maps(camera.K, size, lens) if any(lens) else None
-
-    def view(self, camera: Camera) -> View:
-        """Open and undistort the photograph, with its mask and depth.
-
-        Raises:
-            InputError: If a file is missing, except that of the depth, or unreadable.
-        """
-        assert self.image_path is not None
-        size = (camera.width, camera.height)
-        pixels, opaque = open_photograph(self.image_path, size, upright=self.extra is not None)
-        if pixels.shape[:2] != size[::-1]:
-            raise InputError(
-                f"{self.image_path}: is {pixels.shape[1]}x{pixels.shape[0]}, but {self.file.name} "
-                f"says {size[0]}x{size[1]}; resize it, or scale w, h, fl_x, fl_y, cx and cy to its "
-                "size"
-            )
-        if (mask := self.values.get("mask_path")) is not None:
-            pixels, opaque = masked(pixels, opaque, self.place(mask))
-        view = View(self.name, camera, pixels, self._depth(camera), opaque=opaque)
-        maps = self.undistortion(camera)
-        return view if maps is None else straightened(view, maps)
+        coefficients = [k1, k2, p1, p2, k3]
+        return partial(lens_maps, camera.K, size, coefficients) if any(coefficients) else None
 
     def place(self, name: Any) -> Path:
         """Resolve a path relative to the folder of the camera file."""
         return self.file.parent / name_in(self.file.parent, str(name))
 
-    def _depth(self, camera: Camera) -> np.ndarray | None:
+    def depth(self, camera: Camera) -> np.ndarray | None:
         """Read depth float32 [H, W] in scene units, 0 where unknown; None without a depth file."""
         name = self.values.get("depth_file_path")
         if name is None or not is_there(path := self.place(name)):
@@ -300,10 +277,19 @@ def _read_view(frames: Mapping[str, Frame], cameras: Mapping[str, Camera], name:
     if name not in frames:
         file = next(iter(frames.values())).file
         raise InputError(f"{file}: no frame has the file_path {name!r}")
-    frame = frames[name]
-    if frame.image_path is None:
-        raise absent(frame.file.parent / name, frame.file.name)
-    return frame.view(cameras[name])
+    frame, camera = frames[name], cameras[name]
+    photograph = frame.image_path or frame.file.parent / name
+    mask = frame.values.get("mask_path")
+    return open_view(
+        name,
+        camera,
+        photograph,
+        frame.file.name,
+        upright=frame.extra is not None,
+        lens=frame.lens(camera),
+        mask=None if mask is None else frame.place(mask),
+        depth=frame.depth(camera),
+    )
 
 
 def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:

@@ -183,38 +183,52 @@ def scene_of(
         upright: Whether the cameras refer to the upright photographs, see :func:`open_photograph`.
         estimation: Record of the estimation of the cameras.
     """
-    read = partial(_read_view, cameras, photographs, named_by, lenses or {}, upright)
+    lenses = lenses or {}
+    views = {
+        view: partial(
+            open_view, view, camera, photographs[view], named_by, upright, lenses.get(view)
+        )
+        for view, camera in cameras.items()
+    }
     sources = {view: [*files, photograph] for view, photograph in photographs.items()}
+    read = partial(_read_view, views, named_by)
     return Scene(name, cameras, read, found=estimation or {}, sources=sources.__getitem__)
 
 
-def _read_view(
-    cameras: Mapping[str, Camera],
-    photographs: Mapping[str, Path],
-    named_by: str | Path,
-    lenses: Mapping[str, Callable[[], Maps]],
-    upright: bool,
-    name: str,
-) -> View:
-    if name not in cameras:
+def _read_view(views: Mapping[str, Callable[[], View]], named_by: str | Path, name: str) -> View:
+    if name not in views:
         raise InputError(f"{named_by}: has no view {name!r}")
-    file, camera = photographs[name], cameras[name]
-    if not is_there(file):
-        raise absent(file, named_by)
-    pixels, opaque = open_photograph(file, (camera.width, camera.height), upright)
+    return views[name]()
+
+
+def open_view(
+    name: str,
+    camera: Camera,
+    photograph: Path,
+    named_by: str | Path,
+    upright: bool = False,
+    lens: Callable[[], Maps] | None = None,
+    mask: Path | None = None,
+    depth: np.ndarray | None = None,
+) -> View:
+    """Open a photograph as a view, with its mask, and undistort it; see :func:`scene_of`.
+
+    Raises:
+        InputError: If a file is missing or damaged, or the photograph has another size.
+    """
+    if not is_there(photograph):
+        raise InputError(
+            f"{photograph}: no such photograph, though {named_by} names it; put the file there or "
+            "choose another view"
+        )
+    pixels, opaque = open_photograph(photograph, (camera.width, camera.height), upright)
     height, width = pixels.shape[:2]
     if (width, height) != (camera.width, camera.height):
         raise InputError(
-            f"{file}: is {width}x{height}, but by its pose file {camera.width}x{camera.height}; "
-            "bring it to that size and orientation"
+            f"{photograph}: is {width}x{height}, but {named_by} says {camera.width}x"
+            f"{camera.height}; resize it or scale its camera"
         )
-    view = View(name, camera, pixels, opaque=opaque)
-    return straightened(view, lenses[name]()) if name in lenses else view
-
-
-def absent(path: Path, named_by: str | Path) -> InputError:
-    """Return the error for a missing photograph of the file ``named_by``."""
-    return InputError(
-        f"{path}: no such photograph, though {named_by} names it; put the file there or choose "
-        "another view"
-    )
+    if mask is not None:
+        pixels, opaque = masked(pixels, opaque, mask)
+    view = View(name, camera, pixels, depth, opaque=opaque)
+    return view if lens is None else straightened(view, lens())
