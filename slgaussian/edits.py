@@ -25,7 +25,7 @@ REPAIR = f"remove {EDITS} to have the field as it was built"
 def files(taught: TaughtWords, names: Mapping[int, str], removed: Set[int]) -> dict[str, bytes]:
     """Encode the files by name; without edits there are none."""
     files = {}
-    if len(taught.words):
+    if len(taught):
         files[WORDS] = taught.to_bytes()
     if names or removed:
         ids = sorted(names)

@@ -58,7 +58,7 @@ def test_every_change_leaves_the_field_as_it_was(field):
     a, b = (one.render(field.cameras["a"]) for one in (field, back))
     for name in ("rgb", "ids", "alpha", "depth"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-    assert not len(back.taught.words) and back.names == {}
+    assert not len(back.taught) and back.names == {}
 
 
 def test_what_was_behind_is_shown_where_a_view_saw_it_and_open_elsewhere(field):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -113,7 +113,7 @@ def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str
         "found": hit.found,
         "verdict": hit.verdict,
         "summary": hit.summary,
-        "confidence": None if hit.confidence is None else asdict(hit.confidence),
+        "confidence": None if hit.confidence is None else hit.confidence._asdict(),
         "uncalibrated": hit.uncalibrated or None,
         "score": hit.score,
         "point": list(hit.point) if hit.shown and hit.point is not None else None,

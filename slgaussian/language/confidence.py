@@ -19,7 +19,6 @@ The coefficients belong to the encoder, since the scale of its cosines does.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +51,7 @@ class Signs(NamedTuple):
     named: float = 0.0
 
 
-@dataclass(frozen=True)
-class Curve:
+class Curve(NamedTuple):
     """Coefficients of the logistic regression on :class:`Signs`, and its intercept (``offset``)."""
 
     evidence: float
@@ -64,13 +62,11 @@ class Curve:
 
     def __call__(self, signs: Signs) -> float:
         """Compute the probability, in (0, 1)."""
-        at = self.evidence * signs.evidence + self.stands_out * signs.stands_out
-        at += self.parts * signs.parts + self.named * signs.named + self.offset
+        at = sum(weight * sign for weight, sign in zip(self, signs, strict=False)) + self.offset
         return 1 / (1 + math.exp(-min(max(at, -50.0), 50.0)))
 
 
-@dataclass(frozen=True)
-class Calibration:
+class Calibration(NamedTuple):
     """Fitted coefficients of an encoder.
 
     Attributes:
@@ -82,8 +78,7 @@ class Calibration:
     point: Curve
 
 
-@dataclass(frozen=True)
-class Confidence:
+class Confidence(NamedTuple):
     """Probabilities in (0, 1) that an answer is right; see :class:`Calibration`."""
 
     mask: float

@@ -21,14 +21,11 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from slgaussian.errors import InputError, SpecError
-from slgaussian.formats import strict_json
-from slgaussian.io import short_repr
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.storage.encoding import decode_arrays, encode_artifact
 from slgaussian.storage.specs import load_spec
@@ -50,12 +47,16 @@ LONGEST = 80
 REPAIR = "remove the file, and teach the words again"
 
 
-def _texts() -> np.ndarray:
-    return np.zeros(0, "<U1")
+class Lesson(NamedTuple):
+    """Features of one word: unit vectors of the encoder, rounded to half precision.
 
+    Attributes:
+        examples: float32 [E, C]. Objects that the word means.
+        rivals: float32 [R, C]. Other objects of the scenes where it was taught, none an example.
+    """
 
-def _vectors() -> np.ndarray:
-    return np.zeros((0, 0), np.float32)
+    examples: np.ndarray
+    rivals: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,68 +65,32 @@ class TaughtWords:
 
     Attributes:
         encoder: :func:`encoder_identity` of the features' encoder; empty without words.
-        words: str [E]. Word of each example, normalised by :func:`normal`.
-        features: float32 [E, C]. Unit vectors of the encoder, rounded to half precision.
-        rival_words: str [R]. Word of each rival.
-        rivals: float32 [R, C]. Features of the other objects of the scene where the word was
-            taught.
-
-    Raises:
-        InputError: If shapes do not match, or a feature is not a unit vector.
+        lessons: {word: its features}. Words are normalised by :func:`normal`.
     """
 
     encoder: str = ""
-    words: np.ndarray = field(default_factory=_texts)
-    features: np.ndarray = field(default_factory=_vectors)
-    rival_words: np.ndarray = field(default_factory=_texts)
-    rivals: np.ndarray = field(default_factory=_vectors)
-
-    __repr__ = short_repr
-
-    def __post_init__(self) -> None:
-        examples, rivals = len(self.words), len(self.rival_words)
-        width = self.features.shape[-1] if self.features.ndim == 2 else 0
-        expected = {"features": (examples, width), "rivals": (rivals, width)}
-        for name, shape in expected.items():
-            if getattr(self, name).shape != shape:
-                raise InputError(
-                    f"taught words {name}: found {getattr(self, name).shape}, expected {shape}"
-                )
-        for name in ("features", "rivals"):
-            lengths = np.linalg.norm(getattr(self, name).astype(np.float64), axis=1)
-            if not (np.abs(lengths - 1) <= UNIT_TOLERANCE).all():
-                raise InputError(f"taught words {name}: hold a vector that is no unit vector")
+    lessons: Mapping[str, Lesson] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the words in alphabetical order."""
-        return iter(self._known)
+        return iter(sorted(self.lessons))
 
     def __len__(self) -> int:
         """Count the words."""
-        return len(self._known)
-
-    @cached_property
-    def _known(self) -> list[str]:
-        return np.unique(self.words).tolist()
+        return len(self.lessons)
 
     def __contains__(self, text: object) -> bool:
         """Return whether a text is a taught word, ignoring case and extra spaces."""
-        return isinstance(text, str) and spelled(text) in self._known
+        return isinstance(text, str) and spelled(text) in self.lessons
 
     def examples(self, word: str) -> int:
         """Count the examples of a word."""
-        return int((self.words == normal(word)).sum())
+        return len(self.lessons[normal(word)].examples)
 
     def with_example(
-        self,
-        word: str,
-        feature: np.ndarray,
-        rivals: np.ndarray,
-        encoder: str,
+        self, word: str, feature: np.ndarray, rivals: np.ndarray, encoder: str
     ) -> TaughtWords:
         """Return the words with one more example, without duplicates.
-
-        A rival that equals an example of the word is removed.
 
         Args:
             feature: float [C]. Unit vector of the object.
@@ -138,79 +103,57 @@ class TaughtWords:
         """
         word = normal(word)
         self.check_encoder(encoder)
-        vector, new_rivals = _half(feature[None]), _half(rivals)
-        width = vector.shape[1]
-        if len(self.words) and self.features.shape[1] != width:
-            raise InputError(
-                f"taught words: features are {self.features.shape[1]} wide, found one of {width}; "
-                "forget them and teach them again"
-            )
-        features, old = self.features.reshape(-1, width), self.rivals.reshape(-1, width)
-        keep = (self.words != word) | (features != vector).any(1)
-        words = np.append(self.words[keep], word)
-        features = np.concatenate([features[keep], vector])
-        rival_words = np.append(self.rival_words, np.full(len(new_rivals), word))
-        rivals = np.concatenate([old, new_rivals])
-        present = {example.tobytes() for example in features[words == word]}
-        stay = rival_words != word
-        for row in np.flatnonzero(~stay):
-            stay[row] = rivals[row].tobytes() not in present
-            present.add(rivals[row].tobytes())
-        return TaughtWords(encoder, words, features, rival_words[stay], rivals[stay])
+        examples, others = _half(feature[None]), _half(rivals)
+        if word in self.lessons:
+            examples = np.concatenate([self.lessons[word].examples, examples])
+            others = np.concatenate([self.lessons[word].rivals, others])
+        distinct = {example.tobytes(): example for example in examples}
+        opposed = {other.tobytes(): other for other in others if other.tobytes() not in distinct}
+        width = len(feature)
+        lesson = Lesson(
+            np.array(list(distinct.values())), np.array(list(opposed.values())).reshape(-1, width)
+        )
+        return TaughtWords(encoder, {**self.lessons, word: lesson})
 
     def without(self, word: str) -> TaughtWords:
         """Return the words without ``word`` and its examples; InputError if it is not taught."""
         word = normal(word)
-        if not (self.words == word).any():
+        if word not in self.lessons:
             taught_words = ", ".join(map(repr, self)) or "none"
             raise InputError(f"{word!r}: is no taught word; those there are: {taught_words}")
-        keep, stay = self.words != word, self.rival_words != word
-        if not keep.any():
-            return TaughtWords()
-        return replace(
-            self,
-            words=self.words[keep],
-            features=self.features[keep],
-            rival_words=self.rival_words[stay],
-            rivals=self.rivals[stay],
-        )
+        left = {other: lesson for other, lesson in self.lessons.items() if other != word}
+        return replace(self, lessons=left) if left else TaughtWords()
 
     def leads(self, word: str, looks: np.ndarray) -> np.ndarray:
         """Compute the module's lead, float64 [P], of regions with unit vectors ``looks`` [P, C].
 
-        InputError if the word is not taught, or the vectors have another dimension.
+        The word must be taught.
         """
-        word = normal(word)
-        examples = self.words == word
-        if not examples.any():
-            raise InputError(f"{word!r}: has no example; teach it first")
-        if looks.ndim != 2 or looks.shape[1] != self.features.shape[1]:
-            raise InputError(
-                f"taught words: features are {self.features.shape[1]} wide, found looks "
-                f"{looks.shape}; they must come from the same encoder"
-            )
-        rivals = self.rivals[self.rival_words == word].astype(np.float64)
-        common = rivals.mean(0) if len(rivals) else np.zeros(looks.shape[1])
+        examples, rivals = self.lessons[normal(word)]
+        common = rivals.astype(np.float64).mean(0) if len(rivals) else np.zeros(looks.shape[1])
         directions = _directions(looks, common)
-        likeness = np.einsum("pc,ec->pe", directions, _directions(self.features[examples], common))
+        likeness = np.einsum("pc,ec->pe", directions, _directions(examples, common))
         return SCALE * (likeness.max(1) - EVEN)
 
     def check_encoder(self, encoder: str) -> None:
         """Raise InputError if these words have another encoder."""
         if self.encoder and encoder != self.encoder:
             raise InputError(
-                f"taught words: are of the encoder {_brief(self.encoder)}, but this field's is "
-                f"{_brief(encoder)}"
+                f"taught words: are of the encoder {self.encoder:.80}, but this field's is "
+                f"{encoder:.80}"
             )
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by name, as stored: features in half precision."""
+        lessons = [(word, self.lessons[word]) for word in self]
+        width = lessons[0][1].examples.shape[1] if lessons else 0
+        none = np.zeros((0, width), np.float32)
         return {
             "encoder": np.array(self.encoder),
-            "words": self.words.astype(np.str_),
-            "features": self.features.astype(np.float16),
-            "rival_words": self.rival_words.astype(np.str_),
-            "rivals": self.rivals.astype(np.float16),
+            "words": np.array([word for word, one in lessons for _ in one.examples], np.str_),
+            "features": np.concatenate([none, *(one.examples for _, one in lessons)]).astype("f2"),
+            "rival_words": np.array([word for word, one in lessons for _ in one.rivals], np.str_),
+            "rivals": np.concatenate([none, *(one.rivals for _, one in lessons)]).astype("f2"),
         }
 
     def to_bytes(self) -> bytes:
@@ -226,14 +169,19 @@ class TaughtWords:
                 (:func:`encoder_identity`).
         """
         arrays = decode_arrays(data, load_spec(SPEC), file, repair=REPAIR)
-        try:
-            words = TaughtWords(
-                str(arrays["encoder"]),
-                arrays["words"],
-                arrays["features"].astype(np.float32),
-                arrays["rival_words"],
-                arrays["rivals"].astype(np.float32),
+        for name in ("features", "rivals"):
+            lengths = np.linalg.norm(arrays[name].astype(np.float64), axis=1)
+            if not (np.abs(lengths - 1) <= UNIT_TOLERANCE).all():
+                raise SpecError(f"{file}: {name} hold a vector that is no unit vector; {REPAIR}")
+        features, rivals = (arrays[name].astype(np.float32) for name in ("features", "rivals"))
+        of_word = {
+            str(word): Lesson(
+                features[arrays["words"] == word], rivals[arrays["rival_words"] == word]
             )
+            for word in np.unique(arrays["words"])
+        }
+        words = TaughtWords(str(arrays["encoder"]), of_word)
+        try:
             words.check_encoder(encoder)
         except InputError as error:
             raise SpecError(f"{file}: {error}; {REPAIR}") from error
@@ -267,17 +215,6 @@ def encoder_identity(settings: Mapping[str, Any]) -> str:
     identity = {"encoder": name, **dict(settings.get(name, {}))}
     identity.pop("classifier", None)
     return json.dumps({k: v for k, v in identity.items() if v is not None}, sort_keys=True)
-
-
-def _brief(encoder: str) -> str:
-    """Shorten an encoder identity for messages."""
-    try:
-        identity = strict_json.parse(encoder)
-        name = identity.pop("encoder")
-    except (ValueError, KeyError, AttributeError):
-        return repr(encoder[:40])
-    details = ", ".join(f"{key} {str(value)[:12]}" for key, value in identity.items() if value)
-    return f"{name!r}" + (f" ({details})" if details else "")
 
 
 def _half(vectors: np.ndarray) -> np.ndarray:

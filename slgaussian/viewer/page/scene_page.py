@@ -14,7 +14,6 @@ import gzip
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -226,7 +225,7 @@ def _calibration(calibration: Calibration | None) -> dict[str, Any] | None:
     """Return the constants with which ``words.js`` computes confidence."""
     if calibration is None:
         return None
-    curves = {"mask": list(astuple(calibration.mask)), "point": list(astuple(calibration.point))}
+    curves = {"mask": list(calibration.mask), "point": list(calibration.point)}
     return {
         **curves,
         "absent": MIN_POINT_PROBABILITY,
