@@ -39,7 +39,7 @@ from tasks.context import RunContext
 from tasks.stage import stage
 
 
-@stage("benchmark", version=13)
+@stage("benchmark", version=14)
 def benchmark(
     run: RunContext,
     sample: ArtifactRef,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from dataclasses import field as dataclass_field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from slgaussian.benchmark.protocols import (
     PROTOCOLS,
     Answer,
     Frame,
+    MaskSettings,
     Scored,
     ScoringProtocol,
     load_protocol,
@@ -30,15 +30,14 @@ from slgaussian.io import short_repr
 from slgaussian.kernels import compiling
 from slgaussian.labels import LabelMaps
 from slgaussian.language.rules import Rules
-from slgaussian.scene import Sample, View
+from slgaussian.scene import Sample
 from slgaussian.storage.specs import load_spec
+
+Returned = TypeVar("Returned")
 
 ALONG_THE_WAY = {"quarter way": 0.25, "halfway": 0.5, "three-quarter way": 0.75}
 """Rendered viewpoints between the first two context cameras, by frame name. Queries without ground
 truth use the halfway view."""
-
-ERROR_TOP = 0.2
-"""Relative depth error that is shown as white."""
 
 NOT_UNDERSTOOD = "not understood"
 """Note of a row whose query the method rejects: no known word, or an unusable text."""
@@ -62,7 +61,7 @@ class SceneResult:
         predictions: {(protocol, frame, query): bool [H, W]}. Mask of each row, with the row's
             protocol. Some protocols have no masks.
         pictures: {name: uint8 [H, W, 3]}. ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds:
-            ``input``, ``labels``, ``depth``, ``true_depth``, ``depth_error`` (context views),
+            ``input``, ``labels``, ``depth``, ``true_depth`` (context views),
             ``photo``, ``render``, ``ids`` (targets and viewpoints along the way), ``relevancy`` and
             ``mask`` (queries, by the first protocol).
         costs: list of dict. One per (frame, query), with those columns of the data spec ``times``
@@ -104,14 +103,6 @@ class EvaluationSettings:
     rules: Rules = dataclass_field(default_factory=Rules)
     protocols: Sequence[str] = ()
     drawn: bool = True
-
-    def load_protocols(self) -> list[ScoringProtocol]:
-        """Return the protocols in their order.
-
-        Raises:
-            InputError: If a name is unknown.
-        """
-        return [load_protocol(name) for name in self.protocols or PROTOCOLS]
 
 
 def truth_from_instances(sample: Sample) -> Truth:
@@ -157,10 +148,9 @@ def evaluate(
         SceneResult: A query that is not understood has a row with score 0.
 
     Raises:
-        InputError: If a frame of ``truth`` is not a target, a mask has another size than its view,
-            a protocol is unknown, or a relevancy has another size, NaN, or values outside [0, 1].
+        InputError: If a protocol is unknown, or a relevancy has another size than its view, NaN, or
+            values outside [0, 1].
     """
-    _check_truth(sample, truth.masks)
     settings = settings or EvaluationSettings()
     queries, drawn = settings.queries, settings.drawn
     recorder = _Recorder(sample.scene, settings)
@@ -168,96 +158,113 @@ def evaluate(
     if texts:
         recorder.warm_up(field.render(sample.context[0].camera), texts)
     for target in sample.targets:
-        with recorder.timed():
-            view = field.render(target.camera)
+        view, seconds = _timed(field.render, target.camera)
         masks, boxes = (of.get(target.name, {}) for of in (truth.masks, truth.boxes))
-        recorder.ask(view, target.name, target.image, masks, boxes)
-        recorder.measure("psnr", metrics.psnr(view.rgb, target.image))
-        recorder.measure("ssim", metrics.ssim(view.rgb, target.image))
-        if view.depth.any():
-            recorder.measure_depth(view.depth, target, prefix="target_")
+        recorder.ask(view, seconds, target.name, target.image, masks, boxes)
+        psnr, ssim = (of(view.rgb, target.image) for of in (metrics.psnr, metrics.ssim))
+        recorder.measure({"psnr": psnr, "ssim": ssim})
+        if view.depth.any() and target.depth is not None:
+            errors = metrics.depth_errors(view.depth, target.depth)
+            recorder.measure({f"target_{name}": value for name, value in errors.items()})
         if drawn:
             recorder.pictures[f"photo/{target.name}"] = target.image
             recorder.draw_view(view, target.name)
-
     first, second = (view.camera for view in sample.context[:2])
     for frame, step in ALONG_THE_WAY.items():
-        if not drawn and not (queries and frame == "halfway"):
+        is_queried = frame == "halfway" and bool(queries)
+        if not drawn and not is_queried:
             continue
-        camera = between(first, second, step)
-        with recorder.timed():
-            view = field.render(camera)
+        view, seconds = _timed(field.render, between(first, second, step))
         if drawn:
             recorder.draw_view(view, frame)
-        if frame == "halfway" and queries:
-            nothing = np.zeros(view.rgb.shape[:2], bool)
-            recorder.ask(
-                view, frame, view.rgb, dict.fromkeys(queries, nothing), {}, has_truth=False
-            )
-
+        if is_queried:
+            masks = dict.fromkeys(queries, np.zeros(view.rgb.shape[:2], bool))
+            recorder.ask(view, seconds, frame, view.rgb, masks, {}, has_truth=False)
     if gaussians is not None:
         recorder.look_at_depths(sample, gaussians)
-    if not drawn:
-        return recorder.result()
-    for context, labels in zip(sample.context, label_maps.labels, strict=True):
-        recorder.pictures[f"input/{context.name}"] = context.image
-        recorder.pictures[f"labels/{context.name}"] = pictures.number_objects(labels, context.image)
+    if drawn:
+        for context, ids in zip(sample.context, label_maps.labels, strict=True):
+            recorder.pictures[f"input/{context.name}"] = context.image
+            labelled = pictures.number_objects(ids, context.image)
+            recorder.pictures[f"labels/{context.name}"] = labelled
     return recorder.result()
+
+
+def _timed(call: Callable[..., Returned], *arguments: Any) -> tuple[Returned, float]:
+    """Return the result of a call, and its seconds without compiling."""
+    start = compiling.clock()
+    returned = call(*arguments)
+    return returned, compiling.clock() - start
+
+
+def score_frame(
+    frame: Frame,
+    texts: Sequence[str],
+    protocols: Sequence[ScoringProtocol],
+    rules: Rules | None,
+    common: Mapping[str, Any],
+    columns: Mapping[str, Mapping[str, Any]],
+) -> Iterator[tuple[dict[str, Any], Scored]]:
+    """Score the answers of a frame; yield rows of the spec ``samples``, and what was scored.
+
+    A text without ground truth in the frame has one row, of the first protocol.
+
+    Args:
+        texts: sequence of str. One per answer.
+        rules: Rules of the answers, None for external masks.
+        common: Columns of all rows.
+        columns: {text: columns}. Columns of a text's rows.
+    """
+    for protocol in protocols:
+        mask_settings = MaskSettings("given")
+        if rules is not None:
+            mask_settings = protocol.mask_settings(rules, frame.masks[0].shape[1])
+        for text, mask, scored in zip(
+            texts, frame.masks, protocol.score(frame, mask_settings), strict=True
+        ):
+            if protocol is protocols[0] or mask.any():
+                x, y = (None, None) if scored.point is None else map(float, scored.point)
+                row = {**common, **asdict(mask_settings), **scored.scores, **columns[text]}
+                row |= {"query": text, "protocol": protocol.label, "point_x": x, "point_y": y}
+                row |= dict(zip(("height", "width"), mask.shape, strict=True))
+                yield {name: row.get(name) for name in load_spec("samples").columns}, scored
 
 
 class _Recorder:
     """Collector of rows, pictures and costs of a scene."""
 
     def __init__(self, scene: str, settings: EvaluationSettings):
-        rules, self.drawn = settings.rules, settings.drawn
-        self._names = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
-        self.rules, self.query_rules = rules, dict(rules)
-        self.protocols = settings.load_protocols()
+        self.settings, self.rules = settings, settings.rules
+        self.protocols = [load_protocol(name) for name in settings.protocols or PROTOCOLS]
+        self.names = {"dataset": settings.dataset, "scene": scene, "method": settings.method}
         self.rows: list[dict[str, Any]] = []
         self.predictions: dict[tuple[str, str, str], np.ndarray] = {}
         self.pictures: dict[str, np.ndarray] = {}
-        self.latest = 0.0
         self.costs: list[dict[str, Any]] = []
-        self._measured: dict[str, list[float]] = {}
-        self._constants: dict[str, float] = {}
-        self._common = {
-            **self._names,
-            "place": settings.place,
-            "temperature": rules.temperature,
-            "canonical": "encoder's" if rules.phrases is None else ", ".join(rules.phrases),
-            "absent": rules.absent,
-        }
+        self.constants: dict[str, float] = {}
+        self.measured: dict[str, list[float]] = {}
 
-    @contextmanager
-    def timed(self) -> Iterator[None]:
-        """Measure the seconds (``latest``) of the method inside the block."""
-        start = compiling.clock()
-        yield
-        self.latest = compiling.clock() - start
-
-    def measure(self, name: str, value: float) -> None:
-        self._measured.setdefault(name, []).append(value)
-
-    def measure_depth(
-        self, depth: np.ndarray, view: View, scale: float | None = None, prefix: str = ""
-    ) -> None:
-        if view.depth is not None:
-            for name, value in metrics.depth_errors(depth, view.depth, scale).items():
-                self.measure(prefix + name, value)
+    def measure(self, values: Mapping[str, float]) -> None:
+        for name, value in values.items():
+            self.measured.setdefault(name, []).append(value)
 
     def look_at_depths(self, sample: Sample, gaussians: Gaussians) -> None:
         """Score and draw the predicted depths of the context views."""
         depths = source_depths(gaussians, [view.camera for view in sample.context])
         views = list(zip(sample.context, depths, strict=True))
         near, far = pictures.depth_range(*(d if v.depth is None else v.depth for v, d in views))
-        self._constants |= {"near": near, "far": far}
+        self.constants = {"near": near, "far": far}
         for view, depth in views:
-            self.measure_depth(depth, view, _disparity_scale(sample))
-            self.pictures |= _depth_pictures(view, depth, near, far)
+            self.pictures[f"depth/{view.name}"] = pictures.paint_depth(depth, near, far)
+            if view.depth is not None:
+                self.measure(metrics.depth_errors(depth, view.depth, _disparity_scale(sample)))
+                painted = pictures.paint_depth(view.depth, near, far)
+                self.pictures[f"true_depth/{view.name}"] = painted
 
     def ask(
         self,
         view: AnsweringView,
+        seconds: float,
         frame: str,
         ground: np.ndarray,
         masks: Mapping[str, np.ndarray],
@@ -267,61 +274,67 @@ class _Recorder:
         """Answer, score and draw all queries of a frame, the keys of ``masks``.
 
         An empty mask means no ground truth in this frame; without ``has_truth`` there is none at
-        all.
+        all. ``seconds`` are those of rendering.
         """
-        texts = [text for text in masks if understands(view.reader, text)]
-        hits = self._query(view, frame, list(masks), texts)
+        if not masks:
+            return
+        rules, hits = self.rules, self._timed_query(view, seconds, frame, list(masks))
         queried = Frame(
             [_answer(hits.get(text), mask, f"{frame!r}: {text!r}") for text, mask in masks.items()],
             list(masks.values()),
             [boxes_of(mask, boxes.get(text)) for text, mask in masks.items()],
-            self._segment(view, texts, masks),
+            self._segment(view, list(hits), masks),
         )
-        for protocol in self.protocols:
-            mask_settings = protocol.mask_settings(self.rules, ground.shape[1])
-            scored = protocol.score(queried, mask_settings)
-            leads = protocol is self.protocols[0]
-            for (text, mask), score in zip(masks.items(), scored, strict=True):
-                if not leads and not mask.any():
-                    continue
-                names = {"frame": frame, "query": text, "protocol": protocol.label}
-                names |= dict(zip(("height", "width"), mask.shape, strict=True))
-                note = _note(hits.get(text), absent=has_truth and not mask.any())
-                self._add_row(names | asdict(mask_settings), score, hits.get(text), note)
-                if score.mask is not None:
-                    self.predictions[protocol.label, frame, text] = score.mask
-                if leads and self.drawn:
-                    self._draw_query(f"{frame}/{text}", hits.get(text), score, mask, ground)
+        common = {
+            **self.names,
+            "place": self.settings.place,
+            "temperature": rules.temperature,
+            "canonical": "encoder's" if rules.phrases is None else ", ".join(rules.phrases),
+            "absent": rules.absent,
+            "frame": frame,
+        }
+        columns = {
+            text: {
+                "score": float(hits[text].score) if text in hits else None,
+                "note": _note(hits.get(text), absent=has_truth and not mask.any()),
+            }
+            for text, mask in masks.items()
+        }
+        for row, scored in score_frame(
+            queried, list(masks), self.protocols, rules, common, columns
+        ):
+            self.rows.append(row)
+            text, label = row["query"], row["protocol"]
+            if scored.mask is not None:
+                self.predictions[label, frame, text] = scored.mask
+            if self.settings.drawn and label == self.protocols[0].label:
+                self._draw_query(f"{frame}/{text}", hits.get(text), scored, masks[text], ground)
 
-    def _query(
-        self, view: AnsweringView, frame: str, queries: Sequence[str], texts: Sequence[str]
+    def _timed_query(
+        self, view: AnsweringView, rendering: float, frame: str, queries: Sequence[str]
     ) -> dict[str, Result]:
-        """Query the view with ``texts``, the understood ones of ``queries``, and time it."""
+        """Query the view with the understood texts, and time it."""
+        texts = [text for text in queries if understands(view.reader, text)]
         seconds: dict[str, float | None] = {"view_seconds": None, "query_seconds": None}
         hits: Sequence[Result] = []
         if texts:
-            rendered = self.latest
-            with self.timed():
-                self._answers(view, texts[:1])
-            seconds["view_seconds"] = rendered + self.latest
+            _, first = _timed(self.query, view, texts[:1])
             # Query it again with the others: answers must not depend on the timing.
-            with self.timed():
-                hits = self._answers(view, texts)
-            seconds["query_seconds"] = self.latest / len(texts)
+            hits, further = _timed(self.query, view, texts)
+            seconds = {"view_seconds": rendering + first, "query_seconds": further / len(texts)}
         for query in queries:
-            row = {**self._names, "frame": frame, "query": query, **seconds}
+            row = {**self.names, "frame": frame, "query": query, **seconds}
             self.costs.append(row if query in texts else row | {"query_seconds": None})
         return dict(zip(texts, hits, strict=True))
 
     def warm_up(self, view: AnsweringView, texts: Sequence[str]) -> None:
         """Answer one of ``texts`` untimed: then all that is computed once per scene is cached."""
-        for text in texts:
-            if understands(view.reader, text):
-                self._answers(view, [text])
-                return
+        known = (text for text in texts if understands(view.reader, text))
+        if (text := next(known, None)) is not None:
+            self.query(view, [text])
 
-    def _answers(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:
-        hits = view.query_all(texts, **self.query_rules)
+    def query(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:
+        hits = view.query_all(texts, **dict(self.rules))
         for hit in hits:
             hit.mask, hit.relevancy, hit.point  # noqa: B018  (computed on first access)
         return hits
@@ -333,21 +346,10 @@ class _Recorder:
         if not texts or not any(mask.any() for mask in masks.values()):
             return np.zeros(view.rgb.shape[:2], np.int32)
         competing = sorted(texts)
-        with self.timed():
-            # The protocols assign a class to every pixel, however low its score.
-            rules = {**self.query_rules, "threshold": 0.0}
-            labels = view.segment(competing, **rules)
+        # The protocols assign a class to every pixel, however low its score.
+        labels = view.segment(competing, **{**dict(self.rules), "threshold": 0.0})
         places = {text: k + 1 for k, text in enumerate(masks)}
         return np.array([0, *(places[text] for text in competing)], np.int32)[labels]
-
-    def _add_row(
-        self, row: Mapping[str, Any], scored: Scored, hit: Result | None, note: str
-    ) -> None:
-        x, y = (None, None) if scored.point is None else map(float, scored.point)
-        score = None if hit is None else float(hit.score)
-        rest = {"score": score, "point_x": x, "point_y": y, "note": note}
-        columns = {**self._common, **row, **scored.scores, **rest}
-        self.rows.append({name: columns.get(name) for name in load_spec("samples").columns})
 
     def draw_view(self, view: AnsweringView, frame: str) -> None:
         self.pictures[f"render/{frame}"] = view.rgb
@@ -361,38 +363,22 @@ class _Recorder:
         painted = pictures.paint_stretched(heat, ground)
         answer = pictures.spotlight(ground, predicted)
         answer = pictures.draw_outline(answer, predicted, pictures.PREDICTED)
-        if mask.any():
-            painted = pictures.draw_outline(painted, mask, pictures.TRUE)
-            answer = pictures.draw_outline(answer, mask, pictures.TRUE)
-        self.pictures[f"relevancy/{name}"] = pictures.draw_point(painted, scored.point)
-        self.pictures[f"mask/{name}"] = pictures.draw_point(answer, scored.point)
+        for kind, picture in (("relevancy", painted), ("mask", answer)):
+            outlined = pictures.draw_outline(picture, mask, pictures.TRUE)
+            self.pictures[f"{kind}/{name}"] = pictures.draw_point(outlined, scored.point)
 
     def result(self) -> SceneResult:
         leading = [row for row in self.rows if row["protocol"] == self.protocols[0].label]
-        means = {name: float(np.mean(values)) for name, values in self._measured.items()}
+        means = {name: float(np.mean(values)) for name, values in self.measured.items()}
         memory = {"peak_bytes": system.peak_memory()}
         return SceneResult(
-            **self._names,
+            **self.names,
             rows=self.rows,
-            scene_metrics=scene_means(leading) | means | self._constants,
+            scene_metrics=scene_means(leading) | means | self.constants,
             predictions=self.predictions,
             pictures=self.pictures,
             costs=[row | memory for row in self.costs],
         )
-
-
-def _depth_pictures(
-    view: View, depth: np.ndarray, near: float, far: float
-) -> dict[str, np.ndarray]:
-    drawn = {f"depth/{view.name}": pictures.paint_depth(depth, near, far)}
-    if view.depth is not None:
-        is_known = view.depth > 0
-        truth = np.where(is_known, view.depth, 1).astype(np.float64)
-        drawn[f"true_depth/{view.name}"] = pictures.paint_depth(view.depth, near, far)
-        drawn[f"depth_error/{view.name}"] = pictures.paint_error(
-            np.abs(depth - truth) / truth, is_known, ERROR_TOP
-        )
-    return drawn
 
 
 def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
@@ -430,19 +416,3 @@ def _disparity_scale(sample: Sample) -> float | None:
     aligned = np.allclose(a.c2w[:3, :3], b.c2w[:3, :3], atol=1e-6) and a.K[0, 0] == b.K[0, 0]
     sideways = np.abs(shift[1:]).max() <= 1e-6 * np.abs(shift[0])
     return float(a.K[0, 0] * np.abs(shift[0])) if aligned and sideways else None
-
-
-def _check_truth(sample: Sample, truth: Mapping[str, Mapping[str, np.ndarray]]) -> None:
-    sizes = {view.name: view.image.shape[:2] for view in sample.targets}
-    for frame, masks in truth.items():
-        if frame not in sizes:
-            raise InputError(
-                f"scene {sample.scene!r}: truth is given for {frame!r}, which is not a target view "
-                f"(targets: {', '.join(sizes) or 'none'})"
-            )
-        for query, mask in masks.items():
-            if mask.dtype != bool or mask.shape != sizes[frame]:
-                raise InputError(
-                    f"scene {sample.scene!r}: the true mask of {query!r} in {frame!r} is "
-                    f"{mask.dtype} {mask.shape}, expected bool {sizes[frame]}"
-                )

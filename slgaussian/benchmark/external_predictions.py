@@ -17,7 +17,7 @@ Metrics of relevancies are not computed, and metrics of the point only if it is 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,15 +28,14 @@ from pydantic import BaseModel, ConfigDict, Field, PositiveInt
 from slgaussian.benchmark.annotations import Truth, boxes_of
 from slgaussian.benchmark.baselines import ROWS
 from slgaussian.benchmark.documents import check_document, read_json
-from slgaussian.benchmark.evaluate import ABSENT, SceneResult
+from slgaussian.benchmark.evaluate import ABSENT, SceneResult, score_frame
 from slgaussian.benchmark.outputs import file_name
-from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, MaskSettings, ScoringProtocol
+from slgaussian.benchmark.protocols import PROTOCOLS, Answer, Frame, ScoringProtocol
 from slgaussian.benchmark.scores import of_first_protocol, scene_means
 from slgaussian.errors import InputError
 from slgaussian.formats import rle
 from slgaussian.formats.images import read_mask
 from slgaussian.io import short_repr
-from slgaussian.storage.specs import load_spec
 
 NOT_GIVEN = "no mask was given"
 """Note of a row without a mask, which is scored as an empty mask."""
@@ -94,23 +93,17 @@ class Predictions:
         present = {protocol for _, protocol, *_ in self.masks}
         return tuple(name for name in SCORABLE if name in present) or SCORABLE[:1]
 
-    def key(self, row: Mapping[str, Any]) -> Key | None:
-        """Return the key of the mask for a row of the spec ``samples``; None if there is none.
+    def key(self, method: str, protocol: str, scene: str, frame: str, query: str) -> Key | None:
+        """Return the key of the mask of a query; None if there is none.
 
         A frame may lack its folder and suffix, and names may be file names.
         """
-        frame = Path(row["frame"])
-        names = [
-            (row["scene"], name, row["query"])
-            for name in (row["frame"], frame.with_suffix("").as_posix(), frame.stem)
-        ]
-        safe = (file_name(row["scene"]), file_name(frame.stem), file_name(row["query"]))
-        for protocol in (row["protocol"].partition("@")[0], ""):
-            for name in (*names, safe):
-                key = row["method"], protocol, *name
-                if key in self.masks:
-                    return key
-        return None
+        path = Path(frame)
+        frames = (frame, path.with_suffix("").as_posix(), path.stem)
+        names = [(scene, name, query) for name in frames]
+        names.append((file_name(scene), file_name(path.stem), file_name(query)))
+        keys = ((method, of, *name) for of in (protocol, "") for name in names)
+        return next((key for key in keys if key in self.masks), None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,13 +150,22 @@ def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predic
         InputError: If there are no masks, or a JSON file is damaged or has another structure.
     """
     place = Path(place)
-    if place.is_dir():
-        return _read_folder(place, protocols or SCORABLE)
-    if not place.exists():
+    if not place.is_dir():
+        return Predictions(place, _read_file(place))
+    root = place / "predictions" if (place / "predictions").is_dir() else place
+    methods = {file_name(name): name for name in ROWS}
+    masks: dict[Key, Prediction] = {}
+    for file in sorted(root.glob("*/*/*/*/*.png")):
+        folder, protocol, scene, frame, _ = file.relative_to(root).parts
+        if protocol in (protocols or SCORABLE):
+            key = methods.get(folder, folder), protocol, scene, frame, file.stem
+            masks[key] = Prediction(str(file), partial(_read_png, file))
+    if not masks:
         raise InputError(
-            f"{place}: no such file or folder; expected a folder of masks or a JSON file of them"
+            f"{root}: holds no mask of {' or '.join(protocols or SCORABLE)}; expected "
+            "<method>/<protocol>/<scene>/<frame>/<query>.png, or a JSON file of masks"
         )
-    return _read_file(place)
+    return Predictions(root, masks)
 
 
 def score_predictions(
@@ -183,135 +185,91 @@ def score_predictions(
     for judged in scenes:
         for method, present in predictions.methods.items():
             scored = [protocol for protocol in protocols if not present or protocol.name in present]
+            rows: list[dict[str, Any]] = []
+            masks: dict[tuple[str, str, str], np.ndarray] = {}
+            for frame in judged.truth.masks if scored else ():
+                for row, mask in _score_frame(predictions, judged, method, scored, frame, tally):
+                    rows.append(row)
+                    if mask is not None:
+                        masks[row["protocol"], frame, row["query"]] = mask
             if scored:
-                yield _score_scene(predictions, judged, method, scored, tally)
+                means = scene_means(of_first_protocol(rows))
+                yield SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
 
 
-def _score_scene(
+def _score_frame(
     predictions: Predictions,
     judged: JudgedScene,
     method: str,
     protocols: Sequence[ScoringProtocol],
+    frame: str,
     tally: Tally,
-) -> SceneResult:
-    mask_settings = MaskSettings("given")
-    common: dict[str, Any] = {"dataset": judged.dataset, "scene": judged.scene}
-    common |= {"method": method, "place": judged.place, **asdict(mask_settings)}
-    columns = dict.fromkeys(load_spec("samples").columns)
-    rows: list[dict[str, Any]] = []
-    masks: dict[tuple[str, str, str], np.ndarray] = {}
-    for frame, truths in judged.truth.masks.items():
-        boxes = judged.truth.boxes.get(frame, {})
-        looked_up = {
-            protocol.name: _look_up(
-                predictions, {**common, "frame": frame, "protocol": protocol.label}, truths, tally
-            )
-            for protocol in protocols
+) -> Iterator[tuple[dict[str, Any], np.ndarray | None]]:
+    """Yield the rows of the spec ``samples`` of a frame, and the mask of each that has one."""
+    truths, boxes = judged.truth.masks[frame], judged.truth.boxes.get(frame, {})
+    common: dict[str, Any] = {"dataset": judged.dataset, "scene": judged.scene, "method": method}
+    common |= {"place": judged.place, "frame": frame}
+    answers = {
+        protocol.name: _look_up(
+            predictions, (method, protocol.name, judged.scene, frame), truths, tally
+        )
+        for protocol in protocols
+    }
+    # The same texts compete in two protocols, and their masks determine which wins.
+    labels = _winners(answers["3d-ovs"]) if "3d-ovs" in answers else None
+    true_boxes = [boxes_of(mask, boxes.get(text)) for text, mask in truths.items()]
+    for protocol in protocols:
+        of_protocol = answers[protocol.name]
+        masks = [answer for answer, _ in of_protocol.values()]
+        queried = Frame(masks, list(truths.values()), true_boxes, labels, external=True)
+        notes = {
+            text: {"note": ABSENT if not truths[text].any() else "" if where else NOT_GIVEN}
+            for text, (_, where) in of_protocol.items()
         }
-        # The same texts compete in both protocols, and their masks determine which text wins.
-        labels = _winners(looked_up["3d-ovs"], list(truths)) if "3d-ovs" in looked_up else None
-        for protocol in protocols:
-            answers = [
-                Answer(
-                    np.zeros((0, 0), np.float32),
-                    mask,
-                    None if prediction is None else prediction.point,
-                )
-                for prediction, mask in looked_up[protocol.name]
-            ]
-            queried = Frame(
-                answers,
-                list(truths.values()),
-                [boxes_of(mask, boxes.get(text)) for text, mask in truths.items()],
-                labels,
-                external=True,
-            )
-            for (text, truth), scored, (prediction, mask) in zip(
-                truths.items(),
-                protocol.score(queried, mask_settings),
-                looked_up[protocol.name],
-                strict=True,
-            ):
-                absent = not truth.any()
-                if absent and protocol is not protocols[0]:
-                    continue
-                x, y = scored.point or (None, None)
-                columns_of_row = {
-                    "frame": frame,
-                    "query": text,
-                    "protocol": protocol.label,
-                    "height": mask.shape[0],
-                    "width": mask.shape[1],
-                    "point_x": x,
-                    "point_y": y,
-                    "note": ABSENT if absent else NOT_GIVEN if prediction is None else "",
-                }
-                rows.append(columns | common | columns_of_row | dict(scored.scores))
-                if prediction is not None:
-                    masks[protocol.label, frame, text] = mask
-    means = scene_means(of_first_protocol(rows))
-    return SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
+        for row, scored in score_frame(queried, list(truths), [protocol], None, common, notes):
+            text = row["query"]
+            if protocol is protocols[0] or truths[text].any():
+                yield row, scored.mask if of_protocol[text][1] else None
 
 
 def _look_up(
     predictions: Predictions,
-    row: Mapping[str, Any],
+    names: tuple[str, str, str, str],
     truths: Mapping[str, np.ndarray],
     tally: Tally,
-) -> list[tuple[Prediction | None, np.ndarray]]:
-    """Return the prediction for each text of a frame, and its mask, which is empty without one."""
-    looked_up: list[tuple[Prediction | None, np.ndarray]] = []
-    scene, frame = row["scene"], row["frame"]
+) -> dict[str, tuple[Answer, str]]:
+    """Return the answer for each text of a frame, and the name of its mask; empty without one."""
+    nothing = np.zeros((0, 0), np.float32)
+    answers = {}
     for text, truth in truths.items():
-        key = predictions.key({**row, "query": text})
+        key = predictions.key(*names, text)
         tally.asked += bool(truth.any())
         if key is None:
-            looked_up.append((None, np.zeros_like(truth)))
+            answers[text] = Answer(nothing, np.zeros_like(truth), None), ""
             if truth.any():
-                tally.missing.append(_called(scene, frame, text))
+                tally.missing.append(_called(*names[2:], text))
             continue
         tally.used.add(key)
         prediction = predictions.masks[key]
-        looked_up.append((prediction, prediction.read(*truth.shape)))
-    return looked_up
+        answer = Answer(nothing, prediction.read(*truth.shape), prediction.point)
+        answers[text] = answer, prediction.where
+    return answers
 
 
-def _winners(
-    predictions: Sequence[tuple[Prediction | None, np.ndarray]], texts: Sequence[str]
-) -> np.ndarray:
+def _winners(answers: Mapping[str, tuple[Answer, str]]) -> np.ndarray:
     """Return the winning text k of each pixel as k + 1, int32 [H, W]; InputError for overlaps."""
-    labels = np.zeros(predictions[0][1].shape, np.int32)
-    for k, (prediction, mask) in enumerate(predictions):
-        if prediction is not None and (rivals := labels[mask]).any():
-            rival = texts[int(rivals[rivals > 0][0]) - 1]
+    texts, masks = list(answers), [answer.mask for answer, _ in answers.values()]
+    labels = np.zeros(masks[0].shape, np.int32)
+    for k, mask in enumerate(masks):
+        if (rivals := labels[mask]).any():
+            rival = texts[int(rivals.max()) - 1]
             raise InputError(
-                f"{prediction.where}: overlaps the mask of {rival!r}, but by the protocol 3d-ovs "
-                "texts compete, and each pixel is of one at most; give masks that do not overlap, "
-                "or choose --protocol slgaussian"
+                f"{answers[texts[k]][1]}: overlaps the mask of {rival!r}, but by the protocol "
+                "3d-ovs texts compete, and each pixel is of one at most; give masks that do not "
+                "overlap, or choose --protocol slgaussian"
             )
         labels[mask] = k + 1
     return labels
-
-
-def _read_folder(place: Path, protocols: Sequence[str]) -> Predictions:
-    root = place / "predictions" if (place / "predictions").is_dir() else place
-    methods = {file_name(name): name for name in ROWS}
-    masks: dict[Key, Prediction] = {}
-    unread: dict[str, None] = {}
-    for file in sorted(root.glob("*/*/*/*/*.png")):
-        folder, protocol, scene, frame, _ = file.relative_to(root).parts
-        if protocol in protocols:
-            key = methods.get(folder, folder), protocol, scene, frame, file.stem
-            masks[key] = Prediction(str(file), partial(_read_png, file))
-        else:
-            unread[protocol] = None
-    if not masks:
-        but = f", but of {', '.join(list(unread)[:5])}" if unread else ""
-        raise InputError(
-            f"{root}: holds no mask of {' or '.join(protocols)}{but}; expected "
-            "<method>/<protocol>/<scene>/<frame>/<query>.png, or a JSON file of masks"
-        )
-    return Predictions(root, masks)
 
 
 def _read_png(file: Path, height: int, width: int) -> np.ndarray:
@@ -351,13 +309,10 @@ class _Entry(BaseModel):
             raise InputError(f"{where}: {bad}; write the mask again") from None
 
 
-def _read_file(place: Path) -> Predictions:
+def _read_file(place: Path) -> dict[Key, Prediction]:
     content = read_json(place, "file of masks")
     if not isinstance(content, list) or not content:
-        raise InputError(
-            f"{place}: expected a list of masks, each with scene, frame, query, size and counts, "
-            f"found {'an empty one' if content == [] else type(content).__name__}"
-        )
+        raise InputError(f"{place}: found no list of masks, with scene, frame, query, size, counts")
     masks: dict[Key, Prediction] = {}
     for number, entry in enumerate(content):
         where = f"{place}: [{number}]"
@@ -366,10 +321,9 @@ def _read_file(place: Path) -> Predictions:
         where = f"{where}, {_called(*key[2:])}"
         if key in masks:
             raise InputError(f"{where} is there twice")
-        x, y = mask.point or (None, None)
-        point = None if x is None or y is None else (x, y)
+        point = None if mask.point is None else (mask.point[0], mask.point[1])
         masks[key] = Prediction(where, partial(mask.read, where), point)
-    return Predictions(place, masks)
+    return masks
 
 
 def _called(scene: str, frame: str, query: str) -> str:

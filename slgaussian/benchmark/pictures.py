@@ -69,13 +69,6 @@ def paint_depth(depth: np.ndarray, near: float, far: float) -> np.ndarray:
     return painted
 
 
-def paint_error(error: np.ndarray, is_known: np.ndarray, top: float) -> np.ndarray:
-    """Paint errors [H, W] from 0 (black) to ``top`` and above (white); slate where unknown."""
-    painted = _colormap(error / top, cv2.COLORMAP_INFERNO)
-    painted[~is_known] = (54, 62, 74)
-    return painted
-
-
 def paint_relevancy(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Paint relevancy [H, W] over the grey photograph: 0 black, 0.5 (like "object") red, 1 gold.
 

@@ -222,15 +222,15 @@ def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, result, judged):
     entries = json.loads(file.read_text())
     for content, said in (
         ("[", "is not valid JSON"),
-        ("[]", "found an empty one"),
-        ("{}", "found dict"),
+        ("[]", "found no list of masks"),
+        ("{}", "found no list of masks"),
         ("[3]", r"\[0\]: content: found 3; "),
         (json.dumps([entries[0], entries[0]]), r"\[1\], .* is there twice"),
     ):
         file.write_text(content)
         with pytest.raises(InputError, match=said):
             read_predictions(file)
-    with pytest.raises(InputError, match="no such file or folder"):
+    with pytest.raises(InputError, match="cannot read the file of masks"):
         read_predictions(tmp_path / "nothing")
     with pytest.raises(InputError, match="holds no mask of 3d-ovs; expected <method>/<protocol>"):
         read_predictions(tmp_path, ["3d-ovs"])

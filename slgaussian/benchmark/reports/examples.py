@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from slgaussian.benchmark import pictures
-from slgaussian.benchmark.evaluate import ALONG_THE_WAY, ERROR_TOP
+from slgaussian.benchmark.evaluate import ALONG_THE_WAY
 from slgaussian.benchmark.reports.model import Block, Card, Fold, Gallery, Picture, Section
 from slgaussian.benchmark.scores import GOOD, grouped, key_of
 
@@ -35,7 +35,6 @@ VIEW_PICTURES = {
     "labels": "objects",
     "depth": "depth, red near, blue far",
     "true_depth": "true depth",
-    "depth_error": f"relative depth error, black 0, white {ERROR_TOP} or more",
     "photo": "held-out view",
     "render": "rendered",
     "ids": "objects, rendered",
