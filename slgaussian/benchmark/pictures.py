@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -91,23 +92,15 @@ def paint_stretched(relevancy: np.ndarray, image: np.ndarray) -> np.ndarray:
     if high - low < 1e-6:
         return grey.astype(np.uint8)
     share = np.clip((relevancy.astype(np.float64) - low) / (high - low), 0, 1)
-    weight = _heat_weight(share)[..., None]
-    heat = _heat(share)
-    painted = (1 - weight) * grey + weight * heat
-    share = np.linspace(0, 1, 256)[None]
-    weight = _heat_weight(share)[..., None]
-    bar = (1 - weight) * 110 + weight * _heat(share)
-    return _with_scale(np.clip(painted, 0, 255).astype(np.uint8), low, high, bar.astype(np.uint8))
+    bar = np.linspace(0, 1, 256)[None]
+    return _with_scale(_paint_upper_half(share, grey), low, high, _paint_upper_half(bar, 110))
 
 
-def _heat_weight(share: np.ndarray) -> np.ndarray:
-    """Return the opacity of the colour over the photograph."""
-    return np.clip((share - 0.5) / 0.15, 0, 0.82)
-
-
-def _heat(share: np.ndarray) -> np.ndarray:
-    """Return the colours of the upper half, from purple to yellow, float64 [H, W, 3]."""
-    return _colormap(1.5 * share - 0.5, cv2.COLORMAP_INFERNO).astype(np.float64)
+def _paint_upper_half(share: np.ndarray, ground: np.ndarray | float) -> np.ndarray:
+    """Paint shares [H, W] of a range from purple (0.5) to yellow (1) over grey levels."""
+    weight = np.clip((share - 0.5) / 0.15, 0, 0.82)[..., None]
+    painted = (1 - weight) * ground + weight * _colormap(1.5 * share - 0.5, cv2.COLORMAP_INFERNO)
+    return np.clip(painted, 0, 255).astype(np.uint8)
 
 
 def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) -> np.ndarray:
@@ -117,8 +110,8 @@ def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) 
     font = ImageFont.load_default(size=size)
     texts = f"{low:.2f}", f"{high:.2f}"
     bar_width, pad = round(width / 4), max(2, size // 3)
-    text_widths = [round(font.getlength(text)) for text in texts]
-    box = bar_width + sum(text_widths) + 4 * pad, size + 2 * pad
+    first, second = (round(font.getlength(text)) for text in texts)
+    box = bar_width + first + second + 4 * pad, size + 2 * pad
     if box[0] > width or box[1] > height:
         return image
     sheet = Image.fromarray(image)
@@ -126,11 +119,10 @@ def _with_scale(image: np.ndarray, low: float, high: float, colors: np.ndarray) 
     top = height - box[1]
     draw.rectangle((0, top, box[0], height), fill=(20, 22, 28))
     bar = cv2.resize(colors, (bar_width, max(1, size // 2)), interpolation=cv2.INTER_NEAREST)
-    sheet.paste(Image.fromarray(bar), (2 * pad + text_widths[0], top + (box[1] - len(bar)) // 2))
-    middle = top + box[1] / 2
-    draw.text((pad, middle), texts[0], fill=(255, 255, 255), font=font, anchor="lm")
-    right = 3 * pad + text_widths[0] + bar_width
-    draw.text((right, middle), texts[1], fill=(255, 255, 255), font=font, anchor="lm")
+    sheet.paste(Image.fromarray(bar), (2 * pad + first, top + (box[1] - len(bar)) // 2))
+    for left, text in zip((pad, 3 * pad + first + bar_width), texts, strict=True):
+        middle = top + box[1] / 2
+        draw.text((left, middle), text, fill=(255, 255, 255), font=font, anchor="lm")
     return np.asarray(sheet)
 
 
@@ -164,21 +156,18 @@ def draw_captions(image: np.ndarray, regions: Sequence[Region], size: int) -> np
         x = min(max(float(column), box_width / 2), max(width - box_width / 2, box_width / 2))
         y = min(max(float(row), box_height / 2), max(height - box_height / 2, box_height / 2))
         box = x - box_width / 2, y - box_height / 2, x + box_width / 2, y + box_height / 2
-        color = tuple(int(level) for level in label_colors(np.array(region.id)))
+        color = _color_of(region)
         draw.rounded_rectangle(box, box_height / 4, fill=(20, 22, 28), outline=color, width=2)
         draw.text((x, y), region.caption, fill=(255, 255, 255), font=font, anchor="mm")
         # Captions of other regions must not overlap: block the centres of such boxes.
-        left, top, right, bottom = (
-            max(0, round(edge))
-            for edge in (
-                box[0] - box_width / 2,
-                box[1] - 1.2 * box_height,
-                box[2] + box_width / 2,
-                box[3] + 1.2 * box_height,
-            )
-        )
-        free[top:bottom, left:right] = False
+        left, top = max(0, round(x - box_width)), max(0, round(y - 1.7 * box_height))
+        free[top : round(y + 1.7 * box_height), left : round(x + box_width)] = False
     return np.asarray(sheet)
+
+
+def _color_of(region: Region) -> tuple[int, int, int]:
+    red, green, blue = label_colors(np.array(region.id)).tolist()
+    return red, green, blue
 
 
 def draw_regions(image: np.ndarray, regions: Sequence[Region], size: int) -> np.ndarray:
@@ -188,9 +177,9 @@ def draw_regions(image: np.ndarray, regions: Sequence[Region], size: int) -> np.
         union |= region.mask
     out = spotlight(image, union)
     for region in sorted(regions, key=lambda region: -int(region.mask.sum())):
-        color = label_colors(np.array(region.id))
-        out[region.mask] = (0.78 * image[region.mask] + 0.22 * color).astype(np.uint8)
-        out = draw_outline(out, region.mask, (int(color[0]), int(color[1]), int(color[2])))
+        color = _color_of(region)
+        out[region.mask] = (0.78 * image[region.mask] + 0.22 * np.array(color)).astype(np.uint8)
+        out = draw_outline(out, region.mask, color)
     return draw_captions(out, regions, size)
 
 
@@ -276,9 +265,8 @@ def contact_sheet(tiles: Sequence[tuple[str, np.ndarray]], side: int, columns: i
     font = ImageFont.load_default(size=12)
     for k, (caption, image) in enumerate(tiles):
         left, top = gap + k % columns * (side + gap), gap + k // columns * (side + band + gap)
-        while draw.textlength(caption, font=font) > side:
-            caption = caption[:-1]
-        draw.text((left, top + side + 1), caption, fill=(40, 44, 52), font=font)
+        text = _shorten(caption, side, font)
+        draw.text((left, top + side + 1), text, fill=(40, 44, 52), font=font)
         if image.size:
             scale = side / max(image.shape[:2])
             fitted = [max(1, round(n * scale)) for n in image.shape[1::-1]]
@@ -294,9 +282,7 @@ def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
     """
     height, gap, band = panels[0][1].shape[0], 12, 34
     images = [
-        image
-        if image.shape[0] == height
-        else cv2.resize(image, (round(image.shape[1] * height / image.shape[0]), height))
+        cv2.resize(image, (round(image.shape[1] * height / image.shape[0]), height))
         for _, image in panels
     ]
     width = sum(image.shape[1] for image in images) + gap * (len(images) + 1)
@@ -306,13 +292,19 @@ def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
     left = gap
     for (caption, _), image in zip(panels, images, strict=True):
         sheet.paste(Image.fromarray(image), (left, gap))
-        if draw.textlength(caption, font=font) > image.shape[1] + gap:
-            while caption and draw.textlength(caption + "…", font=font) > image.shape[1]:
-                caption = caption[:-1]
-            caption += "…"
-        draw.text((left + 1, gap + height + 6), caption, fill=(40, 44, 52), font=font)
+        text = _shorten(caption, image.shape[1], font)
+        draw.text((left + 1, gap + height + 6), text, fill=(40, 44, 52), font=font)
         left += image.shape[1] + gap
     return np.asarray(sheet)
+
+
+def _shorten(text: str, width: float, font: Any) -> str:
+    """Return the text, truncated if it is wider than ``width`` pixels."""
+    if font.getlength(text) <= width:
+        return text
+    while text and font.getlength(f"{text}…") > width:
+        text = text[:-1]
+    return f"{text}…"
 
 
 def with_legend(image: np.ndarray, entries: Sequence[tuple[np.ndarray, str]]) -> np.ndarray:
@@ -333,13 +325,18 @@ def with_legend(image: np.ndarray, entries: Sequence[tuple[np.ndarray, str]]) ->
     return np.asarray(sheet)
 
 
+def reduce_width(image: np.ndarray, width: int) -> np.ndarray:
+    """Reduce an image to ``width`` pixels if it is wider."""
+    if image.shape[1] <= width:
+        return image
+    height = round(image.shape[0] * width / image.shape[1])
+    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+
+
 def encode_jpeg(image: np.ndarray, width: int) -> bytes:
     """Encode an image as JPEG, at most ``width`` pixels wide, without chroma subsampling."""
-    if image.shape[1] > width:
-        height = round(image.shape[0] * width / image.shape[1])
-        image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     out = io.BytesIO()
-    Image.fromarray(image).save(out, "JPEG", quality=86, subsampling=0)
+    Image.fromarray(reduce_width(image, width)).save(out, "JPEG", quality=86, subsampling=0)
     return out.getvalue()
 
 

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar
 
-import cv2
 import jinja2
 import numpy as np
 import rich.console
@@ -23,6 +22,8 @@ import rich.table
 from markdown_it import MarkdownIt
 from markupsafe import Markup
 from PIL import Image
+
+from slgaussian.benchmark.pictures import reduce_width
 
 NO_VALUE = "–"
 
@@ -178,11 +179,8 @@ class Picture:
     @staticmethod
     def of(image: np.ndarray, width: int, caption: str, alt: str = "") -> Picture:
         """Encode an image uint8 [H, W, 3], reduced to ``width`` pixels if it is wider, as WebP."""
-        if image.shape[1] > width:
-            height = round(image.shape[0] * width / image.shape[1])
-            image = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
         out = io.BytesIO()
-        Image.fromarray(image).save(out, "WEBP", quality=WEBP_QUALITY)
+        Image.fromarray(reduce_width(image, width)).save(out, "WEBP", quality=WEBP_QUALITY)
         return Picture(data_uri(out.getvalue(), "webp"), caption, alt or caption)
 
 
