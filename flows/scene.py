@@ -136,7 +136,7 @@ def evaluation(settings: Settings, scene: SceneSettings) -> EvaluationSettings:
 def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
     """Return the baselines of these names, in the order of the table of methods.
 
-    ``all`` selects all that are not slow. Our own method, which is always scored, is not included.
+    ``all`` selects all. Our own method, which is always scored, is not included.
 
     Raises:
         InputError: If there is no such method.
@@ -147,7 +147,7 @@ def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
                 f"against: found {name!r}, expected all, or of these: {'; '.join(ROWS)}"
                 f"{did_you_mean(name, ROWS)}"
             )
-    wanted = {*names, *(name for name, row in ROWS.items() if "all" in names and not row.slow)}
+    wanted = ROWS if "all" in names else names
     return {name: row for name, row in ROWS.items() if name != OURS and name in wanted}
 
 

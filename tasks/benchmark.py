@@ -98,7 +98,7 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     return {"text": text, "iou": iou}
 
 
-@stage("baselines", version=7)
+@stage("baselines", version=8)
 def baselines(
     run: RunContext,
     sample: ArtifactRef,

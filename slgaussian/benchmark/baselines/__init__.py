@@ -58,8 +58,7 @@ class Row:
 
     ``about`` describes it in a line, and states if it is not the original. ``rules`` override the
     fields of the run's :class:`slgaussian.language.rules.Rules`. A ``variant`` is the field with
-    one component changed, not another method. A ``slow`` method takes minutes per scene: it runs
-    only if it is named.
+    one component changed, not another method.
     """
 
     method: str
@@ -67,7 +66,6 @@ class Row:
     settings: Mapping[str, Any] = field(default_factory=dict)
     rules: Mapping[str, Any] = field(default_factory=dict)
     variant: bool = False
-    slow: bool = False
 
     def load(self) -> Method:
         """Make the method; raises as :func:`load_method`."""
@@ -92,18 +90,12 @@ ROWS = {
     "langsplat-like": Row(
         "langsplat-like",
         "not LangSplat: an autoencoder's codes by each view's own masks, on Gaussians that were "
-        "predicted, not optimised",
+        "predicted",
     ),
     "langsplat-like, association": Row(
         "langsplat-like",
         "not LangSplat: the same, by masks that agree across views",
         {"association": True},
-    ),
-    "langsplat-like, optimised": Row(
-        "langsplat-like",
-        "not LangSplat: the same, on Gaussians optimised for the scene",
-        {"optimised": True},
-        slow=True,
     ),
     "lerf-like": Row(
         "lerf-like", "not LERF: a pyramid of crops of each view, lifted a pixel, no training"

@@ -1,10 +1,9 @@
 """LangSplat-like: autoencoder codes on the Gaussians, decoded and scored per pixel.
 
 LangSplat (arXiv 2312.16084) optimises Gaussians for the scene, then a code per Gaussian, for each
-of three mask granularities. Here there is one granularity: the masks of the other methods.
-``optimised`` is the first row of the paper's ablation. Otherwise the Gaussians are predicted, each
-with the code of its source pixel: the row with the feed-forward model alone and, with associated
-masks, the row above the last.
+of three mask granularities. Here there is one granularity, the masks of the other methods, and the
+Gaussians are predicted, each with the code of its source pixel: the row of the paper's ablation
+with the feed-forward model alone and, with associated masks, the row above the last.
 """
 
 from __future__ import annotations
@@ -18,9 +17,6 @@ from slgaussian.benchmark.baselines.autoencoder import Autoencoder, train_autoen
 from slgaussian.benchmark.baselines.dense import DenseView
 from slgaussian.benchmark.baselines.drawn import draw_picture, draw_vectors, reduced
 from slgaussian.benchmark.baselines.inputs import Inputs
-from slgaussian.benchmark.baselines.optimised import optimise_codes, optimise_gaussians
-from slgaussian.errors import InputError
-from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import seed_for
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
@@ -33,21 +29,11 @@ class LangSplatLike:
     Attributes:
         association: Whether masks are associated across views. In both cases each view has its own
             vector of an object.
-        optimised: Whether Gaussians and codes are optimised for the scene
-            (:mod:`slgaussian.benchmark.baselines.optimised`), or predicted.
-        steps, geometry_steps: Optimisation steps of the autoencoder and of codes, and of Gaussians;
-            InputError below 1.
+        steps: Optimisation steps of the autoencoder.
     """
 
     association: bool = False
-    optimised: bool = False
     steps: int = 1000
-    geometry_steps: int = 2000
-
-    def __post_init__(self) -> None:
-        for name in ("steps", "geometry_steps"):
-            if (count := getattr(self, name)) < 1:
-                raise InputError(f"langsplat-like {name}: found {count}, expected at least 1")
 
     def __call__(self, inputs: Inputs) -> _Codes:
         """Train the autoencoder of a scene, and assign a code to each Gaussian."""
@@ -61,13 +47,7 @@ class LangSplatLike:
         rows = np.searchsorted(bank.ids, labels.labels) + 1
         rows[labels.labels == 0] = 0
         maps = np.stack([table[of_view, v] for v, of_view in enumerate(rows)])
-        gaussians, carried = inputs.gaussians, maps.reshape(-1, 4)
-        if self.optimised:
-            views = inputs.sample.context
-            gaussians = optimise_gaussians(views, seed, self.geometry_steps)
-            codes = optimise_codes(gaussians, views, maps[..., :3], self.steps)
-            carried = np.pad(codes, ((0, 0), (0, 1)), constant_values=1)
-        return _Codes(inputs, gaussians, network, carried)
+        return _Codes(inputs, network, maps.reshape(-1, 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,14 +55,14 @@ class _Codes:
     """Codes by ``source`` of the Gaussians; ``carried`` float32 [P, 4] is code and 1, or zeros."""
 
     inputs: Inputs
-    gaussians: Gaussians
     network: Autoencoder
     carried: np.ndarray
 
     def render(self, camera: Camera) -> DenseView:
-        picture = draw_picture(self.gaussians, camera)
+        gaussians = self.inputs.gaussians
+        picture = draw_picture(gaussians, camera)
         small = reduced(camera, self.inputs.bank.features.shape[2])
-        drawn = draw_vectors(self.gaussians, small, [lambda at, a, b: self.carried[at, a:b]], 4)[0]
+        drawn = draw_vectors(gaussians, small, [lambda at, a, b: self.carried[at, a:b]], 4)[0]
         codes, weight = drawn[..., :3], drawn[..., 3:]
         codes = np.divide(codes, weight, out=np.zeros_like(codes), where=weight > 0)
         vectors = self.network.decode(codes.reshape(-1, 3)).reshape(1, *codes.shape[:2], -1)

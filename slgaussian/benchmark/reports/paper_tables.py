@@ -102,7 +102,7 @@ def _table(
             cell = {"protocol": protocol, **table, **line, **column}
             all_scenes = titles[:-1] if line["title"] == "overall" else [line["title"]]
             scenes = cell.get("scenes", all_scenes)
-            of = cell["method"], cell["protocol"], cell["metric"]
+            of = cell.get("method", ""), cell["protocol"], cell["metric"]
             present = all((cell["format"], scene, *of) in scores for scene in scenes)
             key = cell["format"], scenes[0] if len(scenes) == 1 else None, *of
             text = f"{printed:g}" if cell["metric"] == "seconds" else f"{printed:.2f}"
