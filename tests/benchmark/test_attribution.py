@@ -258,7 +258,7 @@ def test_whole_things_are_as_many_as_the_truth_has_parts():
         ids[5:15, 5 * k : 5 * k + 5] = k + 1
     ids[5:15, 30:35] = 4
     unit = np.ones((4, 1, 1), np.float32)
-    codes = np.linspace(0, 1, 4, dtype=np.float32)[:, None]
+    codes = np.linspace([0, 0, 0], [1, 1, 1], 4, dtype=np.float32)
     numbers = np.arange(1, 5, dtype=np.int32)
     bank = MemoryBank(numbers, codes, unit, np.ones((4, 1), bool))
     levels = np.array([[4, 4, 4, 3]], np.int32)

@@ -81,7 +81,7 @@ class Inputs:
 
     @cached_property
     def own_bank(self) -> MemoryBank:
-        """Memory bank of :attr:`own_labels`, without codes and groups."""
+        """Memory bank of :attr:`own_labels`, with arbitrary codes and no groups."""
         return self.look_at(self.geometry.frames, self.own_labels, self.geometry.surroundings)
 
     def look_at(
@@ -91,13 +91,13 @@ class Inputs:
         surroundings: Sequence[Surroundings] | None,
         grouped: bool = False,
     ) -> MemoryBank:
-        """Encode the objects of label maps of some views, without codes.
+        """Encode the objects of label maps of some views, with arbitrary codes.
 
         With ``grouped`` also groups of objects, if the field has groups. The bank is empty without
         objects.
         """
         ids, groups, wholes = label_maps.ids, None, None
-        codes = np.zeros((len(ids), 0), np.float32)
+        codes = np.linspace([0, 0, 0], [1, 1, 1], len(ids), dtype=np.float32)  # any that differ
         if len(ids) == 0:
             nothing = np.zeros((0, len(views), self.bank.features.shape[2]), np.float32)
             return MemoryBank(ids, codes, nothing, np.zeros((0, len(views)), bool))

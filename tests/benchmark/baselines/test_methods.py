@@ -157,7 +157,7 @@ def test_opposite_views_do_not_cancel_to_nothing():
     features = np.zeros((2, 2, 3), np.float32)
     features[0, 0, 0], features[0, 1, 0], features[1, 1, 2] = 1, -1, 1
     present = np.array([[True, True], [False, True]])
-    ids, codes = np.array([1, 2], np.int32), np.zeros((2, 0), np.float32)
+    ids, codes = np.array([1, 2], np.int32), np.eye(2, 3, dtype=np.float32)
     mean = pooled(MemoryBank(ids, codes, features, present))
     assert mean.features[:, 0].tolist() == [[1, 0, 0], [0, 0, 1]]
 
