@@ -1,4 +1,4 @@
-"""Pairs of views: the best that fit beside each other, within bounds, and why there is none."""
+"""Pairs of views: the best that fit beside each other or around a target, or why there is none."""
 
 from dataclasses import replace
 from itertools import combinations, pairwise
@@ -9,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian.datasets.configs import Bounds
-from slgaussian.datasets.pair_selection import Pair, Views, choose, overlaps, schedule
+from slgaussian.datasets.configs import Bounds, Rule
+from slgaussian.datasets.pair_selection import Pair, Views, choose, overlaps, schedule, surround
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
-from tests.datasets.plain_overlap import shared_view
 
 K = np.array([[80.0, 0, 48], [0, 80, 32], [0, 0, 1]])
 
@@ -25,12 +24,24 @@ def camera(x=0.0, turn=0.0, z=0.0):
     return Camera(K, c2w, 96, 64)
 
 
-def walk(count=20, step=0.1, turns=None):
-    """Sideways steps past a wall 4 m away."""
+def walk(count=20, step=0.1, turns=None, depth=4.0):
+    """Sideways steps past a wall."""
     turns = np.zeros(count) if turns is None else turns
     cameras = [camera(step * i, turns[i]) for i in range(count)]
     ones = np.ones(count)
-    return Views(cameras, 4 * ones, 0.4 * ones, 0.5 * ones, 0 * ones)
+    return Views(cameras, depth * ones, 0.4 * ones, 0.5 * ones, 0 * ones)
+
+
+def seen(a: Camera, b: Camera, depth: float) -> np.ndarray:
+    """Whether the points of a grid over image ``a``, at a depth, project into ``b``: bool [81]."""
+    n = 9
+    u, v = np.meshgrid((np.arange(n) + 0.5) / n * a.width, (np.arange(n) + 0.5) / n * a.height)
+    local = np.stack([u, v, np.ones_like(u)], -1).reshape(-1, 3) @ np.linalg.inv(a.K).T
+    return b.shows(*b.project(a.center + depth * local @ a.c2w[:3, :3].T))
+
+
+def shared_view(a: Camera, b: Camera, depth: float) -> float:
+    return float(seen(a, b, depth).mean())
 
 
 def assert_fits(views, pair, bounds):
@@ -115,3 +126,77 @@ def test_why_there_is_none_is_said():
         choose(still, Bounds())
     with pytest.raises(InputError, match="no parallax"):
         choose(replace(still, depths=np.full(9, np.nan)), Bounds())
+
+
+def plain(clip: Views, target: int, barred, rule: Rule):
+    """The best pair by the rule, written out one pair after the other."""
+    best = None
+    for a in range(len(clip.cameras)):
+        for b in range(a + 1, len(clip.cameras)):
+            if {a, b} & {target, *barred} or not clip.usable(rule)[[a, b]].all():
+                continue
+            one, two, aim = clip.cameras[a], clip.cameras[b], clip.cameras[target]
+            shared = min(
+                shared_view(one, two, clip.depths[a]), shared_view(two, one, clip.depths[b])
+            )
+            apart = float(np.linalg.norm(one.center - two.center))
+            baseline = apart / (clip.depths[a] + clip.depths[b]) * 2
+            low, high = rule.min_overlap, rule.max_overlap
+            if not (low <= shared <= high and apart > 0):
+                continue
+            if not rule.min_baseline <= baseline <= rule.max_baseline:
+                continue
+            aside = float(np.linalg.norm((one.center + two.center) / 2 - aim.center)) / apart
+            sights = (seen(aim, eye, clip.depths[target]) for eye in (one, two))
+            cover = float(np.logical_or(*sights).mean())
+            if aside > rule.max_aside or cover < rule.min_cover:
+                continue
+            central = 1 - 0.5 * abs(shared - (low + high) / 2) / ((high - low) / 2)
+            worst = (max(clip.blur[a], clip.blur[b]) - np.median(clip.blur)) / rule.max_blur
+            value = central * (1 - 0.5 * min(max(worst, 0), 1)) * cover
+            value *= 1 - 0.5 * aside / rule.max_aside
+            if best is None or value > best[0] + 1e-12:
+                best = value, (a, b)
+    return best
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=st.integers(0, 2**16), unordered=st.booleans())
+def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
+    rng = np.random.default_rng(seed)
+    cameras = [
+        camera(0.1 * i + rng.normal(0, 0.08), rng.normal(0, 6), rng.normal(0, 0.08))
+        for i in range(9)
+    ]
+    if unordered:
+        cameras = [cameras[i] for i in rng.permutation(9)]
+    clip = replace(
+        walk(9), cameras=cameras, depths=rng.uniform(2, 4, 9), blur=rng.uniform(0.2, 0.5, 9)
+    )
+    targets, barred = [3, 6], {5}
+    rule = Rule(min_cover=0.8, max_aside=0.4)
+    for target, found in zip(targets, surround(clip, targets, barred, rule), strict=True):
+        best = plain(clip, target, {*targets, *barred}, rule)
+        if best is None:
+            assert "have it between them" in found
+        else:
+            assert found.pair.score == pytest.approx(best[0], rel=1e-9)
+            assert found.pair.context == best[1]
+            assert found.pair.targets == (target,)
+
+
+@pytest.mark.parametrize(
+    ("clip", "reason"),
+    [
+        (walk(21, depth=np.nan), "no parallax"),
+        (walk(2), "0 of 2 views are sharp"),
+        (walk(5, step=0), "0 pairs of views fit"),
+        (walk(11), "0 of them have it between them"),
+        (walk(21, turns=60 * (np.arange(21) == 10)), "none sees 0.9 of it"),
+    ],
+)
+def test_without_a_pair_the_reason_is_said(clip, reason):
+    target = min(10, len(clip.cameras) - 1)
+    barred = {0} if len(clip.cameras) == 2 else set()
+    (found,) = surround(clip, [target], barred, Rule())
+    assert reason in found
