@@ -319,16 +319,10 @@ class CorpusSettings(Bounds, Engine, Method):
 
 
 class SetSettings(Config):
-    """Content, quality thresholds and format of the samples of a training set."""
+    """Content and format of the samples of a training set."""
 
     size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
     targets: int = Field(3, ge=1, description="Number of target views, between the context views.")
-    max_unlabelled: float = Field(
-        1.0, ge=0, le=1, description="Largest fraction of pixels without an object id."
-    )
-    min_confirmed: float = Field(
-        0.0, ge=0, le=1, description="Smallest fraction of the depth that a second view confirms."
-    )
     held_out: float = Field(
         0.2, ge=0, lt=1, description="Approximate fraction of the places in the split test."
     )

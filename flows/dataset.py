@@ -16,7 +16,7 @@ from prefect.states import State
 
 from flows import corpus
 from flows.clip_sources import Clips, Source, choose_samples, map_sources, sources_of
-from flows.config import DatasetSettings, SetSettings
+from flows.config import DatasetSettings
 from flows.data_card import write_card
 from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
 from flows.runners.session import completed, run_session, stages_to_refresh, writing
@@ -37,9 +37,6 @@ from tasks.scene import geometry, supervision
 
 SAMPLES = (framed, geometry, all_masks, supervision, example)
 """Stages of a sample."""
-
-FILTER = "filter"
-"""Stage of failures of samples below the quality thresholds."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +163,7 @@ def _finish(
     failures: list[Failure],
     verbose: bool,
 ) -> list[Finished]:
-    """Compute the samples, and return those above the quality thresholds, sorted by name."""
+    """Compute the samples, and return them sorted by name."""
     framing = Framing(settings.size, settings.near, settings.far)
     tasks = []
     for choice in chosen:
@@ -185,34 +182,10 @@ def _finish(
         tasks.append(SceneTask(row["sample"], make_example, arguments, framed.name))
     outcome = map_shown(tasks, workers, len(SAMPLES), "samples", verbose)
     failures += outcome.failures
-    descriptions = {
-        name: stage_refs[example.name].meta["about"] for name, stage_refs in outcome.refs.items()
-    }
-    for description in descriptions.values():
-        places.seen_in(description["clip"], description["url"])
+    refs = [outcome.refs[name][example.name] for name in sorted(outcome.refs)]
+    for ref in refs:
+        places.seen_in(ref.meta["about"]["clip"], ref.meta["about"]["url"])
     by_clip = places.by_clip()
-    good = []
-    for name, description in sorted(descriptions.items()):
-        reason = refused(description, settings)
-        if reason is not None:
-            failures.append(Failure(name, FILTER, "Filtered", reason))
-            continue
-        good.append((outcome.refs[name][example.name], by_clip[description["clip"]]))
-    tested = hold_out({place for _, place in good}, settings.held_out)
-    return [Finished(ref, place, SPLITS[place in tested]) for ref, place in good]
-
-
-def refused(description: Mapping[str, Any], settings: SetSettings) -> str | None:
-    """Return the reason to refuse a sample, or None."""
-    unlabelled = max(description["unlabelled"], description["unlabelled_targets"])
-    if unlabelled > settings.max_unlabelled:
-        return (
-            f"{unlabelled:.2f} of the pixels of its context views or targets have no id, "
-            f"above max_unlabelled {settings.max_unlabelled:g}"
-        )
-    if description["confirmed"] < settings.min_confirmed:
-        return (
-            f"a second view confirms {description['confirmed']:.2f} of its depth, below "
-            f"min_confirmed {settings.min_confirmed:g}"
-        )
-    return None
+    placed = [(ref, by_clip[ref.meta["about"]["clip"]]) for ref in refs]
+    tested = hold_out({place for _, place in placed}, settings.held_out)
+    return [Finished(ref, place, SPLITS[place in tested]) for ref, place in placed]

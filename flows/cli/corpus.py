@@ -12,7 +12,7 @@ from flows.cli.run import report_left_out, run_flow
 from flows.config import CorpusSettings, DatasetSettings
 from flows.read_config import make_settings
 
-SET_FIELDS = ("size", "targets", "min_confirmed", "held_out")
+SET_FIELDS = ("size", "targets", "held_out")
 """Fields of a training set that are options of `slgaussian dataset`."""
 
 Sources = Annotated[
@@ -87,7 +87,7 @@ def dataset(
 
     \b
     slgaussian dataset set chunks/train kitchen office=walk office=office_two
-    slgaussian dataset set photos --targets 1 --min-confirmed 0.5
+    slgaussian dataset set photos --targets 1
     """
     values = options.settings_from(ctx, DatasetSettings)
     settings = make_settings(values, "dataset", DatasetSettings)

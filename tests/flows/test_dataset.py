@@ -197,13 +197,12 @@ def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, t
     assert b"kitchen" not in full and any(b"kitchen" in data for data in before.values())
 
 
-def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output, tmp_path):
+def test_a_bad_scene_costs_itself_alone(output, tmp_path):
     _, store, settings, _ = output
     bad = tmp_path / "bad"
     bad.mkdir()
     (bad / "transforms.json").write_text("{")
     subset = folder_of(room(4, 2), tmp_path / "few")
-    picky = {"min_confirmed": 0.999}
     message = made_set(settings_for(tmp_path, *settings.sources, bad, subset), store)
     assert message.samples == 3
     rows = pq.read_table(tmp_path / "set/failures.parquet").to_pylist()
@@ -214,9 +213,8 @@ def test_a_bad_scene_costs_itself_and_filters_are_no_failures_of_the_run(output,
     assert "2 frames, clips and samples were refused;" in card
     assert str(tmp_path) not in card
     with pytest.raises(InputError, match="no sample is left of the sources; the reasons are in"):
-        made_set(settings_for(tmp_path / "none", *settings.sources, **picky), store)
-    reasons = pq.read_table(tmp_path / "none/set/failures.parquet")["reason"].to_pylist()
-    assert len(reasons) == 3 and all("below min_confirmed 0.999" in why for why in reasons)
+        made_set(settings_for(tmp_path / "none", bad), store)
+    assert pq.read_table(tmp_path / "none/set/failures.parquet")["scene"].to_pylist() == ["bad"]
 
 
 def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path):
