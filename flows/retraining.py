@@ -21,7 +21,6 @@ from flows.runners.session import check_folder, completed, publish_markdown, run
 from flows.training import Parted, parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
-from slgaussian.formats import strict_json
 from slgaussian.io import write_atomic
 from slgaussian.semantic.versions import Version, Versions, version_name
 from slgaussian.storage.encoding import table_digest
@@ -33,7 +32,6 @@ ASKED = (*Training.model_fields, "codes", "seed")
 
 STATUS = {
     "promoted": 0,
-    "left out": 1,
     "failed": 2,
     "refused": 3,
     "regressed": 4,
@@ -49,9 +47,6 @@ RECORD = "retraining.json"
 
 ARTIFACT = "slgaussian-retraining"
 """Key of the Prefect artifacts of retrainings."""
-
-NAMES = 20
-"""Largest number of newly left out items in a record."""
 
 NO_NETWORK = {"hard": "no network (hard)", "filled": "no network (filled)"}
 """Liftings without weights. A branch that is worse than one of them is useless."""
@@ -91,7 +86,7 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
     """Ingest and label new clips, train, evaluate, and promote the weights if they are better.
 
     The name of the final state is the outcome, for Prefect's automations: ``Promoted``,
-    ``Refused``, ``Regressed``, ``LeftOut``, ``NothingNew`` or ``Busy``; an error fails the run. A
+    ``Refused``, ``Regressed``, ``NothingNew`` or ``Busy``; an error fails the run. A
     record and a Prefect artifact have the scores, the decision and what was left out.
 
     Raises:
@@ -108,59 +103,42 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
 
 
 def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Retraining:
-    file = config.out / RECORD
-    try:
-        before = strict_json.parse(file.read_bytes()) if file.exists() else {}
-    except ValueError as error:
-        raise InputError(f"{file}: cannot be read ({error}); delete it") from error
     start = time.perf_counter()
-    record: dict[str, Any] = {"outcome": "", "left out": before.get("left out", [])}
+    record: dict[str, Any] = {}
     try:
-        _learn_what_is_new(config, store, verbose, record)
+        failures = corpus.supervise(config, store, verbose).failures
+        lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
+        learnt = learn(lessons, config, store, verbose)
+        messages = [learnt.message]
+        if learnt.regressed:
+            end = f"`slgaussian versions {config.models} --use none` ends it"
+            messages.append(f"{learnt.regressed}; {end}")
+        if failures:
+            first = failures[0]
+            messages.append(f"left out: {len(failures)}, as {first.scene}: {first.reason}")
+        version, used = learnt.version, Versions(config.models).current()
+        outcome = "nothing new"
+        if version is not None:
+            outcome = "promoted" if version.promoted else "refused"
+            record |= {"version": version.number, "scores": version.facts["scores"]["iou"]}
+        record |= {
+            "in use": 0 if used is None else used.number,
+            "outcome": "regressed" if learnt.regressed else outcome,
+            "messages": messages,
+        }
     except Exception as error:
         expected = isinstance(error, SLGaussianError)
         reason = str(error) if expected else f"unexpected {type(error).__name__}: {error}"
-        record |= {"outcome": "failed", "messages": [reason]}
+        record = {"outcome": "failed", "messages": [reason]}
         raise
     finally:
-        if record["outcome"]:  # not after a signal
+        if "outcome" in record:  # not after a signal
             record["seconds"] = round(time.perf_counter() - start, 1)
             text = json.dumps(record, indent=1, ensure_ascii=False)
-            write_atomic(file, text.encode())
+            write_atomic(config.out / RECORD, text.encode())
             paragraphs = f"# Retraining: {record['outcome']}", *record["messages"]
             publish_markdown(ARTIFACT, "\n\n".join([*paragraphs, f"```json\n{text}\n```\n"]))
     return Retraining(record["outcome"], tuple(record["messages"]))
-
-
-def _learn_what_is_new(
-    config: RetrainSettings, store: ArtifactStore, verbose: bool, record: dict[str, Any]
-) -> None:
-    """Do the steps of a retraining and fill its record."""
-    prepared = corpus.supervise(config, store, verbose)
-    left_out = {failure.scene: failure.reason for failure in prepared.failures}
-    new = sorted(left_out.keys() - set(record["left out"]))
-    record["left out"] = sorted(left_out)
-    record["newly left out"] = {name: left_out[name] for name in new[:NAMES]}
-
-    lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
-    learnt = learn(lessons, config, store, verbose)
-    used = Versions(config.models).current()
-    record["in use"] = 0 if used is None else used.number
-    messages = [learnt.message]
-    if learnt.version is not None:
-        record["version"] = learnt.version.number
-        record["scores"] = learnt.version.facts["scores"]["iou"]
-    if learnt.regressed:
-        end = f"`slgaussian versions {config.models} --use none` ends it"
-        messages.append(f"{learnt.regressed}; {end}")
-    if new:
-        name = new[0]
-        messages.append(f"left out for the first time: {len(new)}, as {name}: {left_out[name]}")
-    if learnt.version is not None:
-        outcome = "promoted" if learnt.version.promoted else "refused"
-    else:
-        outcome = "left out" if new else "nothing new"
-    record |= {"outcome": "regressed" if learnt.regressed else outcome, "messages": messages}
 
 
 def learn(

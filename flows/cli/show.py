@@ -9,7 +9,7 @@ import webbrowser
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -189,11 +189,8 @@ def view(
     from slgaussian.viewer.page.scene_page import scene_page
     from slgaussian.viewer.server import LiveField, app, serve
 
-    def terminate(number: int, frame: object) -> NoReturn:
-        raise KeyboardInterrupt
-
-    # SIGINT too: it is ignored if a shell starts this in the background.
-    before = {sign: signal.signal(sign, terminate) for sign in (signal.SIGINT, signal.SIGTERM)}
+    for sign in (signal.SIGINT, signal.SIGTERM):  # SIGINT is ignored in a shell's background
+        signal.signal(sign, signal.default_int_handler)
     live = None
     try:
         access = listen(host, port)
@@ -210,9 +207,6 @@ def view(
     except KeyboardInterrupt:
         lost = live is not None and live.unsaved
         typer.echo("\nstopped; changes were not saved" if lost else "\nstopped", err=True)
-    finally:
-        for sign, handler in before.items():
-            signal.signal(sign, handler)
 
 
 @options.configured()

@@ -68,8 +68,8 @@ def retrain(
     held-out clips than these and than no network. See `versions`. A file has sources, out, models
     and other settings; options override it. cron can run it, or Prefect by `prefect.yaml`. Writes
     OUT/retraining.json, and a Prefect artifact. The exit status is 0 if a version was promoted,
-    1 if only new clips that were left out are new, 2 if it failed, 3 if the version was refused, 4
-    if the one in use is worse than none, 5 if another retraining is running, 6 if nothing is new.
+    2 if it failed, 3 if the version was refused, 4 if the one in use is worse than none, 5 if
+    another retraining is running, 6 if nothing is new.
 
     \b
     slgaussian retrain --sources chunks/train --out corpus --models models

@@ -126,9 +126,9 @@ def check_folder(out: Path) -> None:
         ) from error
 
 
-def publish_markdown(key: str, markdown: str, description: str = "") -> None:
+def publish_markdown(key: str, markdown: str) -> None:
     """Create a Markdown artifact of a key, lower-case letters, digits and dashes."""
-    _publish(lambda: create_markdown_artifact(markdown, key, description or None))
+    _publish(lambda: create_markdown_artifact(markdown, key))
 
 
 def publish_table(key: str, rows: Sequence[dict[str, Any]]) -> None:

@@ -21,9 +21,7 @@ from flows.scene import scene_task
 from slgaussian.components.pretrained import model_digest
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.formats.ply import load_ply
 from slgaussian.masks.configs import folder_digest, geometry_digest
-from slgaussian.rasterize import harmonics
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.stage import Stage, canonical
 from tests.language.small_clip import save_clip
@@ -185,29 +183,6 @@ def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, ca
 def field_words(photos: Path, *words) -> list:
     pair = (photos / "view_00.png", photos / "view_02.png")
     return ["field", *pair, "--cameras", photos, "--set", "near=0.8", *words]
-
-
-def test_a_field_by_mvsplat_has_a_gaussian_at_every_pixel_but_the_edge(
-    photos, places, tmp_path, monkeypatch
-):
-    words = ["--predictor", "mvsplat", "--set", f"mvsplat.checkpoint={places['mvsplat']}"]
-    words += ["--set", "mvsplat.precision=bfloat16", "-o", tmp_path / "field"]
-    assert run(monkeypatch, *field_words(photos, *words)) == 0
-    field = SemanticField.load(tmp_path / "field")
-    assert field.settings["predictor"] == "mvsplat"
-    assert field.settings["mvsplat"]["precision"] == "bfloat16"
-    assert str(places["mvsplat"].parent) not in (tmp_path / "field" / "field.json").read_text()
-    view, pixel = np.divmod(field.gaussians.source.numpy(), 70 * 90)
-    row, column = np.divmod(pixel, 90)
-    assert np.bincount(view).tolist() == [64 * 80] * 2
-    assert (row.min(), row.max(), column.min(), column.max()) == (3, 66, 5, 84)
-    # What other programs read shows the same colours, from anywhere.
-    assert run(monkeypatch, "export", tmp_path / "field", "-o", tmp_path / "scene.ply") == 0
-    read, _ = load_ply(tmp_path / "scene.ply")
-    camera = field.cameras["view_00.png"]
-    observed = harmonics.colors(field.gaussians, camera)
-    torch.testing.assert_close(harmonics.colors(read, camera), observed, rtol=0, atol=1e-6)
-    assert (observed - field.gaussians.colors()).abs().max() > 0.01
 
 
 def test_a_field_is_built_of_depth_and_cameras_of_a_file(tmp_path, monkeypatch):

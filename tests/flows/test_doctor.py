@@ -57,15 +57,6 @@ def test_a_store_that_cannot_be_used_is_one_line(server, tmp_path, monkeypatch, 
         assert len(told["ok"]) == 4
 
 
-def test_a_bucket_is_looked_at(server, bucket, monkeypatch, capsys):
-    status, told = examined(monkeypatch, capsys, "--store", f"{bucket}/slg")
-    assert status == 0
-    assert f"store {bucket}/slg can be written" in told["ok"]
-    status, told = examined(monkeypatch, capsys, "--store", "s3://slg-no-such-bucket/slg")
-    assert status == 1
-    assert "no bucket 'slg-no-such-bucket'" in told["BAD"][0] and "make it first" in told["BAD"][0]
-
-
 def test_a_server_that_does_not_answer(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("PREFECT_API_URL", NOBODY)
     status, told = examined(monkeypatch, capsys, "--store", tmp_path)

@@ -19,39 +19,26 @@ pytestmark = [
     pytest.mark.usefixtures("server"),
 ]
 
-ENDS = {
-    "kill -9": (signal.SIGKILL, False),
-    "SIGTERM": (signal.SIGTERM, False),
-    "Ctrl-C": (signal.SIGINT, True),  # as a terminal sends it, to all processes of the program
-    "SIGINT": (signal.SIGINT, False),
-}
-QUICK = {
-    ("threads", "kill -9"),
-    ("processes", "Ctrl-C"),
-}
-"""Those that are tried every time."""
 
-
-def cases():
-    for runner in ("threads", "processes"):
-        for end in ENDS:
-            thorough = (runner, end) in QUICK or os.environ.get("SLG_TEST_THOROUGH")
-            skip = pytest.mark.skipif(not thorough, reason="needs SLG_TEST_THOROUGH=1")
-            yield pytest.param(runner, end, marks=skip, id=f"{runner}-{end}")
-
-
-@pytest.mark.parametrize(("runner", "end"), list(cases()))
-def test_a_stopped_run_goes_on_later_and_leaves_nothing(tmp_path, home, server, runner, end):
+@pytest.mark.parametrize(
+    ("runner", "number", "everyone"),
+    [
+        ("threads", signal.SIGKILL, False),
+        ("processes", signal.SIGINT, True),  # Ctrl-C: a terminal sends it to all processes
+    ],
+)
+def test_a_stopped_run_goes_on_later_and_leaves_nothing(
+    tmp_path, home, server, runner, number, everyone
+):
     store, log = with_database(tmp_path / "store", server), tmp_path / "log"
     process = start(home, store, log, FOREVER, runner)
     # The second scene is being worked on, so the first is done and recorded.
     assert wait_until(lambda: log.exists() and "scene_1 make" in log.read_text(), 120)
     begun = below(process.pid)
     assert len(begun) >= 1
-    places = [place for number in (process.pid, *begun) for place in listening(number)]
+    places = [place for pid in (process.pid, *begun) for place in listening(pid)]
     assert places and all(address.partition(":")[0] in LOOPBACK for _, address in places)
 
-    number, everyone = ENDS[end]
     if everyone:
         os.killpg(process.pid, number)
     else:
@@ -62,7 +49,7 @@ def test_a_stopped_run_goes_on_later_and_leaves_nothing(tmp_path, home, server, 
     wait_until(lambda: not living(begun), 30)
     assert living(begun) == []
     assert left_in(home) == []
-    if end != "kill -9":
+    if number != signal.SIGKILL:
         assert lines_of(messages) == ["scene_0", "stopped"]
 
     before = log.read_text().splitlines()
