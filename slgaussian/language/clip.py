@@ -1,7 +1,8 @@
 """The encoder ``clip``: CLIP (Radford et al., ICML 2021) of ``transformers``.
 
-Regions are encoded as in LangSplat and the paper, see :mod:`slgaussian.language.crops`. Texts are
-encoded without a prompt template.
+Regions are encoded as in LangSplat and the paper: pixels outside the region are black, the bounding
+box is cut out, padded with black to a centred square, and resized bilinearly. Texts are encoded
+without a prompt template.
 
 CLIP embeddings lie in a narrow cone: cosines between texts are mostly 0.6 to 0.9, between texts and
 images 0.1 to 0.4. The constants that depend on this are published ones and were not tuned here:
@@ -11,24 +12,21 @@ the views of one object, CLIP's learnt softmax temperature (:attr:`Clip.soft`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import cv2
 import numpy as np
 import torch
 from pydantic import PrivateAttr
 
 from slgaussian.components.pretrained import (
-    OPEN_CLIP_CONFIG,
-    PREPROCESSOR,
     Family,
     ModelFiles,
     find_model,
     find_tokenizer,
     load_pretrained,
     load_tokenizer,
-    read_json,
-    table_in,
 )
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
@@ -39,7 +37,7 @@ if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
 
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
-"""CLIP's mean and standard deviation of RGB in [0, 1]; the files of a model may override them."""
+"""CLIP's mean and standard deviation of RGB in [0, 1]."""
 
 
 def _converted(files: ModelFiles) -> Any:
@@ -78,13 +76,11 @@ class Clip(ClipConfig):
     device: str = "auto"
     _network: Any = PrivateAttr()
     _words: Any = PrivateAttr()
-    _colours: tuple[torch.Tensor, torch.Tensor] = PrivateAttr()
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
         self._network = load_pretrained(self.model, self.FAMILY, self.device)
         self._words = self._load_words()
-        self._colours = _colours(find_model(self.model))
 
     @property
     def network(self) -> Any:
@@ -108,13 +104,7 @@ class Clip(ClipConfig):
 
         Returns:
             float32 [M, C]
-
-        Raises:
-            InputError: If image and masks do not match, or a mask is empty.
         """
-        from slgaussian.language.crops import check_regions
-
-        check_regions(self.name, image, masks)
         vectors = [
             self._pictures(image, masks[start : start + self.batch])
             for start in range(0, len(masks), self.batch)
@@ -140,8 +130,6 @@ class Clip(ClipConfig):
 
     def _pictures(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Encode at most ``batch`` regions as unit vectors."""
-        from slgaussian.language.crops import region_crop
-
         side = self.network.config.vision_config.image_size
         kinds = (False,) if self.crops == "masked" else (False, True)
         total = np.zeros((len(masks), self._width))
@@ -149,7 +137,7 @@ class Clip(ClipConfig):
             pixels = np.zeros((self.batch, side, side, 3), np.uint8)
             for picture, mask in zip(pixels, masks, strict=False):
                 picture[:] = region_crop(image, mask, side, context)
-            mean, std = self._colours
+            mean, std = (torch.tensor(values).reshape(3, 1, 1) for values in (MEAN, STD))
             values = (torch.from_numpy(pixels).permute(0, 3, 1, 2) / 255 - mean) / std
             kind = self.network.device.type
             reduced = kind != "cpu" or self.precision == "bfloat16"
@@ -173,8 +161,6 @@ class Clip(ClipConfig):
                 f"query {excerpt!r}: has {len(tokens)} tokens, but the model reads at most "
                 f"{limit}; say it in fewer words"
             )
-        if self._words.eos_token_id in tokens[:-1]:
-            raise InputError(f"query {excerpt!r}: cannot be read by the tokenizer; use other words")
         token_batch = torch.tensor([tokens], device=self.network.device)
         with torch.inference_mode(), inside(self.network):
             features = self.network.get_text_features(token_batch)
@@ -212,24 +198,24 @@ def _unit(output: Any) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def _colours(files: ModelFiles) -> tuple[torch.Tensor, torch.Tensor]:
-    """Read the mean and standard deviation for normalising colours, each [3, 1, 1]."""
-    import torch
+def region_crop(image: np.ndarray, mask: np.ndarray, side: int, context: bool) -> np.ndarray:
+    """Crop one region.
 
-    if files.checkpoint is None:
-        file, keys = files.folder / PREPROCESSOR, ("image_mean", "image_std")
-        config: Mapping[str, Any] = read_json(file) if file.is_file() else {}
-    else:
-        file, keys = files.folder / OPEN_CLIP_CONFIG, ("mean", "std")
-        config = table_in(read_json(file), "preprocess_cfg", file) if file.is_file() else {}
-    values = [config.get(key, default) for key, default in zip(keys, (MEAN, STD), strict=True)]
-    try:
-        mean, std = (torch.tensor(value, dtype=torch.float32).reshape(3, 1, 1) for value in values)
-        if not (mean.isfinite().all() and std.isfinite().all() and (std > 0).all()):
-            raise ValueError
-    except (TypeError, ValueError, RuntimeError):
-        raise InputError(
-            f"{file}: {keys[0]} and {keys[1]} are {values[0]!r} and {values[1]!r}, expected three "
-            "numbers each; get it again"
-        ) from None
-    return mean, std
+    Args:
+        image: uint8 [H, W, 3]
+        mask: bool [H, W]. Not empty.
+        side: Side of the crop, pixels.
+        context: If true, the rest of the bounding box is kept instead of being black.
+
+    Returns:
+        uint8 [side, side, 3]: Of an odd number of padding pixels, the smaller half is above or on
+            the left.
+    """
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    window = np.s_[y : y + h, x : x + w]
+    longest = max(w, h)
+    square = np.zeros((longest, longest, 3), np.uint8)
+    top, left = (longest - h) // 2, (longest - w) // 2
+    patch = image[window] if context else image[window] * mask[window][..., None]
+    square[top : top + h, left : left + w] = patch
+    return cv2.resize(square, (side, side), interpolation=cv2.INTER_LINEAR)

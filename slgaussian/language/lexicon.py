@@ -123,17 +123,7 @@ class Lexicon:
 
         Returns:
             float32 [M, C]
-
-        Raises:
-            InputError: If image, masks and surroundings do not match, or a mask is empty.
         """
-        from slgaussian.language.crops import check_regions
-
-        check_regions(self.name, image, masks)
-        if around is not None and around.height.shape != image.shape[:2]:
-            raise InputError(
-                f"lexicon: surroundings are {around.height.shape}, expected {image.shape[:2]}"
-            )
         vectors = np.zeros((len(masks), self.width))
         if len(masks) == 0:
             return vectors.astype(np.float32)

@@ -12,7 +12,6 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.kernels.jit import kernel
-from slgaussian.kernels.work_sharing import share, take
 
 CELLS = 16
 """Cells of the cube along each axis."""
@@ -20,13 +19,6 @@ CELLS = 16
 SLACK = 1e-9
 """A code is excluded from a cell if another is nearer by this much everywhere in it: far above the
 rounding error of float64 distances, 1e-15, so that the result is exact."""
-
-BEYOND = 1.0
-"""Distance from the cube up to which the table is used. Farther out distances lose precision, and
-all codes are compared."""
-
-SHARE = 4096
-"""Number of values per unit of work of a thread."""
 
 
 class Lookup(NamedTuple):
@@ -87,7 +79,7 @@ def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
     """Find the code nearest to each value in L1 distance; ties go to the lowest index.
 
     Args:
-        values: float [..., 3]. Rendered codes. They may lie outside the cube.
+        values: float [..., 3]. Rendered codes. They may lie somewhat outside the cube.
         codes: float [N, 3]. In [0, 1].
 
     Returns:
@@ -106,7 +98,7 @@ def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
         raise InputError(f"nearest code: values at index {index} hold NaN or infinity")
     flat = values.reshape(-1, 3).astype(np.float64)
     nearest = np.empty(len(flat), np.int32)
-    share(_find, -(-len(flat) // SHARE), flat, lookup, nearest)
+    _find(flat, lookup, nearest)
     return nearest.reshape(values.shape[:-1])
 
 
@@ -119,23 +111,17 @@ def find(x, y, z, codes, starts, members):
 
     Outside the cube an axis adds the same distance to all codes, so the nearest cell is valid.
     """
+    # Unsigned, so that Numba omits the handling of negative indices.
+    i = np.uint32(min(max(x * CELLS, 0.0), CELLS - 1.0))
+    j = np.uint32(min(max(y * CELLS, 0.0), CELLS - 1.0))
+    k = np.uint32(min(max(z * CELLS, 0.0), CELLS - 1.0))
+    cell = (i * np.uint32(CELLS) + j) * np.uint32(CELLS) + k
     best, row = np.inf, np.uint32(0)
-    if max(abs(x - 0.5), abs(y - 0.5), abs(z - 0.5)) <= 0.5 + BEYOND:
-        # Unsigned, so that Numba omits the handling of negative indices.
-        i = np.uint32(min(max(x * CELLS, 0.0), CELLS - 1.0))
-        j = np.uint32(min(max(y * CELLS, 0.0), CELLS - 1.0))
-        k = np.uint32(min(max(z * CELLS, 0.0), CELLS - 1.0))
-        cell = (i * np.uint32(CELLS) + j) * np.uint32(CELLS) + k
-        for m in range(np.uint32(starts[cell]), np.uint32(starts[cell + 1])):
-            candidate = np.uint32(members[m])
-            d = distance(x, y, z, codes, candidate)
-            if d < best:
-                best, row = d, candidate
-    else:
-        for m in range(np.uint32(len(codes))):
-            d = distance(x, y, z, codes, m)
-            if d < best:
-                best, row = d, np.uint32(m)
+    for m in range(np.uint32(starts[cell]), np.uint32(starts[cell + 1])):
+        candidate = np.uint32(members[m])
+        d = distance(x, y, z, codes, candidate)
+        if d < best:
+            best, row = d, candidate
     return row, best
 
 
@@ -146,11 +132,8 @@ def distance(x, y, z, codes, row):
 
 
 @kernel
-def _find(counter, values, lookup, nearest):
+def _find(values, lookup, nearest):
     codes, starts, members = lookup
-    start = take(counter) * SHARE
-    while start < len(values):
-        for i in range(start, min(len(values), start + SHARE)):
-            x, y, z = values[i]
-            nearest[i], _ = find(x, y, z, codes, starts, members)
-        start = take(counter) * SHARE
+    for i in range(len(values)):
+        x, y, z = values[i]
+        nearest[i], _ = find(x, y, z, codes, starts, members)

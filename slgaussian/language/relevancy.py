@@ -25,9 +25,6 @@ import math
 
 import numpy as np
 
-from slgaussian.errors import InputError, did_you_mean
-from slgaussian.language.rules import ABSENT
-
 UNIT_TOLERANCE = 1e-3
 """Largest allowed | |L| - 1 |. Rounding to half precision changes a length by at most 2^-11, half
 of that; unnormalised features are refused."""
@@ -43,7 +40,7 @@ LOG_MOST = math.log(np.finfo(np.float64).max)
 class Scorer:
     """Scores texts against a fixed set of objects.
 
-    Checks, normalisation and the scores of the canonical phrases are computed once.
+    Normalisation and the scores of the canonical phrases are computed once.
 
     Args:
         features: float [M, V, C]. Unit vectors of M objects in V views; rows of absent views are
@@ -60,10 +57,6 @@ class Scorer:
     Attributes:
         looks: float64 [P, C]. The present vectors, in order of rows and views, normalised to length
             1 in float64, so that features rounded to half precision give true cosines.
-
-    Raises:
-        InputError: If shapes disagree, or a present vector is zero, contains NaN or has a length
-            that differs from 1 by more than :data:`UNIT_TOLERANCE`.
     """
 
     def __init__(
@@ -75,20 +68,9 @@ class Scorer:
         levels: np.ndarray | None = None,
         soft: float = SOFT,
     ) -> None:
-        if features.ndim != 3 or present.shape != features.shape[:2]:
-            raise InputError(
-                f"relevancy: found features {features.shape} and present {present.shape}, expected "
-                "[N, V, C] and [N, V]"
-            )
-        if absent not in ABSENT:
-            raise InputError(
-                f"relevancy: absent is {absent!r}, expected one of {', '.join(ABSENT)}"
-                f"{did_you_mean(absent, ABSENT)}"
-            )
-        self._width = features.shape[2]
         self._present = present
-        self.looks = _unit_vectors(features[present], "features")
-        self._rival = self._cosines(canonical, "canonical").max(0)
+        self.looks = _unit_vectors(features[present])
+        self._rival = self._cosines(canonical).max(0)
         self._unseen = -np.inf if absent == "skip" else 0.0
         self._soft = soft
         self._rows = None
@@ -99,9 +81,9 @@ class Scorer:
         """Compute the gaps of the module's formula, float64 [Q, N]; -inf if no view shows it.
 
         ``queries`` float [Q, C] are unit vectors of texts; ``extra_leads`` [Q, P] are added to the
-        leads. Errors as in the class.
+        leads.
         """
-        return self.combined(self._cosines(queries, "queries") - self._rival + extra_leads)
+        return self.combined(self._cosines(queries) - self._rival + extra_leads)
 
     def combined(self, leads: np.ndarray) -> np.ndarray:
         """Combine leads float64 [Q, P], one per text and present vector, to gaps [Q, N]."""
@@ -112,14 +94,9 @@ class Scorer:
         nodes = gaps[:, self._rows.T].reshape(len(leads), self._rows.shape[1], -1)
         return _soft_greatest(nodes, self._soft)
 
-    def _cosines(self, texts: np.ndarray, name: str) -> np.ndarray:
-        if texts.ndim != 2 or texts.shape[1] != self._width or len(texts) == 0:
-            raise InputError(
-                f"relevancy: {name} are {texts.shape}, expected [at least 1, {self._width}]; "
-                "texts and regions must come from the same encoder"
-            )
+    def _cosines(self, texts: np.ndarray) -> np.ndarray:
         # Not BLAS, whose last digit depends on threads and position: equal objects must tie.
-        return np.einsum("tc,lc->tl", _unit_vectors(texts, name), self.looks)
+        return np.einsum("tc,lc->tl", _unit_vectors(texts), self.looks)
 
 
 def _soft_greatest(leads: np.ndarray, soft: float) -> np.ndarray:
@@ -133,32 +110,6 @@ def _soft_greatest(leads: np.ndarray, soft: float) -> np.ndarray:
     return top[..., 0] + deviation
 
 
-def relevancy(
-    features: np.ndarray,
-    present: np.ndarray,
-    queries: np.ndarray,
-    canonical: np.ndarray,
-    temperature: float = 10.0,
-    absent: str = "skip",
-) -> np.ndarray:
-    """Compute the relevancy of every object to every query.
-
-    Args:
-        features, present, canonical, absent: See :class:`Scorer`.
-        queries: float [Q, C]. Unit vectors of the texts.
-        temperature: Multiplies the cosines; positive.
-
-    Returns:
-        float64 [Q, N]: In [0, 1]; 0.5 if the text fits the object exactly as well as the best
-            canonical phrase, exactly 0 if no view shows the object.
-
-    Raises:
-        InputError: As :class:`Scorer`, and if the temperature is not positive.
-    """
-    check_temperature(temperature)
-    return sigmoid(temperature * Scorer(features, present, canonical, absent).gaps(queries))
-
-
 def sigmoid(x: np.ndarray) -> np.ndarray:
     """Compute ``1 / (1 + exp(-x))``, float64 in the shape of ``x``.
 
@@ -169,24 +120,7 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
     return np.array(values, np.float64).reshape(np.shape(x))
 
 
-def check_temperature(temperature: float) -> None:
-    """Raise InputError unless ``temperature`` is a positive number."""
-    if not 0 < temperature < np.inf:
-        raise InputError(f"temperature: found {temperature}, expected a positive number")
-
-
-def _unit_vectors(vectors: np.ndarray, name: str) -> np.ndarray:
-    """Normalise rows, whose length must be nearly 1, in float64."""
+def _unit_vectors(vectors: np.ndarray) -> np.ndarray:
+    """Normalise rows, whose length is nearly 1, in float64."""
     vectors = vectors.astype(np.float64)
-    lengths = np.sqrt(np.einsum("lc,lc->l", vectors, vectors))
-    if not np.isfinite(lengths).all():
-        raise InputError(f"relevancy: {name} hold NaN or infinity")
-    if not lengths.all():
-        raise InputError(f"relevancy: {name} hold a zero vector, which means nothing")
-    worst = lengths[np.abs(lengths - 1).argmax()] if len(lengths) else 1.0
-    if abs(worst - 1) > UNIT_TOLERANCE:
-        raise InputError(
-            f"relevancy: {name} hold a vector of length {worst:.4g}, expected unit vectors; divide "
-            "each by its length"
-        )
-    return vectors / lengths[:, None]
+    return vectors / np.sqrt(np.einsum("lc,lc->l", vectors, vectors))[:, None]

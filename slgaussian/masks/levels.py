@@ -75,7 +75,7 @@ def group_objects(frames: Sequence[SeenView], label_maps: LabelMaps) -> ObjectGr
 def _wholes(joint: LeafSums, trees: Sequence[MergeTree], at_edge: np.ndarray) -> Wholes:
     """Return the distinct sets of objects of all trees that are larger than crumbs."""
     count = len(at_edge)
-    nodes = np.concatenate([tree.members(np.arange(len(tree.parent))) for tree in trees])
+    nodes = np.concatenate([tree.members() for tree in trees])
     ends = [np.append(tree.height, tree.height.max())[tree.parent] for tree in trees]
     stands = np.concatenate(ends) - np.concatenate([tree.height for tree in trees])
     packed = np.packbits(nodes, axis=1)

@@ -87,21 +87,14 @@ class MergeTree:
                 place[node] = place[self.parent[node]]
         return place[: int(self.leaves.max(initial=-1)) + 1]
 
-    def members(self, nodes: np.ndarray) -> np.ndarray:
-        """Return the leaves of each of the ``nodes`` [K], bool [K, N]."""
-        spans = np.zeros((len(self.parent) + 1, 3), np.int64)  # leaves below, first, next free
-        below, first, free = spans.T
+    def members(self) -> np.ndarray:
+        """Return the leaves of each node, bool [M, N]."""
         count = int(self.leaves.max(initial=-1)) + 1
-        below[:count] = 1
+        members = np.eye(len(self.parent), count, dtype=bool)
         for node, parent in enumerate(self.parent):
-            below[parent] += below[node]
-        # Order leaves so that every node has a contiguous run; the last row is above the roots.
-        for node in range(len(self.parent) - 1, -1, -1):
-            parent = self.parent[node]
-            first[node] = free[node] = free[parent]
-            free[parent] += below[node]
-        place, start = first[:count], first[nodes, None]
-        return (place >= start) & (place < start + below[nodes, None])
+            if parent >= 0:
+                members[parent] |= members[node]
+        return members
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import QueryResult
 from slgaussian.language.reader import BankReader
+from slgaussian.language.relevancy import Scorer, sigmoid
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Camera, View
 
@@ -119,3 +120,8 @@ def find(
 def segment(texts: list[str], ids: np.ndarray, bank: MemoryBank, encoder: Lexicon) -> np.ndarray:
     """Which of some texts each object of an id map is."""
     return query.segment(texts, ObjectMap(ids, bank.ids), BankReader(bank, encoder), Rules())
+
+
+def relevancy(features, present, queries, canonical, temperature=10.0, absent="skip") -> np.ndarray:
+    """Relevancy of every object to every query, float64 [Q, N]."""
+    return sigmoid(temperature * Scorer(features, present, canonical, absent).gaps(queries))

@@ -4,13 +4,12 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from drawn import BLUE, RED, ball, bank_of, photograph, view_of
+from drawn import BLUE, RED, ball, bank_of, photograph, relevancy, view_of
 
 from slgaussian.errors import InputError
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.language.bank import MemoryBank, build_bank
-from slgaussian.language.relevancy import relevancy
 from slgaussian.masks.levels import group_objects
 from slgaussian.storage.specs import load_spec
 

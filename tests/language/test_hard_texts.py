@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drawn import relevancy
 
 from slgaussian.errors import InputError
-from slgaussian.language.relevancy import Scorer, relevancy
+from slgaussian.language.relevancy import Scorer
 
 TEMPERATURES = (1.0, 10.0, 100.0, 1000.0)
 JUDGED = 12

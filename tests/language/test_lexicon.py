@@ -437,20 +437,6 @@ def test_encoding_is_the_same_whatever_else_is_encoded(lexicon):
     np.testing.assert_array_equal(alone, together)
 
 
-def test_bad_regions_are_refused(lexicon):
-    image, _ = photograph([])
-    masks = np.ones((2, HEIGHT, WIDTH), bool)
-    with pytest.raises(InputError, match="float32"):
-        lexicon.encode_regions(image.astype(np.float32), masks)
-    with pytest.raises(InputError, match="masks are bool"):
-        lexicon.encode_regions(image, masks[:, 1:])
-    with pytest.raises(InputError, match="masks are uint8"):
-        lexicon.encode_regions(image, masks.astype(np.uint8))
-    masks[1] = False
-    with pytest.raises(InputError, match="mask 1 is empty"):
-        lexicon.encode_regions(image, masks)
-
-
 @pytest.mark.parametrize(
     ("text", "noun", "classes"),
     [

@@ -17,6 +17,7 @@ from drawn import (
     cone,
     find,
     photograph,
+    relevancy,
     segment,
     view_of,
 )
@@ -28,7 +29,6 @@ from slgaussian.language.codes import grid_codes
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import ask
 from slgaussian.language.reader import BankReader
-from slgaussian.language.relevancy import relevancy
 from slgaussian.language.rules import Rules
 
 OBJECTS = [

@@ -59,7 +59,7 @@ def test_places_tell_which_node_of_a_cut_holds_a_leaf(tree, maximum):
 @given(trees)
 def test_members_are_the_leaves_below(tree):
     expected = members_by_walking(tree)
-    np.testing.assert_array_equal(tree.members(np.arange(len(tree.parent))), expected)
+    np.testing.assert_array_equal(tree.members(), expected)
     shared = expected[:, None] & expected
     nested = (shared == expected[:, None]).all(2) | (shared == expected).all(2)
     assert (nested | ~shared.any(2)).all()
@@ -147,7 +147,7 @@ def check_merging(sums, cues):
         height.append(max(min(costs), height[a], height[b]))
         live[len(height) - 1] = sets[len(height) - 1] = live.pop(a) + live.pop(b)
     np.testing.assert_allclose(tree.height, height, rtol=1e-9)  # the order of sums: 1e-15
-    members = tree.members(np.arange(len(height)))
+    members = tree.members()
     result = [np.flatnonzero(row).tolist() for row in members]
     assert result == [sorted(sets[node]) for node in range(len(height))]
 
