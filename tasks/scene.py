@@ -107,7 +107,7 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=11)  # increase it also when camera estimation changes
+@stage("ingest", version=12)  # increase it also when camera estimation changes
 def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     """Read the sample of a scene: spec ``sample``.
 
@@ -235,7 +235,7 @@ def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     return run.store.put("truth", truth_to_arrays(scene_truth, views))
 
 
-@stage("geometry", version=13)
+@stage("geometry", version=14)
 def geometry(
     run: RunContext,
     sample: ArtifactRef,
@@ -323,7 +323,7 @@ def supervision(
     return run.store.put("bank", bank.to_arrays(), {"objects": len(bank)})
 
 
-@stage("field", version=9)
+@stage("field", version=10)
 def field(
     run: RunContext,
     sample: ArtifactRef,

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian.io import short_repr
 
-_LOCAL = 8
-"""Parameters of a camera that one observation depends on: rotation, t, log focal length, k1."""
+_LOCAL = 7
+"""Parameters of a camera that one observation depends on: rotation, t, log focal length."""
 
 _CHUNK = 1 << 21
 """Largest number of elements of the dense point-camera blocks in memory at once."""
@@ -65,15 +65,14 @@ class Bundle:
         R, t: float64 [V, 3, 3], [V, 3]. World to camera, OpenCV axes. Without a pose prior the
             length of ``t[1]`` is constant, which fixes the scale.
         centers: float64 [V, 2]. Principal points, pixels; constant.
-        group: int64 [V]. Index of the focal length and k1 of each view.
-        focals, k1: float64 [G]. Pixels; first radial distortion (OpenCV's).
+        group: int64 [V]. Index of the focal length of each view.
+        focals: float64 [G]. Pixels.
         points: float64 [N, 3]
         view, point: int64 [M]. View and point of each observation; each pair occurs at most once.
         xy: float64 [M, 2]. Observed pixels.
         focal_prior, focal_sigma: float64 [G]. Normal prior of the logarithm of each focal length:
             its centre in pixels, and its standard deviation; 0 fixes the focal length, infinity
             removes the prior.
-        k1_sigma: Standard deviation of the zero-mean prior of each k1; 0 fixes k1.
     """
 
     R: np.ndarray
@@ -81,26 +80,15 @@ class Bundle:
     centers: np.ndarray
     group: np.ndarray
     focals: np.ndarray
-    k1: np.ndarray
     points: np.ndarray
     view: np.ndarray
     point: np.ndarray
     xy: np.ndarray
     focal_prior: np.ndarray
     focal_sigma: np.ndarray
-    k1_sigma: float = 0.0
     poses: PosePrior | None = None
 
     __repr__ = short_repr
-
-    def residuals(self) -> np.ndarray:
-        """Return projected minus observed positions, pixels: float64 [M, 2]."""
-        return _project(self, homogeneous(self.points)).residuals
-
-    def depths(self) -> np.ndarray:
-        """Return the depth of each observed point in the observing camera: float64 [M]."""
-        world = self.points[self.point]
-        return np.einsum("mj,mj->m", self.R[self.view, 2], world) + self.t[self.view, 2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +98,10 @@ class Adjusted:
     Attributes:
         cost: Minus twice the log posterior, up to a constant.
         residuals: float64 [M, 2]. Pixels.
-        covariance: float64 [6 V + 2 G, 6 V + 2 G]. Covariance of all camera parameters, with the
-            noise level of the residuals: for each view a rotation vector (camera axes, applied
-            after ``R``) and ``t``, then the logarithm of each focal length, then each k1. Rows and
-            columns of fixed parameters are 0.
+        covariance: float64 [6 V + G, 6 V + G]. Covariance of all camera parameters, with the noise
+            level of the residuals: for each view a rotation vector (camera axes, applied after
+            ``R``) and ``t``, then the logarithm of each focal length. Rows and columns of fixed
+            parameters are 0.
     """
 
     bundle: Bundle
@@ -126,8 +114,7 @@ class Adjusted:
     @cached_property
     def focal_deviations(self) -> np.ndarray:
         """Return the standard deviation of the logarithm of each focal length: float64 [G]."""
-        start = 6 * len(self.bundle.R)
-        return np.sqrt(np.diag(self.covariance)[start : start + len(self.bundle.focals)])
+        return np.sqrt(np.diag(self.covariance)[6 * len(self.bundle.R) :])
 
     def degrees(self, view: int) -> tuple[float, float]:
         """Return the standard deviations of a view's rotation and direction of ``t`` relative to
@@ -148,9 +135,8 @@ def adjust(
 ) -> Adjusted:
     """Find the cameras and points of maximum posterior probability.
 
-    A point may pass infinity and then lies behind its cameras (:meth:`Bundle.depths`). This happens
-    to distant points, and to all points if the parallax is below the noise; then the covariance is
-    too small.
+    A point may pass infinity and then lies behind its cameras. This happens to distant points, and
+    to all points if the parallax is below the noise; then the covariance is too small.
 
     Args:
         bundle: Initial values; no point may have depth 0 in a camera that observes it.
@@ -221,9 +207,8 @@ def _project(bundle: Bundle, q: np.ndarray) -> _Projection:
     z = X[:, 2]
     inverse_depth = 1 / np.where(np.abs(z) > 1e-12, z, 1e-12)
     uv = X[:, :2] * inverse_depth[:, None]
-    lens = bundle.group[bundle.view]
-    stretch = bundle.focals[lens] * (1 + bundle.k1[lens] * (uv**2).sum(1))
-    residuals = uv * stretch[:, None] + bundle.centers[bundle.view] - bundle.xy
+    focals = bundle.focals[bundle.group[bundle.view]]
+    residuals = uv * focals[:, None] + bundle.centers[bundle.view] - bundle.xy
     return _Projection(turned, inverse_depth, uv, residuals)
 
 
@@ -240,23 +225,17 @@ def _tangents(q: np.ndarray) -> np.ndarray:
 def _derivatives(
     bundle: Bundle, q: np.ndarray, projected: _Projection
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives of the residuals by camera [M, 2, 8] and by point [M, 2, 3]."""
-    lens = bundle.group[bundle.view]
-    f, k1 = bundle.focals[lens], bundle.k1[lens]
-    u, v = projected.uv.T
-    r2 = u**2 + v**2
-    by_uv = (f * (1 + k1 * r2))[:, None, None] * np.eye(2)
-    by_uv += (2 * f * k1)[:, None, None] * (projected.uv[:, :, None] * projected.uv[:, None, :])
-    by_X = np.empty((len(u), 2, 3))
-    by_X[:, :, :2] = by_uv * projected.inverse_depth[:, None, None]
+    """Return derivatives of the residuals by camera [M, 2, 7] and by point [M, 2, 3]."""
+    focals = bundle.focals[bundle.group[bundle.view]]
+    by_X = np.empty((len(focals), 2, 3))
+    by_X[:, :, :2] = (focals * projected.inverse_depth)[:, None, None] * np.eye(2)
     by_X[:, :, 2] = -(by_X[:, :, :2] @ projected.uv[:, :, None])[..., 0]
     at = q[bundle.point]
-    camera = np.empty((len(u), 2, _LOCAL))
+    camera = np.empty((len(focals), 2, _LOCAL))
     # A small rotation w moves a point X by w x X, so the derivative of r . X by w is X x r.
     camera[:, :, :3] = np.cross(projected.turned[:, None, :], by_X)
     camera[:, :, 3:6] = by_X * at[:, 3, None, None]
-    camera[:, :, 6] = projected.uv * (f * (1 + k1 * r2))[:, None]
-    camera[:, :, 7] = projected.uv * (f * r2)[:, None]
+    camera[:, :, 6] = projected.uv * focals[:, None]
     pose = np.concatenate([bundle.R, bundle.t[:, :, None]], 2)
     point = by_X @ (pose[bundle.view] @ _tangents(q)[bundle.point])
     return camera, point
@@ -272,8 +251,8 @@ def _cost(bundle: Bundle, layout: _Layout, residuals: np.ndarray, scale: float) 
 
 
 def _off_prior(bundle: Bundle) -> np.ndarray:
-    """Return the offsets of log focals and k1 from the prior means: float64 [2 G]."""
-    return np.concatenate([np.log(bundle.focals / bundle.focal_prior), bundle.k1])
+    """Return the offsets of the log focal lengths from the prior means: float64 [G]."""
+    return np.log(bundle.focals / bundle.focal_prior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +263,7 @@ class _Normal:
     camera_side: np.ndarray  # [P], with priors
     points: np.ndarray  # [N, 3, 3]
     point_side: np.ndarray  # [N, 3]
-    between: np.ndarray  # [M, 3, 8], point and camera of each observation
+    between: np.ndarray  # [M, 3, 7], point and camera of each observation
     prior: np.ndarray  # [P, P], cameras
 
 
@@ -296,7 +275,7 @@ def _normal(
     weighted, minus = (weight * camera).transpose(0, 2, 1), -projected.residuals[:, :, None]
     of_points = (weight * point).transpose(0, 2, 1)
     V, G, M = len(bundle.R), len(bundle.focals), len(bundle.view)
-    P = 6 * V + 2 * G
+    P = 6 * V + G
     blocks = (layout.by_view @ (weighted @ camera).reshape(M, -1)).reshape(V, _LOCAL, _LOCAL)
     H, side = np.zeros((P, P)), np.zeros(P)
     columns = layout.columns
@@ -329,12 +308,12 @@ class _Layout:
     view, a point, or a point and a lens.
     """
 
-    columns: np.ndarray  # [V, 8] indices of the parameters of each view
+    columns: np.ndarray  # [V, 7] indices of the parameters of each view
     by_view: csr_array
     by_point: csr_array
     by_lens: csr_array
-    prior: np.ndarray  # [2 G] prior weights of log focals and k1
-    free: np.ndarray  # [2 G] bool
+    prior: np.ndarray  # [G] prior weights of the log focal lengths
+    free: np.ndarray  # [G] bool
 
     @staticmethod
     def of(bundle: Bundle) -> _Layout:
@@ -344,11 +323,9 @@ class _Layout:
             return csr_array((np.ones(M), (index, np.arange(M))), (count, M))
 
         pose = 6 * np.arange(V)[:, None] + np.arange(6)
-        lens = 6 * V + bundle.group[:, None] + G * np.arange(2)
-        sigma = np.concatenate([bundle.focal_sigma, np.full(G, bundle.k1_sigma)])
-        free = sigma > 0
+        sigma, free = bundle.focal_sigma, bundle.focal_sigma > 0
         return _Layout(
-            np.concatenate([pose, lens], 1),
+            np.concatenate([pose, 6 * V + bundle.group[:, None]], 1),
             sums(bundle.view, V),
             sums(bundle.point, N),
             sums(bundle.point * G + bundle.group[bundle.view], N * G),
@@ -400,11 +377,11 @@ def _wide(
     V, G = len(bundle.R), len(bundle.focals)
     mine = slice(*np.searchsorted(bundle.point, (start, stop)))
     point, view = bundle.point[mine] - start, bundle.view[mine]
-    W = np.zeros((stop - start, 3, 6 * V + 2 * G))
+    W = np.zeros((stop - start, 3, 6 * V + G))
     # A view observes a point once, but several views may share a lens, whose columns are summed.
     W[:, :, : 6 * V].reshape(stop - start, 3, V, 6)[point, :, view] = between[mine, :, :6]
-    lens = layout.by_lens[start * G : stop * G] @ between[:, :, 6:].reshape(-1, 6)
-    W[:, :, 6 * V :] = lens.reshape(-1, G, 3, 2).transpose(0, 2, 3, 1).reshape(-1, 3, 2 * G)
+    lens = layout.by_lens[start * G : stop * G] @ between[:, :, 6]
+    W[:, :, 6 * V :] = lens.reshape(-1, G, 3).transpose(0, 2, 1)
     return W
 
 
@@ -434,12 +411,12 @@ def _unit(diagonal: np.ndarray) -> np.ndarray:
 def _moved(
     bundle: Bundle, q: np.ndarray, step: np.ndarray, moved: np.ndarray
 ) -> tuple[Bundle, np.ndarray]:
-    V, G = len(bundle.R), len(bundle.focals)
+    V = len(bundle.R)
     poses = step[: 6 * V].reshape(V, 6)
     t = bundle.t + poses[:, 3:]
     if bundle.poses is None:
         t[1] *= np.linalg.norm(bundle.t[1]) / np.linalg.norm(t[1])
-    logs = np.clip(step[6 * V : 6 * V + G], -1, 1)  # bound the change of the lens in one step
+    logs = np.clip(step[6 * V :], -1, 1)  # bound the change of the lens in one step
     q = q + (_tangents(q) @ moved[..., None])[..., 0]
     q /= np.linalg.norm(q, axis=1, keepdims=True)
     return replace(
@@ -447,7 +424,6 @@ def _moved(
         R=_rotations(poses[:, :3]) @ bundle.R,
         t=t,
         focals=bundle.focals * np.exp(logs),
-        k1=bundle.k1 + step[6 * V + G :],
     ), q
 
 

@@ -49,26 +49,7 @@ measured in `docs/measured/poses.md`."""
 TURNED = 30.0
 """Angle between two optical axes, degrees, above which depth errors grow (same measurement)."""
 
-OTHERWISE = (
-    "`slgaussian field` without --cameras finds them from the photographs, --set "
-    "trust_cameras=true goes on all the same"
-)
-"""Alternatives to correcting the cameras, for the message that refuses them."""
-
 Pair = tuple[Camera, Camera]
-
-
-@dataclass(frozen=True)
-class Correction:
-    """Correction of a common mistake in camera data.
-
-    Attributes:
-        advice: End of a sentence that begins with "they fit".
-        apply: callable (Camera, Camera) -> (Camera, Camera)
-    """
-
-    advice: str
-    apply: Callable[[Camera, Camera], Pair]
 
 
 @dataclass(frozen=True)
@@ -78,13 +59,10 @@ class PairCheck:
     Attributes:
         views: (str, str)
         agreeing: Number of matches that agree with each other.
-        coarse, fine: Fractions of all matches that the cameras explain within the distances
-            ``pixels``.
-        pixels: (float, float). Coarse and fine distance for this image size.
+        coarse: Fraction of all matches that the cameras explain within ``pixels``, the coarse
+            distance for this image size.
         angle: Degrees between the two lines of sight, median of the explained matches; NaN without
             any.
-        gain: Ratio of the matches explained within the fine distance with the best correction to
-            those without; 0 if no correction fits.
         correction: Advice of the correction that makes the cameras fit, if there is one.
     """
 
@@ -92,11 +70,9 @@ class PairCheck:
     matches: int
     agreeing: int
     coarse: float
-    fine: float
-    pixels: tuple[float, float]
+    pixels: float
     angle: float
-    gain: float
-    correction: str | None
+    correction: str | None = None
 
     @property
     def judged(self) -> bool:
@@ -123,7 +99,7 @@ def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> 
     """
     bad = [check for check in checks if check.refuted]
     if bad:
-        worst = min(bad, key=lambda check: (check.coarse, check.fine))
+        worst = min(bad, key=lambda check: check.coarse)
         raise InputError(f"scene {scene!r}: {_refusal(worst, estimated)}")
 
 
@@ -168,24 +144,21 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
         matches=len(at_a),
         agreeing=agreeing,
         coarse=float(within_coarse.mean()) if len(within_coarse) else 0.0,
-        fine=float(within_fine.mean()) if len(within_fine) else 0.0,
-        pixels=(coarse, fine),
+        pixels=coarse,
         angle=float(np.median(angles(*pair, at_a[within_coarse], at_b[within_coarse])))
         if within_coarse.any()
         else np.nan,
-        gain=0.0,
-        correction=None,
     )
     if not check.judged:
         return check
-    counts = [
-        explained(*correction.apply(*pair), at_a, at_b, fine).sum() for correction in CORRECTIONS
-    ]
-    best = int(np.argmax(counts))
-    if counts[best] >= max(MIN_CORRECTED * finely, MIN_AGREEING / 2):
-        gain = float(counts[best] / max(within_fine.sum(), 1))
-        advice = CORRECTIONS[best].advice if gain >= MIN_GAIN else None
-        check = replace(check, gain=gain, correction=advice)
+    counts = {
+        advice: explained(*correct(*pair), at_a, at_b, fine).sum()
+        for advice, correct in CORRECTIONS.items()
+    }
+    best = max(counts, key=counts.__getitem__)
+    enough_gain = counts[best] >= MIN_GAIN * max(within_fine.sum(), 1)
+    if enough_gain and counts[best] >= max(MIN_CORRECTED * finely, MIN_AGREEING / 2):
+        return replace(check, correction=best)
     return check
 
 
@@ -237,84 +210,66 @@ def _refusal(check: PairCheck, estimated: bool) -> str:
     explained = (
         f"{a!r} and {b!r}: the cameras {'that were found ' if estimated else ''}explain "
         f"{check.coarse:.0%} of the {check.matches} matches between the photographs to within "
-        f"{check.pixels[0]:.1f} pixels"
+        f"{check.pixels:.1f} pixels, though {check.agreeing / check.matches:.0%} agree with one "
+        "another"
     )
-    agree = f"though {check.agreeing / check.matches:.0%} agree with one another"
     if estimated:
         return (
-            f"{explained}, {agree}, so they are wrong; take the photographs from places nearer to "
-            "each other, or give their cameras with --cameras (--set trust_cameras=true goes on "
-            "all the same)"
+            f"{explained}, so they are wrong; take the photographs from places nearer to each "
+            "other, or give their cameras with --cameras (--set trust_cameras=true goes on all the "
+            "same)"
         )
-    if check.correction is None:
-        return (
-            f"{explained}, {agree}, and no usual mistake explains it; check that each photograph "
-            f"has its own pose and its own intrinsics ({OTHERWISE})"
-        )
+    cause = (
+        "no usual mistake explains it; check that each photograph has its own pose and intrinsics"
+        if check.correction is None
+        else f"they fit {check.correction}"
+    )
     return (
-        f"{explained}, {check.fine:.0%} to within {check.pixels[1]:.1f}; they fit "
-        f"{check.correction} ({OTHERWISE})"
+        f"{explained}; {cause} (`slgaussian field` without --cameras finds them from the "
+        "photographs, --set trust_cameras=true goes on all the same)"
     )
 
 
 _YZ = np.diag([1.0, -1.0, -1.0, 1.0])
-_XY = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera, Camera], Pair]:
     return lambda a, b: (replace(a, c2w=change(a.c2w)), replace(b, c2w=change(b.c2w)))
 
 
-def _scaled(factor: float, centre: bool) -> Callable[[Camera, Camera], Pair]:
-    """Return a function that scales focal lengths, and principal points if ``centre``."""
+def _scaled(factor: float, columns: int) -> Callable[[Camera, Camera], Pair]:
+    """Return a function that scales the first columns of K: 2 for focal lengths alone, or all 3."""
     scale = np.ones((3, 3))
-    scale[:2, : 3 if centre else 2] = factor
+    scale[:2, :columns] = factor
     return lambda a, b: (replace(a, K=scale * a.K), replace(b, K=scale * b.K))
 
 
 def _times(factor: float) -> str:
-    """Describe a multiplication: "divided by 3", "multiplied by 1.33"."""
     return f"multiplied by {factor:.3g}" if factor > 1 else f"divided by {1 / factor:.3g}"
 
 
-_INVERTED = (
-    "if every pose is inverted, in the axes of {}: they are world-to-camera where "
-    "camera-to-world is expected, or the other way round"
-)
-
-CORRECTIONS = (
-    Correction(
-        "if the two poses are exchanged: give each photograph its own",
-        lambda a, b: (replace(a, c2w=b.c2w), replace(b, c2w=a.c2w)),
+CORRECTIONS: dict[str, Callable[[Camera, Camera], Pair]] = {
+    "if the two poses are exchanged: give each photograph its own": lambda a, b: (
+        replace(a, c2w=b.c2w),
+        replace(b, c2w=a.c2w),
     ),
-    Correction(
-        "if the y and z axes of every pose are reversed: they follow OpenCV's axes where their "
-        "format has OpenGL's, or the other way round; multiply the second and the third column of "
-        "each by -1",
-        _posed(lambda c2w: c2w @ _YZ),
+    "if the y and z axes of every pose are reversed, OpenCV's for OpenGL's or the other way round: "
+    "multiply the second and the third column of each by -1": _posed(lambda c2w: c2w @ _YZ),
+    "if every pose is inverted, in the axes of OpenCV: world-to-camera for camera-to-world": _posed(
+        np.linalg.inv
     ),
-    Correction(
-        "if the x and y axes of every pose are reversed: multiply the first and the second column "
-        "of each by -1",
-        _posed(lambda c2w: c2w @ _XY),
+    "if every pose is inverted, in the axes of OpenGL: world-to-camera for camera-to-world": _posed(
+        lambda c2w: _YZ @ np.linalg.inv(c2w) @ _YZ
     ),
-    Correction(_INVERTED.format("OpenCV"), _posed(np.linalg.inv)),
-    Correction(_INVERTED.format("OpenGL"), _posed(lambda c2w: _YZ @ np.linalg.inv(c2w) @ _YZ)),
-    *(
-        Correction(
-            f"if the focal length is {_times(factor)}: it is too "
-            f"{'long' if factor < 1 else 'short'} for these photographs",
-            _scaled(factor, centre=False),
-        )
+    **{
+        f"if the focal length is {_times(factor)}": _scaled(factor, 2)
         for factor in (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4)
-    ),
-    *(
-        Correction(
-            f"if focal length and principal point are {_times(factor)}: they are those of a "
-            f"{'larger' if factor < 1 else 'smaller'} photograph",
-            _scaled(factor, centre=True),
-        )
+    },
+    **{
+        f"if focal length and principal point are {_times(factor)}, as for a photograph of another "
+        "size": _scaled(factor, 3)
         for factor in (1 / 4, 1 / 2, 2, 4)
-    ),
-)
-"""Corrections of common mistakes, each tried alone."""
+    },
+}
+"""Corrections of common mistakes, each tried alone, by the end of a sentence that begins with "they
+fit"."""

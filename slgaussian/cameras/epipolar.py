@@ -43,10 +43,6 @@ RANSAC = {
 }  # fmt: skip
 """Options of PoseLib's estimators; the error is in pixels."""
 
-ZOOMED = 6.0
-"""Gain of the log posterior above which two photographs of one lens get separate focal lengths;
-pairs with one focal length gained at most 4."""
-
 FARTHEST = 4.0
 """Largest deviation of an initial focal length from the prior mean, in standard deviations."""
 
@@ -156,45 +152,14 @@ class TwoViews:
         return float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).max())
 
 
-def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> tuple[list[TwoViews], FocalPrior]:
+def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
     """Estimate relative poses from matches [M, 2] and [M, 2], most reliable first; best pose first.
 
-    Poses within 3 degrees of a better one are omitted; the list may be empty. The returned prior is
-    the given one, or that of two separate lenses if one lens does not explain the matches.
+    Poses within 3 degrees of a better one are omitted; the list may be empty.
     """
     x, y = x[:MOST], y[:MOST]
     if len(x) < 8:
-        return [], prior
-    solutions = _solved(x, y, prior)
-    separate = replace(prior, shared=False)
-    if not prior.shared or not len(prior.directions):
-        return solutions, prior
-    if solutions and not _zoomed(solutions[0], x, y, separate):
-        return solutions, prior
-    alternatives = _solved(x, y, separate)
-    if alternatives and (
-        not solutions or _gain(solutions[0], alternatives[0], x, y, separate) > ZOOMED
-    ):
-        return alternatives, separate
-    return solutions, prior
-
-
-def _zoomed(views: TwoViews, x: np.ndarray, y: np.ndarray, separate: FocalPrior) -> bool:
-    """Tell whether to try two focal lengths instead of the shared one."""
-    if views.inliers(x, y, 3 * views.scale).mean() < 0.5:
-        return True
-    moves = np.repeat(views.moves, 2)
-    alternative = _descended(replace(views, moves=moves), x, y, separate, 2)
-    return alternative is not None and _gain(views, alternative, x, y, separate) > ZOOMED / 2
-
-
-def _gain(
-    shared: TwoViews, alternative: TwoViews, x: np.ndarray, y: np.ndarray, separate: FocalPrior
-) -> float:
-    return shared.cost - posterior(alternative, x, y, separate, shared.scale)
-
-
-def _solved(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
+        return []
     subset = x[:ROUGHLY], y[:ROUGHLY]
     rough = (_descended(start, *subset, prior, 2) for start in _starts(x, y, prior))
     ends = _rated([end for end in rough if end is not None], *subset, prior)

@@ -66,8 +66,6 @@ class EstimatedCameras:
             order of the photographs. The attribute ``estimated`` of each gives its source and
             uncertainty.
         focals: mapping str -> Focal
-        k1: mapping str -> float. First radial distortion (OpenCV's) of each photograph; 0 unless
-            enough views determine it.
         pairs: tuple of EstimatedPair
         confidence: Probability, 0 to 1, that every pose is right to a few degrees.
         doubt: Reason to doubt the cameras, a clause; empty if the matches give none. Whether the
@@ -80,7 +78,6 @@ class EstimatedCameras:
 
     cameras: Mapping[str, Camera]
     focals: Mapping[str, Focal]
-    k1: Mapping[str, float]
     pairs: tuple[EstimatedPair, ...]
     confidence: float
     doubt: str = ""
@@ -95,7 +92,6 @@ class EstimatedCameras:
             "confidence": round(self.confidence, 3),
             "doubt": self.doubt,
             "focals": {name: asdict(focal) for name, focal in self.focals.items()},
-            "k1": dict(self.k1),
             "pairs": [
                 {key: _plain(value) for key, value in asdict(pair).items()} for pair in self.pairs
             ],
@@ -106,25 +102,18 @@ class EstimatedCameras:
     def summary(self) -> str:
         """Return one line of text: range of the focal lengths, and support of the weakest pair."""
         pixels = [focal.pixels for focal in self.focals.values()]
-        low, high = (
-            min(focal.low for focal in self.focals.values()),
-            max(focal.high for focal in self.focals.values()),
-        )
+        low = min(focal.low for focal in self.focals.values())
+        high = max(focal.high for focal in self.focals.values())
         sources = " and ".join(sorted({focal.source for focal in self.focals.values()}))
         several = f" to {max(pixels):.0f}" if max(pixels) - min(pixels) >= 1 else ""
         used = [pair for pair in self.pairs if pair.verdict != UNUSED] or self.pairs
-        agreement = ""
-        if used:
-            weakest = min(used, key=lambda pair: pair.inliers)
-            of = "" if len(used) == 1 else f" of the weakest of {len(used)} pairs"
-            agreement = f"; {weakest.inliers} of {weakest.matches} matches{of} agree"
-            if np.isfinite(weakest.angle):
-                agreement += f", lines of sight {weakest.angle:.0f} degrees apart"
-        placed, total = len(self.cameras), len(self.cameras) + len(self.left_out)
-        of_some = f" of {placed} of {total} photographs" if self.left_out else ""
+        weakest = min(used, key=lambda pair: pair.inliers)
+        total = len(self.cameras) + len(self.left_out)
+        of_some = f" of {len(self.cameras)} of {total} photographs" if self.left_out else ""
         return (
             f"cameras found{of_some}: focal length {min(pixels):.0f}{several} pixels ({low:.0f} to "
-            f"{high:.0f}, from {sources}){agreement}"
+            f"{high:.0f}, from {sources}); of two photographs, {weakest.inliers} of "
+            f"{weakest.matches} matches agree at least"
         )
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, EstimatedPair, Focal
+from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, Focal
 from slgaussian.cameras.multi_view import PairSolver, PlacedCameras, Unplaced, find_multi_view
 from slgaussian.cameras.two_view import EXIF_SPREAD, SPREAD, Described, Photograph, confidence
 from slgaussian.errors import InputError
@@ -29,9 +29,6 @@ DOUBTED = 0.85
 """Factor of the confidence in a pair whose cameras are doubtful: of 28 doubtful pairs, 20
 photographed and 8 rendered with two focal lengths (``docs/measured/poses.md``), 4 were wrong."""
 
-MENTIONED = 3
-"""Largest number of photographs left out for which a warning gives the reason."""
-
 NARROWED = 0.8
 """The source of a focal length is "matches" if its deviation is below this fraction of the prior's.
 """
@@ -49,27 +46,18 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
             to do.
     """
     once: list[Photograph] = []
-    duplicates = {}
+    left = {}
     for photograph in photographs:
         same = (earlier for earlier in once if np.array_equal(earlier.image, photograph.image))
-        first = next(same, None)
-        if first is None:
+        if (first := next(same, None)) is None:
             once.append(photograph)
         else:
-            duplicates[photograph.name] = f"it is the same picture as {first.name}"
-    if not duplicates or len(once) < 2:
-        return _find(photographs)
-    estimate = _find(once)
-    sentences = (f"{name} is left out: {why}" for name, why in duplicates.items())
-    warnings = (*estimate.warnings, *sentences)
-    return replace(estimate, warnings=warnings, left_out={**estimate.left_out, **duplicates})
-
-
-def _find(photographs: Sequence[Photograph]) -> EstimatedCameras:
-    """Implement :func:`find_cameras` for photographs without duplicates."""
-    described = [Described.of(photograph) for photograph in photographs]
-    remaining, left = described, dict[str, str]()
+            left[photograph.name] = f"it is the same picture as {first.name}"
+    if len(once) < 2:
+        once, left = list(photographs), {}
+    described = [Described.of(photograph) for photograph in once]
     solver = PairSolver()
+    remaining = described
     while True:
         try:
             solution = (
@@ -79,47 +67,13 @@ def _find(photographs: Sequence[Photograph]) -> EstimatedCameras:
             )
             break
         except Unplaced as gap:
-            if 2 * (len(left) + len(gap.left_out)) >= len(described):
+            remaining = [item for item in remaining if item.photograph.name not in gap.left_out]
+            if 2 * len(remaining) <= len(described):
                 raise
             left |= gap.left_out
-            remaining = [item for item in remaining if item.photograph.name not in left]
-        except InputError as refusal:
-            if not left:
-                raise
-            raise InputError(f"{_left_out(left, len(described))}; and then {refusal}") from None
     left = {p.name: left[p.name] for p in photographs if p.name in left}
-    estimate = _estimated_cameras(solution, remaining)
-    if not left:
-        return estimate
-    aside = tuple(_left_out_pairs(solver, described, left))
-    warnings = (*estimate.warnings, _left_out(left, len(described)))
-    return replace(estimate, pairs=estimate.pairs + aside, warnings=warnings, left_out=left)
-
-
-def _left_out(left: Mapping[str, str], count: int) -> str:
-    """Return a sentence that names the photographs left out, the reasons and what to do."""
-    reasons = [f"{name!r} ({why})" for name, why in list(left.items())[:MENTIONED]]
-    rest = f", and {len(left) - MENTIONED} more" if len(left) > MENTIONED else ""
-    return (
-        f"{len(left)} of {count} photographs cannot be placed among the others, and "
-        f"{'is' if len(left) == 1 else 'are'} left out: {', '.join(reasons)}{rest}; take "
-        "photographs between them and the others that overlap both by half or more"
-    )
-
-
-def _left_out_pairs(
-    solver: PairSolver, described: Sequence[Described], left: Mapping[str, str]
-) -> list[EstimatedPair]:
-    """List the pairs that contain a photograph that was left out, with verdict UNUSED."""
-    place = {entry.photograph.name: k for k, entry in enumerate(described)}
-    pairs = []
-    for pose in solver.poses.values():
-        views = sorted(pose.estimate.views, key=place.__getitem__)
-        if left.keys() & {*views}:
-            reason = pose.estimate.said or "of a photograph that cannot be placed among the others"
-            entry = replace(pose.estimate, views=(views[0], views[1]), verdict=UNUSED, said=reason)
-            pairs.append(entry)
-    return pairs
+    warnings = tuple(f"{name} is left out: {why}" for name, why in left.items())
+    return replace(_estimated_cameras(solution, remaining), warnings=warnings, left_out=left)
 
 
 def _find_two(a: Described, b: Described, solver: PairSolver) -> PlacedCameras:
@@ -143,7 +97,6 @@ def _find_two(a: Described, b: Described, solver: PairSolver) -> PlacedCameras:
         np.stack([np.zeros(3), t]),
         focals,
         deviations,
-        np.zeros(2),
         (replace(pose.estimate, views=(a.photograph.name, b.photograph.name)),),
         confidence(pose) * (DOUBTED if pose.estimate.verdict == DOUBTFUL else 1),
     )
@@ -170,7 +123,6 @@ def _estimated_cameras(solution: PlacedCameras, described: Sequence[Described]) 
     return EstimatedCameras(
         cameras,
         focals,
-        {p.name: float(k1) for p, k1 in zip(photographs, solution.k1, strict=True)},
         solution.pairs,
         solution.confidence,
         doubt,

@@ -9,7 +9,7 @@ tourism", and COLMAP (Schonberger and Frahm 2016).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -42,16 +42,6 @@ placed, ends the search."""
 
 FEW, MANY = 250, 1000
 """Tracks per view in an intermediate and in the final bundle adjustment, the longest first."""
-
-DISTORTED_VIEWS, DISTORTED_TRACKS = 4, 300
-"""Smallest numbers of views and tracks for estimating distortion."""
-
-DISTORTION = 0.1
-"""Standard deviation of the prior of the distortion k1."""
-
-EVIDENCE = 30.0
-"""Smallest decrease of the cost to accept distortion. Errors of matches are correlated, three count
-as one, so this corresponds to a log likelihood ratio of 5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,13 +161,11 @@ class _Reconstruction:
     ties: Sequence[Tie]
     placed: list[int] = field(default_factory=list)
     placed_lenses: set[int] = field(default_factory=set)
-    k1_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         self.R = np.tile(np.eye(3), (len(self.centers), 1, 1))
         self.t = np.zeros((len(self.centers), 3))
         self.focals = self.focal_prior.copy()
-        self.k1 = np.zeros(len(self.focal_prior))
 
     def grow(self, start: Tie) -> bool:
         """Place as many views as possible; return False if the initial pair cannot be placed."""
@@ -212,15 +200,7 @@ class _Reconstruction:
         self._reframe()
         for _ in range(2):
             last = self._adjust(1.0, MANY)
-        if last is None:
-            return None
-        if len(self.placed) >= DISTORTED_VIEWS and len(last.bundle.points) >= DISTORTED_TRACKS:
-            bent = adjust(replace(last.bundle, k1_sigma=DISTORTION))
-            if bent.cost < last.cost - EVIDENCE:
-                self.k1_sigma = DISTORTION
-                self._take(bent)
-                last = self._adjust(1.0, MANY) or bent
-        return Placed(np.array(self.placed), last)
+        return None if last is None else Placed(np.array(self.placed), last)
 
     def explained(self) -> int:
         """Count the inlier observations."""
@@ -242,14 +222,9 @@ class _Reconstruction:
         self.t /= max(float(np.linalg.norm(self.t[b])), 1e-12)
 
     def _rays(self, mine: np.ndarray) -> np.ndarray:
-        """Return the undistorted normalised image coordinates [M, 2] of observations."""
+        """Return the normalised image coordinates [M, 2] of observations."""
         view = self.tracks.view[mine]
-        lens = self.group[view]
-        bent = (self.tracks.xy[mine] - self.centers[view]) / self.focals[lens][:, None]
-        uv = bent
-        for _ in range(5):
-            uv = bent / (1 + self.k1[lens] * (uv**2).sum(1))[:, None]
-        return uv
+        return (self.tracks.xy[mine] - self.centers[view]) / self.focals[self.group[view]][:, None]
 
     def _points(self, loose: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Triangulate all tracks: points [T, 3], inliers bool [M], and angles [T] in degrees."""
@@ -330,14 +305,12 @@ class _Reconstruction:
             centers=self.centers[self.placed],
             group=group,
             focals=self.focals[lenses],
-            k1=self.k1[lenses],
             points=X[track_ids],
             view=number[tracks.view[mine]],
             point=point,
             xy=tracks.xy[mine],
             focal_prior=self.focal_prior[lenses],
             focal_sigma=self.focal_sigma[lenses],
-            k1_sigma=self.k1_sigma,
         )
         on_the_way = max_tracks == FEW
         adjusted = adjust(
@@ -345,13 +318,9 @@ class _Reconstruction:
             iterations=10 if on_the_way else 30,
             tolerance=1e-4 if on_the_way else 1e-6,
         )
-        self._take(adjusted)
-        return adjusted
-
-    def _take(self, adjusted: Adjusted) -> None:
-        lenses = np.unique(self.group[self.placed])
         self.R[self.placed], self.t[self.placed] = adjusted.bundle.R, adjusted.bundle.t
-        self.focals[lenses], self.k1[lenses] = adjusted.bundle.focals, adjusted.bundle.k1
+        self.focals[lenses] = adjusted.bundle.focals
+        return adjusted
 
     def _next_view(self) -> tuple[int, tuple[np.ndarray, np.ndarray]] | None:
         """Return the view with most triangulated points that can be placed, and its pose."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.sparse.csgraph import minimum_spanning_tree
 
 from slgaussian.cameras.estimated import UNUSED, EstimatedPair
 from slgaussian.cameras.incremental import Placed, Tie, place
@@ -50,8 +50,8 @@ class PlacedCameras:
 
     Attributes:
         R, t: float64 [V, 3, 3], [V, 3]. World to camera; the first two are at distance 1.
-        focals, deviations, k1: float64 [V]. Focal lengths in pixels of the images, standard
-            deviations of their logarithms, distortion.
+        focals, deviations: float64 [V]. Focal lengths in pixels of the images, and standard
+            deviations of their logarithms.
         pairs: tuple of EstimatedPair. All solved pairs.
     """
 
@@ -59,7 +59,6 @@ class PlacedCameras:
     t: np.ndarray
     focals: np.ndarray
     deviations: np.ndarray
-    k1: np.ndarray
     pairs: tuple[EstimatedPair, ...]
     confidence: float
 
@@ -73,9 +72,13 @@ class Unplaced(InputError):
         left_out: mapping str -> str. Reason, a clause, by name of the photograph.
     """
 
-    def __init__(self, message: str, left_out: Mapping[str, str]) -> None:
-        super().__init__(message)
+    def __init__(self, left_out: Mapping[str, str]) -> None:
         self.left_out = left_out
+        super().__init__(
+            f"{listed([left_out])} cannot be placed among the other photographs: "
+            f"{next(iter(left_out.values()))}; leave out what shows another place, or take "
+            "photographs between that overlap both by half or more"
+        )
 
 
 class PairSolver:
@@ -140,7 +143,6 @@ def find_multi_view(described: Sequence[Described], solver: PairSolver) -> Place
         t / scale,
         bundle.focals[lens],
         placed.adjusted.focal_deviations[lens],
-        bundle.k1[lens],
         tuple(pairs.values()),
         sure,
     )
@@ -205,31 +207,10 @@ def _all_placed(
             f"{best.advice or 'take photographs that share more'}"
         )
     placed_views = set(placed.order.tolist())
-    left = [k for k in range(len(described)) if k not in placed_views]
-    if not left:
-        return
     names = [item.photograph.name for item in described]
-    pieces = [[names[k] for k in piece] for piece in _pieces(len(described), poses, placed_views)]
-    raise Unplaced(
-        f"{len(described)} photographs do not all hang together: {listed(pieces)} overlap too "
-        "little with each other; give those of one place alone, or take photographs between them "
-        "that overlap both by half or more",
-        {names[k]: _why_unplaced(names[k], k, poses, placed_views) for k in left},
-    )
-
-
-def _pieces(
-    count: int, poses: Mapping[tuple[int, int], PairPose], placed_views: Set[int]
-) -> list[list[int]]:
-    """Group connected photographs: the placed ones, others by their pairs; largest group first."""
-    joined = np.zeros((count, count))
-    for (i, j), pose in poses.items():
-        if pose.estimate.verdict != UNUSED:
-            joined[i, j] = (i in placed_views) == (j in placed_views)
-    joined[np.ix_(sorted(placed_views), sorted(placed_views))] = 1
-    _, piece = connected_components(joined, directed=False)
-    groups = [np.flatnonzero(piece == k).tolist() for k in range(piece.max() + 1)]
-    return sorted(groups, key=lambda group: (-len(group), group))
+    left = [k for k in range(len(described)) if k not in placed_views]
+    if left:
+        raise Unplaced({names[k]: _why_unplaced(names[k], k, poses, placed_views) for k in left})
 
 
 def _why_unplaced(
@@ -297,14 +278,10 @@ def _confidence(
     if sure < MIN_CONFIDENCE:
         fewest = int(counts.argmin())
         name = described[placed.order[fewest]].photograph.name
-        why = (
-            f"it shares too little with them ({counts[fewest]} points, which leave positions open "
-            f"by {worst:.0f} degrees)"
-        )
         raise Unplaced(
-            f"{name!r} cannot be placed surely among the other {len(described) - 1} photographs: "
-            f"{why}; leave it out, or take photographs between it and the others that overlap both "
-            "by half or more",
-            {name: why},
+            {
+                name: f"it shares too little with them ({counts[fewest]} points, which leave "
+                f"positions open by {worst:.0f} degrees)"
+            }
         )
     return sure

@@ -123,7 +123,6 @@ class Quality:
                 f"a view shares {self.overlap:.0%} of what it shows with the other, and the depth "
                 "of the rest is a guess; add a photograph from between",
             )
-        level = POOR if self.agreement < LEAST_AGREEMENT or self.clash > MOST_CLASH else USABLE
         if self.agreement >= MUCH_AGREEMENT and self.clash <= LITTLE_CLASH:
             if not self.apart:
                 return Verdict(GOOD, "")
@@ -132,27 +131,25 @@ class Quality:
                 f"views that share less than {LITTLE_SHARED:.0%} with any other: {self.apart}; "
                 "most of their depth is a guess; add photographs from between",
             )
-        clause = (
-            f"of what two views show, they confirm {self.agreement:.0%} and contradict "
-            f"{self.clash:.0%}"
-        )
         if self.angle is not None and self.angle > WIDE:
-            cause = f"the lines of sight are {self.angle:.0f} degrees apart"
+            cause = f"lines of sight are {self.angle:.0f} degrees apart; add a photograph between"
         elif self.turn > TURNED:
-            cause = f"the cameras are turned by {self.turn:.0f} degrees against each other"
+            cause = f"cameras are turned by {self.turn:.0f} degrees; add a photograph from between"
         elif self.clash > LITTLE_CLASH:
-            return Verdict(
-                level,
-                f"{clause}: something moved, shines or is thin; photograph what stands still, from "
-                "places nearer to each other",
+            cause = (
+                "something moved, shines or is thin; photograph what stands still, from places "
+                "nearer to each other"
             )
         else:
-            return Verdict(
-                level,
-                f"{clause}: much of it is blank or looks alike, and its depth a guess; add a "
-                "photograph from between, with more texture in it",
+            cause = (
+                "much of it is blank or looks alike, and its depth a guess; add a photograph from "
+                "between, with more texture in it"
             )
-        return Verdict(level, f"{clause}: {cause}; add a photograph from between")
+        return Verdict(
+            POOR if self.agreement < LEAST_AGREEMENT or self.clash > MOST_CLASH else USABLE,
+            f"of what two views show, they confirm {self.agreement:.0%} and contradict "
+            f"{self.clash:.0%}: {cause}",
+        )
 
 
 def camera_doubt(record: Mapping[str, Any]) -> str:
@@ -205,7 +202,7 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
         turn=float(np.median(np.degrees(np.arccos(np.clip(cosines, -1, 1))))),
         matches=matches,
         explained=sum(check.coarse * check.matches for check in checks) / max(matches, 1),
-        pixels=checks[0].pixels[0],
+        pixels=checks[0].pixels,
         judged=enough(matches, agreeing),
         apart=int((shared < LITTLE_SHARED).sum()),
         agreement=float(confirmed.sum() / max(met.sum(), 1)),

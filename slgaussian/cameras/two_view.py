@@ -16,8 +16,6 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from slgaussian.cameras.check import agree
-from slgaussian.cameras.degeneracy import why_no_depth
 from slgaussian.cameras.epipolar import FocalPrior, TwoViews, solve
 from slgaussian.cameras.estimated import DOUBTFUL, GOOD, UNUSED, EstimatedPair
 from slgaussian.cameras.matches import Features, find_features, match
@@ -68,12 +66,9 @@ REPETITION_SAMPLES, REPETITION_LIMIT = 200, 0.85
 APART = 8.0
 """Distance, in units of the feature's scale, from which on two features are separate points."""
 
-MIRRORED = 3
-"""A photograph is mirrored if mirroring it multiplies the agreeing matches by this factor."""
-
-SUSPECT = 0.35
-"""Fraction of agreeing matches below which mirroring is tested before a pose is accepted: by chance
-a mirrored photograph can have a quarter, and a pose without doubt."""
+FLAT, NEAR = 0.92, 2.0
+"""Ratio of inliers of a homography, within ``NEAR`` pixels, to inliers of the pose from which on a
+pair is degenerate: photographs taken from one place, or of one plane, leave positions open."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +114,6 @@ class Described:
     def digest(self) -> str:
         """Return the SHA-256 of the image, by which photographs are ordered."""
         return hashlib.sha256(np.ascontiguousarray(self.photograph.image).data).hexdigest()
-
-    @cached_property
-    def mirrored(self) -> Described:
-        """Return the mirrored photograph, left and right exchanged."""
-        turned = np.ascontiguousarray(self.photograph.image[:, ::-1])
-        return Described.of(replace(self.photograph, image=turned))
 
     @property
     def middle(self) -> np.ndarray:
@@ -209,24 +198,26 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     names = a.photograph.name, b.photograph.name
     estimate = EstimatedPair(names, len(i), 0, np.nan, np.nan, GOOD, "")
     every = PairPose(a, b, None, i, j, x, y, estimate)
-    answers, prior = solve(x, y, prior)
+    answers = solve(x, y, prior)
     if not answers:
         return _refuse_few(every.of(np.zeros(len(i), bool)))
     best = answers[0]
     inlier = best.inliers(x, y, 3 * best.scale)
     count = int(inlier.sum())
-    flat, flaw = why_no_depth(x, y, prior, max(count, LEAST))
-    if flaw is not None:
+    flat = _on_homography(x, y)
+    if flat.sum() >= FLAT * max(count, LEAST):
+        degenerate = (
+            "they were taken from one place, or nearly all that both show is one flat thing",
+            "take the second photograph from a step sideways, with things at different distances",
+        )
         # A shared crop or plane must fill one of the two photographs.
-        return _refused(every.of(flat), *(_flaw_of_points(every.of(flat), PART, max) or flaw))
+        return _refused(every.of(flat), *(_flaw_of_points(every.of(flat), PART, max) or degenerate))
     pose = replace(every.of(inlier), views=best)
     if count < max(LEAST, SHARE * len(i)):
         return _refuse_few(pose)
     flaw = _flaw_of_points(pose, SMALL, min)
     if flaw is not None:
         return _refused(pose, *flaw)
-    if count < SUSPECT * len(i) and (mirrored := _mirrored(pose)) is not None:
-        return mirrored
     assert best.covariance is not None
     # Standard deviation of rotation or direction, over all axes together.
     uncertainty = float(np.degrees(np.sqrt(np.trace(best.covariance[:5, :5]))))
@@ -258,11 +249,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     larger = float(
         np.exp(abs(np.median(np.log(b.features.scales[pose.j] / a.features.scales[pose.i]))))
     )
-    if prior.sigma.max() > EXIF_SPREAD and (a.lens == b.lens) > prior.shared:
-        doubts.append(
-            "they seem to have been taken with different focal lengths, and no EXIF says so"
-        )
-    elif prior.sigma.max() > EXIF_SPREAD and larger > ENLARGED:
+    if prior.sigma.max() > EXIF_SPREAD and larger > ENLARGED:
         doubts.append(
             f"things are {larger:.1f} times as large in one, by a zoom or a step forward, and no "
             "EXIF says which"
@@ -288,6 +275,15 @@ def focal_prior(a: Described, b: Described) -> FocalPrior:
     return FocalPrior(
         np.array([mean_a, mean_b]), np.array([sigma_a, sigma_b]), shared=a.lens == b.lens
     )
+
+
+def _on_homography(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Find the matches [M, 2] and [M, 2] that fit the homography with most inliers: bool [M]."""
+    try:
+        H, inliers = cv2.findHomography(x, y, cv2.USAC_ACCURATE, NEAR, None, 2000, 0.999)
+    except cv2.error:
+        H = None
+    return np.zeros(len(x), bool) if H is None else inliers.ravel() > 0
 
 
 def _probability(answers: list[TwoViews]) -> float:
@@ -350,18 +346,4 @@ def _refuse_few(pose: PairPose) -> PairPose:
         f"too few points are found that both show ({pose.estimate.inliers} of {matches} matches "
         f"agree, expected {LEAST} or more)",
         "take sharp photographs of one place that overlap by half or more, a step apart",
-    )
-
-
-def _mirrored(pose: PairPose) -> PairPose | None:
-    """Refuse a pair if more matches agree after mirroring one photograph; else None."""
-    first, mirrored = pose.first.features, pose.second.mirrored.features
-    i, j, _ = match(first, mirrored, POSE_RATIO)
-    agreeing = int(agree(first.points[i], mirrored.points[j], 1.0).sum())
-    if agreeing < max(2 * LEAST, MIRRORED * pose.estimate.inliers):
-        return None
-    return _refused(
-        pose,
-        f"{agreeing} matches agree if one is mirrored, and {pose.estimate.inliers} as they are",
-        "give both as they were taken",
     )

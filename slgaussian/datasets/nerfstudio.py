@@ -322,10 +322,10 @@ def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCamer
             extra["estimated"] = asdict(camera.estimated)
         frame = {"file_path": paths[name], "transform_matrix": (camera.c2w * OPENGL).tolist()}
         frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
-        frame |= {"w": camera.width, "h": camera.height, "k1": estimated.k1[name], OWN: extra}
+        frame |= {"w": camera.width, "h": camera.height, OWN: extra}
         frames.append(frame)
     record = estimated.as_json()
-    for key in ("focals", "k1", "left_out"):
+    for key in ("focals", "left_out"):
         record[key] = {paths[name]: value for name, value in record[key].items()}
     for pair in record["pairs"]:
         pair["views"] = [paths[name] for name in pair["views"]]

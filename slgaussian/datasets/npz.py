@@ -107,8 +107,9 @@ def _cameras(
             shrunk = np.diag(
                 [one.photo.width / camera.width, one.photo.height / camera.height, 1.0]
             )
-            depth = stored.maps[one.number].depth
-            depths.append(precomputed.z_at(depth, one.place(way) @ shrunk, camera, ray))
+            depth, at = stored.maps[one.number].depth, one.place(way) @ shrunk
+            z = precomputed.along_z(depth, at @ camera.K) if ray else depth
+            depths.append(precomputed.z_at(z, at))
         readings.append(((way, of_map, pose), small, depths))
     if not readings:
         assert problem is not None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +20,11 @@ from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.two_view import LONGEST, Photograph
 from slgaussian.datasets.exif import SIDEWAYS, orientation_of, read_lens, upright
-from slgaussian.datasets.lens import Maps, lens_maps, straightened
 from slgaussian.datasets.photographs import photographs_of, rgb, scene_of
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
 from slgaussian.io import file_sha256
-from slgaussian.scene import Camera, Sample, Scene, Size, View
+from slgaussian.scene import Sample, Scene, Size, View
 
 Place = str | Path
 
@@ -76,9 +75,7 @@ def _in_memory(images: Sequence[Any]) -> Scene:
 
     def read_view(name: str) -> View:
         pixels = rgb(upright(pictures[name], orientation_of(pictures[name])))
-        camera, k1 = estimated.cameras[name], estimated.k1[name]
-        view = View(name, camera, pixels)
-        return straightened(view, _lens(camera, k1)) if k1 else view
+        return View(name, estimated.cameras[name], pixels)
 
     return Scene("images", estimated.cameras, read_view, found=estimated.as_json())
 
@@ -203,12 +200,6 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
 
 
 def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
-    """Return the scene of photographs by name with their estimated cameras, undistorted."""
-    cameras = estimated.cameras
-    maps = {name: partial(_lens, cameras[name], k1) for name, k1 in estimated.k1.items() if k1}
+    """Return the scene of photographs by name with their estimated cameras."""
     name, record = folder_of(files).name or "photographs", estimated.as_json()
-    return scene_of(name, cameras, files, "photographs", (), maps, True, record)
-
-
-def _lens(camera: Camera, k1: float) -> Maps:
-    return lens_maps(camera.K, (camera.width, camera.height), [k1])
+    return scene_of(name, estimated.cameras, files, "photographs", (), {}, True, record)

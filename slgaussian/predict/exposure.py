@@ -72,15 +72,10 @@ def color_gains(
         return np.ones((len(images), 3))
     # The minimum-norm solution: views without ratios keep gain 1.
     darker = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
-    around = _robust_mean(darker, graph.closeness())
-    return np.exp(darker - around).clip(1 / MAX_GAIN, MAX_GAIN)
-
-
-def _robust_mean(darker: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the Huber-weighted mean [V, 3] around each view (Huber 1964)."""
+    weights = graph.closeness()
     mean = weights @ darker
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS):  # Huber 1964
         off = np.abs(darker - mean[:, None])
         say = weights[..., None] * USUAL / np.maximum(off, USUAL)
         mean = (say * darker).sum(1) / say.sum(1)
-    return mean
+    return np.exp(darker - mean).clip(1 / MAX_GAIN, MAX_GAIN)

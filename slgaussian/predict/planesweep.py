@@ -10,7 +10,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.work_sharing import share_items
@@ -152,7 +151,9 @@ def sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]])
             middle = np.full(size, steps.mean(), np.float32)
             results.append((SweptView(steps, middle, np.zeros(size, bool)), np.zeros(size)))
             continue
-        index, clear = _search(guides[i], [(guides[k.source], k.relative) for k in visible], steps)
+        costs = matching_costs(guides[i], [(guides[k.source], k.relative) for k in visible], steps)
+        best, offset, margin = select_winners(aggregate(combine_costs(costs), guides[i]))
+        index, clear = best + offset, margin > MIN_MARGIN
         inverse_depth = (steps[0] + index * (steps[1] - steps[0])).astype(np.float32)
         results.append((SweptView(steps, inverse_depth, clear), index))
     result = []
@@ -186,16 +187,6 @@ def choose_steps(
         pair for pair in tried if visible_share(pair[0].relative, size, pair[1]) > MIN_VISIBLE
     ]
     return [k for k, _ in visible], min((steps for _, steps in visible or tried), key=len)
-
-
-def _search(
-    guide: np.ndarray, sources: Sequence[tuple[np.ndarray, Relative]], steps: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the index of the best candidate of every pixel, float32 [H, W], and a mask of clear
-    winners, bool [H, W]."""
-    costs = matching_costs(guide, sources, steps)
-    best, offset, margin = select_winners(aggregate(combine_costs(costs), guide))
-    return best + offset, margin > MIN_MARGIN
 
 
 def depth_range(

@@ -66,7 +66,6 @@ def refine_cameras(
             centers=np.zeros((count, 2)),
             group=np.arange(count),
             focals=focals,
-            k1=np.zeros(count),
             points=points[used_tracks],
             view=tracks.view[in_front],
             point=point,

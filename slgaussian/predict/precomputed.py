@@ -136,16 +136,13 @@ def _of_views(file: Path, views: Sequence[str]) -> list[DepthMap]:
 
 def _find_map(folder: Path, view: str) -> DepthMap:
     for key in dict.fromkeys(name_keys(view)):
-        there = [folder / f"{key}{suffix}" for suffix in DEPTHS]
-        there = [file for file in there if file.is_file()]
-        if len(there) > 1:
-            raise InputError(f"{there[0]}: {there[1].name} is there too; remove one of them")
-        if there and there[0].suffix == ".npz":
-            return _of_views(there[0], [view])[0]
-        if there:
-            beside = [folder / f"{key}_conf{suffix}" for suffix in DEPTHS]
-            sure = next((read_map(file, byte=True) for file in beside if file.is_file()), None)
-            return DepthMap(str(there[0]), known_depth(read_map(there[0])), sure)
+        files = [folder / f"{key}{suffix}" for suffix in DEPTHS]
+        beside = [folder / f"{key}_conf{suffix}" for suffix in DEPTHS]
+        for file in filter(Path.is_file, files):
+            if file.suffix == ".npz":
+                return _of_views(file, [view])[0]
+            sure = next((read_map(conf, byte=True) for conf in beside if conf.is_file()), None)
+            return DepthMap(str(file), known_depth(read_map(file)), sure)
     raise InputError(
         f"{folder}: has no depth of view {view!r}; expected {Path(view).stem} with one of "
         f"{', '.join(DEPTHS)}"
@@ -215,17 +212,13 @@ class Fitted:
     scaling: str
 
 
-def z_at(depth: np.ndarray, at: np.ndarray, camera: Camera, ray: bool) -> Depth:
+def z_at(depth: np.ndarray, at: np.ndarray) -> Depth:
     """Return a function that looks up z at pixels of a view; ``at`` [3, 3] maps them to the map."""
 
     def look_up(points: np.ndarray) -> np.ndarray:
         column, row = np.floor(points @ at[:2, :2].T + at[:2, 2]).astype(np.int64).T
         inside = (row >= 0) & (row < depth.shape[0]) & (column >= 0) & (column < depth.shape[1])
-        z = np.where(inside, depth[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
-        if ray:
-            rays = np.concatenate([points, np.ones((len(points), 1))], 1)
-            z = z / np.linalg.norm(rays @ np.linalg.inv(camera.K).T, axis=1)
-        return z
+        return np.where(inside, depth[np.where(inside, row, 0), np.where(inside, column, 0)], 0.0)
 
     return look_up
 
@@ -315,15 +308,12 @@ def _read(
     readings: list[Reading] = []
     for way, ray in product(ways[0], (False, True)):
         at = [of_view.get(way, next(iter(of_view.values()))) for of_view in ways]
-        depths = [z_at(m.depth, a, c, ray) for m, a, c in zip(maps, at, cameras, strict=True)]
-        readings.append(((way, ray, at), cameras, depths))
-    ((way, ray, at), _, _), fitted = choose_reading(place, readings, matches)
-    opposite = [z_at(m.depth, a, c, ray) for m, a, c in zip(maps[::-1], at, cameras, strict=True)]
-    if fit(cameras, opposite, matches).error < MUCH_BETTER * fitted.error:
-        raise InputError(
-            f"{place}: depth fits the photographs better in the opposite order; give each map its "
-            "own, by `names` or names of files"
-        )
+        zs = [
+            along_z(one.depth, to_map @ camera.K) if ray else one.depth
+            for one, to_map, camera in zip(maps, at, cameras, strict=True)
+        ]
+        readings.append(((way, ray, at, zs), cameras, list(map(z_at, zs, at))))
+    ((way, ray, at, zs), _, _), fitted = choose_reading(place, readings, matches)
     if fitted.count < 2 * MIN_MATCHES:
         warnings.warn(
             f"{place}: too few matches to check how depth is meant; taken along z, as it is",
@@ -339,10 +329,9 @@ def _read(
             stacklevel=4,
         )
     views_depth, sure = [], []
-    for one, of_map, camera, scale in zip(maps, at, cameras, fitted.scales, strict=True):
-        z = along_z(one.depth, of_map @ camera.K) if ray else one.depth
-        views_depth.append(scale * to_view(z, of_map, camera))
-        sure.append(None if one.confidence is None else _nearest(one.confidence, of_map, camera))
+    for one, z, to_map, camera, scale in zip(maps, zs, at, cameras, fitted.scales, strict=True):
+        views_depth.append(scale * to_view(z, to_map, camera))
+        sure.append(None if one.confidence is None else _nearest(one.confidence, to_map, camera))
     return views_depth, sure
 
 

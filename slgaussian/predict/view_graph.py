@@ -112,11 +112,27 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     if ranged or matches:
         alone = {i for i, sources in enumerate(scored_links) if not sources}
         if alone and len(views) > 2:
-            _warn_of([views[i].name for i in sorted(alone)])
+            names = listed([[views[i].name for i in alone]])
+            warnings.warn(
+                f"{names}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
+                "which the given poses alone must find; leave out what shows another place "
+                "(slgaussian.predict.view_graph.select_usable)",
+                stacklevel=3,
+            )
         for i, j in neighbours(views, BELIEVED):
             if (i, j) not in rejected and alone & {i, j}:
                 _link(scored_links, cameras, (i, j), np.zeros((0, 2)), np.zeros((0, 2)))
-    _refuse_alone(views, scored_links, rejected)
+    alone = {i for i, sources in enumerate(scored_links) if not sources}
+    for pair, reason in rejected.items():
+        if alone & {*pair}:
+            raise InputError(reason)
+    if alone:
+        raise InputError(
+            "views do not overlap or have too little texture: "
+            f"{listed([views[i].name] for i in sorted(alone))} has fewer than {MIN_MATCHES} "
+            "matches with any other; leave out what shows something else, choose views that "
+            "overlap, or give near and far"
+        )
     links = []
     for sources in scored_links:
         best = sorted(sources, key=lambda scored: -scored[0])[:SOURCES]
@@ -127,58 +143,35 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
 def select_usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
     """Drop context views that are duplicates or that match no other view.
 
+    A duplicate has the picture and camera of an earlier view, and would count as independent
+    evidence. Views without matches remain if there are only two, or if more than half would go.
+
     Returns:
         graph: MatchGraph. Of the remaining context views.
-        left_out: {view name: reason}. From :func:`drop_duplicates` and :func:`drop_unmatched`.
+        left_out: {view name: reason}
     """
-    once, doubles = drop_duplicates(sample)
-    rest, graph, strangers = drop_unmatched(once, MatchGraph.of(once.context))
-    return rest, graph, doubles | strangers
-
-
-def drop_duplicates(sample: Sample) -> tuple[Sample, dict[str, str]]:
-    """Drop context views with the same picture and camera as an earlier one.
-
-    A duplicate would count as independent evidence for the surfaces that it shows.
-    """
-    distinct: list[View] = []
-    left = {}
+    views: list[View] = []
+    left_out = {}
     for view in sample.context:
-        same = next((view_i for view_i in distinct if _same(view_i, view)), None)
+        same = next((earlier for earlier in views if _same(earlier, view)), None)
         if same is None:
-            distinct.append(view)
+            views.append(view)
         else:
-            left[view.name] = f"it is the same picture as {same.name}, from the same place"
-    return (replace(sample, context=tuple(distinct)) if left else sample), left
+            left_out[view.name] = f"it is the same picture as {same.name}, from the same place"
+    graph = MatchGraph.of(views)
+    if len(views) > 2:
+        matched = {i for pair in _verified_matches(views, graph)[0] for i in pair}
+        if max(3, len(views) / 2) <= len(matched) < len(views):
+            reason = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
+            left_out |= {view.name: reason for i, view in enumerate(views) if i not in matched}
+            views = [views[i] for i in sorted(matched)]
+            graph = MatchGraph.of(views)  # the neighbours of a view are different ones now
+    return (replace(sample, context=tuple(views)) if left_out else sample), graph, left_out
 
 
 def _same(a: View, b: View) -> bool:
     same_camera = np.allclose(a.camera.c2w, b.camera.c2w) and np.allclose(a.camera.K, b.camera.K)
     return bool(same_camera and np.array_equal(a.image, b.image))
-
-
-def drop_unmatched(sample: Sample, graph: MatchGraph) -> tuple[Sample, MatchGraph, dict[str, str]]:
-    """Drop context views that match no other view.
-
-    All views remain if there are only two, or if more than half would be dropped.
-
-    Returns:
-        graph: Of the remaining context views.
-        left_out: {view name: reason}
-    """
-    views = sample.context
-    matched = (
-        {i for pair in _verified_matches(views, graph)[0] for i in pair}
-        if len(views) > 2
-        else set()
-    )
-    if len(matched) == len(views) or len(matched) < max(3, len(views) / 2):
-        return sample, graph, {}
-    reason = f"fewer than {MIN_MATCHES} matches with any other tell its depth"
-    left = {view.name: reason for i, view in enumerate(views) if i not in matched}
-    rest = tuple(views[i] for i in sorted(matched))
-    # The neighbours of a view are different ones now.
-    return replace(sample, context=rest), MatchGraph.of(rest), left
 
 
 Matches = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
@@ -267,31 +260,3 @@ def _link(
     worth = float(np.exp(-0.5 * ((angle - BEST_ANGLE) / wide) ** 2).sum())
     scored_links[i].append((worth, Link(j, forth, depth_a[good])))
     scored_links[j].append((worth, Link(i, back, depth_b[good])))
-
-
-def _warn_of(names: Sequence[str]) -> None:
-    warnings.warn(
-        f"{listed([names])}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
-        "which the given poses alone must find; leave out what shows another place "
-        "(slgaussian.predict.view_graph.select_usable)",
-        stacklevel=4,
-    )
-
-
-def _refuse_alone(
-    views: Sequence[View],
-    scored_links: Sequence[Sequence[tuple[float, Link]]],
-    rejected: dict[tuple[int, int], str],
-) -> None:
-    """Raise InputError if a view is linked with none."""
-    alone = {i for i, sources in enumerate(scored_links) if not sources}
-    for pair, reason in rejected.items():
-        if alone & {*pair}:
-            raise InputError(reason)
-    if alone:
-        names = listed([views[i].name] for i in sorted(alone))
-        raise InputError(
-            f"views do not overlap or have too little texture: {names} has fewer than "
-            f"{MIN_MATCHES} matches with any other; leave out what shows something else, "
-            "choose views that overlap, or give near and far"
-        )

@@ -11,12 +11,13 @@ weight was tried and costs more than it saves (`docs/measured/rasterizer.md`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import SH_C0, Gaussians
@@ -87,8 +88,7 @@ class Change:
     greatest: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Merged:
+class Merged(NamedTuple):
     """Result of :func:`merge`.
 
     Attributes:
@@ -115,30 +115,55 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
     Raises:
         InputError: If there is no camera, they differ in size, or a source is outside of them.
     """
-    grid = _Grid.of(gaussians, cameras)
-    sizes = grid.sizes()
-    pictures = [_picture(gaussians, camera) for camera in cameras]
-    before, depths = (
-        [picture for picture, _ in pictures],
-        [_farthest(depth) for _, depth in pictures],
-    )
-    merged, into = _merge_cells(gaussians, grid, sizes)
-    changes = _changes(merged, cameras, before)
-    for attempt in range(ROUNDS + 1):
+    rows = _rows_of_pixels(gaussians.to_arrays()["source"], cameras)
+    levels = [_pixel_level(rows, gaussians)]
+    sizes = np.ones(rows.shape, np.int64)  # side of the cell of each pixel
+    for power in range(1, HALVINGS + 1):
+        levels.append(_merge_level(levels[-1]))
+        _mark(sizes, levels[-1].present, 2**power, 2**power)
+    before, drawn_depths = zip(*(_picture(gaussians, camera) for camera in cameras), strict=True)
+    # The farthest depth around each block; infinite where nothing is drawn.
+    depths = [
+        ndimage.maximum_filter(_blocks(np.where(depth > 0, depth, np.inf)).max((1, 3)), 3)
+        for depth in drawn_depths
+    ]
+    for attempt in range(ROUNDS + 2):
+        merged, into = _merge_cells(gaussians, rows, sizes)
+        changes = [
+            np.abs(_picture(merged, camera)[0] - original)
+            for camera, original in zip(cameras, before, strict=True)
+        ]
+        squares = [np.square(change).mean(dtype=np.float64) for change in changes]
+        if attempt and max(squares) <= MOST**2:
+            change = Change(
+                mean=float(np.mean([change.mean(dtype=np.float64) for change in changes])) / GREY,
+                rms=float(np.sqrt(max(squares))) / GREY,
+                greatest=max(float(change.max()) for change in changes) / GREY,
+            )
+            return Merged(merged, into, change)
         over = [_blocks_to_restore(change) for change in changes]
         if attempt == ROUNDS:
             # Include Gaussians behind surfaces, which may shine through.
-            for v in (
-                v for v, change_v in enumerate(changes) if _summary([change_v]).rms > MOST / GREY
-            ):
+            for v in np.flatnonzero(np.array(squares) > MOST**2):
                 over[v], depths[v] = np.ones_like(over[v]), np.full_like(depths[v], np.inf)
-        _restore_cells(sizes, grid, over, cameras, depths)
-        merged, into = _merge_cells(gaussians, grid, sizes)
-        changes = _changes(merged, cameras, before)
-        change = _summary(changes)
-        if change.rms <= MOST / GREY:
-            return Merged(merged, into, change)
+        _restore_cells(sizes, levels, over, cameras, depths)
     return Merged(gaussians, np.arange(len(gaussians)), Change())
+
+
+def _rows_of_pixels(source: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray:
+    """Return the first Gaussian of every pixel, int64 [V, H, W]; -1 where there is none."""
+    image_sizes = {(camera.height, camera.width) for camera in cameras}
+    if len(image_sizes) != 1:
+        raise InputError(f"merge cameras: found sizes {sorted(image_sizes)}, expected one size")
+    shape = (len(cameras), *image_sizes.pop())
+    if len(source) and not 0 <= source.min() <= source.max() < np.prod(shape):
+        raise InputError(
+            f"merge source: found pixels {source.min()} to {source.max()}, expected those of "
+            f"{shape[0]} views of {shape[2]}x{shape[1]}"
+        )
+    rows = np.full(shape, -1, np.int64)
+    rows.ravel()[source[::-1]] = np.arange(len(source) - 1, -1, -1)
+    return rows
 
 
 def _picture(gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -148,44 +173,25 @@ def _picture(gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarr
     return color.clip(0, 1), drawn.depth
 
 
-def _changes(
-    gaussians: Gaussians, cameras: Sequence[Camera], before: Sequence[np.ndarray]
-) -> list[np.ndarray]:
-    """Return the absolute change of each view, float32 [H, W, 3]."""
-    return [
-        np.abs(_picture(gaussians, camera)[0] - original)
-        for camera, original in zip(cameras, before, strict=True)
-    ]
-
-
 def _blocks_to_restore(change: np.ndarray) -> np.ndarray:
     """Return the blocks with too much change, alone or in the sum of a view, bool [h, w]."""
-    means = _block_means(change.mean(2))
-    squares = _block_means(np.square(change).mean(2))
+    means = _blocks(change.mean(2)).mean((1, 3))
+    squares = _blocks(np.square(change).mean(2)).mean((1, 3))
+    # Dilated by one block, as a merged Gaussian extends into the next.
+    over = ndimage.binary_dilation(means > LIMIT, np.ones((3, 3), bool))
     least_first = np.sort(squares, axis=None)
     sums = np.cumsum(least_first, dtype=np.float64)
     if sums[-1] <= squares.size * MOST**2:
-        return _dilate(means > LIMIT)
+        return over
     within = int(np.searchsorted(sums, squares.size * (AIM * MOST) ** 2))
-    return _dilate(means > LIMIT) | (squares > least_first[max(within - 1, 0)])
+    return over | (squares > least_first[max(within - 1, 0)])
 
 
-def _farthest(depth: np.ndarray) -> np.ndarray:
-    """Return the greatest depth in each block and its neighbours, float32 [h, w]; infinite where
-    nothing is drawn."""
-    valid = np.where(depth > 0, depth, np.inf)
-    height, width = depth.shape
-    padded = np.pad(valid, ((0, -height % BLOCK), (0, -width % BLOCK)), "edge")
-    blocks = padded.reshape(padded.shape[0] // BLOCK, BLOCK, -1, BLOCK).max((1, 3))
-    return ndimage.maximum_filter(blocks, 3)
-
-
-def _summary(changes: Sequence[np.ndarray]) -> Change:
-    return Change(
-        mean=float(np.mean([change.mean(dtype=np.float64) for change in changes])) / GREY,
-        rms=max(float(np.sqrt(np.square(c).mean(dtype=np.float64))) for c in changes) / GREY,
-        greatest=max(float(change.max()) for change in changes) / GREY,
-    )
+def _blocks(values: np.ndarray) -> np.ndarray:
+    """Split an image [H, W], padded by replication, into blocks [h, BLOCK, w, BLOCK]."""
+    height, width = values.shape
+    padded = np.pad(values, ((0, -height % BLOCK), (0, -width % BLOCK)), "edge")
+    return padded.reshape(padded.shape[0] // BLOCK, BLOCK, -1, BLOCK)
 
 
 class _Level(NamedTuple):
@@ -204,46 +210,6 @@ class _Level(NamedTuple):
     low: np.ndarray
     high: np.ndarray
     widest: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class _Grid:
-    """Gaussians on the pixel grids of their source images.
-
-    Attributes:
-        rows: int64 [V, H, W]. The first Gaussian of every pixel; -1 where there is none.
-        levels: list of _Level. Of cells of 1, 2, 4 ... pixels along a side.
-    """
-
-    rows: np.ndarray
-    levels: list[_Level]
-
-    @staticmethod
-    def of(gaussians: Gaussians, cameras: Sequence[Camera]) -> _Grid:
-        image_sizes = {(camera.height, camera.width) for camera in cameras}
-        if len(image_sizes) != 1:
-            raise InputError(f"merge cameras: found sizes {sorted(image_sizes)}, expected one size")
-        shape = (len(cameras), *image_sizes.pop())
-        arrays = gaussians.to_arrays()
-        source = arrays["source"].astype(np.int64)
-        if len(source) and not 0 <= source.min() <= source.max() < np.prod(shape):
-            raise InputError(
-                f"merge source: found pixels {source.min()} to {source.max()}, expected those of "
-                f"{shape[0]} views of {shape[2]}x{shape[1]}"
-            )
-        rows = np.full(shape, -1, np.int64)
-        rows.ravel()[source[::-1]] = np.arange(len(source) - 1, -1, -1)
-        levels = [_pixel_level(rows, gaussians)]
-        for _ in range(HALVINGS):
-            levels.append(_merge_level(levels[-1]))
-        return _Grid(rows, levels)
-
-    def sizes(self) -> np.ndarray:
-        """Return the side in pixels of the cell of each pixel, int64 [V, H, W]."""
-        sizes = np.ones(self.rows.shape, np.int64)
-        for power, level in enumerate(self.levels[1:], 1):
-            _mark(sizes, level.present, 2**power, 2**power)
-        return sizes
 
 
 def _pixel_level(rows: np.ndarray, gaussians: Gaussians) -> _Level:
@@ -324,7 +290,7 @@ def _mark(sizes: np.ndarray, cells: np.ndarray, side: int, size: int) -> None:
 
 def _restore_cells(
     sizes: np.ndarray,
-    grid: _Grid,
+    levels: Sequence[_Level],
     over: Sequence[np.ndarray],
     cameras: Sequence[Camera],
     depths: Sequence[np.ndarray],
@@ -333,7 +299,7 @@ def _restore_cells(
 
     ``depths`` float32 [h, w] are the depths of the visible surfaces.
     """
-    for power, level in enumerate(grid.levels[1:], 1):
+    for power, level in enumerate(levels[1:], 1):
         size = 2**power
         back = np.zeros(level.present.shape, bool)
         _, height, width = level.present.shape  # whole cells: the last row and column may be ragged
@@ -354,21 +320,8 @@ def _restore_cells(
         _mark(sizes, back, size, 1)
 
 
-def _block_means(change: np.ndarray) -> np.ndarray:
-    """Return the means of blocks of float32 [H, W], padded by replication."""
-    height, width = change.shape
-    padded = np.pad(change, ((0, -height % BLOCK), (0, -width % BLOCK)), "edge")
-    rows, columns = padded.shape[0] // BLOCK, padded.shape[1] // BLOCK
-    return padded.reshape(rows, BLOCK, columns, BLOCK).mean((1, 3))
-
-
-def _dilate(blocks: np.ndarray) -> np.ndarray:
-    """Dilate the mask by one block, as a merged Gaussian extends into the next."""
-    return ndimage.binary_dilation(blocks, np.ones((3, 3), bool))
-
-
 def _merge_cells(
-    gaussians: Gaussians, grid: _Grid, sizes: np.ndarray
+    gaussians: Gaussians, rows: np.ndarray, sizes: np.ndarray
 ) -> tuple[Gaussians, np.ndarray]:
     """Return one Gaussian for each cell, and its index for each input Gaussian, int64 [N].
 
@@ -376,115 +329,48 @@ def _merge_cells(
     decided by majority.
     """
     arrays = gaussians.to_arrays()
+    arrays_out = {name: array.copy() for name, array in arrays.items()}
     leaders = np.arange(len(gaussians))  # of each Gaussian the first of its cell
-    v, y, x = np.nonzero(sizes > 1)
-    size = sizes[v, y, x]
-    leaders[grid.rows[v, y, x]] = grid.rows[v, y - y % size, x - x % size]
-    is_leader = leaders == np.arange(len(gaussians))
-    places = np.cumsum(is_leader) - 1
-    arrays_out = {
-        name: array[is_leader] for name, array in arrays.items()
-    }  # copies, which may be written to
-    first = (y % size == 0) & (x % size == 0)
-    v, y, x = v[first], y[first], x[first]
-    cells = np.stack([v, y, x, sizes[v, y, x]], 1)
-    to = places[grid.rows[v, y, x]]
-    for name in ("means", "opacities", "sh"):
-        original, merged = arrays[name], arrays_out[name]
-        table = original.reshape(len(original), int(np.prod(original.shape[1:])))
-        values = _average(table, grid.rows, cells)
-        merged[to] = values.reshape(merged[to].shape)
-    shape = arrays["means"], arrays["scales"], arrays["quats"]
-    arrays_out["scales"][to] = _scales(*shape, grid.rows, cells, LOW_PASS)
-    if "guessed" in arrays_out:
-        share = _average(arrays["guessed"][:, None].astype(np.float32), grid.rows, cells)
-        arrays_out["guessed"][to] = share[:, 0] > 0.5
-    return Gaussians.from_arrays(arrays_out), places[leaders]
-
-
-def _members(rows: np.ndarray, cells: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield, for each size, the indices int64 [K] of the cells int64 [M, 4] (view, row, column,
-    size) of that size, and the Gaussians of their pixels, int64 [K, size, size]."""
-    for size in np.unique(cells[:, 3]).tolist():
-        which = np.flatnonzero(cells[:, 3] == size)
-        v, top, left = (cells[which, k, None, None] for k in range(3))
+    for size in np.unique(sizes[sizes > 1]).tolist():
+        v, y, x = (k[:, None, None] for k in np.nonzero(sizes[:, ::size, ::size] == size))
         steps = np.arange(size)
-        yield which, rows[v, top + steps[:, None], left + steps]
+        members = rows[v, size * y + steps[:, None], size * x + steps]
+        first = members[:, 0, 0]
+        leaders[members] = first[:, None, None]
+        for name in ("means", "opacities", "sh"):
+            arrays_out[name][first] = arrays[name][members].mean((1, 2), dtype=np.float64)
+        if "guessed" in arrays:
+            arrays_out["guessed"][first] = arrays["guessed"][members].mean((1, 2)) > 0.5
+        arrays_out["scales"][first] = _scales(arrays, members)
+    is_leader = leaders == np.arange(len(gaussians))
+    kept = Gaussians.from_arrays({name: array[is_leader] for name, array in arrays_out.items()})
+    return kept, (np.cumsum(is_leader) - 1)[leaders]
 
 
-def _average(table: np.ndarray, rows: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Average a table [N, C] over cells int64 [M, 4] (view, row, column, size), float32 [M, C]."""
-    means = np.empty((len(cells), table.shape[1]), np.float32)
-    for which, members in _members(rows, cells):
-        total = np.zeros((len(which), table.shape[1]))
-        for rows_of_pixel in members.reshape(len(which), -1).T:
-            total += table[rows_of_pixel]
-        means[which] = total / members[0].size
-    return means
-
-
-def _scales(
-    means: np.ndarray,
-    scales: np.ndarray,
-    quats: np.ndarray,
-    rows: np.ndarray,
-    cells: np.ndarray,
-    low_pass: float,
-) -> np.ndarray:
-    """Compute scales float32 [M, 3] of merged Gaussians, along the axes of their first members.
+def _scales(arrays: Mapping[str, np.ndarray], members: np.ndarray) -> np.ndarray:
+    """Compute scales [K, 3] of cells [K, s, s], along the axes of their first members.
 
     A view draws a Gaussian widened by the low-pass filter. The drawn width of a merged Gaussian is
     scaled with the side of its cell, so that the surface stays closed: with C the mean covariance
     of its members, s the side and u, v the steps to the next pixel on the surface, its covariance
-    is ``s^2 C + (s^2 - 1) low_pass (u u^T + v v^T)``.
+    is ``s^2 C + (s^2 - 1) LOW_PASS (u u^T + v v^T)``.
     """
-    out = np.empty((len(cells), 3), np.float32)
-    for which, members in _members(rows, cells):
-        size = members.shape[1]
-        axes = _axes(quats[members[:, 0, 0]])
-        spread = np.zeros((len(which), 3))
-        for rows_of_pixel in members.reshape(len(which), -1).T:
-            member_axes, wide = _axes(quats[rows_of_pixel]), scales[rows_of_pixel]
-            for a in range(3):
-                for k in range(3):
-                    along = _dot(axes[:, a], member_axes[:, k])
-                    spread[:, a] += np.square(along * wide[:, k])
-        across, down = (_step(means[members], axis) for axis in (2, 1))
-        for a in range(3):
-            wide, high = _dot(axes[:, a], across.T), _dot(axes[:, a], down.T)
-            steps = low_pass * (size * size - 1) * (wide * wide + high * high)
-            out[which, a] = np.sqrt(spread[:, a] + steps)
-    return out
 
+    def axes(rows: np.ndarray) -> np.ndarray:
+        turns = Rotation.from_quat(arrays["quats"][rows], scalar_first=True).as_matrix()
+        return turns.reshape(-1, 3, 3)
 
-def _step(places: np.ndarray, axis: int) -> np.ndarray:
-    """Return the mean step float64 [K, 3] to the next pixel along axis 1 or 2 of positions
-    [K, size, size, 3], from the difference between the halves of a cell."""
-    size = places.shape[1]
-    half = size // 2
-    total = np.zeros((len(places), 3))
-    for y in range(size):
-        for x in range(size):
-            sign = 1 if (x if axis == 2 else y) >= half else -1
-            total += sign * places[:, y, x].astype(np.float64)
-    return total / (size * size / 2 * half)
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the dot products [K] of vectors [3, K]."""
-    product: np.ndarray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return product
-
-
-def _axes(quats: np.ndarray) -> np.ndarray:
-    """Return the rotation matrices of quaternions wxyz float32 [K, 4] of any nonzero length, with
-    the axis last, float64 [3, 3, K]."""
-    w, x, y, z = quats.T
-    t = 2.0 / (w * w + x * x + y * y + z * z).astype(np.float64)
-    return np.array(
-        [
-            [1 - t * (y * y + z * z), t * (x * y - w * z), t * (x * z + w * y)],
-            [t * (x * y + w * z), 1 - t * (x * x + z * z), t * (y * z - w * x)],
-            [t * (x * z - w * y), t * (y * z + w * x), 1 - t * (x * x + y * y)],
-        ]
-    )
+    size, half = members.shape[1], members.shape[1] // 2
+    first = axes(members[:, 0, 0])
+    variances = np.zeros((len(members), 3))
+    for rows in members.reshape(len(members), size * size).T:
+        along = np.einsum("kia,kij->kaj", first, axes(rows)) * arrays["scales"][rows][:, None]
+        variances += np.square(along).sum(-1)
+    means = arrays["means"][members].astype(np.float64)
+    for lower, upper in (
+        (means[:, :, :half], means[:, :, half:]),
+        (means[:, :half], means[:, half:]),
+    ):
+        step = (upper.mean((1, 2)) - lower.mean((1, 2))) / half
+        variances += LOW_PASS * (size**2 - 1) * np.einsum("kia,ki->ka", first, step) ** 2
+    return np.sqrt(variances)

@@ -19,7 +19,6 @@ def true_bundle(
     baseline: float = 1.0,
     depths: tuple[float, float] = (4.0, 9.0),
     lenses: int = 1,
-    k1: float = 0.0,
 ) -> Bundle:
     """Cameras of 600 px, side by side, and what they see of points in front of them."""
     rng = np.random.default_rng(seed)
@@ -36,7 +35,6 @@ def true_bundle(
         centers=np.full((views, 2), [400.0, 300.0]),
         group=np.arange(views) % lenses,
         focals=np.full(lenses, 600.0),
-        k1=np.full(lenses, k1),
         points=np.column_stack([xy, z]),
         view=view,
         point=point,
@@ -44,10 +42,19 @@ def true_bundle(
         focal_prior=np.full(lenses, 600.0),
         focal_sigma=np.full(lenses, np.inf),
     )
-    seen = empty.residuals() + rng.normal(0, noise, (len(view), 2))
+    seen = reprojection(empty) + rng.normal(0, noise, (len(view), 2))
     bad = rng.random(len(view)) < outliers
     seen[bad] += rng.uniform(-200, 200, (bad.sum(), 2))
     return replace(empty, xy=seen)
+
+
+def reprojection(bundle: Bundle) -> np.ndarray:
+    """Projected minus observed positions [M, 2], pixels, written out."""
+    local = (bundle.R[bundle.view] @ bundle.points[bundle.point][:, :, None])[..., 0]
+    local += bundle.t[bundle.view]
+    focals = bundle.focals[bundle.group[bundle.view]]
+    uv = local[:, :2] / local[:, 2:] * focals[:, None]
+    return uv + bundle.centers[bundle.view] - bundle.xy
 
 
 def shaken(bundle: Bundle, seed: int, by: float = 0.02) -> Bundle:

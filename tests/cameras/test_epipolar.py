@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian.cameras.degeneracy import why_no_depth
 from slgaussian.cameras.epipolar import FocalPrior, TwoViews, jacobian, posterior, solve
 
 
@@ -55,7 +54,7 @@ def test_known_focal_lengths_and_a_third_of_outliers(seed):
     x, y = seen(views, 300, seed, 0.2)
     rng = np.random.default_rng(seed)
     y[::3] = rng.uniform(-480, 480, y[::3].shape)
-    best = solve(x, y, prior(0.0))[0][0]
+    best = solve(x, y, prior(0.0))[0]
     assert best.turned_from(views) < 1.0
     assert (best.depths(x[1::3], y[1::3]) > 0).all(0).mean() > 0.98
 
@@ -67,7 +66,7 @@ def test_focal_length_is_found_where_cameras_converge(true):
     t = np.array([1.5, -0.4, 0.3])
     views = TwoViews(R, t / np.linalg.norm(t), np.full(2, float(true)), np.zeros(0))
     x, y = seen(views, 600, 1, 0.1)
-    best = solve(x, y, prior(0.3, 768))[0][0]
+    best = solve(x, y, prior(0.3, 768))[0]
     assert best.focals[0] == pytest.approx(true, rel=0.06)
     assert best.turned_from(views) < 3
 
@@ -76,7 +75,7 @@ def test_parallel_axes_leave_the_focal_length_open():
     """Where it cannot be told, its deviation stays what was known before."""
     views = TwoViews(np.eye(3), np.array([1.0, 0, 0]), np.full(2, 700.0), np.zeros(0))
     x, y = seen(views, 500, 2, 0.2)
-    best = solve(x, y, prior(0.3, 768))[0][0]
+    best = solve(x, y, prior(0.3, 768))[0]
     assert best.focals[0] == pytest.approx(768, rel=0.05)
     assert 0.9 < np.sqrt(best.covariance[5, 5]) < 1.001
     assert abs(best.t[0]) > 0.999
@@ -92,22 +91,9 @@ def test_many_starts_that_end_alike_leave_room_for_the_other_answer_of_a_plane()
     a = rays * 6 / (rays @ [0.3, 0.2, 1.0])[:, None]
     b = a @ R.T + t
     x, y = (800 * p[:, :2] / p[:, 2:] + rng.normal(0, 0.3, (300, 2)) for p in (a, b))
-    best, *others = solve(x, y, prior(0.3))[0]
+    best, *others = solve(x, y, prior(0.3))
     assert best.turned_from(views) < 2
     assert others and min(other.turned_from(best) for other in others) > 3
-
-
-@pytest.mark.parametrize("zoom", [1.0, 1.5])
-def test_zoom_between_two_photographs_is_seen(zoom):
-    """Of one lens by all that is known."""
-    R = Rotation.from_euler("yx", (-14, 3), degrees=True).as_matrix()
-    t = np.array([1.0, 0.3, 0.4])
-    views = TwoViews(R, t / np.linalg.norm(t), np.array([700.0, 700.0 * zoom]), np.zeros(0))
-    x, y = seen(views, 600, 8, 0.1)
-    (best, *_), used = solve(x, y, prior(0.3, 768))
-    assert used.shared == (zoom == 1)
-    assert best.focals[1] / best.focals[0] == pytest.approx(zoom, rel=0.02)
-    assert best.turned_from(views) < 3
 
 
 def test_points_behind_the_cameras_count_as_lost():
@@ -119,12 +105,3 @@ def test_points_behind_the_cameras_count_as_lost():
     np.testing.assert_allclose(reversed_.distance(x, y), -views.distance(x, y))
     right, wrong = (posterior(v, x, y, known, 0.5) for v in (views, reversed_))
     assert wrong > 50 * right
-
-
-def test_turn_is_told_from_plane():
-    R = Rotation.from_euler("yxz", (9, 3, 4), degrees=True).as_matrix()
-    still = TwoViews(R, np.array([1.0, 0, 0]), np.full(2, 800.0), np.zeros(0))
-    x, _ = seen(still, 300, 7, 0.0)
-    there = np.concatenate([x / 800, np.ones((300, 1))], 1) @ R.T
-    kept, said = why_no_depth(x, 800 * there[:, :2] / there[:, 2:], prior(0.3), 300)
-    assert kept.all() and "turned" in said[0]

@@ -1,21 +1,11 @@
 """Every bound of a pair refuses or doubts by itself, and says so: each is moved, one at a time."""
 
-from dataclasses import replace
-
 import hard_photographs
 import pytest
 
 from slgaussian.cameras import two_view
-from slgaussian.cameras.epipolar import solve
 from slgaussian.cameras.estimated import DOUBTFUL, GOOD, UNUSED
 from slgaussian.cameras.two_view import Described, PairPose, find_pair
-
-
-def apart(*given):
-    """What is found if one focal length does not explain both photographs."""
-    answers, prior = solve(*given)
-    return answers, replace(prior, shared=False)
-
 
 REFUSING = {
     "least share": ({"SHARE": 2.0}, "too few points are found"),
@@ -28,7 +18,6 @@ REFUSING = {
 DOUBTING = {
     "open position": ({"SHARP": 0.0}, "leave the position open by"),
     "other answers": ({"SURE": 1.1}, "another position of the cameras"),
-    "two lenses": ({"solve": apart}, "different focal lengths"),
     "zoom": ({"ENLARGED": 0.5}, "times as large in one"),
 }
 

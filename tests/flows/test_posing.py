@@ -42,7 +42,6 @@ def truth(photographs) -> EstimatedCameras:
     return EstimatedCameras(
         cameras,
         dict.fromkeys(names, Focal(f, 0.9 * f, 1.15 * f, "matches")),
-        dict.fromkeys(names, 0.0),
         (pair,),
         0.42,
         "few matches",
@@ -70,7 +69,7 @@ def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, mo
     lines = [line for line in output.splitlines() if "compiling kernels" not in line]
     assert len(lines) <= 9
     assert "warning: the poses may be off by some degrees" in output
-    assert "from matches); 60 of 90 matches agree" in output
+    assert "from matches); of two photographs, 60 of 90 matches agree" in output
     field = slg.SemanticField.load("field")
     first, second = field.cameras.values()
     np.testing.assert_allclose(first.c2w, np.eye(4), atol=1e-12)

@@ -17,7 +17,7 @@ from slgaussian.predict.depth_hypotheses import (
     visible_share,
 )
 from slgaussian.predict.pose import refine
-from slgaussian.predict.view_graph import drop_unmatched, link_views
+from slgaussian.predict.view_graph import link_views, select_usable
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
 B = camera(x=0.5, y=0.1, z=0.15, turn=0.1, focal=180, principal=(70, 66))
@@ -137,11 +137,11 @@ def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
     initial = sample(camera(), camera(x=0.3), camera(x=0.5))
     second = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
     among = replace(initial, context=(initial.context[0], second, *initial.context[1:]))
-    stored, _, left_out = drop_unmatched(among, MatchGraph.of(among.context))
+    stored, _, left_out = select_usable(among)
     assert [view.name for view in stored.context] == [view.name for view in initial.context]
     assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
-    graph = MatchGraph.of(initial.context)
-    assert drop_unmatched(initial, graph) == (initial, graph, {})
+    stored, _, left_out = select_usable(initial)
+    assert stored is initial and not left_out
 
 
 def test_range_reaches_to_what_three_matches_share():

@@ -1,7 +1,6 @@
 """Scenes on which rasterisers break, by name, and the error of the cpu backend on each.
 
-Every case is small enough for the float64 reference to draw it in a fraction of a second. The tests
-draw all of them, and a bench sweeps settings over them with :func:`measure`.
+Every case is small enough for the float64 reference to draw it in a fraction of a second.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -72,23 +71,12 @@ def bounds(name: str, preset: str) -> Errors:
 
 NEAR = Settings().near
 Made = tuple[Gaussians, torch.Tensor, Camera]
-_MAKERS: dict[str, Callable[[], Made]] = {}
-
-
-def _case(make: Callable[[], Made]) -> Callable[[], Made]:
-    _MAKERS[make.__name__] = make
-    return make
-
-
-def names() -> list[str]:
-    """The names of all cases."""
-    return list(_MAKERS)
 
 
 @cache
 def case(name: str) -> Case:
     """The case of that name."""
-    return Case(*_MAKERS[name]())
+    return Case(*CASES[name]())
 
 
 @cache
@@ -209,14 +197,12 @@ def cloud(
 # The cases.
 
 
-@_case
 def ordinary_cloud() -> Made:
     """A hundred Gaussians of every shape; the control."""
     view = camera(48, 32, 40, c2w=rotated(1, (1.0, -2.0, 0.5)))
     return *cloud(100, 1, 0.2, view), view
 
 
-@_case
 def a_gaussian_per_pixel() -> Made:
     """What two pixel-aligned views predict: a surface of small opaque discs, twice."""
     view, r = camera(32, 24, 30), _Random(2)
@@ -230,17 +216,6 @@ def a_gaussian_per_pixel() -> Made:
     return output, r.uniform(n, 6), view
 
 
-@_case
-def dense_overlap() -> Made:
-    """400 large Gaussians on a small image."""
-    view, r = camera(64, 48, 60), _Random(3)
-    output = splats(
-        r.inside(view, 400), r.uniform(400, 3, low=0.05, high=0.6), r.uniform(400), r.quats(400)
-    )
-    return output, r.uniform(400, 3), view
-
-
-@_case
 def at_the_near_plane() -> Made:
     """Centres exactly on the near plane, which are not drawn, and the next float behind it."""
     on = np.float32(NEAR)
@@ -249,14 +224,12 @@ def at_the_near_plane() -> Made:
     return output, torch.eye(5), camera()
 
 
-@_case
 def behind_the_near_plane() -> Made:
     """Centres behind the camera, in its centre and before the near plane; one is drawn."""
     z = [-3.0, -1e-3, 0.0, 1e-30, 0.005, 0.0099, 3.0]
     return splats([[0.1, 0, d] for d in z], 0.2, 0.9), torch.eye(7), camera()
 
 
-@_case
 def reaching_through_the_near_plane() -> Made:
     """Large Gaussians whose centres lie just behind the near plane."""
     r = _Random(4)
@@ -267,7 +240,6 @@ def reaching_through_the_near_plane() -> Made:
     return output, r.uniform(20, 3), camera()
 
 
-@_case
 def far_off_axis() -> Made:
     """Gaussians beside the camera, up to a thousand times as far off the axis as before it."""
     r = _Random(5)
@@ -281,31 +253,6 @@ def far_off_axis() -> Made:
     return output, r.uniform(60, 3), camera()
 
 
-@_case
-def needles() -> Made:
-    """A million times as long as wide, in all directions."""
-    view, r = camera(48, 32, 40, c2w=rotated(6)), _Random(6)
-    output = splats(r.inside(view, 40), [1.0, 1e-6, 1e-6], r.uniform(40), r.quats(40))
-    return output, r.uniform(40, 3), view
-
-
-@_case
-def needles_longer_than_the_scene() -> Made:
-    """A million times as long as wide, and a hundred images long."""
-    view, r = camera(48, 32, 40), _Random(7)
-    output = splats(r.inside(view, 20), [1e-4, 100.0, 1e-4], r.uniform(20), r.quats(20))
-    return output, r.uniform(20, 3), view
-
-
-@_case
-def pancakes() -> Made:
-    """A million times as wide as thick, in all directions."""
-    view, r = camera(48, 32, 40, c2w=rotated(8)), _Random(8)
-    output = splats(r.inside(view, 40), [1.0, 1.0, 1e-6], r.uniform(40), r.quats(40))
-    return output, r.uniform(40, 3), view
-
-
-@_case
 def pancakes_on_edge() -> Made:
     """Large discs seen exactly from the side, at angles that no axis of the image has."""
     view, r = camera(48, 32, 40), _Random(9)
@@ -315,25 +262,6 @@ def pancakes_on_edge() -> Made:
     return splats(means, [1.0, 1e-6, 1.0], r.uniform(24), quats), r.uniform(24, 3), view
 
 
-@_case
-def scales_of_nine_decades() -> Made:
-    """Axes from a millionth to a thousand times the scene, mixed in one Gaussian."""
-    view, r = camera(48, 32, 40, c2w=rotated(10)), _Random(10)
-    output = splats(
-        r.inside(view, 80), r.magnitudes(80, 3, low=1e-6, high=1e3), r.uniform(80), r.quats(80)
-    )
-    return output, r.uniform(80, 3), view
-
-
-@_case
-def scales_of_zero() -> Made:
-    """Points, line segments and sheets without any thickness."""
-    view, r = camera(), _Random(11)
-    scales = r.uniform(40, 3, high=0.3) * (r.uniform(40, 3) < 0.5)
-    return splats(r.inside(view, 40), scales, r.uniform(40), r.quats(40)), r.uniform(40, 3), view
-
-
-@_case
 def subpixel() -> Made:
     """A ten-thousandth of a pixel wide, at pixel centres, edges, corners and between."""
     view, r = camera(), _Random(12)
@@ -342,7 +270,6 @@ def subpixel() -> Made:
     return splats(seen_at(view, u, v, 3.0), 1e-5, r.uniform(66, low=0.3)), r.uniform(66, 3), view
 
 
-@_case
 def one_covers_the_image() -> Made:
     """A single opaque Gaussian of 6000 pixels before everything."""
     r = _Random(13)
@@ -350,7 +277,6 @@ def one_covers_the_image() -> Made:
     return splats(means, scales, [1.0, 0.9]), r.uniform(2, 3), camera()
 
 
-@_case
 def mixed_huge_and_tiny() -> Made:
     """Specks before, in and behind Gaussians of a hundred images; some of the huge are faint."""
     view, r = camera(48, 32, 40), _Random(14)
@@ -372,12 +298,6 @@ def _with_opacity(opacity: float, seed: int) -> Made:
     return output, r.uniform(40, 3), view
 
 
-_MAKERS["opacity_0"] = partial(_with_opacity, 0.0, 15)
-_MAKERS["opacity_1"] = partial(_with_opacity, 1.0, 16)
-_MAKERS["opacity_almost_1"] = partial(_with_opacity, 1 - 1e-7, 17)
-
-
-@_case
 def opaque_right_at_pixel_centres() -> Made:
     """Opacity 1 with its peak on the pixel: nothing at all is let through to what follows."""
     view, r = camera(), _Random(19)
@@ -386,7 +306,6 @@ def opaque_right_at_pixel_centres() -> Made:
     return splats(means, 0.05, 1.0), r.uniform(len(means), 3), view
 
 
-@_case
 def ten_thousand_on_one_pixel() -> Made:
     """Each under the cut-offs around the middle, and all of them together opaque."""
     r = _Random(20)
@@ -395,7 +314,6 @@ def ten_thousand_on_one_pixel() -> Made:
     return splats(means, 0.01, 0.002), r.uniform(10_000, 2), camera(31, 23)
 
 
-@_case
 def long_list() -> Made:
     """Four thousand faint layers on every pixel: sums of thousands of small float32 numbers."""
     r = _Random(21)
@@ -405,7 +323,6 @@ def long_list() -> Made:
     return splats(means, 2.0, 0.0015), r.uniform(4000, 3), camera(20, 12)
 
 
-@_case
 def equal_depths() -> Made:
     """All at one depth, overlapping: the order of the input decides."""
     r = _Random(22)
@@ -413,7 +330,6 @@ def equal_depths() -> Made:
     return splats(means, 0.5, r.uniform(50)), r.uniform(50, 3), camera()
 
 
-@_case
 def depths_a_float_apart() -> Made:
     """Neighbouring float32 depths, in any order."""
     r = _Random(23)
@@ -432,10 +348,6 @@ def _with_quaternions(low: float, high: float, seed: int) -> Made:
     return output, r.uniform(60, 3), view
 
 
-_MAKERS["quaternions_of_any_length"] = partial(_with_quaternions, 1e-36, 1e36, 24)
-_MAKERS["quaternions_near_zero"] = partial(_with_quaternions, 1e-20, 1e-20, 25)
-
-
 def _with_focal(focal: float, seed: int) -> Made:
     view, r = camera(48, 32, focal, c2w=rotated(seed)), _Random(seed)
     means = r.inside(view, 80)
@@ -448,23 +360,6 @@ def _with_focal(focal: float, seed: int) -> Made:
     )
 
 
-_MAKERS["focal_2"] = partial(_with_focal, 2.0, 26)  # a field of view of 170 degrees
-_MAKERS["focal_50000"] = partial(_with_focal, 50_000.0, 28)  # of three minutes of arc
-
-
-@_case
-def a_million_units_away() -> Made:
-    """Camera and scene a million units from the origin, where float32 places are 0.06 apart."""
-    view, r = camera(48, 32, 40, c2w=rotated(29, (1e6, -1e6, 1e6))), _Random(29)
-    means = r.inside(view, 80, low=8, high=24)
-    return (
-        splats(means, r.uniform(80, 3, low=0.05, high=2), r.uniform(80), r.quats(80)),
-        r.uniform(80, 3),
-        view,
-    )
-
-
-@_case
 def astronomical_and_microscopic() -> Made:
     """Depths from the near plane to 1e8, each Gaussian a few pixels wide."""
     view, r = camera(48, 32, 40, c2w=rotated(30)), _Random(30)
@@ -479,55 +374,11 @@ def astronomical_and_microscopic() -> Made:
     )
 
 
-@_case
-def nothing() -> Made:
-    """No Gaussian at all."""
-    return splats(torch.zeros(0, 3)), torch.zeros(0, 3), camera()
-
-
-@_case
 def nothing_in_sight() -> Made:
     """All beside or behind the camera."""
     r = _Random(31)
     means = torch.cat([r.uniform(30, 2, low=50, high=60), r.uniform(30, 1, low=-5, high=5)], 1)
     return splats(means, 0.1, 0.9), r.uniform(30, 3), camera()
-
-
-def _with_size(width: int, height: int, seed: int) -> Made:
-    view = camera(width, height, max(width, height), c2w=rotated(seed))
-    return *cloud(60, seed, 0.5, view, 3), view
-
-
-_MAKERS["image_of_1x1"] = partial(_with_size, 1, 1, 32)
-_MAKERS["image_of_17x33"] = partial(_with_size, 17, 33, 34)  # a pixel more than tiles of 8 to 32
-
-
-@_case
-def principal_point_far_outside() -> Made:
-    """A window cut from far off the middle of a large image."""
-    view = camera(48, 32, 60, cx=-400, cy=300, c2w=rotated(36))
-    return *cloud(80, 36, 0.5, view, 3), view
-
-
-@_case
-def skewed_pixels() -> Made:
-    """Rows shifted by a third of a pixel each, and the far corner off-axis."""
-    view = camera(48, 32, 60, skew=20.0, cx=10, c2w=rotated(38))
-    return *cloud(80, 38, 0.3, view, 3), view
-
-
-@_case
-def pixels_that_are_not_square() -> Made:
-    """Ten times as wide as high."""
-    view = camera(48, 32, 20, aspect=10.0, c2w=rotated(39))
-    return *cloud(80, 39, 0.2, view, 3), view
-
-
-@_case
-def a_pose_of_three_digits() -> Made:
-    """A rotation that is one only to a thousandth, as in files that print few digits."""
-    view = camera(48, 32, 40, c2w=rotated(40).round(4))
-    return *cloud(80, 40, 0.3, view, 3), view
 
 
 def _with_channels(channels: int, seed: int) -> Made:
@@ -536,6 +387,90 @@ def _with_channels(channels: int, seed: int) -> Made:
     return output, _Random(seed).uniform(40, channels, low=-1), view
 
 
-_MAKERS["no_channel"] = partial(_with_channels, 0, 41)
-_MAKERS["seven_channels"] = partial(_with_channels, 7, 43)  # no multiple of what is summed at once
-_MAKERS["three_hundred_channels"] = partial(_with_channels, 300, 44)
+def _random(seed: int, n: int, scales: Any, view: Camera, **inside: float) -> Made:
+    """Gaussians in sight of ``view``, and random but for their ``scales``."""
+    r = _Random(seed)
+    means = r.inside(view, n, **inside)
+    scales = scales(r) if callable(scales) else scales
+    return splats(means, scales, r.uniform(n), r.quats(n)), r.uniform(n, 3), view
+
+
+def _seen(n: int, seed: int, size: float, view: Camera) -> Made:
+    return *cloud(n, seed, size, view, 3), view
+
+
+def wide(seed: int, **settings: Any) -> Camera:
+    return camera(48, 32, settings.pop("focal", 40), c2w=rotated(seed), **settings)
+
+
+CASES: dict[str, Callable[[], Made]] = {
+    # 400 large Gaussians on a small image.
+    "dense_overlap": lambda: _random(
+        3, 400, lambda r: r.uniform(400, 3, low=0.05, high=0.6), camera(64, 48, 60)
+    ),
+    # A million times as long as wide, in all directions; and a hundred images long.
+    "needles": lambda: _random(6, 40, [1.0, 1e-6, 1e-6], wide(6)),
+    "needles_longer_than_the_scene": lambda: _random(
+        7, 20, [1e-4, 100.0, 1e-4], camera(48, 32, 40)
+    ),
+    # A million times as wide as thick, in all directions.
+    "pancakes": lambda: _random(8, 40, [1.0, 1.0, 1e-6], wide(8)),
+    # Axes from a millionth to a thousand times the scene, mixed in one Gaussian.
+    "scales_of_nine_decades": lambda: _random(
+        10, 80, lambda r: r.magnitudes(80, 3, low=1e-6, high=1e3), wide(10)
+    ),
+    # Points, line segments and sheets without any thickness.
+    "scales_of_zero": lambda: _random(
+        11, 40, lambda r: r.uniform(40, 3, high=0.3) * (r.uniform(40, 3) < 0.5), camera()
+    ),
+    "opacity_0": lambda: _with_opacity(0.0, 15),
+    "opacity_1": lambda: _with_opacity(1.0, 16),
+    "opacity_almost_1": lambda: _with_opacity(1 - 1e-7, 17),
+    "quaternions_of_any_length": lambda: _with_quaternions(1e-36, 1e36, 24),
+    "quaternions_near_zero": lambda: _with_quaternions(1e-20, 1e-20, 25),
+    "focal_2": lambda: _with_focal(2.0, 26),  # a field of view of 170 degrees
+    "focal_50000": lambda: _with_focal(50_000.0, 28),  # of three minutes of arc
+    # Camera and scene a million units from the origin, where float32 places are 0.06 apart.
+    "a_million_units_away": lambda: _random(
+        29,
+        80,
+        lambda r: r.uniform(80, 3, low=0.05, high=2),
+        camera(48, 32, 40, c2w=rotated(29, (1e6, -1e6, 1e6))),
+        low=8,
+        high=24,
+    ),
+    "nothing": lambda: (splats(torch.zeros(0, 3)), torch.zeros(0, 3), camera()),
+    "image_of_1x1": lambda: _seen(60, 32, 0.5, camera(1, 1, 1, c2w=rotated(32))),
+    # A pixel more than tiles of 8 to 32.
+    "image_of_17x33": lambda: _seen(60, 34, 0.5, camera(17, 33, 33, c2w=rotated(34))),
+    # A window cut from far off the middle of a large image.
+    "principal_point_far_outside": lambda: _seen(80, 36, 0.5, wide(36, focal=60, cx=-400, cy=300)),
+    # Rows shifted by a third of a pixel each, and the far corner off-axis.
+    "skewed_pixels": lambda: _seen(80, 38, 0.3, wide(38, focal=60, skew=20.0, cx=10)),
+    # Ten times as wide as high.
+    "pixels_that_are_not_square": lambda: _seen(80, 39, 0.2, wide(39, focal=20, aspect=10.0)),
+    # A rotation that is one only to a thousandth, as in files that print few digits.
+    "a_pose_of_three_digits": lambda: _seen(
+        80, 40, 0.3, camera(48, 32, 40, c2w=rotated(40).round(4))
+    ),
+    "no_channel": lambda: _with_channels(0, 41),
+    "seven_channels": lambda: _with_channels(7, 43),  # no multiple of what is summed at once
+    "three_hundred_channels": lambda: _with_channels(300, 44),
+    "ordinary_cloud": ordinary_cloud,
+    "a_gaussian_per_pixel": a_gaussian_per_pixel,
+    "at_the_near_plane": at_the_near_plane,
+    "behind_the_near_plane": behind_the_near_plane,
+    "reaching_through_the_near_plane": reaching_through_the_near_plane,
+    "far_off_axis": far_off_axis,
+    "pancakes_on_edge": pancakes_on_edge,
+    "subpixel": subpixel,
+    "one_covers_the_image": one_covers_the_image,
+    "mixed_huge_and_tiny": mixed_huge_and_tiny,
+    "opaque_right_at_pixel_centres": opaque_right_at_pixel_centres,
+    "ten_thousand_on_one_pixel": ten_thousand_on_one_pixel,
+    "long_list": long_list,
+    "equal_depths": equal_depths,
+    "depths_a_float_apart": depths_a_float_apart,
+    "astronomical_and_microscopic": astronomical_and_microscopic,
+    "nothing_in_sight": nothing_in_sight,
+}

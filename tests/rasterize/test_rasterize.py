@@ -17,12 +17,12 @@ from slgaussian.scene import Camera
 from tests.kernel_threads import kernels_on
 from tests.rasterize.hard_cases import (
     ALL_CUT,
+    CASES,
     bounds,
     camera,
     case,
     cloud,
     measure,
-    names,
     rotated,
     splats,
 )
@@ -35,7 +35,7 @@ EXACT = PRESETS["exact"]
 
 
 @pytest.mark.parametrize("preset", ["exact", "fast"])
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", CASES)
 def test_the_cpu_backend_is_the_reference(name, preset):
     """Without cut-offs but for rounding; with them but for what the preset leaves out."""
     if (name, preset) == (ALL_CUT, "fast"):

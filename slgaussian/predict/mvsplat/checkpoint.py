@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
@@ -13,7 +13,6 @@ from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.network import Network
 
 PREFIX = "encoder."
-SHOWN = 3
 
 
 def load_network(path: str | Path, config: Config = PUBLISHED) -> Network:
@@ -32,7 +31,7 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
     A prefix ``encoder.`` is removed.
 
     Raises:
-        InputError: If the file cannot be read or holds no such tensors.
+        InputError: If the file cannot be read.
     """
     path = Path(path)
     if not path.is_file():
@@ -50,15 +49,16 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
             "and give that"
         ) from None
     except (OSError, ValueError) as problem:
-        raise _damaged(path, str(problem)) from None
-    state = stored.get("state_dict", stored) if isinstance(stored, Mapping) else None
-    if isinstance(state, Mapping):
-        state = {str(name): value for name, value in state.items() if _is_plain(value)}
-    if not state:
         raise InputError(
-            f"checkpoint {path}: found no tensors by name, expected a Lightning checkpoint of "
-            "MVSplat or its state_dict"
-        )
+            f"checkpoint {path}: is damaged or no PyTorch file ({problem}); download it again"
+        ) from None
+    state = stored.get("state_dict", stored) if isinstance(stored, Mapping) else {}
+    state = state if isinstance(state, Mapping) else {}
+    state = {
+        str(name): value
+        for name, value in state.items()
+        if torch.is_tensor(value) and value.layout == torch.strided
+    }
     if any(name.startswith(PREFIX) for name in state):
         # Beside the encoder, a checkpoint may hold buffers of the training losses.
         state = {n.removeprefix(PREFIX): t for n, t in state.items() if n.startswith(PREFIX)}
@@ -74,39 +74,23 @@ def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str)
     with torch.device("meta"):
         network = Network(config)
     expected = network.state_dict()
-    shared = [name for name in expected if name in state]
-    wrong = [
-        f"{name} {tuple(state[name].shape)} for {tuple(expected[name].shape)}"
-        for name in shared
-        if state[name].shape != expected[name].shape
-    ]
     problems = {
-        "missing": [name for name in expected if name not in state],
-        "unexpected": [name for name in state if name not in expected],
-        "of another shape": wrong,
+        "missing": expected.keys() - state.keys(),
+        "unexpected": state.keys() - expected.keys(),
+        "of another shape": {
+            name
+            for name in expected.keys() & state.keys()
+            if state[name].shape != expected[name].shape
+        },
     }
     if any(problems.values()):
-        summary = "; ".join(f"{len(p)} {kind}: {_shorten(p)}" for kind, p in problems.items() if p)
+        summary = "; ".join(f"{len(p)} {kind}: {min(p)}" for kind, p in problems.items() if p)
         raise InputError(
             f"checkpoint {origin}: does not fit the network of {len(expected)} tensors "
-            f"({summary}); expected re10k.ckpt or acid.ckpt of MVSplat, or one of the same shape"
+            f"({summary}, ...); expected re10k.ckpt or acid.ckpt of MVSplat, or one of the same "
+            "shape"
         )
-    state = {name: state[name].to(torch.float32, copy=True) for name in shared}
+    state = {name: state[name].to(torch.float32, copy=True) for name in expected}
     network.load_state_dict(state, assign=True)
     network.eval().requires_grad_(False)
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-
-def _is_plain(value: object) -> bool:
-    return torch.is_tensor(value) and value.layout == torch.strided
-
-
-def _damaged(path: Path, reason: str) -> InputError:
-    return InputError(
-        f"checkpoint {path}: is damaged or no PyTorch file ({reason}); download it again"
-    )
-
-
-def _shorten(names: Iterable[str]) -> str:
-    names = list(names)
-    return ", ".join(names[:SHOWN]) + (", ..." if len(names) > SHOWN else "")
