@@ -21,8 +21,8 @@ READERS = {
     "colmap": "slgaussian.datasets.colmap:read",
     "llff": "slgaussian.datasets.llff:read",
     "npz": "slgaussian.datasets.npz:read",
-    "lerf_ovs": "slgaussian.datasets.labelled_sets:read_lerf_ovs",
-    "ovs3d": "slgaussian.datasets.labelled_sets:read_ovs3d",
+    "lerf_ovs": "slgaussian.datasets.labelled_sets:read",
+    "ovs3d": "slgaussian.datasets.labelled_sets:read",
     "re10k": "slgaussian.datasets.re10k:read",
     "photographs": "slgaussian.datasets.unposed:read",
     "stereo": "slgaussian.datasets.stereo:read",
@@ -36,8 +36,8 @@ FILES = {
 """Functions that list the files of a scene, for formats that take long to read."""
 
 SETS = {
-    "lerf_ovs": "slgaussian.datasets.labelled_sets:lerf_ovs_scenes",
-    "ovs3d": "slgaussian.datasets.labelled_sets:ovs3d_scenes",
+    "lerf_ovs": "slgaussian.datasets.labelled_sets:scenes",
+    "ovs3d": "slgaussian.datasets.labelled_sets:scenes",
     "re10k": "slgaussian.datasets.re10k:scenes",
 }
 """Functions that list the scenes of a folder, for formats with several scenes per folder."""

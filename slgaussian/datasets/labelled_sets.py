@@ -42,8 +42,11 @@ LERF-OVS is evaluated so by OpenGaussian (https://github.com/yanmin-wu/OpenGauss
 these are the scenes of the paper's table 2, with the views that have masks in other evaluations."""
 
 
-def read_lerf_ovs(path: str | Path, scene: str) -> Scene:
-    """Read one scene of LERF-OVS as :func:`slgaussian.datasets.colmap.read` does.
+def read(path: str | Path, scene: str) -> Scene:
+    """Read one scene of a set.
+
+    The cameras are those of the COLMAP model in ``sparse`` if it exists, because it has the lens
+    and the principal point; else those of ``poses_bounds.npy``, which 3D-OVS uses.
 
     Args:
         path: Folder of the whole set.
@@ -52,17 +55,20 @@ def read_lerf_ovs(path: str | Path, scene: str) -> Scene:
     Raises:
         InputError: If there is no such scene, or it cannot be read.
     """
-    return colmap.read(_find_scene(path, scene, lerf_ovs_scenes(path)))
-
-
-def read_ovs3d(path: str | Path, scene: str) -> Scene:
-    """Read one scene of 3D-OVS; arguments and errors as of :func:`read_lerf_ovs`.
-
-    The cameras are those of the model in ``sparse`` if it exists, because it has the lens and the
-    principal point; else those of ``poses_bounds.npy``, which 3D-OVS uses.
-    """
-    folder = _find_scene(path, scene, ovs3d_scenes(path))
+    if scene not in (names := scenes(path)):
+        raise InputError(
+            f"{path}: has no scene {scene!r}; found {', '.join(names) or 'none'} (give the folder "
+            "of the whole set)"
+        )
+    folder = Path(path) / scene
     return (colmap if (folder / "sparse").is_dir() else llff).read(folder)
+
+
+def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
+    """List the scenes of a set by name, with the arguments of :func:`read` besides the path."""
+    marks = ("sparse", llff.FILE)
+    names = {inside.parent.name for mark in marks for inside in Path(path).glob(f"*/{mark}")}
+    return {name: {"scene": name} for name in sorted(names)}
 
 
 def is_published(format: str, scene: str, frames: Iterable[str]) -> bool:
@@ -70,27 +76,3 @@ def is_published(format: str, scene: str, frames: Iterable[str]) -> bool:
     published = PUBLISHED.get(format, {}).get(scene, "").split()
     prefix = "frame_" if format == "lerf_ovs" else ""
     return bool(published) and set(frames) == {prefix + frame for frame in published}
-
-
-def lerf_ovs_scenes(path: str | Path) -> dict[str, dict[str, Any]]:
-    """List the scenes of LERF-OVS by name, with the reader's arguments besides the path."""
-    return _scenes_with(path, "sparse")
-
-
-def ovs3d_scenes(path: str | Path) -> dict[str, dict[str, Any]]:
-    """List the scenes of 3D-OVS by name, with the reader's arguments besides the path."""
-    return _scenes_with(path, "sparse", llff.FILE)
-
-
-def _scenes_with(path: str | Path, *marks: str) -> dict[str, dict[str, Any]]:
-    names = {inside.parent.name for mark in marks for inside in Path(path).glob(f"*/{mark}")}
-    return {name: {"scene": name} for name in sorted(names)}
-
-
-def _find_scene(path: str | Path, scene: str, scenes: dict[str, Any]) -> Path:
-    if scene not in scenes:
-        raise InputError(
-            f"{path}: has no scene {scene!r}; found {', '.join(scenes) or 'none'} (give the folder "
-            "of the whole set)"
-        )
-    return Path(path) / scene

@@ -53,21 +53,15 @@ def read(
     Raises:
         InputError: If an argument is out of range.
     """
-    limits: dict[str, tuple[float, float, float]] = {
-        "objects": (objects, 1, MOST_OBJECTS),
-        "views": (views, 2, 1000),
-        "height": (height, 16, 8192),
-        "width": (width, 16, 8192),
-        "baseline": (baseline, 0.01, 2.0),
-        "noise": (noise, 0.0, 1.0),
-        "exposure": (exposure, 0.0, 1.0),
-    }
-    for option, (value, low, high) in limits.items():
-        is_integer = isinstance(low, int)
-        if not low <= value <= high or (is_integer and value != int(value)):
-            kind = "whole number" if is_integer else "number"
+    for option, value, low, high in (
+        ("objects", objects, 1, MOST_OBJECTS), ("views", views, 2, 1000),
+        ("height", height, 16, 8192), ("width", width, 16, 8192),
+        ("baseline", baseline, 0.01, 2.0), ("noise", noise, 0.0, 1.0),
+        ("exposure", exposure, 0.0, 1.0),
+    ):  # fmt: skip
+        if not low <= value <= high or (isinstance(low, int) and value != int(value)):
             raise InputError(
-                f"procedural scene {option}: found {value}, expected a {kind} from {low} to {high}"
+                f"procedural scene {option}: found {value}, expected a number from {low} to {high}"
             )
     name = f"procedural_{seed}"
     arc = rng_for(seed, name, "arc")
