@@ -36,14 +36,6 @@ from slgaussian.scene import Camera, Scene
 PLACES = ("sparse", "colmap/sparse", ".")
 """Folders of the model, or of models in subfolders 0, 1, ..., relative to the scene's folder."""
 
-PERSPECTIVE = (
-    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV",
-)  # fmt: skip
-FISHEYE = (
-    "SIMPLE_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE",
-)  # fmt: skip
-"""Supported camera models; their distortion is the first of OpenCV's coefficients."""
-
 
 def read(path: str | Path, images: str | None = None) -> Scene:
     """Read a scene; photographs are opened and undistorted when a view is read.
@@ -86,7 +78,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         taken = [files[name] for name in files if posed[name].camera == number]
         if taken:
             existing = next(filter(is_there, taken), None)
-            lenses[number] = _lens(stored, existing, f"{source}: camera {number}")
+            lenses[number] = _lens(stored, existing)
     for name in files:
         K, size, lens = lenses[posed[name].camera]
         if lens is not None:
@@ -137,14 +129,9 @@ def _file(scene: Path, folder: Path, name: str) -> Path:
 
 
 def _lens(
-    stored: SparseCamera, photograph: Path | None, label: str
+    stored: SparseCamera, photograph: Path | None
 ) -> tuple[np.ndarray, tuple[int, int], Callable[[], Maps] | None]:
     """Return K, size and undistortion of a camera, at the size of one of its photographs."""
-    if stored.model not in PERSPECTIVE + FISHEYE:
-        raise InputError(
-            f"{label}: its model {stored.model} cannot be undistorted, only "
-            f"{', '.join(PERSPECTIVE + FISHEYE)}; undistort with `colmap image_undistorter`"
-        )
     focals = 1 if "SIMPLE" in stored.model or "RADIAL" in stored.model else 2
     (cx, cy), distortion = stored.params[focals : focals + 2], stored.params[focals + 2 :]
     K = np.array([[stored.params[0], 0, cx], [0, stored.params[focals - 1], cy], [0, 0, 1]])
@@ -153,6 +140,6 @@ def _lens(
     if size is None or not has_shape(size, full_size):  # else it was shrunk
         size = full_size
     K[:2] *= np.array([[size[0] / full_size[0]], [size[1] / full_size[1]]])
-    fisheye = stored.model in FISHEYE
+    fisheye = "FISHEYE" in stored.model
     is_pinhole = not fisheye and not any(distortion)
     return K, size, None if is_pinhole else partial(lens_maps, K, size, distortion, fisheye)

@@ -21,12 +21,11 @@ from slgaussian.formats.text import read_lines
 
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
-    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5),
-    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12),
-    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16), 12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5),
-    14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6), 17: ("EQUIRECTANGULAR", 2),
+    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5),
+    14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4),
 }  # fmt: skip
-"""Camera models: name and number of parameters by the id in binary files."""
+"""Supported camera models, those that OpenCV has too: name and number of parameters by id."""
 
 T = TypeVar("T")
 
@@ -86,6 +85,8 @@ def read_model(folder: Path) -> tuple[dict[int, SparseCamera], list[SparseImage]
 def _checked(file: Path, read: Callable[[Path], T]) -> T:
     try:
         return read(file)
+    except InputError:
+        raise
     except OSError as bad:
         raise InputError(f"{file}: cannot be read ({bad.strerror})") from None
     except (ValueError, IndexError, struct.error) as bad:
@@ -122,10 +123,15 @@ def _cameras(file: Path) -> dict[int, SparseCamera]:
     cameras: dict[int, SparseCamera] = {}
     counts = dict(MODELS.values())
     for number, model, width, height, params in _stored_cameras(file):
-        if len(params) != counts.get(model):
-            raise ValueError(f"camera {number} is of model {model} with {len(params)} parameters")
-        if not (0 < width < 1e6 and 0 < height < 1e6 and np.isfinite(params).all()):
-            raise ValueError(f"camera {number} is {width}x{height} pixels with {params}")
+        if model not in counts:
+            raise InputError(
+                f"{file}: camera {number} is of model {model}, expected one of "
+                f"{', '.join(counts)}; undistort with `colmap image_undistorter`"
+            )
+        if len(params) != counts[model] or not np.isfinite(params).all():
+            raise ValueError(f"camera {number}: {model} with parameters {params}")
+        if not (0 < width < 1e6 and 0 < height < 1e6):
+            raise ValueError(f"camera {number} has {width}x{height} pixels")
         cameras[number] = SparseCamera(model, width, height, params)
     return cameras
 
@@ -134,13 +140,8 @@ def _stored_cameras(file: Path) -> Iterator[tuple[int, str, int, int, tuple[floa
     """Yield id, model, width, height and parameters of each camera in a file."""
     if file.suffix == ".txt":
         for words in map(str.split, _lines(file)):
-            yield (
-                int(words[0]),
-                words[1],
-                int(words[2]),
-                int(words[3]),
-                tuple(map(float, words[4:])),
-            )
+            params = tuple(map(float, words[4:]))
+            yield int(words[0]), words[1], int(words[2]), int(words[3]), params
         return
     data = _Bytes(file)
     for _ in data.entries():

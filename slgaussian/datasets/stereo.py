@@ -2,15 +2,12 @@
 
 The calibration is from the docstring of ``skimage.data.stereo_motorcycle``: that of
 https://vision.middlebury.edu/stereo/data/scenes2014/ divided by four. With d the disparity (left
-column minus right column), f the focal length, b the baseline and doffs the difference between the
-principal points, right minus left, a left pixel has depth Z = b f / (d + doffs): the right camera
-is b to the right of the left one, so the right column is f (X - b) / Z + cx + doffs, the left
-column f X / Z + cx, and their difference d = b f / Z - doffs.
+column minus right column), f the focal length, b the baseline and doffs the difference of the
+principal points, right minus left, a left pixel has depth Z = b f / (d + doffs).
 
-The original calibration has pixel centres at integers. Pixel i covers [i, i + 1] here, and four
-pixels were averaged into one, so column x of the original is at (x + 0.5) / 4 from the left edge:
-the principal point increases by an eighth of a pixel. Focal length, doffs and disparities do not
-depend on the origin.
+The original has pixel centres at integers, here they are at +0.5, and four pixels were averaged
+into one, so column x of the original is at (x + 0.5) / 4: the principal point increases by an
+eighth of a pixel.
 """
 
 import numpy as np
@@ -41,16 +38,10 @@ def read() -> Scene:
 
     def view(name: str) -> View:
         left, right, disparity = skimage.data.stereo_motorcycle()
-        if name == "left":
-            return View(name, cameras[name], left, depth_from_disparity(disparity))
-        return View(name, cameras[name], right)
+        if name == "right":
+            return View(name, cameras[name], right)
+        known = np.isfinite(disparity)
+        depth = BASELINE * FOCAL / (np.where(known, disparity, 0) + DOFFS)
+        return View(name, cameras[name], left, np.where(known, depth, 0).astype(np.float32))
 
     return Scene("motorcycle", cameras, view)
-
-
-def depth_from_disparity(disparity: np.ndarray) -> np.ndarray:
-    """Compute depth in metres, float32, of left disparities in pixels; 0 where not finite."""
-    finite = np.isfinite(disparity)
-    return np.where(finite, BASELINE * FOCAL / (np.where(finite, disparity, 0) + DOFFS), 0).astype(
-        np.float32
-    )

@@ -130,7 +130,7 @@ class TestLenses:
     )
     def test_that_opencv_does_not_have_are_refused(self, tmp_path, model, params):
         write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: (model, params)})
-        with pytest.raises(InputError, match=f"camera 1: its model {model} cannot be undistorted"):
+        with pytest.raises(InputError, match=f"camera 1 is of model {model}, expected one"):
             colmap.read(tmp_path)
 
 
@@ -178,7 +178,7 @@ class TestDamage:
         ("kind", "old", "new", "sentence"),
         [
             ("cameras", "2 SIMPLE_PINHOLE", "2 MAGIC", "is of model MAGIC"),
-            ("cameras", "2 SIMPLE_PINHOLE", "2 OPENCV", "OPENCV with 3 parameters"),
+            ("cameras", "2 SIMPLE_PINHOLE", "2 OPENCV", "camera 2: OPENCV with parameters"),
             ("cameras", "75", "0.8", "focal length x is 0.8, for 96x64 pixels a field"),
             ("cameras", "2 SIMPLE_PINHOLE", "7 SIMPLE_PINHOLE", "taken with camera 2"),
             ("images", "2 1 0 -0 0", "2 1 0", "is damaged"),
