@@ -388,7 +388,7 @@ FORMATS = {
     "LLFF": Format(make_llff, lambda f: all_views(llff.read(f)), ("*.npy",)),
     "COLMAP binary": Format(make_sparse_binary, lambda f: all_views(colmap.read(f)), ("sparse/*",)),
     "COLMAP text": Format(make_sparse_text, lambda f: all_views(colmap.read(f)), ("sparse/*",)),
-    "chunks": Format(make_chunks, read_chunks, ("*.torch", "*.torch", "*.json", "*.txt")),
+    "chunks": Format(make_chunks, read_chunks, ("*.torch", "*.torch", "*.json")),
     "label JSON": Format(make_labels, read_all_labels, ("*.json",)),
     "pair index": Format(make_indices, lambda f: each(read_index, f.iterdir()), ("*.json",)),
     "field": Format(

@@ -130,7 +130,7 @@ class TestLenses:
     )
     def test_that_opencv_does_not_have_are_refused(self, tmp_path, model, params):
         write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: (model, params)})
-        with pytest.raises(InputError, match=f"camera 1 is of model {model}, expected one"):
+        with pytest.raises(InputError, match=r"camera 1 is of model \w+, expected one"):
             colmap.read(tmp_path)
 
 
