@@ -58,11 +58,7 @@ class Clip:
     images: tuple[bytes, ...]
 
     def view(self, number: int, prefix: str = "") -> View:
-        """Decode one frame, independently of the others; messages begin with ``prefix``.
-
-        Raises:
-            InputError: If its image cannot be decoded or its camera is invalid.
-        """
+        """Decode one frame; InputError, which begins with ``prefix``, if it is damaged."""
         label = f"{prefix}clip {self.key!r}, frame {number}"
         try:
             with opened(io.BytesIO(self.images[number])) as image:
@@ -139,8 +135,12 @@ def scenes(path: str | Path) -> dict[str, dict[str, Any]]:
 def read_index(path: str | Path) -> dict[str, str]:
     """Read the chunk file of every clip of a split, by key, from its ``index.json``."""
     file = f"{path}/{INDEX}"
-    index = read_json(file)
-    names = index.values()
+    try:
+        with fsspec.open(file, "rb") as stream:
+            index = strict_json.parse(stream.read())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: cannot be read as JSON ({error})") from None
+    names = index.values() if isinstance(index, dict) else [None]
     if not all(isinstance(n, str) and n == os.path.basename(n)[:255] for n in names):
         raise InputError(f"{file}: expected the name of a chunk for every key")
     return index
@@ -180,14 +180,10 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
     """Parse the clips in the bytes of a chunk, still encoded; InputError names ``file``."""
     try:
         content = tensorfile.load(data)
-    except tensorfile.CodeError as code:
-        raise InputError(
-            f"{file}: cannot be read as a chunk (it holds {code}, which could run code); get one "
-            "that holds clips only"
-        ) from None
     except ValueError as error:
         raise InputError(
-            f"{file}: cannot be read as a chunk ({error}); it is damaged or cut short, get it again"
+            f"{file}: cannot be read as a chunk ({error}); it is damaged or holds other things "
+            "than clips, get it again"
         ) from None
     if not isinstance(content, list):
         raise InputError(f"{file}: found a {type(content).__name__}, expected a list of clips")
@@ -307,7 +303,7 @@ def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTE
     batch: list[Clip] = []
     try:
         path.mkdir(parents=True, exist_ok=True)
-        index = read_json(path / INDEX) if (path / INDEX).exists() else {}
+        index = read_index(path) if (path / INDEX).exists() else {}
 
         def write_chunk() -> None:
             number = max((int(Path(name).stem) for name in index.values()), default=-1) + 1
@@ -349,18 +345,6 @@ def encoded(clips: Sequence[Clip]) -> bytes:
     ]
     torch.save(entries, buffer)
     return buffer.getvalue()
-
-
-def read_json(file: str | Path) -> dict[str, Any]:
-    """Read a JSON object from a file or fsspec URL; InputError if it is not an object."""
-    try:
-        with fsspec.open(os.fspath(file), "rb") as stream:
-            content = strict_json.parse(stream.read())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{file}: cannot be read as JSON ({error})") from None
-    if not isinstance(content, dict):
-        raise InputError(f"{file}: found a {type(content).__name__}, expected an object by key")
-    return content
 
 
 def _size(data: bytes) -> tuple[int, int] | None:
