@@ -6,7 +6,6 @@ import json
 import os
 import platform
 import shlex
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -221,8 +220,7 @@ def _write(
         results.append(result)
         shared = refs.build_seconds[scene, ""]
         build = {"build_seconds": refs.build_seconds.get((scene, result.method), shared)}
-        # Stored results of earlier versions have no costs.
-        costs += [{**row, **build} for row in ref.meta.get("costs", ())]
+        costs += [{**row, **build} for row in ref.meta["costs"]]
     rows = [row for result in results for row in result.rows]
     clear_predictions(rows, out)
     write_samples(rows, out)
@@ -243,7 +241,7 @@ def _write(
             "workers": str(settings.workers),
         }
         paper = settings.method if settings.preset == "paper" else ""
-        took = Times(refs.stages, host, refs.machines, costs_of(costs), paper)
+        took = Times(refs.stages, host, costs_of(costs), paper)
         stored = store.get(refs.report)
         forms = {form: stored[name].tobytes().decode()
                  for form, name in (("html", "html"), ("md", "markdown"))}  # fmt: skip
@@ -299,14 +297,13 @@ class _Refs:
     by scene, including scenes that failed later. ``build_seconds`` are the times to build a field,
     by scene and name of the sweep's combination, empty for the field of the method and baselines.
     ``stages`` has the costs of each stage when its artifacts were computed, possibly in an earlier
-    run, and ``machines`` the number of artifacts by processor.
+    run.
     """
 
     scored: list[Scored]
     fields: dict[str, ArtifactRef]
     build_seconds: dict[tuple[str, str], float]
     stages: dict[str, StageCost]
-    machines: dict[str, int]
     manifest: dict[str, Any]
     failures: list[Failure]
     report: ArtifactRef | None = None
@@ -345,18 +342,11 @@ def _gather(
         )
         stages.append(baselines)
     started, outcomes = ours.partial | ours.refs, [ours, baseline_outcome, swept]
-    made_on = Counter(
-        ref.meta.get("processor", "an unknown processor")
-        for outcome in outcomes
-        for refs in outcome.refs.values()
-        for ref in refs.values()
-    )
     return _Refs(
         scored,
         {s.name: refs["field"] for s in scenes if "field" in (refs := started.get(s.name, {}))},
         build_seconds,
         costs,
-        dict(made_on),
         manifest(settings, scenes, stages, ours.refs, rows | {v.name: v.row for v in variants}),
         [failure for outcome in outcomes for failure in outcome.failures],
     )

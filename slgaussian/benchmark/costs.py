@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
@@ -90,7 +90,7 @@ class StageCost:
 
     @staticmethod
     def of(metas: Iterable[Row]) -> StageCost:
-        """Summarise the metadata of artifacts; earlier versions wrote only ``seconds``."""
+        """Summarise the metadata of artifacts."""
         artifacts = list(metas)
         seconds = [meta["seconds"] for meta in artifacts]
         peaks = [meta["peak"] for meta in artifacts if meta.get("peak") is not None]
@@ -98,7 +98,7 @@ class StageCost:
             sum(seconds),
             median(seconds) if seconds else 0.0,
             max(peaks, default=None),
-            sum(meta.get("compiling", 0.0) for meta in artifacts),
+            sum(meta["compiling"] for meta in artifacts),
         )
 
 
@@ -109,15 +109,12 @@ class Times:
     Attributes:
         stages: {stage: StageCost}
         host: {name: text}. Description of the machine.
-        machines: {processor: int}. Number of artifacts computed on each processor; cached ones may
-            be from other machines.
         costs: sequence of Cost. Costs of each method on each data set.
         paper: Name of the method that is compared with the paper's costs; "" for none.
     """
 
     stages: Mapping[str, StageCost]
     host: Mapping[str, str]
-    machines: Mapping[str, int] = field(default_factory=dict)
     costs: Sequence[Cost] = ()
     paper: str = ""
 
@@ -129,7 +126,6 @@ class Times:
             "memory_by_stage": {name: cost.peak for name, cost in self.stages.items()},
             "seconds_of_compiling": self.compiling,
             "host": dict(self.host),
-            "artifacts_by_machine": dict(self.machines),
         }
 
     @property

@@ -64,13 +64,7 @@ def speed_blocks(
     blocks += [_paper_costs(cost, times) for cost in times.costs if cost.method == times.paper]
     if times.stages:
         blocks.append(_stages_table(times))
-    machine: dict[str, Any] = dict(times.host)
-    for name, count in times.machines.items():
-        if name != times.host.get("processor"):
-            machine[f"results from {name}"] = count
-    if machine:
-        blocks.append(Table.of_values(machine, "Machine"))
-    return blocks
+    return [*blocks, Table.of_values(times.host, "Machine")]
 
 
 def _scores_by_cost(
