@@ -18,7 +18,6 @@ import pyarrow as pa
 import torch
 from PIL import ExifTags, Image
 
-from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.annotations import labelled_frames, read_labels
 from slgaussian.benchmark.index import Index, ScenePair, read_index, write_index
 from slgaussian.datasets import colmap, llff, nerfstudio, re10k, unposed
@@ -382,9 +381,7 @@ FORMATS = {
         make_alone, lambda f: each(lambda file: unposed.photograph(file, "a"), f.iterdir()), ("*",)
     ),
     "id maps": Format(make_ids, lambda f: each(read_ids, f.iterdir()), ("*",)),
-    "class masks": Format(
-        make_masks, lambda f: class_masks.read(f, "00", W, H), ("*.txt", "*/*.png")
-    ),
+    "class masks": Format(make_masks, lambda f: read_labels(f, "00", W, H), ("*.txt", "*/*.png")),
     "LLFF": Format(make_llff, lambda f: all_views(llff.read(f)), ("*.npy",)),
     "COLMAP binary": Format(make_sparse_binary, lambda f: all_views(colmap.read(f)), ("sparse/*",)),
     "COLMAP text": Format(make_sparse_text, lambda f: all_views(colmap.read(f)), ("sparse/*",)),

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from slgaussian.benchmark import class_masks
+from slgaussian.benchmark.annotations import label_files, read_labels
 from slgaussian.benchmark.outputs import file_name, mask_path, write_predictions
 from slgaussian.components.pretrained import find_model
 from slgaussian.datasets import nerfstudio, re10k
@@ -130,7 +130,7 @@ class TestLargeImages:
         file.write_bytes(huge_png(*size))
         (tmp_path / "classes.txt").write_text("cup\n")
         said = r"cup\.png: .*it has .* pixels"
-        for read in (open_photograph, read_ids, lambda _: class_masks.read(tmp_path, "0", 8, 8)):
+        for read in (open_photograph, read_ids, lambda _: read_labels(tmp_path, "0", 8, 8)):
             with pytest.raises(InputError, match=said):
                 read(file)
         assert stored_size(file) is None
@@ -231,7 +231,7 @@ class TestNames:
     def test_a_class_names_no_mask_elsewhere(self, tmp_path, name):
         (tmp_path / "classes.txt").write_text(f"{name}\n")
         with pytest.raises(InputError, match=r"classes\.txt: the class .* can be no file's name"):
-            class_masks.files(tmp_path, "0")
+            label_files(tmp_path, "0")
 
     def test_a_ref_leads_nowhere_out_of_the_store(self, tmp_path):
         store = ArtifactStore(tmp_path / "store")

@@ -12,7 +12,10 @@ is a (frame, category), never an instance, so their masks are united and their b
 object may have ``"holes": [[[x, y], ...], ...]``, polygons inside its own; this key is not part of
 LERF-OVS, whose programs see the object filled. Other keys are ignored.
 
-A folder with ``classes.txt`` contains class masks (:mod:`slgaussian.benchmark.class_masks`).
+A folder with ``classes.txt`` contains class masks, ``<frame>/<class>.png`` for every class; a line
+of the file is a class and its query text. 3D-OVS uses the folder's number as an index into the
+sorted photographs. In the published scenes it equals the photograph's name; this reader uses the
+name.
 """
 
 from __future__ import annotations
@@ -26,13 +29,18 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, Field, PositiveInt
 
-from slgaussian.benchmark import class_masks
 from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.errors import InputError
-from slgaussian.formats.images import TooLargeError, check_size
+from slgaussian.formats.images import TooLargeError, check_size, read_mask
 from slgaussian.formats.resampling import Window
+from slgaussian.formats.text import read_lines
 from slgaussian.io import short_repr
 from slgaussian.scene import View
+
+CLASSES = "classes.txt"
+
+INSIDE = 255
+"""Grey level of a class mask; 3D-OVS takes all others, blurred edges too, for background."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +120,9 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
         InputError: If a label file is damaged.
     """
     folder = Path(folder)
-    if class_masks.are_in(folder):
-        names = class_masks.classes(folder)
-        return dict.fromkeys(class_masks.frames(folder), names)
+    if (folder / CLASSES).is_file():
+        frames = sorted(path.name for path in folder.iterdir() if path.is_dir())
+        return dict.fromkeys(frames, _classes(folder))
     return {
         file.relative_to(folder).with_suffix("").as_posix(): _read_record(file).categories
         for file in sorted(folder.rglob("*.json"))
@@ -123,9 +131,11 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
 
 def label_files(folder: str | Path, view_name: str) -> list[Path]:
     """Return the files from which the labels of a frame are read; they may be missing."""
-    if class_masks.are_in(folder):
-        return class_masks.files(folder, view_name)
-    return [_label_file(Path(folder), view_name)]
+    folder = Path(folder)
+    if (folder / CLASSES).is_file():
+        masks = (folder / Path(view_name).stem / f"{name}.png" for name in _classes(folder))
+        return [folder / CLASSES, *masks]
+    return [_label_file(folder, view_name)]
 
 
 def _label_file(folder: Path, view_name: str) -> Path:
@@ -138,8 +148,8 @@ def _read_frame(
     folder: Path, view_name: str, width: int, height: int, window: Window | None
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray] | None]:
     """Read masks and boxes of a frame; class masks have no boxes."""
-    if class_masks.are_in(folder):
-        return class_masks.read(folder, view_name, width, height, window), None
+    if (folder / CLASSES).is_file():
+        return _read_class_masks(folder, view_name, width, height, window), None
     path = _label_file(folder, view_name)
     record = _read_record(path)
     name, full_w, full_h = record.info.name, record.info.width, record.info.height
@@ -162,6 +172,38 @@ def _read_frame(
         masks[category] = part.mask(drawn, height, width)
         boxes[category] = part.boxes(np.stack(corners), (full_h, full_w), (height, width))
     return masks, boxes
+
+
+def _classes(folder: Path) -> tuple[str, ...]:
+    """Read the classes of class masks, sorted; InputError if there are none, or duplicates."""
+    file = folder / CLASSES
+    try:
+        names = sorted(name for line in read_lines(file) if (name := line.strip(" \t")))
+    except (OSError, UnicodeDecodeError) as bad:
+        raise InputError(f"{file}: cannot be read ({bad})") from None
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"{file}: found {names}, expected different classes, one a line")
+    # Reject class names that leave the folder or are longer than a file name may be.
+    if unfit := [n for n in names if "/" in n or "\0" in n or len(f"{n}.png".encode()) > 255]:
+        raise InputError(f"{file}: the class {unfit[0]!r:.80} can be no file's name; rename it")
+    return tuple(names)
+
+
+def _read_class_masks(
+    folder: Path, view_name: str, width: int, height: int, window: Window | None
+) -> dict[str, np.ndarray]:
+    masks = {}
+    for name, file in zip(_classes(folder), label_files(folder, view_name)[1:], strict=True):
+        if not file.is_file():
+            raise InputError(
+                f"{file}: no such mask; every labelled frame needs one for each class of {CLASSES}"
+            )
+        mask = read_mask(file, INSIDE)
+        full_h, full_w = mask.shape
+        part = window or Window.covering(full_w, full_h, width, height)
+        part.check_shape(file, full_w, full_h)
+        masks[name] = part.mask(mask, height, width)
+    return masks
 
 
 def _flat(corners: Any) -> Any:

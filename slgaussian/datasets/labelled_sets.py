@@ -6,7 +6,7 @@ In LangSplat the labelled frames are training views; here they are held out.
 
 A scene of 3D-OVS (https://github.com/Kunhao-Liu/3D-OVS#datasets) is a folder with ``images``,
 ``sparse`` or ``poses_bounds.npy`` or both, and ``segmentations`` with ``classes.txt`` and
-``<view>/<class>.png``, read by :mod:`slgaussian.benchmark.class_masks`.
+``<view>/<class>.png``, read by :mod:`slgaussian.benchmark.annotations`.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ import pytest
 
 from flows.config import CorpusSettings
 from flows.read_config import read_values
-from slgaussian.benchmark import class_masks
+from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.formats import strict_json
 from slgaussian.formats.text import read_lines
 
@@ -20,7 +20,8 @@ def test_names_are_what_stands_between_line_breaks(tmp_path, mark, end):
     file = tmp_path / "classes.txt"
     file.write_bytes(mark + end.join([*NAMES, ""]).encode())
     assert read_lines(file) == [*NAMES, ""]
-    assert class_masks.classes(tmp_path) == tuple(sorted(NAMES))
+    (tmp_path / "0").mkdir()
+    assert labelled_frames(tmp_path) == {"0": tuple(sorted(NAMES))}
     assert CorpusSettings(
         sources=["chunks"], out=tmp_path, withdrawn=file
     ).withdrawn_clips() == set(NAMES)
