@@ -1,9 +1,6 @@
 """What methods cost: medians and peaks of the rows of `times`."""
 
-import pyarrow.parquet as pq
-
 from slgaussian.benchmark.costs import Cost, costs_of
-from slgaussian.benchmark.outputs import write_costs
 from slgaussian.storage.specs import load_spec
 
 EMPTY = dict.fromkeys(load_spec("times").columns)
@@ -32,11 +29,3 @@ def test_medians_are_over_what_was_measured_and_peaks_the_greatest():
     assert ours == Cost("d", "ours", 20.0, 3.0, None, 8.0, 150)
     assert theirs == Cost("d", "other", None, 2.0, 4.0, None, None)
     assert costs_of([]) == []
-
-
-def test_the_table_has_the_columns_of_its_spec(tmp_path):
-    few = {name: value for name, value in ROWS[0].items() if value is not None}
-    write_costs([few | {"note": "of another table"}, ROWS[3]], tmp_path)
-    table = pq.read_table(tmp_path / "times.parquet")
-    load_spec("times").check_table(table, "times.parquet")
-    assert table.to_pylist() == [ROWS[0], ROWS[3]]

@@ -14,7 +14,6 @@ from slgaussian.benchmark.evaluate import (
 )
 from slgaussian.errors import InputError
 from slgaussian.gaussians import source_depths
-from slgaussian.language import langsplat
 from slgaussian.language.rules import Rules
 from slgaussian.language.wholes import NEAR_BEST
 from slgaussian.scene import Sample
@@ -152,14 +151,6 @@ def test_a_rectified_pair_is_judged_in_pixels_of_disparity(room):
     assert result.scene_metrics["bad2"] == pytest.approx(np.mean(expected), abs=1e-12)
 
 
-def test_the_same_field_gives_the_same_result(room, result):
-    again = room.evaluate_all()
-    assert again.rows == result.rows
-    assert again.scene_metrics == result.scene_metrics
-    for name, picture in again.pictures.items():
-        assert np.array_equal(picture, result.pictures[name])
-
-
 def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(room):
     target = room.sample.targets[0]
     seen = np.unique(target.instances)
@@ -169,27 +160,6 @@ def test_truth_from_instances_unites_equal_phrases_and_leaves_out_the_unseen(roo
     truth = truth_from_instances(sample).masks
     assert list(truth["view_01"]) == ["ball"]
     assert np.array_equal(truth["view_01"]["ball"], np.isin(target.instances, [one, two]))
-
-
-def test_langsplat_is_scored_by_its_masks_and_by_any_pixel_of_its_peak(room, result):
-    """Of the relevancy with its least value where no object is."""
-    view = room.field.render(room.sample.targets[0].camera)
-    rows = rows_of(result, "langsplat")
-    for row in rows[:-1]:  # the last is not understood
-        hit = view.query(row["query"])
-        filled = np.where(view.ids > 0, hit.relevancy, hit.relevancy[view.ids > 0].min())
-        mask, (point, peak) = langsplat.find_mask(filled), langsplat.find_point(filled)
-        truth = room.truth["view_01"][row["query"]]
-        assert np.array_equal(result.predictions["langsplat@2", "view_01", row["query"]], mask)
-        assert row["iou"] == metrics.iou(mask, truth)
-        ys, xs = np.nonzero(truth)
-        box = np.s_[ys.min() : ys.max() + 1, xs.min() : xs.max() + 1]
-        assert row["hit_peak"] == peak[box].any()
-        assert (row["point_x"], row["point_y"]) == point
-        # The point is a pixel of the peak.
-        assert row["hit_peak"] or not row["hit_box"]
-        # Relevancies do not depend on the protocol.
-        assert row["score"] == row_of(result, row["query"])["score"]
 
 
 def test_the_first_protocol_leads(room, known):

@@ -19,7 +19,7 @@ from slgaussian.benchmark.external_predictions import (
 )
 from slgaussian.benchmark.outputs import mask_path, write_predictions
 from slgaussian.benchmark.pictures import encode_png
-from slgaussian.benchmark.protocols import PROTOCOLS, load_protocol
+from slgaussian.benchmark.protocols import load_protocol
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 from tests.run_lengths import encode
@@ -186,9 +186,7 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged):
     whole = file.read_bytes()
     for damage, said in (
         (whole[: len(whole) // 2], "is damaged or of another kind"),
-        (b"GIF89a", "is damaged or of another kind"),
         (encode_png(np.ones((52, 72), bool)), "has 52x72 pixels, height first, and its view is"),
-        (encode_png(np.ones((104, 144, 3), np.uint8)), "brightest pixel is 1, expected 255"),
     ):
         file.write_bytes(damage)
         with pytest.raises(InputError) as refused:
@@ -201,7 +199,6 @@ def test_a_damaged_mask_is_one_sentence(folder, result, judged):
     [
         ({"size": [144, 104]}, "has 144x104 pixels, height first, and its view is judged at 104x"),
         ({"size": [10**9, 10**9], "counts": [10**18]}, "has 1000000000x1000000000 pixels"),
-        ({"size": [104.0, 144]}, "size.0: found 104.0; "),
         ({"counts": "0"}, "its counts add up to 0 pixels, expected 14976; write the mask again"),
         ({"point": [3]}, "point: found [3]; "),
         ({"query": ""}, "query: found ''; "),
@@ -222,9 +219,7 @@ def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, result, judged):
     entries = json.loads(file.read_text())
     for content, said in (
         ("[", "is not valid JSON"),
-        ("[]", "found no list of masks"),
         ("{}", "found no list of masks"),
-        ("[3]", r"\[0\]: content: found 3; "),
         (json.dumps([entries[0], entries[0]]), r"\[1\], .* is there twice"),
     ):
         file.write_text(content)
@@ -234,11 +229,3 @@ def test_what_is_no_list_of_masks_is_one_sentence(tmp_path, result, judged):
         read_predictions(tmp_path / "nothing")
     with pytest.raises(InputError, match="holds no mask of 3d-ovs; expected <method>/<protocol>"):
         read_predictions(tmp_path, ["3d-ovs"])
-
-
-def test_masks_say_nothing_of_a_protocol_without_masks(folder, judged):
-    assert set(SCORABLE) == PROTOCOLS.keys() - {"highest-pixel"}
-    predictions = read_predictions(folder)
-    protocols = [replace(load_protocol("slgaussian"), scores_masks=False)]
-    with pytest.raises(InputError, match="scores relevancies, of which masks say nothing"):
-        list(score_predictions(predictions, [judged], protocols, Tally()))

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slgaussian.benchmark.annotations import labelled_frames, read_labels, read_truth
-from slgaussian.benchmark.index import read_index
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, View
 
@@ -165,11 +164,3 @@ def test_a_missing_or_unreadable_label_file_is_named(tmp_path):
     (tmp_path / "frame_7.json").write_text("{")
     with pytest.raises(InputError, match=r"frame_7\.json: the label file is not valid JSON"):
         read_labels(tmp_path, "images/frame_7.png", 40, 24)
-
-
-def test_the_office_labels_are_all_there(real_data):
-    folder = real_data / "office"
-    for pair in read_index(folder / "pairs.json").pairs:
-        masks = read_labels(folder / "labels", pair.targets[0], 576, 416)
-        assert set(pair.categories) == set(masks)
-        assert all(mask.any() for mask in masks.values())

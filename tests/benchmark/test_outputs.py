@@ -1,7 +1,6 @@
 import re
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
@@ -15,20 +14,6 @@ from slgaussian.benchmark.outputs import (
 )
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.errors import InputError
-from slgaussian.storage.specs import load_spec
-
-
-def test_sample_tables_hold_the_rows(tmp_path, result):
-    other = [row | {"scene": "other"} for row in result.rows]
-    write_samples([*result.rows, *other], tmp_path)
-    table = pq.read_table(tmp_path / "samples.parquet")
-    load_spec("samples").check_table(table, "samples.parquet")
-    assert table.to_pylist() == [*result.rows, *other]
-    scores = pq.read_table(tmp_path / "scores.parquet")
-    load_spec("scores").check_table(scores, "scores.parquet")
-    first = scores.to_pylist()[0]
-    assert (first["metric"], first["scenes"]) == ("iou", 2)
-    assert first["value"] == pytest.approx(result.scene_metrics["iou"], abs=1e-12)
 
 
 def masks_of(result) -> dict[tuple[str, str, str], bytes]:

@@ -120,14 +120,6 @@ def test_labels_are_what_the_even_odd_rule_fills(name, tmp_path):
     assert not (differs & ~plain.near_edges(polygon, *SHAPE, 1.0)).any()
 
 
-def test_scores_of_real_polygons_are_the_plain_ones(real_data):
-    """Labelled frames of the office set, at the paper's size; one in twelve."""
-    files = sorted((real_data / "office" / "labels").glob("*.json"))
-    for number, file in enumerate(files[::12]):
-        name = json.loads(file.read_text())["info"]["name"]
-        check(frame_of([*read_labels(file.parent, name, 576, 416).values()], seed=number))
-
-
 def single(relevancy, truth, boxes=None, mask=None, point=None):
     mask = relevancy > 0.5 if mask is None else mask
     boxes = box_of(truth) if boxes is None else boxes
@@ -193,15 +185,6 @@ def test_a_class_that_the_frame_does_not_show_still_competes():
     assert shown.scores["class_iou"] == 27 / 72
 
 
-@pytest.mark.parametrize("pixel", [(7, 9), (0, 0), (51, 71)])
-def test_a_truth_of_one_pixel(pixel):
-    truth = np.zeros(SHAPE, bool)
-    truth[pixel] = True
-    for inside, outside in ((0.5, 0.5), (0, 0), (1, 0), (0, 1), (0.25, 0.75)):
-        relevancy = np.where(truth, inside, outside).astype(np.float32)
-        check(single(relevancy, truth, point=pixel[::-1]))
-
-
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize("truth", ["full", "empty", "half"])
 def test_a_constant_relevancy(value, truth):
@@ -222,11 +205,3 @@ def test_pixels_that_nothing_is_known_of_do_not_stretch_langsplats_range():
     holed[150:, :80] = 0
     a, b = (one("langsplat", single(image, truth)) for image in (relevancy, holed))
     assert np.array_equal(a.mask, b.mask) and not a.mask[90, 225]
-
-
-def test_a_text_that_is_not_understood_scores_zero():
-    relevancy, truth = square()
-    nothing = np.zeros_like(relevancy)
-    frame = single(nothing, truth)
-    for name in PROTOCOLS:
-        assert not any(one(name, frame).scores.values())

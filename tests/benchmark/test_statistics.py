@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slgaussian.benchmark.statistics import (
-    DRAWS,
     compare,
     interval_of_mean,
     resample_counts,
@@ -31,17 +30,6 @@ def test_samples_without_a_score_are_left_out():
         compare([np.nan], [0.1])
     with pytest.raises(InputError, match="found 1 and 2 scores"):
         compare([0.1], [0.1, 0.2])
-
-
-def test_the_interval_is_that_of_plain_resampling():
-    """One mean after another, of the same draws."""
-    values = np.random.default_rng(1).random(7)
-    means = [sum(values[i] for i in chosen) / 7 for chosen in resamplings(7).tolist()]
-    means.sort()
-    low, high = interval_of_mean(values)
-    assert low == pytest.approx(means[round(0.025 * (DRAWS - 1))], abs=1e-3)
-    assert high == pytest.approx(means[round(0.975 * (DRAWS - 1))], abs=1e-3)
-    assert resamplings(7).min() == 0 and resamplings(7).max() == 6
 
 
 def plainly(groups: list, values: np.ndarray, draws: int) -> list[float]:
@@ -86,17 +74,6 @@ def test_groups_are_drawn_and_then_values_within_them():
     ]
     assert own.std() > 1.2 * np.std(whole)
     assert own.mean() > 1.2 * np.mean([mean.mean() for mean in by_name.values()])
-
-
-@given(st.lists(st.sampled_from("abcde"), min_size=1, max_size=12))
-def test_a_resampling_holds_as_many_groups_as_there_are_and_of_each_what_it_has(groups):
-    times = resample_counts(tuple(groups))
-    names = list(dict.fromkeys(groups))
-    chosen = resamplings(len(names))
-    for number, name in enumerate(names):
-        own = np.array(groups) == name
-        assert (times[:, own].sum(1) == own.sum() * (chosen == number).sum(1)).all()
-    assert times.min() >= 0
 
 
 @given(st.lists(st.floats(0, 1), min_size=2, max_size=20), st.integers(2, 5))

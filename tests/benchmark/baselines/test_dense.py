@@ -157,13 +157,3 @@ def test_gaps_of_small_vectors_are_bilinear_between_their_pixels(reader):
         np.testing.assert_allclose(small.gap(text, Rules()), expected, atol=1e-6)
         (hit,) = small.query_all([text])
         assert hit.relevancy.shape == SIZE and not hit.relevancy[~large.seen].any()
-
-
-def test_where_nothing_is_known_nothing_is_found(reader):
-    view = some_view(reader)
-    blind = DenseView(view.rgb, view.depth, reader, np.zeros(SIZE, bool), view.vectors)
-    for rules in ({}, {"threshold": 0.1}):
-        (hit,) = blind.query_all(["red ball"], **rules)
-        assert hit.point is None and hit.score == 0
-        assert not hit.mask.any() and not hit.relevancy.any()
-    assert not blind.segment(TEXTS).any()

@@ -9,11 +9,9 @@ from slgaussian.benchmark import metrics
 from slgaussian.benchmark.answering import Answering, AnsweringView, Reader, Result
 from slgaussian.benchmark.baselines import ROWS, Method, load_method
 from slgaussian.benchmark.baselines.inputs import Inputs
-from slgaussian.benchmark.baselines.ours import pooled
 from slgaussian.components import method as parts_method
 from slgaussian.errors import InputError
 from slgaussian.labels import LabelMaps
-from slgaussian.language.bank import MemoryBank
 from slgaussian.masks import load_proposer
 from slgaussian.predict import load_predictor
 from tests.known import known_field
@@ -131,10 +129,6 @@ def test_bad_settings_are_refused(name, settings, reason):
         load_method(name, **settings)
 
 
-def test_the_field_itself_is_not_built_again(answering, room):
-    assert answering("slgaussian") is room.field
-
-
 def test_without_association_no_object_is_in_two_views(answering, given):
     bank = answering("no-association").bank
     assert (bank.present.sum(1) == 1).all()
@@ -153,15 +147,6 @@ def test_without_the_bank_an_object_has_the_mean_of_its_views(answering, room):
         np.testing.assert_allclose(mean.features[k, 0], expected, atol=2**-11)
 
 
-def test_opposite_views_do_not_cancel_to_nothing():
-    features = np.zeros((2, 2, 3), np.float32)
-    features[0, 0, 0], features[0, 1, 0], features[1, 1, 2] = 1, -1, 1
-    present = np.array([[True, True], [False, True]])
-    ids, codes = np.array([1, 2], np.int32), np.eye(2, 3, dtype=np.float32)
-    mean = pooled(MemoryBank(ids, codes, features, present))
-    assert mean.features[:, 0].tolist() == [[1, 0, 0], [0, 0, 1]]
-
-
 def test_the_2d_query_of_an_empty_picture_finds_nothing(answering, room):
     camera = room.sample.targets[0].camera
     away = camera.c2w.copy()
@@ -174,20 +159,6 @@ def test_the_2d_query_of_an_empty_picture_finds_nothing(answering, room):
         assert hit.point is None and hit.score == 0
         assert not hit.mask.any() and not hit.relevancy.any()
         assert not view.segment([PLAIN, "wooden floor"]).any()
-
-
-def test_codes_say_nothing_where_there_was_no_mask(fresh, room):
-    labels = room.label_maps.labels.copy()
-    labels[labels == labels[0, 0, 0]] = 0
-    maps = replace(room.label_maps, labels=labels)
-    method = load_method("langsplat-like", association=True, steps=20)
-    view = method(replace(fresh, label_maps=maps)).render(room.sample.context[0].camera)
-    missing = labels[0] == 0
-    assert 0.05 < missing.mean() < 0.9
-    # But for borders, where Gaussians reach over.
-    assert (view.seen != missing).mean() > 0.95
-    (hit,) = view.query_all(["red carpet"])
-    assert not hit.relevancy[~view.seen].any()
 
 
 def test_a_closed_list_is_needed_only_to_compete_with(fresh, room):
