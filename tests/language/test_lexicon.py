@@ -156,15 +156,7 @@ def test_of_several_things_one_is_looked_for(lexicon, text, read_as, unused):
     np.testing.assert_allclose(*lexicon.encode_text([text, read_as]), atol=1e-7)
 
 
-def test_words_that_cannot_be_seen_are_set_aside_with_the_reason(lexicon):
-    assert "is not measured" in lexicon.understand("old red ball").unused["old"]
-    assert lexicon.understand("old red ball").unknown == ()
-    np.testing.assert_array_equal(*lexicon.encode_text(["old red ball", "red ball"]))
-    with pytest.raises(InputError, match=r"none of its words can be used \(old\)"):
-        lexicon.encode_text(["old"])
-
-
-@pytest.mark.parametrize("text", ["zyzzyva", "on the table"])
+@pytest.mark.parametrize("text", ["zyzzyva", "on the table", "old"])
 def test_a_text_without_a_usable_word_is_refused_and_points_to_the_list(lexicon, text):
     with pytest.raises(InputError, match=r"slgaussian words") as error:
         lexicon.encode_text(["red", text])
@@ -189,18 +181,43 @@ def test_any_text_gives_a_unit_vector_or_one_clear_error(lexicon, text):
         assert np.isfinite(vector).all()
 
 
+SAME = {
+    "10,000 words": "red ball " * 5_000,
+    "capitals": "RED BALL",
+    "not ASCII, same letters": "ｒｅｄ ｂａｌｌ",
+    "a zero byte": "red\0ball",
+}
+REFUSED = {
+    "only unseen words": "zyzzyva",
+    "empty": "",
+    "blank": " \t\n",
+    "no letters": "!? ...",
+    "one of 100,000 letters": "r" * 100_000,
+    "another alphabet": "красный мяч",
+    "no spaces": "赤いボール",
+    "a negation": "not red",
+    "a number": "2",
+}
+
+
+def test_the_lexicon_reads_or_refuses_every_text(lexicon):
+    for name, text in SAME.items():
+        vectors = lexicon.encode_text(["red ball", text])
+        np.testing.assert_array_equal(*vectors, err_msg=name)
+    for text, unknown in (("red zyzzyva", ("zyzzyva",)), ("red 🏀", ())):
+        assert np.linalg.norm(lexicon.encode_text([text])[0]) == pytest.approx(1, abs=1e-6)
+        assert lexicon.understand(text).unknown == unknown
+    for name, text in REFUSED.items():
+        with pytest.raises(InputError) as error:
+            lexicon.encode_text([text])
+        assert len(str(error.value)) < 300, name
+
+
 def test_canonical_phrases_are_orthogonal_to_regions(lexicon):
     canonical = lexicon.encode_text(lexicon.canonical)
     image, ids = photograph([(ball(100, 100, 30), RED), (box(220, 100, 30), BLUE)])
     regions = lexicon.encode_regions(image, np.stack([ids == 1, ids == 2]))
     assert not (regions @ canonical.T).any()
-
-
-def test_the_more_a_text_says_the_further_it_is_from_object(lexicon):
-    texts = ["object", "picture", "red", "red striped", "red striped ball"]
-    nearness = lexicon.encode_text(texts) @ lexicon.encode_text(["object"])[0]
-    assert nearness[0] == 1
-    assert (np.diff(nearness) < 0).all()
 
 
 # --- Colours -------------------------------------------------------------------------------------
@@ -248,12 +265,6 @@ def test_a_typical_colour_has_its_name(names, name):
 def test_a_colour_keeps_its_name_in_the_shade(names, name, share):
     memberships = names(under_light(FOCAL[name], share))
     assert names.names[memberships.argmax()] == name
-
-
-def test_nearly_no_light_is_black_whatever_the_surface(names):
-    for rgb in FOCAL.values():
-        memberships = names(under_light(rgb, 0.002))
-        assert names.names[memberships.argmax()] == "black"
 
 
 def test_memberships_are_those_of_plain_distances(names):

@@ -11,7 +11,10 @@ from slgaussian.language.relevancy import Scorer, sigmoid
 
 
 def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    vectors = rng.normal(size=shape)
+    return unit_of(rng.normal(size=shape))
+
+
+def unit_of(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
@@ -40,6 +43,31 @@ def case():
     present[0] = False
     features = unit(rng, 40, 3, 16) * present[..., None]
     return features, present, unit(rng, 5, 16), unit(rng, 4, 16)
+
+
+@pytest.mark.parametrize("temperature", [1.0, 10.0, 100.0])
+@pytest.mark.parametrize("narrow", [0.0, 2.0], ids=["random directions", "a narrow cone"])
+def test_relevancy_is_the_printed_formula(case, narrow, temperature):
+    """Off by at most a quarter of the errors of two cosines, times the temperature."""
+    features, present, queries, canonical = case
+    axis = np.eye(16)[0]
+    features, queries, canonical = (
+        unit_of(vectors + narrow * axis) for vectors in (features + 1e-9, queries, canonical)
+    )
+    expected = literal(features, present, queries, canonical, temperature)
+    got = relevancy(features, present, queries, canonical, temperature)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=6e-16 * (1 + temperature))
+    half = relevancy(features.astype(np.float16), present, queries, canonical, temperature)
+    np.testing.assert_allclose(half, expected, rtol=0, atol=3e-4 * temperature)
+
+
+def test_equal_objects_tie_to_the_last_bit_wherever_they_stand(case):
+    features, present, queries, canonical = case
+    order = np.random.default_rng(1).permutation(len(features))
+    once = Scorer(features, present, canonical).gaps(queries)
+    longer = (np.concatenate([array[:7], array[order]]) for array in (features, present))
+    again = Scorer(*longer, canonical).gaps(queries[::-1])
+    np.testing.assert_array_equal(again[::-1, 7:], once[:, order])
 
 
 def test_an_object_in_no_view_scores_zero_and_an_absent_view_never_helps(case):

@@ -7,12 +7,11 @@ import pytest
 
 from slgaussian.datasets.procedural import reader
 from slgaussian.geometry import SeenView
-from slgaussian.masks import Proposals, consensus
+from slgaussian.masks import Proposals
 from slgaussian.masks.associate import associate
 from slgaussian.masks.consensus import Atoms, contract
 from slgaussian.masks.geometric import GeometricTracker
 from slgaussian.masks.regions import Regions
-from slgaussian.masks.shared import SurfacePoints, overlap
 from slgaussian.scene import Camera, View
 
 SIZE = (96, 128)
@@ -77,19 +76,6 @@ def as_one(truth):
     return np.where(truth == 3, 2, truth)
 
 
-@pytest.mark.parametrize(("points", "votes"), [(1, False), (3, True)])
-def test_a_view_votes_from_two_hundredths_of_another_on(points, votes):
-    """Of one camera, with depth at 1 or 3 of the 100 points that overlap is told by."""
-    layout = Shown(0.0).add({})
-    full = SurfacePoints(SeenView(layout.views[0].view, layout.views[0].depth[:96, :128]))
-    depth = np.zeros_like(full.frame.depth)
-    subset = full.coarse_pixels[:: len(full.coarse_pixels) // points][:points]
-    depth.ravel()[subset] = full.frame.depth.ravel()[subset]
-    part = SurfacePoints(SeenView(full.frame.view, depth))
-    assert overlap(full, part) == pytest.approx(points / len(full.coarse_pixels))
-    assert (1 in consensus._voters([full, part])[0]) == votes
-
-
 def test_views_that_part_two_things_outvote_one_that_joined_them():
     cards = {1: THING, 2: OTHER}
     layout = Shown(*np.linspace(-0.3, 0.3, 7)).add(cards, as_one)
@@ -97,16 +83,6 @@ def test_views_that_part_two_things_outvote_one_that_joined_them():
         layout.add(cards)
     first, two = layout.ids(1)[1:], layout.ids(2)[1:]
     assert len(set(first)) == len(set(two)) == 1 and first[0] != two[0]
-
-
-def test_of_two_views_nobody_settles_what_they_disagree_on(monkeypatch):
-    cards = {1: THING, 2: OTHER}
-    layout = Shown(-0.3, 0.3).add(cards, as_one).add(cards)
-    maps = associate(layout.views, layout, GeometricTracker())
-    monkeypatch.setattr(consensus, "votes_on", None)
-    rerun = associate(layout.views, layout, GeometricTracker())
-    assert maps.labels.tobytes() == rerun.labels.tobytes()
-    assert layout.ids(1)[1] == layout.ids(2)[1]
 
 
 def test_without_depth_the_tracker_has_the_last_word():
@@ -211,9 +187,3 @@ def test_atoms_are_labels_cut_by_regions_and_crumbs_join_the_largest():
     maps = atoms.maps.reshape(labels.shape)
     assert maps[0, 0, 0] == maps[0, 0, 99] and (maps[0, 90:] == -1).all()
     assert maps[0, 1, 0] != maps[0, 1, 99]
-
-
-def test_same_views_same_bytes():
-    frames = room()[1]
-    first, two = (associate(frames[:3], Regions(), GeometricTracker()).labels for _ in range(2))
-    assert first.tobytes() == two.tobytes()

@@ -56,22 +56,6 @@ def test_every_format_gives_the_ids_back(tmp_path, write, name, top):
     np.testing.assert_array_equal(result, ids)
 
 
-def _write_png(file, rows, width, height, bits, kind=0):
-    """A PNG by its specification, for what Pillow cannot write."""
-    import struct
-    import zlib
-
-    def chunk(name, data):
-        body = name + data
-        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
-
-    head = struct.pack(">IIBBBBB", width, height, bits, kind, 0, 0, 0)
-    data = zlib.compress(b"".join(b"\0" + row.tobytes() for row in rows))
-    file.write_bytes(
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-    )
-
-
 def test_association_keeps_ids_holes_and_asks_no_proposer(tmp_path):
     class Never:
         def propose(self, frame, mask=None):
@@ -122,10 +106,6 @@ def _two_maps(file):
     np.save(file.with_suffix(".npy"), ids_of(9))
 
 
-def _rgb_16_bits(file):
-    _write_png(file, np.zeros((4, 24), np.uint8), 4, 4, 16, kind=2)
-
-
 @pytest.mark.parametrize(
     ("name", "write", "says"),
     [
@@ -141,7 +121,6 @@ def _rgb_16_bits(file):
         ("a.npy", lambda f: np.save(f, np.zeros(SIZE[::-1], int).T[:20]), "160x20, of another"),
         ("a.png", lambda f: Image.new("RGBA", SIZE[::-1]).save(f), "PNG of RGBA with 8 bits"),
         ("a.npy", lambda f: np.save(f, np.zeros(SIZE[::-1], int)), "120x160, of another shape"),
-        ("a.png", _rgb_16_bits, "PNG of RGB with 16 bits"),
         ("a.png", _two_maps, r"a\.npy is there too"),
     ],
 )

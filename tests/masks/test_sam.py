@@ -117,17 +117,6 @@ def test_sam2_answers_what_transformers_answers(folders):
 
 
 @pytest.mark.parametrize("name", SAVE)
-def test_same_bytes_again_and_with_two_threads(folders, name):
-    results = []
-    for count in (1, 1, 2):
-        torch.set_num_threads(count)
-        result = load_proposer(name, model=folders[name], preset=LENIENT).propose(seen())
-        results.append((result.masks.tobytes(), result.scores.tobytes()))
-    assert len(result.masks) >= 1
-    assert results[0] == results[1] == results[2]
-
-
-@pytest.mark.parametrize("name", SAVE)
 def test_a_model_is_loaded_once(folders, name, tmp_path):
     item, alternative = (
         load_proposer(name, model=folders[name], preset=p) for p in ("sam", "sam2")
@@ -176,14 +165,9 @@ def test_settings_of_the_proposer(folders, name):
     [
         ("sam", {}, "sam model: none given; .* --set sam.model=facebook/sam-vit-base"),
         ("sam", {"model": "sam2"}, "is of type 'sam2', but sam needs 'sam', such as facebook"),
-        ("sam2", {"model": "sam"}, "is of type 'sam', but sam2 needs 'sam2' or 'sam2_video'"),
         ("sam", {"model": "no/such/folder"}, "there is no such folder; expected one with config"),
-        ("sam", {"model": "nowhere"}, "there is no such folder"),
         ("sam", {"model": __file__}, "is a file, or of open_clip; sam expected"),
         ("sam", {"model": "sam", "preset": "dino"}, "found 'dino', expected one of sam, sam2, gro"),
-        ("sam2", {"model": "sam2", "level": "xl"}, "sam2 level: found 'xl', expected one of s"),
-        ("sam", {"model": "sam", "points": 0}, "points: found 0, expected a whole number from 1"),
-        ("sam", {"model": "sam", "batch": 0}, "sam batch: found 0, expected a whole number"),
         ("sam", {"model": "sam", "device": "tpu"}, "sam device 'tpu': cannot be used"),
     ],
 )

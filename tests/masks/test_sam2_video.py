@@ -94,18 +94,6 @@ def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
     assert len(tracker._encoded) == 3
 
 
-def test_memory_is_a_copy_and_nothing_in_it_gives_nothing(folder):
-    tracker = Sam2Video(model=folder, device="cpu")
-    assert not tracker.propagate(view(canvas())).any()
-    tracker.add(view(canvas()), np.zeros(SIZE, np.int32))
-    assert not tracker.propagate(view(canvas())).any()
-    drawn = labels()
-    tracker.add(view(canvas(seed=1)), drawn)
-    expected = tracker.propagate(view(canvas(seed=2)))
-    drawn[:] = 0
-    np.testing.assert_array_equal(tracker.propagate(view(canvas(seed=2))), expected)
-
-
 def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lowest_id(folder):
     class Fixed(Sam2Video):
         def _track(self, features):
