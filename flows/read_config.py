@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
@@ -13,7 +13,6 @@ from flows.config import (
     PRESETS,
     TABLES,
     MethodSettings,
-    RetrainSettings,
     Settings,
     TrainSettings,
     table_of,
@@ -23,7 +22,6 @@ from slgaussian.errors import InputError, did_you_mean
 from slgaussian.storage.remote import check_url
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
-AnySettings = TypeVar("AnySettings", bound=MethodSettings)
 
 PATHS = ("out", "data", "pairs", "labels", "models", "withdrawn")
 """Settings that are paths."""
@@ -50,10 +48,6 @@ def checked(model: type[AnyModel], values: dict[str, Any], source: str) -> AnyMo
     return config
 
 
-@overload
-def make_settings(values: dict[str, Any], source: str) -> Settings: ...
-@overload
-def make_settings(values: dict[str, Any], source: str, model: type[AnySettings]) -> AnySettings: ...
 def make_settings(values: dict[str, Any], source: str, model: Any = Settings) -> Any:
     """Validate ``values`` with :func:`checked`; InputError also if one has no effect."""
     settings = checked(model, values, source)
@@ -61,24 +55,19 @@ def make_settings(values: dict[str, Any], source: str, model: Any = Settings) ->
     return settings
 
 
-def read_toml(path: Path, overrides: dict[str, Any]) -> Settings:
-    """Read a configuration file; ``overrides`` take precedence.
+def read_toml(
+    path: Path | None, overrides: dict[str, Any], model: Any = Settings, command: str = "run"
+) -> Any:
+    """Read a configuration file of a command, if any; ``overrides`` take precedence.
 
     The file may have tables of unused components, so that components are easily exchanged.
 
     Raises:
         InputError: If the file cannot be read, a key is unknown or a value is invalid.
     """
-    settings = checked(Settings, read_values(path, overrides), str(path))
-    refuse_idle(overrides, settings, "run")
-    return settings
-
-
-def read_retraining(config: Path | None, overrides: dict[str, Any]) -> RetrainSettings:
-    """Read a configuration of retraining as :func:`read_toml`."""
-    values = overrides if config is None else read_values(config, overrides)
-    settings = checked(RetrainSettings, values, "retrain" if config is None else str(config))
-    refuse_idle(overrides, settings, "retrain")
+    values = overrides if path is None else read_values(path, overrides)
+    settings = checked(model, values, command if path is None else str(path))
+    refuse_idle(overrides, settings, command)
     return settings
 
 

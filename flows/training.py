@@ -15,7 +15,6 @@ from prefect.states import State
 
 from flows.config import Training, TrainSettings
 from flows.runners.batches import SceneTask, compute_scene
-from flows.runners.environment import home_of
 from flows.runners.progress import Progress
 from flows.runners.session import check_folder, completed, run_session, writing
 from slgaussian import __version__
@@ -193,8 +192,7 @@ def train_on(
         "versions": {"slgaussian": __version__, "torch": version("torch")},
     }
     learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
-    checkpoints = home_of(store).parent / "checkpoints"
-    arguments = learnt, held_out, began, settings, manifest, checkpoints
+    arguments = learnt, held_out, began, settings, manifest
     task = SceneTask("branch", learn_and_judge, arguments)
     with Progress(1, len(STAGES), verbose=verbose) as progress:
         artifacts, failure = compute_scene(task, store, 1, progress.update)
@@ -232,9 +230,8 @@ def learn_and_judge(
     start: ArtifactRef | None,
     settings: TrainingSettings,
     manifest: Mapping[str, Any],
-    checkpoints: Path,
 ) -> None:
     """Run the stages of a training: train, evaluate on held-out lessons, report."""
-    branch = train_stage(learnt, start, settings, checkpoints)
+    branch = train_stage(learnt, start, settings)
     judgements = judge(held_out, branch, start, settings.codes, settings.seed)
     training_report(judgements, branch, manifest)

@@ -13,7 +13,7 @@ import inspect
 import json
 import math
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import update_wrapper
 from typing import Any
@@ -119,10 +119,9 @@ class Stage:
         compute: Callable[..., ArtifactRef],
         name: str,
         version: int,
-        unkeyed: Collection[str],
     ) -> None:
         update_wrapper(self, compute)
-        self.compute, self.name, self.version, self.unkeyed = compute, name, version, unkeyed
+        self.compute, self.name, self.version = compute, name, version
         self.signature = inspect.signature(compute)
         self.task = Task(
             self._find_or_compute,
@@ -162,35 +161,26 @@ class Stage:
         run.notify(StageEvent(run.scene, self.name, state, seconds=seconds))
         return ref
 
-    def key(self, arguments: Mapping[str, Any]) -> str:
-        """Return the cache key of a call; InputError if there is none."""
-        return cache_key(self.name, self.version, self._keyed(arguments))
-
-    def _keyed(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: value for name, value in arguments.items() if name not in self.unkeyed}
-
     def _find_or_compute(
         self, inputs: list[StageResult], refs: list[ArtifactRef], arguments: dict[str, Any]
     ) -> State | StageResult:
         """Run as a Prefect task: ``inputs`` are for its graph, ``refs`` those in the arguments."""
         run = current_run()
-        run.key = self.key(arguments)
+        run.key = cache_key(self.name, self.version, arguments)
         records = Records(run.store)
         refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in refs)
         if not refresh and (stored := records.find(run.key)) is not None:
             message = "found in the store"
             return Completed(name="Cached", message=message, data=StageResult(stored))
-        ref = self._computed(run, self._keyed(arguments), arguments)
+        ref = self._computed(run, arguments)
         records.keep(run.key, ref)
         if refresh:
             ref = replace(ref, meta={**ref.meta, "refreshed": True})
         return StageResult(ref)
 
-    def _computed(
-        self, run: RunContext, keyed: Mapping[str, Any], arguments: Mapping[str, Any]
-    ) -> ArtifactRef:
-        inputs = {name: value for name, value in keyed.items() if isinstance(value, ArtifactRef)}
-        settings = {n: canonical(value, n) for n, value in keyed.items() if n not in inputs}
+    def _computed(self, run: RunContext, arguments: Mapping[str, Any]) -> ArtifactRef:
+        inputs = {n: value for n, value in arguments.items() if isinstance(value, ArtifactRef)}
+        settings = {n: canonical(value, n) for n, value in arguments.items() if n not in inputs}
         specs = {name: ref.spec for name, ref in inputs.items()}
         digests = {name: ref.digest for name, ref in inputs.items()}
         passed = frozenset(digests.values())
@@ -215,17 +205,12 @@ class Stage:
         return replace(ref, meta={**ref.meta, "settings": settings, "inputs": digests, **cost})
 
 
-def stage(
-    name: str, version: int, unkeyed: Collection[str] = ()
-) -> Callable[[Callable[..., ArtifactRef]], Stage]:
+def stage(name: str, version: int) -> Callable[[Callable[..., ArtifactRef]], Stage]:
     """Make a function a :class:`Stage`.
 
-    Args:
-        version: To be increased when the same arguments give another result.
-        unkeyed: collection of str. Parameters on which no result depends, such as locations or
-            numbers of workers.
+    ``version`` is to be increased when the same arguments give another result.
     """
-    return lambda compute: Stage(compute, name, version, unkeyed)
+    return lambda compute: Stage(compute, name, version)
 
 
 def refs_in(value: Any) -> Iterator[ArtifactRef]:

@@ -21,6 +21,7 @@ from slgaussian.semantic.lesson import Lesson
 from slgaussian.semantic.training import Progress, TrainingSettings
 from slgaussian.semantic.training import train as train_branch
 from slgaussian.storage.encoding import Arrays
+from slgaussian.storage.local_copies import user_cache
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.context import RunContext
@@ -57,18 +58,18 @@ def branch_from_arrays(arrays: Arrays) -> Branch:
         return load_branch(file)
 
 
-@stage("train", version=4, unkeyed=("checkpoints",))
+@stage("train", version=4)
 def train(
     run: RunContext,
     lessons: ArtifactRef,
     start: ArtifactRef | None,
     settings: TrainingSettings,
-    checkpoints: Path,
 ) -> ArtifactRef:
     """Train the semantic branch: spec ``weights``.
 
     ``start`` are the initial weights. An interrupted training with the same cache key is resumed
-    from the local folder ``checkpoints``. ``meta["metrics"]`` locates the metrics in the store.
+    from ``checkpoints/`` in the store or, if that is remote, in the user's cache.
+    ``meta["metrics"]`` locates the metrics in the store.
     """
 
     def tell(progress: Progress) -> None:
@@ -78,7 +79,7 @@ def train(
         )
 
     store = run.store
-    folder = checkpoints / run.key
+    folder = (Path(store.path) if store.local else user_cache()) / "checkpoints" / run.key
     trained = train_branch(
         StoredLessons(store, store.get(lessons)),
         settings,

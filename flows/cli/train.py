@@ -10,7 +10,7 @@ import typer
 from flows.cli import options
 from flows.cli.run import run_flow
 from flows.config import RetrainSettings, TrainSettings
-from flows.read_config import checked, read_retraining
+from flows.read_config import checked, read_toml
 from slgaussian.errors import InputError
 
 
@@ -75,7 +75,8 @@ def retrain(
     slgaussian retrain --sources chunks/train --out corpus --models models
     slgaussian retrain retrain.toml -o corpus
     """
-    settings = read_retraining(config, options.settings_from(ctx, RetrainSettings))
+    overrides = options.settings_from(ctx, RetrainSettings)
+    settings = read_toml(config, overrides, RetrainSettings, "retrain")
     result = run_flow("retrain", settings, verbose)
     from flows.retraining import STATUS
 

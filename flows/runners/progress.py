@@ -45,7 +45,9 @@ class Progress:
         self.scenes, self.stages, self.unit, self.verbose = scenes, stages, unit, verbose
         self.steps, self.total = 0, scenes * stages
         self.done, self.failed = 0, 0
-        self.console = console(stream)
+        self.console = Console(
+            file=stream or sys.stderr, markup=False, highlight=False, emoji=False, soft_wrap=True
+        )
         self.start = self.last_line = time.perf_counter()
         self.active: dict[str, str] = {}
         self.of_scene: defaultdict[str, list[StageEvent]] = defaultdict(list)
@@ -140,10 +142,3 @@ class Progress:
         self.line(f"{scene}  left out at {event.stage}: {event.message}", logging.ERROR)
         if event.traceback:
             (self.line if self.verbose else logger.error)(event.traceback)
-
-
-def console(stream: TextIO | None = None) -> Console:
-    """Return a console without markup on a stream, standard error by default."""
-    return Console(
-        file=stream or sys.stderr, markup=False, highlight=False, emoji=False, soft_wrap=True
-    )

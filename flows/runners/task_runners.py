@@ -9,7 +9,6 @@ import signal
 import socket
 import tempfile
 import threading
-import urllib.request
 import uuid
 import warnings
 from collections.abc import Iterator
@@ -32,7 +31,6 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTa
 from flows.runners.environment import ray_variables
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import install_line
-from slgaussian.storage.remote import redacted
 from slgaussian.storage.store import ArtifactStore, DamagedError
 from slgaussian.system import without_interrupts
 
@@ -41,9 +39,6 @@ CONNECT = 5.0
 
 PATIENCE = 120.0
 """Timeout of the first task on a cluster, seconds."""
-
-ANSWER = 10.0
-"""Timeout of the Prefect server's answer to a worker, seconds."""
 
 NO_EVENTS = "SLGAUSSIAN_NO_EVENTS"
 """Environment variable that disables Prefect's task events, which cost worker and server some 25 ms
@@ -141,31 +136,21 @@ def _task_runner(name: str, count: int) -> Any:
 
 
 @task(name="roll-call", cache_policy=NO_CACHE, persist_result=False)
-def roll_call(root: str, probe: str, server: str) -> None:
-    """Test store and server from a worker; InputError if it cannot do its work.
-
-    Args:
-        root: The store.
-        probe: An existing file in the store.
-        server: URL of the Prefect server's API.
-    """
+def roll_call(root: str, probe: str) -> None:
+    """Test from a worker that the store ``root``, which has a file ``probe``, is its own too."""
     store = ArtifactStore(root)
     try:
         store.check_exists(probe)
     except DamagedError as error:
         raise InputError(f"it has another store at {store.root}") from error
     store.check_writable()
-    try:
-        urllib.request.urlopen(f"{server}/health", timeout=ANSWER).close()
-    except OSError as error:
-        raise InputError(f"it does not reach the server at {redacted(server)}: {error}") from error
 
 
 def _check_workers(name: str, workers: Workers) -> None:
     """Run :func:`roll_call` on a worker; InputError if it fails, or there is no worker."""
     store, probe = workers.store, f".probe-{uuid.uuid4().hex}"
     store.write(probe, b"")
-    parameters = {"root": store.root, "probe": probe, "server": os.environ["PREFECT_API_URL"]}
+    parameters = {"root": store.root, "probe": probe}
     try:
         workers.submit(roll_call, parameters).result(timeout=PATIENCE)
     except TimeoutError as error:

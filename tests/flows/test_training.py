@@ -15,7 +15,8 @@ import pytest
 import torch
 from command import run
 
-from flows.read_config import read_retraining
+from flows.config import RetrainSettings
+from flows.read_config import read_toml
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import held_out
@@ -179,7 +180,7 @@ def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, capsys, more, exp
 def retrain_settings(folder: Path, **more):
     given = {"sources": ["chunks"], "out": str(folder / "out"), "models": str(folder / "models")}
     (folder / "out").mkdir(exist_ok=True)
-    return read_retraining(None, {**given, "held_out": 0.4, "steps": 4, **more})
+    return read_toml(None, {**given, "held_out": 0.4, "steps": 4, **more}, RetrainSettings)
 
 
 def bad_branch() -> bytes:

@@ -18,7 +18,14 @@ def labels(value: int) -> dict[str, np.ndarray]:
     return {"labels": full, "margin": np.zeros((1, 4, 5), np.float32)}
 
 
-def note(run: RunContext, where: dict[str, str]) -> None:
+class Where(dict):
+    """What a stage does besides its work, which is no part of its cache key."""
+
+    def identity(self) -> dict:
+        return {}
+
+
+def note(run: RunContext, where: Where) -> None:
     """One line in the log for every real execution, which is the last if the call is deadly."""
     if "log" in where:
         with Path(where["log"]).open("a") as log:
@@ -31,8 +38,8 @@ def note(run: RunContext, where: dict[str, str]) -> None:
     time.sleep(float(where.get("sleep", 0)))
 
 
-@stage("make", version=1, unkeyed=("where",))
-def make(run: RunContext, value: int, where: dict[str, str]) -> ArtifactRef:
+@stage("make", version=1)
+def make(run: RunContext, value: int, where: Where) -> ArtifactRef:
     note(run, where)
     if value < 0:
         raise InputError(f"value {value}: expected a positive number")
@@ -43,22 +50,23 @@ def make(run: RunContext, value: int, where: dict[str, str]) -> ArtifactRef:
     return run.store.put("labels", labels(value))
 
 
-@stage("halve", version=1, unkeyed=("where",))
-def halve(run: RunContext, output: ArtifactRef, where: dict[str, str]) -> ArtifactRef:
+@stage("halve", version=1)
+def halve(run: RunContext, output: ArtifactRef, where: Where) -> ArtifactRef:
     """Half, rounded down: 4 and 5 give the same."""
     note(run, where)
     value = int(run.store.get(output)["labels"].max())
     return run.store.put("labels", labels(value // 2))
 
 
-@stage("add", version=1, unkeyed=("where",))
-def add(run: RunContext, half: ArtifactRef, extra: int, where: dict[str, str]) -> ArtifactRef:
+@stage("add", version=1)
+def add(run: RunContext, half: ArtifactRef, extra: int, where: Where) -> ArtifactRef:
     note(run, where)
     value = int(run.store.get(half)["labels"].max())
     return run.store.put("labels", labels(value + extra))
 
 
-def tiny_pipeline(value: int, extra: int, where: dict[str, str]) -> None:
+def tiny_pipeline(value: int, extra: int, given: dict[str, str]) -> None:
+    where = Where(given)
     output = make(value, where)
     half = halve(output, where)
     add(half, extra, where)
