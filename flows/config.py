@@ -24,7 +24,7 @@ from slgaussian.components.registry import KINDS, find_config, plugins
 from slgaussian.datasets import FROM_FILES
 from slgaussian.datasets.configs import Bounds, Rule
 from slgaussian.errors import InputError, did_you_mean
-from slgaussian.formats.text import read_lines
+from slgaussian.io import read_lines
 from slgaussian.kernels import threads
 from slgaussian.language.configs import ClipConfig, GridConfig, LexiconConfig
 from slgaussian.language.rules import Rules

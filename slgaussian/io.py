@@ -1,4 +1,4 @@
-"""Atomic writes, digests of files and short reprs, imported by all other packages."""
+"""Atomic writes, lines and digests of files, short reprs; imported by all other packages."""
 
 from __future__ import annotations
 
@@ -168,6 +168,19 @@ def write_file(path: str | Path, data: bytes | memoryview) -> None:
             f"{path}: cannot be written ({error.strerror}); name a file in a folder that exists "
             "and that you may write to"
         ) from error
+
+
+def read_lines(file: str | Path) -> list[str]:
+    """Read the lines of a file, separated by LF or CR LF.
+
+    Other characters at which :meth:`str.splitlines` splits (U+2028, U+0085, form feed) may be part
+    of names.
+
+    Raises:
+        OSError, UnicodeDecodeError: If it cannot be read, or is not valid UTF-8.
+    """
+    text = Path(file).read_bytes().decode("utf-8-sig")
+    return [line.removesuffix("\r") for line in text.split("\n")]
 
 
 def short_repr(self: Any) -> str:

@@ -79,7 +79,7 @@ def _served(browser: Browser, field: SemanticField, folder: Path) -> dict:
     """Measure seconds of `slgaussian view` to its address, the first picture and an answer."""
     field.save(folder)
     start = time.perf_counter()
-    command = [sys.executable, "-m", "slgaussian", "view", str(folder)]
+    command = [sys.executable, "-c", "from flows.cli.app import main; main()", "view", str(folder)]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         assert server.stdout is not None

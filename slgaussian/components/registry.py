@@ -75,18 +75,9 @@ def find_config(kind: str, name: str) -> type[ComponentConfig]:
     fields.
 
     Raises:
-        InputError: As in :func:`resolve`, or if a component of another package has the name of a
-            built-in one.
+        InputError: As in :func:`resolve`.
     """
-    group = KINDS[kind].group
-    for built_in in KINDS if name in plugins(group) else ():
-        if name in KINDS[built_in].table:
-            raise InputError(
-                f"{kind} {name!r}: the package {_owner(plugins(group)[name])} brings one, but a "
-                f"{built_in} of this name is built in; remove that package, or have its entry "
-                "point renamed"
-            )
-    registered = resolve(kind, KINDS[kind].table, name, group)
+    registered = resolve(kind, KINDS[kind].table, name, KINDS[kind].group)
     if isinstance(registered, type) and issubclass(registered, ComponentConfig):
         return registered
 

@@ -48,7 +48,7 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
         ValueError: If it has another format, is damaged, empty or above :data:`MOST_PIXELS`; also
             while the pixels are loaded. :func:`unreadable` converts both errors to a message.
     """
-    if isinstance(source, str | Path) and _phone_kind(source) == "HEIC" and _reads_heic():
+    if Path(str(source)).suffix.lower() in (".heic", ".heif") and _reads_heic():
         kinds = (*kinds, "HEIF")
     try:
         with Image.open(source, formats=tuple(kinds)) as image:
@@ -135,36 +135,13 @@ def read_npy(file: Path) -> np.ndarray:
 
 def unreadable(path: str | Path, bad: Exception) -> InputError:
     """Return the error for a file whose content cannot be read, with the reason."""
-    kind = _phone_kind(path)
-    if kind == "AVIF" or (kind == "HEIC" and not _reads_heic()):
-        jpeg = Path(path).with_suffix(".jpg").name
-        package = "`pip install pillow-heif`, or " if kind == "HEIC" else ""
-        return InputError(
-            f"{path}: is a photograph in {kind}, which is not read; {package}convert it to JPEG, "
-            f"as with `magick {Path(path).name} {jpeg}` (ImageMagick) or `sips -s format jpeg "
-            f"{Path(path).name} --out {jpeg}` (macOS), and give the new file"
-        )
     if isinstance(bad, TooLargeError):
         return InputError(f"{path}: cannot be read: {bad}")
     reason = _reason(bad).replace(str(path), "the file").strip(" .")
     return InputError(
-        f"{path}: cannot be read ({reason}); it is damaged or of another kind, save it again"
+        f"{path}: cannot be read ({reason}); it is damaged or of another kind, save it again, a "
+        "photograph as JPEG (HEIC needs `pip install pillow-heif`)"
     )
-
-
-def _phone_kind(path: str | Path) -> str | None:
-    """Detect HEIC or AVIF, formats of phones, by the `ftyp` box (ISO/IEC 23008-12); else None."""
-    try:
-        with Path(path).open("rb") as file:
-            start = file.read(12)
-    except (OSError, ValueError):
-        return None
-    if start[4:8] != b"ftyp":
-        return None
-    brands = {b"avif": "AVIF", b"avis": "AVIF"} | dict.fromkeys(
-        (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"), "HEIC"
-    )
-    return brands.get(start[8:12])
 
 
 @cache

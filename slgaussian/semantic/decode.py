@@ -63,20 +63,13 @@ class Decoder:
                 without a second candidate.
 
         Raises:
-            InputError: If the shape is wrong, or a value is NaN or infinite where an object is
-                visible.
+            InputError: If the shape is wrong, or a value is NaN or infinite.
         """
-        if features.ndim != 3 or features.shape[2] != 4:
-            raise InputError(f"decode: found features {features.shape}, expected [H, W, 4]")
+        _check(features)
         shape = features.shape[:2]
         ids, confidence = np.zeros(shape, np.int32), np.zeros(shape, np.float32)
-        if self._lookup is None:
-            return ids, confidence
-        bad = _decode(features, self._lookup, self._gaps, self._ids, ids, confidence)
-        if bad.any():
-            raise InputError(
-                f"decode: features in image row {int(bad.argmax())} hold NaN or infinity"
-            )
+        if self._lookup is not None:
+            _decode(features, self._lookup, self._gaps, self._ids, ids, confidence)
         return ids, confidence
 
 
@@ -96,14 +89,12 @@ class NearestCode:
 
     def __call__(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`Decoder.__call__`; the confidence is ``1 - 2 d / g`` times the weight."""
+        _check(features)
         ids, confidence = np.zeros(features.shape[:2], np.int32), np.zeros(features.shape[:2], "f4")
         visible = features[..., -1] >= VISIBLE
         if not visible.any() or not len(self._ids):
             return ids, confidence
         rendered = features[visible].astype(np.float64)
-        if not np.isfinite(rendered).all():
-            row = int(np.argwhere(visible)[np.isfinite(rendered).all(1).argmin(), 0])
-            raise InputError(f"decode: features in image row {row} hold NaN or infinity")
         from scipy.spatial import cKDTree
 
         distance, nearest = cKDTree(self._codes).query(rendered[:, :-1], p=1)
@@ -111,6 +102,13 @@ class NearestCode:
         lead = np.maximum(0, 1 - 2 * distance / self._gaps[nearest])
         confidence[visible] = np.minimum(rendered[:, -1], 1) * lead
         return ids, confidence
+
+
+def _check(features: np.ndarray) -> None:
+    if features.ndim != 3 or features.shape[2] != 4:
+        raise InputError(f"decode: found features {features.shape}, expected [H, W, 4]")
+    if not np.isfinite(features).all():
+        raise InputError("decode: features hold NaN or infinity")
 
 
 def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | NearestCode:
@@ -150,32 +148,28 @@ def _gaps(codes: np.ndarray) -> np.ndarray:
 
 @kernel
 def _decode(features, lookup, gaps, table, ids, confidence):
-    """Write ``ids`` and ``confidence``; return the image rows with NaN or infinity, bool [H]."""
+    """Write ``ids`` and ``confidence`` of an image."""
     height, width = ids.shape
     codes, starts, members = lookup
-    bad = np.zeros(height, np.bool_)
     rows, lead = np.empty((height, width), np.int32), np.empty((height, width), np.float32)
     # Padded, so that the neighbourhood loops need no bounds checks.
     close = np.full((height + 2, width + 2), -1, np.int32)
     agreed = np.full((height + 2 * REACH, width + 2 * REACH), -1, np.int32)
     for v in range(height):
-        bad[v] = _nearest(features[v], codes, starts, members, gaps, rows[v], close[v + 1], lead[v])
+        _nearest(features[v], codes, starts, members, gaps, rows[v], close[v + 1], lead[v])
     for v in range(height):
         _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + REACH])
     for v in range(height):
         around = agreed[v : v + 2 * REACH + 1]
         _decode_row(features[v], codes, rows[v], lead[v], around, table, ids[v], confidence[v])
-    return bad
 
 
 @kernel
 def _nearest(features, codes, starts, members, gaps, rows, close, lead):
     """Find the nearest code of each pixel of an image row, -1 where none is visible, and its lead.
 
-    ``close`` gets the code, one pixel to the right, where it is within :data:`CLOSE`. Returns
-    whether the row holds NaN or infinity.
+    ``close`` gets the code, one pixel to the right, where it is within :data:`CLOSE`.
     """
-    x, y, z, bad = 0.0, 0.0, 0.0, False
     row, near = np.uint32(0), -1.0
     at_x, at_y, at_z, per_gap = 0.0, 0.0, 0.0, 0.0
     for u in range(len(rows)):
@@ -186,9 +180,6 @@ def _nearest(features, codes, starts, members, gaps, rows, close, lead):
         x = np.float64(features[u, 0] / weight)  # divided in float32
         y = np.float64(features[u, 1] / weight)
         z = np.float64(features[u, 2] / weight)
-        if not abs(x) + abs(y) + abs(z) + weight < np.inf:
-            bad = True
-            continue
         # Closer than half way to the next code, the previous pixel's code is still the nearest.
         d = abs(x - at_x) + abs(y - at_y) + abs(z - at_z)
         if not d < near:
@@ -200,7 +191,6 @@ def _nearest(features, codes, starts, members, gaps, rows, close, lead):
         lead[u] = max(0.0, 1 - 2 * fraction)
         if fraction <= CLOSE:
             close[u + 1] = row
-    return bad
 
 
 @kernel

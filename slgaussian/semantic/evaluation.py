@@ -33,7 +33,9 @@ def label_iou(
     for name, views in novel_labels(lesson, liftings, codes, seed).items():
         ious: list[float] = []
         for predicted, target in zip(views, lesson.targets, strict=True):
-            ious += _ious(np.where(target > 0, predicted, 0), target, object_ids)
+            for id_ in np.intersect1d(target, object_ids):
+                shown, answered = target == id_, (predicted == id_) & (target > 0)
+                ious.append(float((shown & answered).sum() / (shown | answered).sum()))
         scores[name] = float(np.mean(ious)) if ious else float("nan")
     return scores
 
@@ -67,17 +69,3 @@ def novel_labels(
             rendered = rasterize(lesson.gaussians, features, camera).values
             predicted[name].append(decode(rendered.numpy())[0])
     return {name: np.stack(views) for name, views in predicted.items()}
-
-
-def _ious(predicted: np.ndarray, target: np.ndarray, object_ids: np.ndarray) -> list[float]:
-    """Compute the IoU of each of ``object_ids`` that the target shows."""
-    # Confusion matrix: row and column k + 1 are object_ids[k]; all other ids are 0.
-    rows, columns = (
-        np.where(np.isin(image, object_ids), np.searchsorted(object_ids, image) + 1, 0)
-        for image in (target, predicted)
-    )
-    size = len(object_ids) + 1
-    table = np.bincount((rows * size + columns).ravel(), minlength=size**2).reshape(size, size)
-    shared, sizes = table.diagonal()[1:], table.sum(1)[1:]
-    union = sizes + table.sum(0)[1:] - shared
-    return (shared[sizes > 0] / union[sizes > 0]).tolist()

@@ -50,13 +50,6 @@ class Lesson:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        for name in ("labels", "targets"):
-            array = getattr(self, name)
-            if array.dtype != np.int32 or array.ndim != 3 or array.min(initial=0) < 0:
-                raise self._wrong(
-                    f"{name} are {array.dtype} {array.shape}, smallest {array.min(initial=0)}",
-                    "int32 of three dimensions from 0 on",
-                )
         H, W = self.labels.shape[1:]
         sizes = [(camera.height, camera.width) for camera in self.cameras]
         if self.targets.shape != (len(sizes), H, W) or sizes != [(H, W)] * len(sizes):

@@ -377,11 +377,8 @@ class ArtifactStore:
         return sorted(files, key=lambda file: file.uri), sorted(folders)
 
     def _check_address(self, ref: ArtifactRef) -> None:
-        expected = address(ref.spec, ref.digest)
-        if not is_digest(ref.digest):
-            raise self._damaged(ref.uri, f"the digest {ref.digest!r:.80}", "64 hexadecimal digits")
-        if ref.uri != expected:
-            raise self._damaged(ref.uri, "a ref to it", f"one to {expected}")
+        if not is_digest(ref.digest) or ref.uri != address(ref.spec, ref.digest):
+            raise self._damaged(ref.uri, f"digest {ref.digest!r:.80}", "that of the path")
 
     def _damaged(self, uri: str, actual: str, expected: str, field: str = "file") -> DamagedError:
         return DamagedError(str(mismatch(f"{self.root}/{uri}", field, actual, expected)), uri)

@@ -6,7 +6,6 @@ module binds the socket, and every request passes :class:`Guard` first.
 
 from __future__ import annotations
 
-import errno
 import secrets
 import socket
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from urllib.parse import urlsplit
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from slgaussian.errors import InputError, SLGaussianError
+from slgaussian.errors import InputError
 
 PORT = 8080
 """Default port; if it is in use, a free one is chosen."""
@@ -81,35 +80,16 @@ def listen(host: str = LOOPBACK[0], port: int | None = None) -> Access:
     token = None if host in LOOPBACK else secrets.token_urlsafe(24)
     for candidate in (PORT, 0) if port is None else (port,):
         try:
-            family, kind, protocol, _, sockaddr = socket.getaddrinfo(
+            family, *_, address = socket.getaddrinfo(
                 host, candidate, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
             )[0]
-        except (OSError, UnicodeError):
-            raise InputError(
-                f"--host: found {host!r}, expected a name or an address of this machine, such as "
-                "127.0.0.1"
-            ) from None
-        listener = socket.socket(family, kind, protocol)
-        try:
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listener.bind(sockaddr)
-            listener.listen(128)
-            return Access(host, listener, token)
-        except OSError as error:
-            listener.close()
-            if error.errno == errno.EADDRNOTAVAIL:
-                raise InputError(
-                    f"--host: {host} is no address of this machine; omit --host to open the "
-                    "viewer on this machine only"
-                ) from None
-            if port is not None:
-                reason = "is in use by another program"
-                if error.errno != errno.EADDRINUSE:
-                    reason = f"cannot be used ({error.strerror})"
-                raise InputError(
-                    f"--port: {port} {reason}; give another port, or omit --port for a free one"
-                ) from None
-    raise SLGaussianError(f"no free port at {host}; stop a program that listens there")
+            return Access(host, socket.create_server(address, family=family), token)
+        except (OSError, UnicodeError) as error:
+            problem = getattr(error, "strerror", None) or error
+    raise InputError(
+        f"--host {host} --port {port or PORT}: cannot listen there ({problem}); give an address of "
+        "this machine and a free port, or leave both out"
+    )
 
 
 class Guard:

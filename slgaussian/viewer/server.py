@@ -9,12 +9,13 @@ from __future__ import annotations
 import base64
 import logging
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import uvicorn
+from pydantic import StrictInt, StrictStr
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
@@ -22,6 +23,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
+from slgaussian.components.config import Config
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats import strict_json
@@ -88,7 +90,7 @@ class LiveField:
             "unsaved": self.unsaved,
         }
 
-    def query(self, texts: list[str]) -> dict[str, Any]:
+    def query(self, texts: Sequence[str]) -> dict[str, Any]:
         """Answer texts in the form that ``words.js`` reads: for each object the relevancy gap
         (``gaps``) and whether the answer selects it (``taken``), or an error (``refused``).
 
@@ -158,33 +160,42 @@ def app(page: str, access: Access, live: LiveField) -> Starlette:
     )
 
 
-Call = Callable[[Mapping[str, Any]], dict[str, Any]]
+class Body(Config, title="request"):
+    """Body of a call; each call reads what it needs."""
+
+    texts: tuple[StrictStr, ...] = ()
+    word: StrictStr = ""
+    object: StrictInt = 0
+
+
+Call = Callable[[Body], dict[str, Any]]
 
 
 def _calls(live: LiveField) -> dict[str, Call]:
     """Return the functions behind ``POST /api/NAME``, by name."""
     return {
         "state": lambda body: live.state(),
-        "query": lambda body: live.query(_value(body, "texts", list)),
-        "teach": lambda body: live.change(live.field.teach(*_word_of(body))),
-        "name": lambda body: live.change(live.field.named(*_word_of(body)[::-1])),
-        "remove": lambda body: live.change(live.field.without([_value(body, "object", int)])),
-        "restore": lambda body: live.change(live.field.restored([_value(body, "object", int)])),
+        "query": lambda body: live.query(body.texts),
+        "teach": lambda body: live.change(live.field.teach(body.word, body.object)),
+        "name": lambda body: live.change(live.field.named(body.object, body.word)),
+        "remove": lambda body: live.change(live.field.without([body.object])),
+        "restore": lambda body: live.change(live.field.restored([body.object])),
         "undo": lambda body: live.undo(),
         "save": lambda body: live.save(),
     }
 
 
 def _route(name: str, call: Call, lock: threading.Lock) -> Route:
-    def locked(body: bytes) -> dict[str, Any]:
+    def locked(data: bytes) -> dict[str, Any]:
         try:
-            values = strict_json.parse(body)
+            values = strict_json.parse(data)
         except ValueError:
             values = None
         if not isinstance(values, dict):
             raise InputError("the body of the request is not a JSON object, expected one")
+        body = Body(**values)
         with lock:
-            return call(values)
+            return call(body)
 
     async def respond(request: Request) -> Response:
         body = b""
@@ -198,21 +209,6 @@ def _route(name: str, call: Call, lock: threading.Lock) -> Route:
             return JSONResponse({"error": str(error)}, 400, HEADERS)
 
     return Route(f"/api/{name}", respond, methods=["POST"])
-
-
-def _word_of(body: Mapping[str, Any]) -> tuple[str, int]:
-    return _value(body, "word", str), _value(body, "object", int)
-
-
-def _value(body: Mapping[str, Any], name: str, kind: type) -> Any:
-    value = body.get(name)
-    mixed = kind is list and not all(isinstance(item, str) for item in value or [])
-    if type(value) is not kind or mixed:
-        raise InputError(f"{name}: found {value!r}, expected {EXPECTED[kind]}")
-    return value
-
-
-EXPECTED = {str: "a text", int: "the id of an object", list: "a list of texts"}
 
 
 def serve(application: Starlette, access: Access) -> None:

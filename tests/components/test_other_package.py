@@ -96,20 +96,6 @@ def test_a_field_is_built_with_it(asked, tmp_path):
     assert said["ink"] == {"colours": digest, "within": 60.0, "least": 20}
 
 
-CLASH = "from dataclasses import dataclass\n@dataclass\nclass Regions: ...\n"
-
-
-def test_a_name_that_is_taken_is_refused(asked, tmp_path):
-    own = package(tmp_path / "p", "mine", "[slgaussian.proposers]\nregions = mine:Regions\n", CLASH)
-    said = asked(
-        "from slgaussian.components.method import Method\n"
-        "from slgaussian.errors import InputError\n"
-        "try: Method()\nexcept InputError as error: print(error)",
-        own,
-    )
-    assert said.startswith("proposer 'regions': the package mine brings one, but a proposer ")
-
-
 def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(asked, tmp_path):
     line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
     own = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")

@@ -16,7 +16,6 @@ from typer.main import get_command
 from flows import config
 from flows.cli.app import app
 from flows.cli.options import settings_from
-from slgaussian import __version__
 
 ROOT = Path(__file__).parents[2]
 ROOT_COMMAND = get_command(app)
@@ -150,21 +149,3 @@ def test_a_slip_is_named_with_the_nearest_name(line, expected, tmp_path, monkeyp
     assert run(monkeypatch, *line.split()) == 2
     assert expected in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == []
-
-
-def test_python_runs_the_program_whatever_the_working_folder_holds(tmp_path, visible):
-    assert visible("--version") == f"slgaussian {__version__}\n"
-    for name in ("flows", "tasks", "data_specs", "email"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "__init__.py").write_text("raise SystemExit('a stranger')")
-    for extra in ([], ["-P"]):
-        command = [sys.executable, *extra, "-m", "slgaussian"]
-        env = {**os.environ, "PYTHONPATH": str(ROOT)}
-        for words in (["--version"], ["feild"]):
-            done = subprocess.run(
-                [*command, *words], cwd=tmp_path, env=env, capture_output=True, text=True
-            )
-            if words == ["--version"]:
-                assert done.stdout == f"slgaussian {__version__}\n", done.stderr
-            else:
-                assert done.returncode == 2 and "Did you mean 'field'" in done.stderr

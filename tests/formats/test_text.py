@@ -9,7 +9,7 @@ from flows.config import CorpusSettings
 from flows.read_config import read_values
 from slgaussian.benchmark.annotations import labelled_frames
 from slgaussian.formats import strict_json
-from slgaussian.formats.text import read_lines
+from slgaussian.io import read_lines
 
 NAMES = ["a  b", "a b", "c\u2028d", "e\x85f", "g\x0bh", "i\x0cj", "k\x1cl"]
 

@@ -42,16 +42,3 @@ def test_what_a_thing_stands_on_stays():
     # At the corners wall and floor are both around.
     assert not found[83:].any() and not found[80:, 66:94].any()
     assert found.sum() < 80 < edge(mask, 3).sum() / 5
-
-
-def test_a_view_that_does_not_show_the_thing_says_nothing():
-    means, depth, mask = scene()
-    nowhere = np.zeros_like(mask)
-    assert not boundary_gaussians(means, mask.ravel(), [CAMERA], [depth], [nowhere]).any()
-
-
-def test_what_is_far_from_the_outline_stays_however_near_it_is():
-    _, depth, mask = scene()
-    far = ~mask & ~edge(mask, 3)
-    points = CAMERA.unproject(np.where(far, NEAR, depth)).reshape(-1, 3)
-    assert not boundary_gaussians(points, mask.ravel(), [CAMERA], [depth], [mask]).any()

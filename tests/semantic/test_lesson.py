@@ -34,8 +34,6 @@ def test_a_lesson_comes_back_from_the_store_as_it_was(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"labels": np.zeros((2, *SIZE))}, "labels are float64"),
-        ({"labels": np.full((2, *SIZE), -1, np.int32)}, "smallest -1"),
         ({"targets": np.zeros((1, *SIZE), np.int32)}, "a target map for each camera"),
         ({"cameras": (camera(0), camera(0, (5, 5)))}, "all of the size of the labels"),
         ({"cameras": (), "targets": np.zeros((0, *SIZE), np.int32)}, "no target view"),

@@ -20,7 +20,7 @@ from slgaussian.semantic.branch import (
     save_branch,
 )
 from slgaussian.semantic.checkpoints import CHECKPOINT
-from slgaussian.semantic.training import TrainingSettings, draw_batch, loss_of, train
+from slgaussian.semantic.training import draw_batch, loss_of, train
 from slgaussian.storage.specs import load_spec
 from tests.kernel_threads import kernels_on
 
@@ -153,16 +153,6 @@ def test_a_loss_that_is_no_number_stops_with_the_sample_named(tmp_path):
     with pytest.raises(InputError, match=r"step 1: sample 'wall \d' gives a loss of nan"):
         train([bad], SETTINGS, tmp_path, start)
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"steps": 0}, {"every": 0}, {"targets": 0}, {"rate": 0.0}, {"rate": np.inf}, {"clip": -1.0},
-     {"decay": -1.0}, {"rate": np.nan}],
-)  # fmt: skip
-def test_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(InputError, match=f"training {next(iter(wrong))}: found"):
-        TrainingSettings(**wrong)
 
 
 def test_without_lessons_or_a_folder_nothing_is_trained(tmp_path):

@@ -85,17 +85,3 @@ def test_a_server_without_room_and_one_that_always_fails_are_one_sentence(weathe
     ):
         store.get(ref)
     assert own.met["503 slow down"] == 2
-
-
-def test_no_rights_and_no_file_are_told_at_once(weather):
-    """Waiting helps neither, and of what is not there a run asks for every stage."""
-    own, store = weather(0.0)
-    for ask in (
-        lambda: store.read("labels/nothing"),
-        lambda: ArtifactStore("s3://slg-not-there/slg").check_writable(),
-    ):
-        own.met.clear()
-        with pytest.raises((DamagedError, InputError), match=r"found nothing|bucket"):
-            ask()
-        assert own.met[""] <= 3
-    assert Records(store).find(KEY) is None

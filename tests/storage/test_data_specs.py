@@ -8,6 +8,7 @@ import pytest
 from slgaussian.benchmark import attribution
 from slgaussian.errors import SpecError
 from slgaussian.storage.specs import UNITS, arrow_type, load_spec, parse_label, spec_names
+from tests.json_documents import TYPES
 
 SPECS = resources.files("data_specs")
 
@@ -121,3 +122,12 @@ def test_values_of_tables_have_bounds(changed, message):
     with pytest.raises(SpecError) as error:
         spec.check_table(table, "t")
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize("name", [name for name in spec_names() if load_spec(name).keys])
+def test_keys_of_documents_are_complete(name):
+    spec = load_spec(name)
+    for place, key in spec.keys.items():
+        assert key.type in TYPES and key.doc
+        above = place.rpartition(".")[0] if not place.endswith("[]") else place[:-2]
+        assert not above or above in spec.keys, f"{place} stands below nothing"

@@ -101,18 +101,13 @@ def test_damage_is_found_removed_and_then_made_again(store):
 
 RECORDS = {
     "not JSON": b"\x80\x04\x95",
-    "a list": b"[]",
     "no ref": b"{}",
-    "another spec": b'{"spec": "passwd", "uri": "a", "digest": "b"}',
     "a place outside": json.dumps(
         {"spec": "labels", "uri": "labels/../../../../etc/passwd", "digest": "0" * 64}
     ).encode(),
     "parts that are no paths": json.dumps(
         {"spec": "labels", "uri": f"labels/00/{'0' * 64}.npz", "digest": "0" * 64,
          "meta": {"parts": [1]}}
-    ).encode(),
-    "meta that is none": json.dumps(
-        {"spec": "labels", "uri": f"labels/00/{'0' * 64}.npz", "digest": "0" * 64, "meta": 3}
     ).encode(),
 }  # fmt: skip
 

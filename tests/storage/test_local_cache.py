@@ -1,6 +1,4 @@
 import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -37,34 +35,6 @@ def test_what_a_killed_process_left_goes_and_what_is_being_written_stays(tmp_pat
         os.utime(path, (time.time() - age,) * 2)
     LocalCache(tmp_path, 8 * 1000).put("a", KB)
     assert sorted(path.name for path in tmp_path.iterdir()) == [".new.tmp", "a"]
-
-
-WRITER = """
-import sys
-from pathlib import Path
-from slgaussian.storage.local_copies import LocalCache
-cache = LocalCache(Path(sys.argv[1]), 64000)
-for number in range(400):
-    uri = f"a/{number % 97}"
-    data = bytes([number % 97]) * 1000
-    found = cache.get(uri)
-    assert found in (None, data), "a copy of something else, or a part of one"
-    cache.put(uri, data)
-"""
-
-
-def test_processes_may_share_it(tmp_path):
-    command = [sys.executable, "-c", WRITER, str(tmp_path)]
-    running = [subprocess.Popen(command, cwd=ROOT) for _ in range(3)]
-    assert [process.wait(60) for process in running] == [0, 0, 0]
-    assert size_of(tmp_path) <= 64000 * 17 / 16
-
-
-def test_a_cache_that_cannot_be_written_is_none(tmp_path):
-    (tmp_path / "file").write_text("not a folder")
-    cache = LocalCache(tmp_path / "file" / "cache", 10**6)
-    cache.put("a", KB)
-    assert cache.get("a") is None
 
 
 def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):

@@ -1,19 +1,13 @@
 """A store on a real S3 server, moto's, and what its users meet: no rights, no network, kill -9."""
 
-import os
-import subprocess
-import sys
-import time
 import urllib.request
-from pathlib import Path
 
 import pytest
-from contents import labels, weights
-from forwarder import Forwarder
+from contents import labels
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.storage.records import Records
-from slgaussian.storage.store import UPLOAD_PART_BYTES, ArtifactStore
+from slgaussian.storage.store import ArtifactStore
 
 s3fs = pytest.importorskip("s3fs")
 
@@ -60,42 +54,6 @@ def test_a_copy_is_read_while_it_is_whole(store):
     copy.unlink()
     store.get(ref)
     assert copy.exists()
-
-
-UPLOAD = """
-import sys
-from contents import weights
-from slgaussian.storage.store import ArtifactStore
-store = ArtifactStore(sys.argv[1])
-print("ready", flush=True)
-store.put("weights", weights(int(sys.argv[2])))
-"""
-
-
-@pytest.mark.parametrize(
-    "size", [2 * 2**20, 2 * UPLOAD_PART_BYTES + 2**20], ids=["one put", "parts"]
-)
-def test_kill_9_in_the_middle_of_an_upload_leaves_nothing_to_be_seen(
-    store, bucket, s3_server, size
-):
-    wire = Forwarder(s3_server, limit=size - 2**20)
-    here = Path(__file__).parent
-    env = {**os.environ, "AWS_ENDPOINT_URL": wire.url, "SLGAUSSIAN_CACHE_SIZE": "0"}
-    env["PYTHONPATH"] = os.pathsep.join(map(str, (here, here.parent.parent)))
-    command = [sys.executable, "-c", UPLOAD, f"{bucket}/slg", str(size)]
-    process = subprocess.Popen(command, env=env, stdout=subprocess.PIPE)
-    assert process.stdout.readline() == b"ready\n"
-    assert wire.reached.wait(60)
-    process.kill()
-    process.communicate()
-    wire.close()
-    time.sleep(0.2)  # for the server to see the end of it
-    assert names(store) == []
-    # And the same again, not disturbed, is all there is.
-    ref = store.put("weights", weights(size))
-    assert names(store) == [ref.uri]
-    store.cache.drop(ref.uri)
-    store.get(ref)
 
 
 def test_a_bucket_is_never_made_by_writing(bucket):
