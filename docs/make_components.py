@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from slgaussian.components.catalogue import list_components
+from slgaussian.components.registry import list_components
 
 PAGE = Path(__file__).parent / "reference" / "components.md"
 

@@ -91,20 +91,13 @@ class Gaussians:
 
     def __post_init__(self) -> None:
         shapes = {name: tuple(value.shape) for name, value in self._present()}
-        n = shapes["means"][0]
+        n = len(self)
         tails = {"means": (3,), "scales": (3,), "quats": (4,), "opacities": (), "source": ()}
-        for name, tail in tails.items():
-            if shapes[name] != (n, *tail):
-                raise InputError(
-                    f"gaussians {name}: found shape {shapes[name]}, expected {(n, *tail)}"
-                )
-        sh = shapes["sh"]
-        if len(sh) != 3 or sh[0] != n or sh[2] != 3:
-            raise InputError(f"gaussians sh: found {sh}, expected ({n}, K, 3)")
-        if "features" in shapes and shapes["features"][0] != n:
-            raise InputError(f"gaussians features: {shapes['features'][0]} rows, expected {n}")
-        if "guessed" in shapes and shapes["guessed"] != (n,):
-            raise InputError(f"gaussians guessed: found shape {shapes['guessed']}, expected ({n},)")
+        tails |= {"guessed": (), "sh": (*shapes["sh"][1:2], 3)}
+        for name, shape in shapes.items():
+            expected = (n, *(shape[1:] if name == "features" else tails[name]))
+            if shape != expected:
+                raise InputError(f"gaussians {name}: found shape {shape}, expected {expected}")
 
     def __len__(self) -> int:
         return int(self.__dict__["means"].shape[0])

@@ -51,12 +51,6 @@ _HARMLESS = re.compile(
 """Properties without influence on rendering: point colours, object ids and features, and
 properties for training."""
 
-_ANTIALIASED = re.compile(
-    r"anti.?alias\w*\W+(1|true|yes|on)\b|mode\w*\W+(mip|anti.?alias)", re.IGNORECASE
-)
-"""Header comments by which Postshot, Brush and others mark training with anti-aliasing:
-``postshot.anti_aliasing=1``, ``SplatRenderMode: mip``."""
-
 
 def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
     """Write Gaussians atomically as a binary little-endian ``.ply``.
@@ -130,10 +124,10 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
 
     Raises:
         InputError: If the file is missing, not a ``.ply``, truncated, lacks properties of Gaussians
-            (such as a point cloud), has a comment or property that demands another rendering, or
+            (such as a point cloud), has a property that demands another rendering, or
             contains an invalid number; the message names the file and the property or vertex.
     """
-    table, comments = _vertices(path)
+    table = _vertices(path)
     n = len(table)
     # A list property is not a numeric column; it can only be extra.
     fields = table.dtype.names or ()
@@ -155,11 +149,6 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: has {_some(unknown)}, by which its Gaussians may have to be drawn otherwise "
             "than they are here; export it as plain 3D Gaussian splatting, or remove what changes "
             "no picture"
-        )
-    if warnings := [comment for comment in comments if _ANTIALIASED.search(comment)]:
-        raise InputError(
-            f"{path}: says {warnings[0]!r:.80}: it was trained with anti-aliasing, without which "
-            "its small Gaussians are drawn too thick; train or export it without"
         )
     read = partial(_finite, path, table)
     quats = read(_ROTATIONS).astype(np.float64)
@@ -219,8 +208,8 @@ def _finite(
     return values
 
 
-def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:
-    """Read the vertex table of a file and the comments in its header."""
+def _vertices(path: str | Path) -> np.ndarray:
+    """Read the vertex table of a file."""
     try:
         _check_counts(Path(path))
         data = PlyData.read(str(path))
@@ -237,8 +226,7 @@ def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:
         raise InputError(
             f"{path}: has no element vertex, only {elements}; give a .ply of Gaussians"
         )
-    vertex = data["vertex"]
-    return vertex.data, [*data.comments, *data.obj_info, *vertex.comments]
+    return data["vertex"].data
 
 
 def _check_counts(path: Path) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from flows.cli.app import main
 from flows.config import Settings
-from slgaussian.components.catalogue import list_components
+from slgaussian.components.registry import list_components
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "components.md"
 

@@ -9,14 +9,19 @@ its confidence (:mod:`slgaussian.language.confidence`), and the objects that it 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
-from slgaussian.language.confidence import Calibration
+from slgaussian.language.confidence import (
+    MIN_POINT_PROBABILITY,
+    STD_OFFSET,
+    TYPICAL_STAND_OUT,
+    Calibration,
+)
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.rules import Rules, unmeasured
 from slgaussian.language.vocabulary import NOUNS, load_vocabulary
@@ -27,55 +32,33 @@ MOST_PAIR_ANSWERS = 2**20
 """Largest number of pairs of words times objects; if there are more, the page answers no pairs."""
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """Words of a page and their answers.
-
-    Attributes:
-        texts: tuple of str. In lower case.
-        gaps: float32 [texts, things]. Relevancy gaps; -inf for an object that no view shows.
-        selected: bool [texts, things]. True for objects that the answer selects.
-        kinds: {word: kind}. Kind of each text that is not a pair: ``thing`` (noun), ``describing``,
-            ``taught``, ``named`` or ``text``.
-        spellings: {spelling: word}. Word of each accepted spelling.
-        skipped: tuple of str. Words that carry no meaning.
-        pairs: Whether pairs of a describing word and a noun are answered.
-        measurements: tuple of int. Number of measurements (properties of an object) that each text
-            asks for.
-        named: tuple of float. Evidence of the classifier for the noun of each text: ``named`` of
-            :class:`slgaussian.language.confidence.Signs`.
-        calibration: Calibration of the encoder's confidence.
-        uncalibrated: The part without a calibration, such as ``the encoder clip``.
-    """
-
-    texts: tuple[str, ...]
-    gaps: np.ndarray
-    selected: np.ndarray
-    kinds: Mapping[str, str]
-    spellings: Mapping[str, str]
-    skipped: tuple[str, ...]
-    pairs: bool
-    measurements: tuple[int, ...] = ()
-    named: tuple[float, ...] = ()
-    calibration: Calibration | None = None
-    uncalibrated: str = ""
-
-
 def compute_answers(
     field: SemanticField, ids: Sequence[int], extra: Sequence[str] = (), live: bool = False
-) -> Answers:
+) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """Compute the answers of the objects ``ids`` to all texts of a page and to ``extra`` texts.
 
     A ``live`` page asks its server: it has no answers, only the encoder's words as suggestions.
-    Raise InputError if the encoder is not installed, or cannot use a text or knows none of it.
+
+    Returns:
+        about: dict of JSON data for the page. ``texts`` in lower case; ``words``, the kind of each
+            text that is not a pair: ``thing`` (noun), ``describing``, ``taught``, ``named`` or
+            ``text``; ``spellings``, the word of each; ``skipped``, words without meaning;
+            ``pairs``, whether pairs of a describing word and a noun are answered; for each text
+            ``measurements`` and ``named`` of :class:`slgaussian.language.confidence.Signs`;
+            ``calibration`` of confidence, or ``uncalibrated``, the part without one.
+        gaps: float32 [texts, things]. Relevancy gaps; -inf for an object that no view shows.
+        selected: bool [texts, things]. Whether the answer selects the object.
+
+    Raises:
+        InputError: If the encoder is not installed, or cannot use a text or knows none of it.
     """
     kinds: dict[str, str] = {}
     spellings: dict[str, str] = {}
-    skipped: tuple[str, ...] = ()
+    skipped: list[str] = []
     pairs: list[str] = []
     if isinstance(field.encoder, Lexicon):
         vocabulary = load_vocabulary()
-        skipped = tuple(sorted({*vocabulary.stop, *vocabulary.unseen}))
+        skipped = sorted({*vocabulary.stop, *vocabulary.unseen})
         entries = {
             **vocabulary.words,
             **{" ".join(p): word for p, word in vocabulary.phrases.items()},
@@ -96,18 +79,22 @@ def compute_answers(
             pairs = []
     else:
         kinds |= dict.fromkeys(words_for(field.encoder), "text")
-    calibration, uncalibrated = field.encoder.calibration, unmeasured(field.encoder, Rules())
+    about: dict[str, Any] = {
+        "pairs": bool(pairs),
+        "calibration": _curves(field.encoder.calibration),
+        "uncalibrated": unmeasured(field.encoder, Rules()),
+    }
     if live:
-        empty = np.zeros((0, len(ids)), np.float32)
-        suggestions = Answers((), empty, empty > 0, kinds, {}, (), bool(pairs))
-        return replace(suggestions, calibration=calibration, uncalibrated=uncalibrated)
+        empty = {name: list[Any]() for name in ("texts", "skipped", "measurements", "named")}
+        about |= {**empty, "words": kinds, "spellings": {}}
+        return about, np.zeros((0, len(ids)), np.float32), np.zeros((0, len(ids)), bool)
     for text in extra:
         if untold := field.reader.understood(text).untold:
             raise InputError(f"text {text!r}: {untold}")
     kinds |= {_plain(text): "text" for text in extra if _plain(text) not in kinds}
     kinds |= {_plain(word): "taught" for word in field.taught}
     kinds |= {_plain(field.names[id_]): "named" for id_ in ids if id_ in field.names}
-    texts = tuple(dict.fromkeys([*kinds, *pairs]))
+    texts = list(dict.fromkeys([*kinds, *pairs]))
     rows = np.searchsorted(field.bank.ids, np.array(ids, field.bank.ids.dtype))
     gaps, selected = np.zeros((2, len(texts), 0))
     if len(ids):
@@ -116,11 +103,24 @@ def compute_answers(
         gaps = reader.gaps(texts, Rules())
         selected = reader.chosen(texts, gaps, areas, Rules())[:, rows]
         gaps = gaps[:, rows]
-    stored = texts, gaps.astype(np.float32), selected > 0, kinds, spellings, skipped
     readings = [field.reader.understood(text) for text in texts]
-    measurements = tuple(reading.measurements for reading in readings)
-    named = tuple(reading.named for reading in readings)
-    return Answers(*stored, bool(pairs), measurements, named, calibration, uncalibrated)
+    about |= {"texts": texts, "words": kinds, "spellings": spellings, "skipped": skipped}
+    about["measurements"] = [reading.measurements for reading in readings]
+    about["named"] = [round(reading.named, 3) for reading in readings]
+    return about, gaps.astype(np.float32), selected > 0
+
+
+def _curves(calibration: Calibration | None) -> dict[str, Any] | None:
+    """Return the constants with which ``words.js`` computes confidence."""
+    if calibration is None:
+        return None
+    return {
+        "mask": list(calibration.mask),
+        "point": list(calibration.point),
+        "absent": MIN_POINT_PROBABILITY,
+        "typical": TYPICAL_STAND_OUT,
+        "even_out": STD_OFFSET,
+    }
 
 
 def _plain(text: str) -> str:

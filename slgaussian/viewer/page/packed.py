@@ -9,7 +9,6 @@ colours (spherical harmonics of degree 0) and opacities 8 bits.
 from __future__ import annotations
 
 import gzip
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,24 +27,17 @@ Layout = dict[str, tuple[str, int, int]]
 """Data type (u1, u4, f4), offset in bytes, and length of each array, by name."""
 
 
-@dataclass(frozen=True, eq=False)
-class PackedGaussians:
-    """Compressed Gaussians.
-
-    Attributes:
-        data: All arrays, in gzip format.
-        scale_logs: (float, float). Logarithm of the scale with code 0, and the step between codes.
-    """
-
-    data: bytes
-    layout: Layout
-    scale_logs: tuple[float, float]
-
-
-def pack_gaussians(gaussians: Gaussians, things: np.ndarray, level: int = 9) -> PackedGaussians:
+def pack_gaussians(
+    gaussians: Gaussians, things: np.ndarray, level: int = 9
+) -> tuple[bytes, Layout, tuple[float, float]]:
     """Compress Gaussians, each with the number of its object: ``things`` int [N], 0 for none.
 
     ``level`` is the level of gzip: 1 takes a tenth of the time of 9, for some 5% more bytes.
+
+    Returns:
+        data: All arrays, in gzip format.
+        layout: Place of each array.
+        scale_logs: Logarithm of the scale with code 0, and the step between codes.
 
     Raises:
         InputError: If there are no Gaussians, one of them is invalid, or there are too many
@@ -88,7 +80,7 @@ def pack_gaussians(gaussians: Gaussians, things: np.ndarray, level: int = 9) -> 
         parts.append(column.tobytes())
         offset += column.nbytes
     data = gzip.compress(b"".join(parts), level, mtime=0)
-    return PackedGaussians(data, layout, (first, span / 1023))
+    return data, layout, (first, span / 1023)
 
 
 def morton_order(means: np.ndarray) -> np.ndarray:

@@ -29,17 +29,11 @@ from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry.room import find_room
-from slgaussian.language.confidence import (
-    MIN_POINT_PROBABILITY,
-    STD_OFFSET,
-    TYPICAL_STAND_OUT,
-    Calibration,
-)
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.rules import Rules
 from slgaussian.objects import SceneObject
 from slgaussian.scene import Camera
-from slgaussian.viewer.page.answers import Answers, compute_answers
+from slgaussian.viewer.page.answers import compute_answers
 from slgaussian.viewer.page.packed import BLOCK, pack_gaussians
 
 SCRIPTS = ("data.js", "order.js", "draw.js", "eye.js", "pick.js", "words.js", "panel.js")
@@ -94,9 +88,9 @@ def scene_page(
         _view(name, camera, look.depth, pictures[name], "rendered" if name in drawn_views else "")
         for (name, camera), look in zip(field.cameras.items(), looks.values(), strict=True)
     ]
-    answers = compute_answers(field, ids, texts, live)
+    answers, gaps, selected = compute_answers(field, ids, texts, live)
     title = str(field.settings.get("scene") or "scene")
-    content = pack_gaussians(gaussians, numbers, 1 if live else 9)
+    data, layout, scale_logs = pack_gaussians(gaussians, numbers, 1 if live else 9)
     scene_data = {
         "format": 1,
         "made_by": f"slgaussian {__version__}",
@@ -107,21 +101,13 @@ def scene_page(
         "stripes": bool(field.removed),
         "things": [_thing(thing, field, labels, list(looks)) for thing in things],
         "guesses": gaussians.guessed is not None and bool(gaussians.guessed.any()),
-        "texts": list(answers.texts),
-        "words": dict(answers.kinds),
-        "spellings": dict(answers.spellings),
-        "skipped": list(answers.skipped),
-        "pairs": answers.pairs,
-        "measurements": list(answers.measurements),
-        "named": [round(named, 3) for named in answers.named],
+        **answers,
         "touching": _touching(next(iter(looks.values())).ids, ids),
         "words_note": _words_note(answers, live),
         "temperature": Rules().temperature,
-        "calibration": _calibration(answers.calibration),
-        "uncalibrated": answers.uncalibrated,
         "block": BLOCK,
-        "layout": content.layout,
-        "scale_logs": list(content.scale_logs),
+        "layout": layout,
+        "scale_logs": list(scale_logs),
         "maps": _base64(_colour_maps()),
         "scene_note": _scene_note(field, gaussians, live),
     }
@@ -134,17 +120,15 @@ def scene_page(
     return _template().render(
         title=title,
         gaussians=f"{len(gaussians):,}",
-        example="red chair" if answers.pairs or live else "a word from the list below",
+        example="red chair" if answers["pairs"] or live else "a word from the list below",
         live=live,
         policy=policy,
         style=style,
         script=script,
         about=_escape_json(json.dumps(scene_data, ensure_ascii=False, allow_nan=False)),
-        packed_gaussians=_base64(content.data),
+        packed_gaussians=_base64(data),
         packed_answers=_base64(
-            gzip.compress(
-                answers.gaps.astype("<f4").tobytes() + answers.selected.tobytes(), 9, mtime=0
-            )
+            gzip.compress(gaps.astype("<f4").tobytes() + selected.tobytes(), 9, mtime=0)
         ),
     )
 
@@ -221,25 +205,12 @@ def _touching(ids_map: np.ndarray, ids: Sequence[int]) -> list[list[int]]:
     return ObjectMap(np.where(np.isin(ids_map, listed), ids_map, 0), listed).touching.tolist()
 
 
-def _calibration(calibration: Calibration | None) -> dict[str, Any] | None:
-    """Return the constants with which ``words.js`` computes confidence."""
-    if calibration is None:
-        return None
-    curves = {"mask": list(calibration.mask), "point": list(calibration.point)}
-    return {
-        **curves,
-        "absent": MIN_POINT_PROBABILITY,
-        "typical": TYPICAL_STAND_OUT,
-        "even_out": STD_OFFSET,
-    }
-
-
-def _words_note(answers: Answers, live: bool) -> str:
+def _words_note(answers: Mapping[str, Any], live: bool) -> str:
     """Return the sentences that list the texts of the page."""
-    if live and not answers.pairs:
+    if live and not answers["pairs"]:
         return f"Any text. {SEVERAL_TEXTS}"
     kinds: dict[str, list[str]] = {}
-    for word, kind in answers.kinds.items():
+    for word, kind in answers["words"].items():
         kinds.setdefault(kind, []).append(word)
     titles = {"named": "Names", "taught": "Taught", "text": "Texts"}
     titles |= {"thing": "Nouns", "describing": "Describing words"}
@@ -248,7 +219,7 @@ def _words_note(answers: Answers, live: bool) -> str:
         for kind, name in titles.items()
         if kind in kinds
     ]
-    if answers.pairs:
+    if answers["pairs"]:
         sentences.append(
             "Pairs: a colour with a noun, such as “red chair”, or another describing word with a "
             "common noun."
