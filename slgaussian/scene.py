@@ -332,10 +332,6 @@ class Sample:
         )
 
 
-def _no_sources(name: str) -> Sequence[Path]:
-    return ()
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A set of posed photographs, which are read on demand.
@@ -355,7 +351,7 @@ class Scene:
     read: Callable[[str], View]
     phrases: Mapping[int, str] = field(default_factory=dict)
     found: Mapping[str, Any] = field(default_factory=dict)
-    sources: Callable[[str], Sequence[Path]] = _no_sources
+    sources: Callable[[str], Sequence[Path]] = lambda name: ()
 
     __repr__ = short_repr
 
@@ -487,20 +483,15 @@ def _fit(height: int, width: int, size: Size) -> tuple[int, int]:
     """Compute the height and width of resized views, for a size other than "original"."""
     if not isinstance(size, str):
         return size
-    scale = min(1.0, (_most_pixels(size) / (height * width)) ** 0.5)
-    return max(1, round(height * scale)), max(1, round(width * scale))
-
-
-def _most_pixels(size: str) -> int:
-    if size == "auto":
-        return PAPER_PIXELS
-    match = re.fullmatch(r"at most ([1-9]\d*)x([1-9]\d*)", size)
-    if match is None:
+    most = re.fullmatch(r"at most ([1-9]\d*)x([1-9]\d*)", size)
+    if most is None and size != "auto":
         raise InputError(
             f"size: found {size!r}, expected (height, width), 'at most 312x432', 'auto' or "
             "'original'"
         )
-    return int(match[1]) * int(match[2])
+    pixels = PAPER_PIXELS if most is None else int(most[1]) * int(most[2])
+    scale = min(1.0, (pixels / (height * width)) ** 0.5)
+    return max(1, round(height * scale)), max(1, round(width * scale))
 
 
 def _answers_to(full: str, name: str) -> bool:

@@ -22,13 +22,13 @@ from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.benchmark.scores import GOOD
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
+from slgaussian.labels import VISIBLE
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap, central_point
 from slgaussian.language.query import QueryResult, ask
 from slgaussian.masks.flatten import nearest_pixel
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.semantic.decode import elected_ids
 from slgaussian.storage.specs import load_spec
 
 STAND_INS = {
@@ -194,9 +194,8 @@ def elect(gaussians: Gaussians, labels: np.ndarray, camera: Camera) -> np.ndarra
     """Render labels int32 [N] of Gaussians, 0 for none: int32 [H, W], 0 where none is visible."""
     nothing = torch.zeros((len(gaussians), 0))
     image = rasterize(gaussians, nothing, camera, labels=torch.from_numpy(labels))
-    every = np.arange(1, int(labels.max(initial=0)) + 1, dtype=np.int32)
     assert image.label is not None and image.label_weights is not None  # labels were requested
-    return elected_ids(image.label.numpy(), image.label_weights.numpy(), every)[0]
+    return np.where(image.label_weights.numpy()[..., 2] >= VISIBLE, image.label.numpy(), 0)
 
 
 def context_truth(

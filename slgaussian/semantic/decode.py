@@ -117,20 +117,6 @@ def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | Neare
     return NearestCode(bank) if options.get("decode") == "nearest" else Decoder(bank)
 
 
-def elected_ids(
-    label: np.ndarray, weights: np.ndarray, ids: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Decode a picture rendered by label votes; returns as :class:`Decoder`.
-
-    ``label`` and ``weights`` are the picture's ``label`` (rows of ``ids`` int32 [N], from 1) and
-    ``label_weights``. The confidence is the object's weight minus that of the next one.
-    """
-    best, second, total = np.moveaxis(weights, -1, 0)
-    visible = total >= VISIBLE
-    decoded = np.append(np.int32(0), ids)[label * visible]
-    return decoded, np.where(visible, np.minimum(best - second, np.float32(1)), np.float32(0))
-
-
 def _gaps(codes: np.ndarray) -> np.ndarray:
     """Compute the L1 distance from each code to the nearest other one, float64 [N]; inf if none."""
     if len(codes) == 0:

@@ -155,26 +155,25 @@ def read_about(path: Path) -> tuple[About, dict[str, str]]:
             f"{path}: no {ABOUT} there, expected a folder that `slgaussian field` or a run (under "
             "fields/ of its results) or SemanticField.save wrote"
         )
-    try:
-        text = file.read_bytes()
-    except OSError as error:
-        raise SpecError(f"{file}: {error.strerror}; {AGAIN}") from error
-    return About.from_json(text, str(file))
+    return About.from_json(_content(file), str(file))
 
 
 def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
     """Read the arrays of one file of a folder; SpecError if their digest is another one."""
     file, rules = path / FILES[spec], load_spec(spec)
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise SpecError(f"{file}: {error.strerror}; {AGAIN}") from error
-    arrays = decode_arrays(data, rules, str(file), repair=AGAIN)
+    arrays = decode_arrays(_content(file), rules, str(file), repair=AGAIN)
     actual = arrays_digest(arrays)
     if actual != digest:
         expected = f"{digest[:12]} by {ABOUT}: it was changed or belongs to another field; {AGAIN}"
         raise mismatch(str(file), "digest", f"content {actual[:12]}", expected)
     return arrays
+
+
+def _content(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise SpecError(f"{file}: {error.strerror}; {AGAIN}") from error
 
 
 def describe_photographs(places: Mapping[str, str]) -> dict[str, bytes]:
