@@ -33,8 +33,7 @@ from slgaussian.benchmark.documents import check_document, read_json
 from slgaussian.errors import InputError
 from slgaussian.formats.images import TooLargeError, check_size, read_mask
 from slgaussian.formats.resampling import Window
-from slgaussian.formats.text import read_lines
-from slgaussian.io import short_repr
+from slgaussian.io import read_lines, short_repr
 from slgaussian.scene import View
 
 CLASSES = "classes.txt"
