@@ -129,12 +129,13 @@ class Frame:
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         try:
             camera = checked_camera(Camera(K, c2w, int(w), int(h)))
-            if self.extra is None:
+            if (extra := self.values.get(OWN)) is None:
                 return camera
-            extra = Frame.of(self.file, self.name, self.extra)
-            estimate = self.extra.get("estimated")
+            if not isinstance(extra, dict):
+                raise ValueError(f"record {OWN} is {extra!r:.60}, expected an object")
+            estimate, numbers = extra.get("estimated"), Frame.of(self.file, self.name, extra)
             estimated = None if estimate is None else Estimated.of(estimate)
-            near, far = extra.number("near"), extra.number("far")
+            near, far = numbers.number("near"), numbers.number("far")
             return replace(camera, near=near, far=far, estimated=estimated)
         except InputError as bad:
             raise self.error(str(bad)) from None
@@ -176,14 +177,6 @@ class Frame:
                         raise self.error(f"{key} is {angle:g}, expected {expected} and above 0")
                     return size / 2 / math.tan(angle * unit / 2)
         return None
-
-    @property
-    def extra(self) -> dict[str, Any] | None:
-        """Return the entries of :func:`write`, or None."""
-        extra = self.values.get(OWN)
-        if extra is not None and not isinstance(extra, dict):
-            raise self.error(f"{OWN} is {extra!r}, expected an object")
-        return extra
 
     def lens(self, camera: Camera) -> Callable[[], Maps] | None:
         """Return a function that computes undistortion maps; None for a pinhole."""
@@ -252,11 +245,8 @@ def read(path: str | Path) -> Scene:
         raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
     frames: dict[str, Frame] = {}
     shared = {key: value for key, value in meta.items() if key not in (OWN, "frames")}
-    estimation = meta.get(OWN, {})
-    if not isinstance(estimation, dict):
-        raise InputError(
-            f"{file}: {OWN} is {estimation!r}, expected an object; write the file again"
-        )
+    if not isinstance(estimation := meta.get(OWN, {}), dict):
+        raise InputError(f"{file}: {OWN} is {estimation!r:.60}, expected an object")
     for number, entry in enumerate(meta["frames"]):
         name = entry.get("file_path") if isinstance(entry, dict) else None
         if not isinstance(name, str) or not name:
@@ -285,7 +275,7 @@ def _read_view(frames: Mapping[str, Frame], cameras: Mapping[str, Camera], name:
         camera,
         photograph,
         frame.file.name,
-        upright=frame.extra is not None,
+        upright=OWN in frame.values,
         lens=frame.lens(camera),
         mask=None if mask is None else frame.place(mask),
         depth=frame.depth(camera),
@@ -366,10 +356,8 @@ def _camera_path(file: Path, content: Mapping[str, Any]) -> dict[str, Camera]:
 
     The format is that of ``get_path_from_json`` in nerfstudio 1.1 (``cameras/camera_paths.py``).
     """
-    if (kind := content.get("camera_type", "perspective")) != "perspective":
-        raise InputError(f"{file}: has cameras of type {kind!r}; expected 'perspective'")
-    if content.get("crop"):
-        raise InputError(f"{file}: crops the scene, which is not done here; leave out 'crop'")
+    if content.get("camera_type", "perspective") != "perspective" or content.get("crop"):
+        raise InputError(f"{file}: expected perspective cameras (camera_type) without crop")
     try:
         width, height = int(content["render_width"]), int(content["render_height"])
         cameras = {}

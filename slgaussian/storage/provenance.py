@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 PACKAGES = (
     "torch", "numpy", "scipy", "numba", "opencv-contrib-python-headless", "scikit-image", "pyarrow",
-    "matplotlib", "prefect", "transformers", "pycolmap",
+    "matplotlib", "prefect", "transformers",
 )  # fmt: skip
 """Packages whose version may change results; packages that are not installed are omitted."""
 

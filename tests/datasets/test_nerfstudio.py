@@ -221,7 +221,7 @@ class TestMasks:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"camera_type": "equirectangular"}, "cameras of type 'equirectangular'"),
+        ({"camera_type": "equirectangular"}, "expected perspective cameras"),
         ({"camera_path": []}, "has no camera"),
         ({"camera_path": [{"fov": 50}]}, "is no camera path of nerfstudio's"),
     ],
