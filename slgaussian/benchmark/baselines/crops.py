@@ -19,8 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slgaussian.benchmark.answering import understands
-from slgaussian.benchmark.baselines.dense import DenseView
-from slgaussian.benchmark.baselines.drawn import draw_picture, draw_vectors, reduced
+from slgaussian.benchmark.baselines.dense import DenseView, draw_picture, draw_vectors, reduced
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
@@ -90,7 +89,7 @@ class LiftedVectors:
     """Gaussians with the vectors of their source pixels.
 
     Attributes:
-        scales: sequence of callable. See :func:`slgaussian.benchmark.baselines.drawn.draw_vectors`;
+        scales: sequence of callable. See :func:`slgaussian.benchmark.baselines.dense.draw_vectors`;
             one per scale.
         width: Dimension of a vector.
         classes: tuple of str. Closed list of texts, empty without one.

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark.baselines.drawn import Picture, draw_picture
+from slgaussian.benchmark.baselines.dense import Picture, draw_picture
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.field import FieldView
 from slgaussian.geometry import SeenView

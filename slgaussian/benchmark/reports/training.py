@@ -10,8 +10,8 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from slgaussian.benchmark.reports.model import Column, Gallery, Prose, Report, Section, Table
-from slgaussian.benchmark.reports.plots import ACCENT, SOFT, plot
 from slgaussian.benchmark.reports.score_tables import comparison_cell
+from slgaussian.benchmark.reports.speed import ACCENT, SOFT, plot
 from slgaussian.benchmark.significance import clip_scores, gain
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from slgaussian.benchmark.baselines.autoencoder import train_autoencoder
+from slgaussian.benchmark.baselines.langsplat_like import train_autoencoder
 
 
 def some_vectors(count: int, width: int, kinds: int) -> np.ndarray:

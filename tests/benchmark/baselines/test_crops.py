@@ -8,7 +8,7 @@ from hypothesis import given as draw
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from slgaussian.benchmark.baselines import drawn
+from slgaussian.benchmark.baselines import dense as drawn
 from slgaussian.benchmark.baselines.crops import Level, choose_scales, encode_pyramid, tile_starts
 from slgaussian.rasterize import rasterize
 
