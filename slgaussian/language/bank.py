@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 
+import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
@@ -15,7 +16,6 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language import Encoder
 from slgaussian.language.relevancy import UNIT_TOLERANCE
 from slgaussian.language.wholes import Wholes
-from slgaussian.masks.nms import mask_boxes
 from slgaussian.scene import View
 
 HALF_PRECISION = {"features", "group_features"}
@@ -172,7 +172,10 @@ def build_bank(
     of_views = zip(views, label_maps.labels, present.T, arounds, strict=True)
     for v, (view, labels, visible, around) in enumerate(of_views):
         masks = labels == ids[visible][:, None, None]
-        boxes[visible, v] = mask_boxes(masks)
+        x, y, w, h = (
+            np.array([cv2.boundingRect(mask.view(np.uint8)) for mask in masks]).reshape(-1, 4).T
+        )
+        boxes[visible, v] = np.stack([x, y, x + w, y + h], 1)
         visible_groups = (members & visible).any(1)
         groups_here = np.zeros((visible_groups.sum(), *labels.shape), bool)
         rows = np.searchsorted(ids, labels[labels > 0])

@@ -70,8 +70,8 @@ class TextReader:
         return self._read(text)[1]
 
     def unknown_words(self, text: str) -> tuple[str, ...]:
-        """Return the words of ``text`` that the encoder does not know and ignores."""
-        return self._read(text)[1].unknown
+        """Return the ignored unknown words of ``text``; InputError as :meth:`understood`."""
+        return self.understood(text).unknown
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         read = self.encoder.understand(text, self.by_class)
@@ -215,10 +215,6 @@ class BankReader(TextReader):
         word = normal(text)
         examples = self.taught.examples(word) if who == "taught" else 0
         return Understood(word, (), {}, who, examples, instead_of)
-
-    def unknown_words(self, text: str) -> tuple[str, ...]:
-        """Return the ignored words of ``text``; InputError as :meth:`understood`."""
-        return self.understood(text).unknown
 
     def _who(self, text: str) -> str:
         """Return the kind of answer: names take precedence over taught words, then the encoder."""

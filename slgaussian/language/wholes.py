@@ -191,7 +191,7 @@ class Wholes:
         near_sets = near.astype(np.float64)
         near_numbers, near_around = self._numbers(near_sets), self._around(near_sets)
         features = [
-            describe(sets[None], numbers[None], around[None], self._standing[places]),
+            describe(sets[None], numbers[None], around[None], self.standing[places]),
             describe(near_sets[:, None], near_numbers[:, None], near_around[:, None], 0.0),
         ]
         possible = _times(sets[None], np.where(visible, areas, 0)) >= LEAST_PIXELS
@@ -205,10 +205,6 @@ class Wholes:
     @cached_property
     def _area(self) -> np.ndarray:
         return self.shares.mean(1, dtype=np.float64)
-
-    @cached_property
-    def _standing(self) -> np.ndarray:
-        return self.standing.astype(np.float64)
 
     @cached_property
     def _beside(self) -> tuple[np.ndarray, np.ndarray]:

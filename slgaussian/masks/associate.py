@@ -19,7 +19,6 @@ from slgaussian.masks.flatten import (
     renumbered,
     without_crumbs,
 )
-from slgaussian.masks.vote import vote
 
 SAME_IOU = 0.5
 """IoU with a propagated object above which a detection is that object."""
@@ -169,3 +168,28 @@ def _copies(
     count = min(1, replicas - 1) if shortcut else replicas - 1
     copies = [first, *(tracker.propagate(frame) for _ in range(count))]
     return np.stack(copies), [1] * count + [replicas - count]
+
+
+def vote(stack: np.ndarray, times: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the per-pixel majority of label maps of R replicas (paper, equation 4).
+
+    Label 0 (no object) counts like any other, as in the paper's formula. Ties go to the first label
+    in replica order: that of the detection, then of its earliest propagation.
+
+    Args:
+        stack: int32 [R, H, W]. One label map per replica, R at least 1.
+        times: sequence of int, optional. Weight of each map, if it stands for several equal
+            replicas; R is then the sum of weights.
+
+    Returns:
+        labels: int32 [H, W]
+        margin: float32 [H, W]. (votes for the winner - votes for the runner-up) / R, in [0, 1]; 1
+            if unanimous.
+    """
+    weights = np.ones(len(stack), np.int32) if times is None else np.array(times, np.int32)
+    counts = np.stack([np.tensordot(weights, stack == replica, 1) for replica in stack])
+    first = counts.argmax(0)[None]  # argmax returns the first maximum, as ties require
+    labels = np.take_along_axis(stack, first, 0)[0]
+    winner = counts.max(0)
+    runner_up = np.where(stack == labels, 0, counts).max(0)
+    return labels, ((winner - runner_up) / weights.sum()).astype(np.float32)

@@ -42,7 +42,7 @@ class Automatic:
         predicted_iou, stability: Thresholds of a mask: of the IoU that the model predicts
             (exclusive), and of its stability, the IoU of its logits thresholded at +1 and -1.
         box_iou: IoU threshold of non-maximum suppression of boxes, by predicted IoU.
-        visible: Threshold of :func:`slgaussian.masks.nms.mostly_visible`, which None disables.
+        visible: Threshold of :func:`slgaussian.masks.automatic.mostly_visible`; None disables it.
     """
 
     points: int = 32

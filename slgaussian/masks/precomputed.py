@@ -140,7 +140,12 @@ def read_ids(file: Path) -> np.ndarray:
     Raises:
         InputError: If the file cannot be read, or has invalid ids.
     """
-    ids = _read_npy(file) if file.suffix == ".npy" else _read_png(file)
+    from slgaussian.formats.images import read_npy
+
+    try:
+        ids = read_npy(file) if file.suffix == ".npy" else _read_png(file)
+    except (OSError, ValueError) as problem:
+        raise InputError(f"{file}: cannot be read as ids ({problem}); write it again") from None
     if ids.ndim != 2 or ids.size == 0:
         raise InputError(f"{file}: found shape {ids.shape}, expected ids [H, W]")
     if not np.issubdtype(ids.dtype, np.integer):
@@ -153,35 +158,22 @@ def read_ids(file: Path) -> np.ndarray:
     return ids.astype(np.int32)
 
 
-def _read_npy(file: Path) -> np.ndarray:
-    from slgaussian.formats.images import read_npy
-
-    try:
-        return read_npy(file)
-    except (OSError, ValueError) as problem:
-        raise InputError(f"{file}: cannot be read as NPY ({problem}); write it again") from None
-
-
 def _read_png(file: Path) -> np.ndarray:
     from slgaussian.formats.images import opened
 
-    try:
-        with file.open("rb") as stream:
-            head = stream.read(26)
-        with opened(file, kinds=["PNG"]) as image:
-            mode, pixels = image.mode, np.asarray(image)
-    except (OSError, ValueError) as problem:
-        raise InputError(f"{file}: cannot be read as PNG ({problem}); write it again") from None
-    bits = head[24]
+    with file.open("rb") as stream:
+        bits = stream.read(26)[24:25]
+    with opened(file, kinds=["PNG"]) as image:
+        mode, pixels = image.mode, np.asarray(image)
     if mode == "1":
         return pixels.astype(np.uint8)
     if mode == "L":
         # Pillow scales values of 2 and 4 bits to 0 to 255.
-        return pixels // (255 // (2**bits - 1))
-    if mode == "RGB" and bits == 8:
+        return pixels // (255 // (2 ** bits[0] - 1))
+    if mode == "RGB" and bits[0] == 8:
         return pixels @ np.array([1, 256, 65536], np.int32)
     if mode == "P" or mode.startswith("I"):
         return pixels
-    raise InputError(
-        f"{file}: is a PNG of {mode} with {bits} bits; expected grey, a palette, or RGB with 8 bits"
+    raise ValueError(
+        f"it is a PNG of {mode} with {bits[0]} bits, expected grey, a palette, or RGB with 8 bits"
     )

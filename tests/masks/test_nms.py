@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slgaussian.masks.nms import box_nms, mask_boxes, mostly_visible
+from slgaussian.masks.automatic import box_nms, mask_boxes, mostly_visible
 
 SIZE = (40, 56)
 

@@ -110,9 +110,9 @@ def _two_maps(file):
     ("name", "write", "says"),
     [
         (None, None, "has no id map of view 'a'; expected a.png or a.npy"),
-        ("a.png", lambda f: f.write_bytes(b"no picture"), "cannot be read as PNG"),
-        ("a.png", lambda f: f.write_bytes(b""), "cannot be read as PNG"),
-        ("a.npy", lambda f: f.write_bytes(b"no array"), "cannot be read as NPY"),
+        ("a.png", lambda f: f.write_bytes(b"no picture"), "cannot be read as ids"),
+        ("a.png", lambda f: f.write_bytes(b""), "cannot be read as ids"),
+        ("a.npy", lambda f: f.write_bytes(b"no array"), "cannot be read as ids"),
         ("a.npy", lambda f: np.save(f, np.zeros(SIZE)), "found float64, expected whole numbers"),
         ("a.npy", lambda f: np.save(f, np.full(SIZE, -1)), "found ids from -1"),
         ("a.npy", lambda f: np.save(f, np.full(SIZE, 2**31)), "found ids from 2147483648"),

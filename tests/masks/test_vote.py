@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from slgaussian.masks.vote import vote
+from slgaussian.masks.associate import vote
 
 
 def plain_vote(stack):
