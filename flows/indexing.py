@@ -82,7 +82,16 @@ def _surrounded(
     scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, Chosen | str]:
     """Return the pair of every labelled frame, or the reason if there is none, by pair name."""
-    views, out = _views_of(scene, frames)
+    views: dict[str, str] = {}
+    out: dict[str, Any] = {}
+    for frame, categories in frames.items():
+        try:
+            views[frame] = scene.find(frame)
+        except InputError as error:
+            out[frame] = str(error)
+            continue
+        if not categories:
+            out[frame] = "nothing is labelled in it"
     names, clip, unreadable = _look(scene)
     place = {view: i for i, view in enumerate(names)}
     wanted = {}
@@ -106,22 +115,6 @@ def _surrounded(
         out[frame] = context, (views[frame],), frames[frame], measured
     order = [frame for frame in frames if frame in out]
     return {f"{name}-{frame.replace('/', '-')}": out[frame] for frame in order}
-
-
-def _views_of(
-    scene: Scene, frames: Mapping[str, tuple[str, ...]]
-) -> tuple[dict[str, str], dict[str, Any]]:
-    """Return the views of the labelled frames, and the reasons of unusable frames."""
-    views, out = {}, {}
-    for frame in frames:
-        try:
-            views[frame] = scene.find(frame)
-        except InputError as error:
-            out[frame] = str(error)
-            continue
-        if not frames[frame]:
-            out[frame] = "nothing is labelled in it"
-    return views, out
 
 
 def _look(scene: Scene) -> tuple[list[str], Views, dict[str, str]]:

@@ -18,7 +18,7 @@ from prefect.states import State
 from flows import corpus
 from flows.config import RetrainSettings, Training
 from flows.runners.session import check_folder, completed, publish_markdown, run_session
-from flows.training import Parted, parted, read_lessons, train_on
+from flows.training import parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.io import write_atomic
@@ -158,8 +158,9 @@ def learn(
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
     lessons = parted(table, settings.held_out)
-    description = _about(settings, lessons)
-    if history and description["asked"] == history[-1].facts.get("asked"):
+    asked = settings.model_dump(mode="json", include=set(ASKED))
+    asked["lessons"] = {name: table_digest(side) for name, side in vars(lessons).items()}
+    if history and asked == history[-1].facts.get("asked"):
         used = version_name(0 if incumbent is None else incumbent.number)
         return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
     start, rivals = None, dict(NO_NETWORK)
@@ -171,18 +172,14 @@ def learn(
     trained.write(settings.out)
     judgements = trained.judgements
     decision = gate(judgements, rivals)
-    facts = {**description, "scores": _scores(judgements)}
+    means = {name: float(np.mean(scores)) for name, scores in clip_scores(judgements).items()}
+    scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
+    facts = {"asked": asked, "counts": lessons.counts(), "scores": scores}
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     done = "promoted" if added.promoted else "stored, not promoted"
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
     message = f"version {added.number} {done}: {added.why}"
     return Learnt(message, added, "" if added.promoted else regressed)
-
-
-def _about(settings: RetrainSettings, lessons: Parted) -> dict[str, Any]:
-    values = settings.model_dump(mode="json", include=set(ASKED))
-    digests = {name: table_digest(table) for name, table in vars(lessons).items()}
-    return {"asked": {**values, "lessons": digests}, "counts": lessons.counts()}
 
 
 def _check_share(settings: RetrainSettings, incumbent: Version) -> None:
@@ -194,8 +191,3 @@ def _check_share(settings: RetrainSettings, incumbent: Version) -> None:
             f"{settings.models} was trained with {before:g}, perhaps on clips that are held out "
             f"now; keep {before:g}, or begin in another folder of versions"
         )
-
-
-def _scores(judgements: pa.Table) -> dict[str, Any]:
-    means = {lifting: float(np.mean(scores)) for lifting, scores in clip_scores(judgements).items()}
-    return {"iou": means, "over hard": vars(gain(judgements, "hard"))}

@@ -13,7 +13,6 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.datasets.shards import pack
-from slgaussian.labels import LabelMaps
 from slgaussian.scene import Sample
 from slgaussian.storage.encoding import Arrays, encode_artifact
 from slgaussian.storage.store import ArtifactRef
@@ -55,16 +54,26 @@ def example(
     views = run.read(sample, sample_from_arrays)
     context = run.read(labels, labels_from_arrays)
     targets = labels_from_arrays(store.get(ArtifactRef("labels", **labels.meta["targets"])))
-    key = known["sample"]
+    key, quality = known["sample"], gaussians.meta["quality"]
+    height, width = context.labels.shape[1:]
     description = {
         **known,
         "url": sample.meta["url"],
-        **_measures(context, targets, gaussians.meta),
+        "height": height,
+        "width": width,
+        "objects": len(context.ids),
+        "gaussians": gaussians.meta["gaussians"],
+        "unlabelled": float((context.labels == 0).mean()),
+        "unlabelled_targets": float((targets.labels == 0).mean()),
+        "confirmed": float(quality["confirmed"]),
+        "explained": float(quality["explained"]),
     }
+    both = labels_to_arrays(context), labels_to_arrays(targets)
+    labels_of_all = {name: np.concatenate([maps[name] for maps in both]) for name in both[0]}
     members = _images(views, images)
     arrays: dict[str, tuple[str, Arrays]] = {
         "geometry": ("example_geometry", _geometry(run, sample, gaussians)),
-        "labels": ("labels", _stacked(context, targets)),
+        "labels": ("labels", labels_of_all),
         "bank": ("bank", store.get(bank)),
     }
     for name, (spec, content) in arrays.items():
@@ -73,23 +82,6 @@ def example(
     data = pack(key, members)
     meta = {"about": description, "length": len(data), "sha256": hashlib.sha256(data).hexdigest()}
     return store.put("example", {"tar": np.frombuffer(data, np.uint8)}, meta)
-
-
-def _measures(
-    context: LabelMaps, targets: LabelMaps, predicted: Mapping[str, Any]
-) -> dict[str, Any]:
-    quality = predicted["quality"]
-    height, width = context.labels.shape[1:]
-    return {
-        "height": height,
-        "width": width,
-        "objects": len(context.ids),
-        "gaussians": predicted["gaussians"],
-        "unlabelled": float((context.labels == 0).mean()),
-        "unlabelled_targets": float((targets.labels == 0).mean()),
-        "confirmed": float(quality["confirmed"]),
-        "explained": float(quality["explained"]),
-    }
 
 
 def _images(sample: Sample, ending: str) -> dict[str, bytes]:
@@ -117,8 +109,3 @@ def _geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> A
         "depth": np.stack(depths).astype(np.float32),
         "confirmed": confirmed,
     }
-
-
-def _stacked(context: LabelMaps, targets: LabelMaps) -> Arrays:
-    both = (labels_to_arrays(context), labels_to_arrays(targets))
-    return {name: np.concatenate([arrays[name] for arrays in both]) for name in both[0]}

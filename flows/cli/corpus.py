@@ -12,9 +12,6 @@ from flows.cli.run import report_left_out, run_flow
 from flows.config import CorpusSettings, DatasetSettings
 from flows.read_config import make_settings
 
-SET_FIELDS = ("size", "targets", "held_out")
-"""Fields of a training set that are options of `slgaussian dataset`."""
-
 Sources = Annotated[
     list[str],
     typer.Argument(
@@ -72,7 +69,7 @@ def _prepare(command: str, ctx: typer.Context, verbose: bool) -> None:
     report_left_out(settings.out, prepared.failures)
 
 
-@options.configured(*SET_FIELDS, *options.ENGINE, model=DatasetSettings)
+@options.configured("size", "targets", "held_out", *options.ENGINE, model=DatasetSettings)
 def dataset(
     ctx: typer.Context,
     out: Annotated[Path, typer.Argument(help="Folder of the training set.")],

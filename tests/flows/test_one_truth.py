@@ -81,18 +81,3 @@ def test_who_reads_an_answer_reads_the_same(field, folder, tmp_path, ask, text, 
 def test_the_status_of_several_texts_is_zero_if_each_is_found(folder, ask, texts, status):
     assert ask("query", folder, *texts)[0] == status
     assert ask("query", folder, *texts, "--view", "0", "--view", "1", "--json")[0] == status
-
-
-def test_a_view_and_the_command_segment_alike(field, folder, tmp_path, ask):
-    from slgaussian.masks.precomputed import read_ids
-
-    texts = ["turquoise", "floor", "ball"]
-    view = field.render(next(iter(field.cameras.values())))
-    for words, rules in (([], {}), (["--threshold", "0.55"], {"threshold": 0.55})):
-        assert ask("segment", folder, *texts, *words, "-o", tmp_path / "a.png")[0] == 0
-        labels = view.segment(texts, **rules)
-        np.testing.assert_array_equal(read_ids(tmp_path / "a.ids.png"), labels)
-        best = np.stack([hit.relevancy for hit in view.query_all(texts)])
-        fits = best.max(0) > rules.get("threshold", 0.5)
-        np.testing.assert_array_equal(labels, np.where(fits, best.argmax(0) + 1, 0))
-        assert 0.02 < (labels == 0).mean() < 0.98
