@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from slgaussian.datasets import colmap, llff, nerfstudio, npz, re10k, unposed
+from slgaussian.datasets import colmap, llff, nerfstudio, npz, unposed
 from slgaussian.datasets.photographs import image_folder, photographs_of
 from slgaussian.datasets.sparse import model_files
 from slgaussian.errors import InputError
@@ -40,11 +40,6 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
     if format == "npz":
         existing = [photo for photo in photographs if Path(photo).exists()] or [str(place.parent)]
         return npz.read(place, existing), unposed.folder_of(unposed.named(existing))
-    if format == "re10k":
-        raise InputError(
-            f"{place}: holds clips of RealEstate10K, expected one scene; `slgaussian ingest` and "
-            '`dataset` read all of them, and `run` one by format = "re10k" and options.key'
-        )
     reader = {"colmap": colmap, "llff": llff}[format]
     scene = place if place.is_dir() else place.parent
     folder = image_folder(colmap.scene_folder(scene) if reader is colmap else scene).resolve()
@@ -82,12 +77,12 @@ def recognise(path: Path) -> tuple[str, Path]:
         InputError: If there are no cameras in a known format.
     """
     if path.is_dir():
-        marks = {"nerfstudio": nerfstudio.FILE, "llff": llff.FILE, "re10k": re10k.INDEX}
-        formats = [format for format, mark in marks.items() if (path / mark).is_file()]
-        if colmap.models_in(path) and "nerfstudio" not in formats:
+        if (path / nerfstudio.FILE).is_file():
+            return "nerfstudio", path
+        if colmap.models_in(path):
             return "colmap", _scene_of(path)
-        if formats:
-            return formats[0], path
+        if (path / llff.FILE).is_file():
+            return "llff", path
         json_files = sorted(file.name for file in path.glob("*.json"))
         if photographs_of(path) and not json_files:
             return "photographs", path
