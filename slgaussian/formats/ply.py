@@ -12,7 +12,6 @@ because some readers assume that every property is a float.
 from __future__ import annotations
 
 import io
-import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import takewhile
@@ -43,13 +42,8 @@ _SCALES = [f"scale_{i}" for i in range(3)]
 _ROTATIONS = [f"rot_{i}" for i in range(4)]
 _NEEDED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
 
-_HARMLESS = re.compile(
-    r"red|green|blue|alpha|\w*(label|class|segment|cluster|instance|object|track|part)s?(_?ids?)?|"
-    r"source|index|(\w*_)?ids?|(f_sem|obj_dc|sem\w*|seg\w*|ins_feat|language_feature\w*)_\d+|"
-    r"confidence|uncertainty|importance|quality|score|max_radii2D|xyz_gradient_accum|denom"
-)
-"""Properties without influence on rendering: point colours, object ids and features, and
-properties for training."""
+DISTORTING = {"filter_3D", "scaling_factor"}
+"""Properties of Mip-Splatting and others by which Gaussians are drawn otherwise than here."""
 
 
 def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
@@ -144,11 +138,10 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{', '.join(map(str, REST))}; write it again with harmonics of degree 0 to 3"
         )
     used = {*_NEEDED, *_NORMALS, *rest, *semantic}
-    if unknown := [name for name in fields if name not in used and not _HARMLESS.fullmatch(name)]:
+    if distorting := sorted(DISTORTING.intersection(fields)):
         raise InputError(
-            f"{path}: has {_some(unknown)}, by which its Gaussians may have to be drawn otherwise "
-            "than they are here; export it as plain 3D Gaussian splatting, or remove what changes "
-            "no picture"
+            f"{path}: has {_some(distorting)}, by which its Gaussians are drawn otherwise than "
+            "here; export it as plain 3D Gaussian splatting"
         )
     read = partial(_finite, path, table)
     quats = read(_ROTATIONS).astype(np.float64)
@@ -211,7 +204,6 @@ def _finite(
 def _vertices(path: str | Path) -> np.ndarray:
     """Read the vertex table of a file."""
     try:
-        _check_counts(Path(path))
         data = PlyData.read(str(path))
     except OSError as error:
         why = error.strerror or error
@@ -227,18 +219,6 @@ def _vertices(path: str | Path) -> np.ndarray:
             f"{path}: has no element vertex, only {elements}; give a .ply of Gaussians"
         )
     return data["vertex"].data
-
-
-def _check_counts(path: Path) -> None:
-    """Raise ValueError if a header claims more rows than the file has bytes, before allocation."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        for line in file:
-            words = line.split()
-            if words[:1] == [b"end_header"]:
-                return
-            if words[:1] == [b"element"] and len(words) == 3 and int(words[2]) > size:
-                raise ValueError(f"it tells of {int(words[2])} rows, and has {size} bytes")
 
 
 def _numbered(names: Sequence[str], prefix: str) -> list[str]:

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from safetensors.numpy import load_file, save_file
 
-from slgaussian.components.intact import SHIFT, check_component, follow_coins, order_depths
+from slgaussian.components.intact import check_component
 from slgaussian.components.pretrained import WEIGHTS
 from slgaussian.errors import InputError
-from slgaussian.predict import load_predictor
 
 pytest.importorskip("transformers")
 
@@ -45,8 +44,7 @@ def refused(name, place) -> str:
 def test_a_model_that_nobody_knows_is_loaded_and_tried(name, copy):
     place = copy(name)
     said = check_component(KINDS[name], name, {"model": place})
-    assert said.startswith(f"model {place}: can be loaded and used, ")
-    assert ("of 4 pictures" if name == "clip" else "of 24 coins") in said
+    assert said == f"model {place}: can be loaded"
     tensors = load_file(place / WEIGHTS)
     key = max(tensors, key=lambda key: tensors[key].size)
     tensors[key].flat[0] = np.nan
@@ -78,7 +76,7 @@ def test_a_file_of_the_hub_is_known_by_its_digest(copy):
     (place / WEIGHTS).unlink()
     (place / WEIGHTS).symlink_to(blob)
     said = check_component("proposer", "sam", {"model": place})
-    assert said.startswith(f"model {place}: is what the hub has, by its SHA-256, finds ")
+    assert said == f"model {place}: is what the hub has, by its SHA-256"
     blob.write_bytes(content[:-4] + b"oops")
     message = refused("sam", place)
     assert "is damaged: its SHA-256 begins with" in message and f"delete {blob}" in message
@@ -87,21 +85,3 @@ def test_a_file_of_the_hub_is_known_by_its_digest(copy):
 def test_a_name_that_is_not_here_is_not_downloaded():
     with pytest.raises(InputError, match="`hf download no-such-owner/no-such-model`"):
         check_component("encoder", "clip", {"model": "no-such-owner/no-such-model"})
-
-
-@pytest.mark.parametrize("shift", [SHIFT, 20])
-def test_coins_are_followed(shift):
-    class Tracker:
-        def add(self, seen, labels):
-            self.labels = labels
-
-        def propagate(self, seen):
-            return np.roll(self.labels, shift, 1)
-
-    assert follow_coins(Tracker()).startswith(f"follows {24 * (shift == SHIFT)} of 24 coins")
-
-
-def test_depths_of_the_motorcycle_are_ordered_without_weights():
-    assert order_depths(load_predictor("planesweep")).startswith(
-        "orders depths of a motorcycle by 0.9"
-    )

@@ -175,7 +175,6 @@ def spoil(name, row, value):
         (lambda d: [d[f"rot_{i}"].__setitem__(2, 0) for i in range(4)], r"vertex 2 .*\(0, 0, 0, 0"),
         (lambda d: [d.pop(n) for n in list(d) if n not in "xyz"], "lacks f_dc_0, .* has z, y, x"),
         (lambda d: d.update(filter_3D=np.ones(5)), "has filter_3D, by which"),
-        (lambda d: d.update(f_rest_11=np.ones(5)), "has f_rest_11, by which"),
     ],
 )
 def test_what_makes_no_gaussian_is_named(tmp_path, change, sentence):
