@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -560,19 +559,17 @@ class SemanticField:
         Raises:
             InputError: If the arrays are invalid or do not match; the message begins with the file.
         """
-        with _naming_file("bank"):
-            bank = MemoryBank.from_arrays(arrays["bank"])
-        gaussians = _checked(arrays["gaussians"], bank)
+        spec = "bank"
+        try:
+            bank = MemoryBank.from_arrays(arrays[spec])
+            spec = "gaussians"
+            gaussians = Gaussians.from_arrays(arrays[spec])
+            features = gaussians.to_arrays().get("features")
+            if features is None or features.shape[1] != 4:
+                raise InputError("no features [N, 4]")
+        except InputError as error:
+            raise InputError(f"{field_folder.FILES[spec]}: {error}") from error
         return SemanticField(gaussians, bank, about.cameras, about.settings, places or {})
-
-
-@contextmanager
-def _naming_file(spec: str) -> Iterator[None]:
-    """Prefix the message of an InputError with the field's file of ``spec``."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{field_folder.FILES[spec]}: {error}") from error
 
 
 def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -606,13 +603,3 @@ def _check_places(encoder: Component) -> None:
                 f"field{moved}; say where it is, as in --set {encoder.name}.{key}=PLACE or "
                 f"SemanticField.load(..., encoder={{'{key}': PLACE}})"
             )
-
-
-def _checked(arrays: Arrays, bank: MemoryBank) -> Gaussians:
-    """Make the Gaussians from arrays; InputError with the file if they do not match the bank."""
-    with _naming_file("gaussians"):
-        gaussians = Gaussians.from_arrays(arrays)
-    features = gaussians.to_arrays().get("features")
-    if features is None or features.shape[1] != 4:
-        raise InputError(f"{field_folder.FILES['gaussians']}: no features [N, 4]")
-    return gaussians

@@ -235,7 +235,7 @@ def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     return run.store.put("truth", truth_to_arrays(scene_truth, views))
 
 
-@stage("geometry", version=14)
+@stage("geometry", version=15)
 def geometry(
     run: RunContext,
     sample: ArtifactRef,

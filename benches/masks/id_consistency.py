@@ -37,7 +37,7 @@ from slgaussian.masks import MaskTracker, Proposals, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.regions import Regions
 from slgaussian.predict import load_predictor
-from slgaussian.predict.pose import GATE, refine
+from slgaussian.predict.pose_refinement import GATE, refine
 from slgaussian.scene import Sample, View
 from tests.matching import sift_matches
 

@@ -23,7 +23,7 @@ COARSE = 0.01
 FINE = 0.002
 """Distances to the epipolar line, as fractions of the image diagonal, up to which cameras explain a
 match: 7 and 1.4 pixels at 416x576. Poses of phones and headsets are often off by half a degree,
-which the coarse distance tolerates and :func:`slgaussian.predict.pose.refine` corrects. The fine
+which the coarse distance tolerates and :mod:`slgaussian.predict.pose_refinement` corrects. The fine
 distance compares several candidate cameras."""
 
 MIN_FINE = 1.0

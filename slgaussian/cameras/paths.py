@@ -87,7 +87,12 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
         )
     from scipy.spatial.transform import Rotation
 
-    cameras = _facing_alike(cameras)
+    axes = np.stack([camera.c2w[:3, 2] for camera in cameras])
+    cosines = axes @ axes.T
+    cosines = cosines[cosines.clip(ALIKE).sum(1).argmax()]
+    # If only two cameras are given and they look in different directions, both are used.
+    alike = cosines >= min(ALIKE, np.sort(cosines)[-2])
+    cameras = [camera for camera, used in zip(cameras, alike, strict=True) if used]
     centers = np.stack([camera.center for camera in cameras])
     start = cameras[int(np.linalg.norm(centers - centers.mean(0), axis=1).argmin())]
     middle = np.eye(4)
@@ -97,19 +102,14 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     middle[:3, 3] = centers.mean(0)
     start = replace(start, c2w=middle)
     along, across = _half_axes(centers - start.center, start.c2w[:3, :2].T)
-    focus = start.center + _median_depth(start, points) * start.c2w[:3, 2]
+    pixels, z = start.project(np.asarray(points, np.float64))
+    inside = start.shows(pixels, z)
+    if not inside.any():
+        raise InputError("orbit: nothing lies before the cameras, so there is nothing to aim at")
+    focus = start.center + np.median(z[inside]) * start.c2w[:3, 2]
     angles = 2 * np.pi * np.arange(n) / n
     places = start.center - np.outer(np.cos(angles), along) + np.outer(np.sin(angles), across)
     return [_aimed(start, place, focus) for place in places]
-
-
-def _facing_alike(cameras: Sequence[Camera]) -> list[Camera]:
-    axes = np.stack([camera.c2w[:3, 2] for camera in cameras])
-    likeness = axes @ axes.T
-    similarity = likeness[likeness.clip(ALIKE).sum(1).argmax()]
-    facing = [camera for camera, c in zip(cameras, similarity, strict=True) if c >= ALIKE]
-    # If only two cameras are given and they look in different directions, both are used.
-    return facing if len(facing) > 1 else [cameras[i] for i in sorted(np.argsort(-similarity)[:2])]
 
 
 def _half_axes(offsets: np.ndarray, image_axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -129,14 +129,6 @@ def _half_axes(offsets: np.ndarray, image_axes: np.ndarray) -> tuple[np.ndarray,
         across, second = across / np.linalg.norm(across), ROUND * reach
     across = across * (1 if across @ image_axes[1] <= 0 else -1)
     return reach * along, second * across
-
-
-def _median_depth(camera: Camera, points: np.ndarray) -> float:
-    pixels, z = camera.project(np.asarray(points, np.float64))
-    inside = camera.shows(pixels, z)
-    if not inside.any():
-        raise InputError("orbit: nothing lies before the cameras, so there is nothing to aim at")
-    return float(np.median(z[inside]))
 
 
 def _aimed(camera: Camera, place: np.ndarray, focus: np.ndarray) -> Camera:

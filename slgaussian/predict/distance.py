@@ -13,7 +13,7 @@ import numpy as np
 from slgaussian.cameras.matches import LOWE_RATIO, Features, match, sift
 from slgaussian.cameras.relative import Relative
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
-from slgaussian.predict.pose import GATE
+from slgaussian.predict.pose_refinement import GATE
 from slgaussian.predict.view_graph import MIN_PARALLAX
 from slgaussian.scene import Camera
 

@@ -1,5 +1,4 @@
-"""Fusion of the views: guesses behind what other views show, a choice of views that draw a surface,
-and its common colour."""
+"""Fusion of the views: a choice of views that draw a surface, and its common colour."""
 
 from __future__ import annotations
 
@@ -13,11 +12,8 @@ from slgaussian.kernels.jit import kernel
 from slgaussian.predict.depth_completion import (
     AGREES,
     IN_FRONT,
-    STEP_TOLERANCE,
-    compare_depth,
     cross_check,
 )
-from slgaussian.predict.depth_propagation import SweptView
 from slgaussian.predict.view_graph import Link, ViewGraph
 
 COPIES = 2
@@ -28,72 +24,11 @@ FEATHER = 16.0
 """Distance from the image border, pixels, over which the blending weight of a view rises to 1, so
 that no seam appears where its image ends."""
 
-RECEDE = 0.95
-FARTHEST = 0.2
-"""Factor on inverse depth by which a guess recedes at a time, and the share of the inverse depth of
-the farthest candidate at which it stops."""
-
-
-def recede_guesses(
-    graph: ViewGraph, inverse_depths: Sequence[np.ndarray], swept: Sequence[SweptView]
-) -> list[np.ndarray]:
-    """Move guesses along their line of sight until no view without a link sees through them.
-
-    A guess in front of the surface of another view hides what that view shows. Linked views take
-    part in the completion (:func:`slgaussian.predict.depth_completion.fill_depth`), others do not:
-    what they show, matched or guessed, pushes a guess back to the first depth that is not in front
-    of it. Views are changed one after the other, each against the others as they are by then.
-
-    Args:
-        inverse_depths: V of float32 [H, W]. Completed.
-        swept: V SweptView. Their answered and fixed pixels are not changed.
-
-    Returns:
-        V of float32 [H, W]
-    """
-    receded = list(inverse_depths)
-    for i, view in enumerate(swept):
-        linked = {i, *(link.source for link in graph.links[i])}
-        others = [j for j in range(len(receded)) if j not in linked]
-        if not others:
-            continue
-        relatives = [Relative.between(graph.cameras[i], graph.cameras[j]) for j in others]
-        receded[i] = _recede(
-            receded[i],
-            view.known,
-            np.stack([receded[j] for j in others]),
-            np.stack([relative.infinity for relative in relatives]),
-            np.stack([relative.epipole for relative in relatives]),
-            STEP_TOLERANCE * view.step,
-            FARTHEST * view.steps[0],
-        )
-    return receded
-
-
-@kernel
-def _recede(inverse_depth, known, sources, A, e, least_tolerance, lowest):
-    """Lower the inverse depth of unknown pixels until no source has one in front, or ``lowest``."""
-    H, W = inverse_depth.shape
-    out = inverse_depth.copy()
-    for y in range(H):
-        for x in range(W):
-            if known[y, x]:
-                continue
-            w, j, passed = float(inverse_depth[y, x]), 0, 0
-            while passed < len(sources) and w > lowest:
-                if compare_depth(x, y, w, sources[j], A[j], e[j], least_tolerance) == IN_FRONT:
-                    w, passed = w * RECEDE, 0
-                else:
-                    j, passed = (j + 1) % len(sources), passed + 1
-            out[y, x] = w
-    return out
-
 
 def select_drawn(
     graph: ViewGraph,
     inverse_depths: Sequence[np.ndarray],
     confirmed: Sequence[np.ndarray],
-    receded: Sequence[np.ndarray],
     steps: Sequence[float],
 ) -> list[np.ndarray]:
     """Select the pixels of each view that add a surface, V of bool [H, W].
@@ -101,15 +36,14 @@ def select_drawn(
     With two views all pixels are selected. With more, a view without confirmed depth is skipped,
     and a guessed pixel is dropped where any view has confirmed a surface behind it. The first two
     views keep the rest. Every later view, in the given order, keeps the pixels of surfaces that
-    earlier views draw less than :data:`COPIES` times (receded pixels: not at all), unless they lie
-    in front of confirmed depth of an earlier view (guessed pixels: of drawn depth). So adding a
-    photograph changes little of what is drawn already.
+    earlier views draw less than :data:`COPIES` times, unless they lie in front of confirmed depth
+    of an earlier view (guessed pixels: of drawn depth). So adding a photograph changes little of
+    what is drawn already.
 
     Args:
         inverse_depths: V of float32 [H, W]
         confirmed: V of float32 [H, W]. The same where depth was matched or propagated, infinite
             elsewhere.
-        receded: V of bool [H, W]. Pixels that :func:`recede_guesses` changed.
         steps: V of float. Distance between depth candidates, the unit of the agreement tolerance.
     """
     keep = [np.ones(values.shape, bool) for values in inverse_depths]
@@ -131,7 +65,7 @@ def select_drawn(
             verdict = cross_check(depth, drawn, relatives[j], steps[i])
             keep[i] &= ~(guessed & (verdict == IN_FRONT))
             copies += verdict == AGREES
-        keep[i] &= copies < np.where(receded[i], 1, COPIES)
+        keep[i] &= copies < COPIES
     return keep
 
 

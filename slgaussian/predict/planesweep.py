@@ -34,7 +34,7 @@ from slgaussian.predict.depth_hypotheses import (
 )
 from slgaussian.predict.depth_propagation import SPECKLE, SweptView, propagate_depth
 from slgaussian.predict.exposure import color_gains
-from slgaussian.predict.fusion import blend, recede_guesses, select_drawn
+from slgaussian.predict.fusion import blend, select_drawn
 from slgaussian.predict.pose_refinement import anchor_cameras
 from slgaussian.predict.sgm import aggregate, select_winners
 from slgaussian.predict.unproject import unproject
@@ -109,12 +109,8 @@ def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> G
         for view, gain in zip(views, gains, strict=True)
     ]
     swept = propagate_depth(swept, exposed, linked.links)
-    completed = _complete_depths(sample, linked.links, swept)
-    depths = recede_guesses(linked, completed, swept)
-    receded = [depth != before for depth, before in zip(depths, completed, strict=True)]
-    opacities = [
-        _opacity(i, links, swept, depths, receded[i]) for i, links in enumerate(linked.links)
-    ]
+    depths = _complete_depths(sample, linked.links, swept)
+    opacities = [_opacity(i, links, swept, depths) for i, links in enumerate(linked.links)]
     steps = [s.step for s in swept]
     colors = blend(exposed, depths, steps, linked.links)
     given_cameras = [view.camera for view in views]
@@ -122,7 +118,7 @@ def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> G
     visible = unproject(cameras, colors, depths, opacities)
     confirmed = [s.confirmed for s in swept]
     drawn = np.concatenate(
-        [keep.ravel() for keep in select_drawn(linked, depths, confirmed, receded, steps)]
+        [keep.ravel() for keep in select_drawn(linked, depths, confirmed, steps)]
     )
     beyond = continue_surfaces(cameras, colors, depths, steps)
     visible, beyond = (
@@ -241,9 +237,8 @@ def _opacity(
     links: Sequence[Link],
     swept: Sequence[SweptView],
     depths: Sequence[np.ndarray],
-    receded: np.ndarray,
 ) -> np.ndarray:
-    """Return the opacity of the pixels of view ``i``, of which some ``receded``, float32 [H, W]."""
+    """Return the opacity of the pixels of view ``i``, float32 [H, W]."""
     own_sweep = swept[i]
     refuted = np.zeros(own_sweep.answered.shape, bool)
     doubled = np.zeros(own_sweep.answered.shape, bool)
@@ -252,6 +247,6 @@ def _opacity(
         refuted |= cross_check(depths[i], confirmed, link.relative, own_sweep.step) == IN_FRONT
         verdict = cross_check(depths[i], depths[link.source], link.relative, own_sweep.step)
         doubled |= (verdict == AGREES) | (verdict == IN_FRONT)
-    cases = [own_sweep.answered | receded, refuted, doubled]
+    cases = [own_sweep.answered, refuted, doubled]
     values = [OPACITY_SHARED, OPACITY_REFUTED, OPACITY_SHARED]
     return np.select(cases, values, OPACITY_ALONE).astype(np.float32)

@@ -12,8 +12,7 @@ from slgaussian.cameras.match_graph import MatchGraph, neighbours
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError, listed
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
-from slgaussian.predict.pose import GATE, MIN_REFINE, refine
-from slgaussian.predict.pose_refinement import refine_cameras
+from slgaussian.predict.pose_refinement import GATE, MIN_REFINE, refine, refine_cameras
 from slgaussian.scene import Camera, Sample, View
 
 INLIER = 2.0

@@ -5,9 +5,8 @@ import pytest
 from textured_planes import camera, sample
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.predict.depth_completion import AGREES, IN_FRONT, cross_check
-from slgaussian.predict.depth_propagation import SweptView
-from slgaussian.predict.fusion import blend, recede_guesses, select_drawn
+from slgaussian.predict.depth_completion import AGREES, cross_check
+from slgaussian.predict.fusion import blend, select_drawn
 from slgaussian.predict.view_graph import Link, ViewGraph
 
 # Written out, not imported: a slip in the module must show here.
@@ -81,47 +80,17 @@ def test_a_blend_is_that_of_the_definition(views):
         assert np.abs(result - expected).max() < 2e-6
 
 
-@pytest.mark.parametrize("fixed", [False, True])
-def test_a_guess_recedes_to_the_first_depth_that_no_view_without_a_link_sees_through(fixed):
-    cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
-    inverse = [1 / view.depth.astype(np.float32) for view in sample(*cameras).context]
-    inverse[0][40:60, 60:80] *= 1.5  # in front of what the others show
-    inverse[0][60:80, 60:80] /= 2  # behind
-    answered = np.ones(inverse[0].shape, bool)
-    answered[40:80, 60:80] = False
-    steps = np.linspace(0.1, 0.6, 501)
-    swept = [SweptView(steps, w, np.ones_like(answered)) for w in inverse]
-    swept[0] = SweptView(steps, inverse[0], answered, fixed=~answered if fixed else None)
-    every = links_of(*cameras)
-    unlinked = ViewGraph(cameras, [every[0][:1], every[1], every[2]])
-    receded = recede_guesses(unlinked, inverse, swept)
-    assert all(np.array_equal(a, b) for a, b in zip(receded[1:], inverse[1:], strict=True))
-    assert np.array_equal(recede_guesses(ViewGraph(cameras, every), inverse, swept)[0], inverse[0])
-
-    def refuted(depth):
-        return cross_check(depth, inverse[2], every[0][1].relative, 0.001) == IN_FRONT
-
-    changed = receded[0] != inverse[0]
-    if fixed:
-        assert not changed.any()
-        return
-    assert np.array_equal(changed, refuted(inverse[0]) & ~answered) and changed[41:59, 61:79].all()
-    assert not refuted(receded[0])[changed].any()
-    assert refuted(receded[0] / np.float32(0.951))[changed].all()
-
-
-def select(cameras, inverse, valid, receded=False):
-    """:func:`select_drawn` of linked views, of which all or no pixels have receded."""
-    moved = [np.full(w.shape, receded) for w in inverse]
+def select(cameras, inverse, valid):
+    """:func:`select_drawn` of linked views."""
     graph = ViewGraph(cameras, links_of(*cameras))
-    return select_drawn(graph, inverse, valid, moved, [0.001] * len(cameras))
+    return select_drawn(graph, inverse, valid, [0.001] * len(cameras))
 
 
-def kept(cameras, depths, guessed=None, receded=False):
+def kept(cameras, depths, guessed=None):
     """What is drawn if all depths are known but those of the view ``guessed``."""
     inverse = [1 / depth.astype(np.float32) for depth in depths]
     valid = [np.full_like(w, np.inf) if i == guessed else w for i, w in enumerate(inverse)]
-    return select(cameras, inverse, valid, receded)
+    return select(cameras, inverse, valid)
 
 
 def test_a_surface_is_drawn_by_two_views_at_most_and_what_is_new_by_all():
@@ -134,16 +103,6 @@ def test_a_surface_is_drawn_by_two_views_at_most_and_what_is_new_by_all():
     assert keep[2][:, : W // 2].mean() < 0.05
     assert keep[2][:, -5:].mean() > 0.9 and keep[3][:, -5:].mean() > 0.9
     assert keep[3].mean() < 0.4
-
-
-def test_a_surface_that_one_view_draws_is_not_drawn_again_by_pixels_that_receded():
-    cameras = [camera(x=x) for x in (0, 0.2, 0.4)]
-    depths = [view.depth for view in sample(*cameras).context]
-    once, receded = (kept(cameras, depths, receded=receded)[2] for receded in (False, True))
-    inverse = [1 / depth.astype(np.float32) for depth in depths]
-    back = links_of(*cameras)[2][1].relative
-    alone = cross_check(inverse[2], inverse[1], back, 0.001) != AGREES
-    assert np.array_equal(receded, once & alone) and once.sum() > 1.5 * receded.sum()
 
 
 def test_nothing_is_drawn_where_a_view_before_sees_through():

@@ -16,7 +16,7 @@ from slgaussian.predict.depth_hypotheses import (
     pixel_grid,
     visible_share,
 )
-from slgaussian.predict.pose import refine
+from slgaussian.predict.pose_refinement import refine
 from slgaussian.predict.view_graph import link_views, select_usable
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
