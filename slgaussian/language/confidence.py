@@ -77,6 +77,10 @@ class Calibration(NamedTuple):
     mask: Curve
     point: Curve
 
+    def __call__(self, signs: Signs) -> Confidence:
+        """Compute the probabilities that an answer with these :func:`signs` is right."""
+        return Confidence(self.mask(signs), self.point(signs))
+
 
 class Confidence(NamedTuple):
     """Probabilities in (0, 1) that an answer is right; see :class:`Calibration`."""
@@ -117,8 +121,3 @@ def signs(
         stands_out = float((gaps[selected].mean() - rest.mean()) / (rest.std() + STD_OFFSET))
     stands_out *= min(1.0, (len(rest) + 1) / int(selected.sum()))
     return Signs(best * measurements, stands_out, math.log(max(parts, 1)), named)
-
-
-def confidence(calibration: Calibration, at: Signs) -> Confidence:
-    """Compute the probabilities that an answer with these :func:`signs` is right."""
-    return Confidence(calibration.mask(at), calibration.point(at))

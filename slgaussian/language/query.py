@@ -13,7 +13,7 @@ import numpy as np
 
 from slgaussian.io import short
 from slgaussian.language import Understood
-from slgaussian.language.confidence import Confidence, confidence, signs
+from slgaussian.language.confidence import Confidence, signs
 from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.reader import BankReader
 from slgaussian.language.relevancy import sigmoid
@@ -182,7 +182,7 @@ def _answer(
     if calibration is not None and not uncalibrated and len(ranked) and read.kind != "named":
         parts = seen.parts(chosen & (gaps > -np.inf))
         at = signs(gaps[ranked], chosen[ranked], read.measurements, parts, read.named)
-        sure = confidence(calibration, at)
+        sure = calibration(at)
     selection = ranked, as_good, chosen, sure, reason
     return QueryResult(text, scores, read, reader.bank.ids, seen, *selection)
 

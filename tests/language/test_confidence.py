@@ -13,7 +13,6 @@ from slgaussian.language.confidence import (
     Confidence,
     Curve,
     Signs,
-    confidence,
     signs,
 )
 from slgaussian.language.lexicon import Lexicon
@@ -92,6 +91,6 @@ def test_the_verdict(mask, point, verdict):
 def test_each_curve_gives_its_own_probability():
     """By hand: 2 * 0.1 + 0.5 * 2 - 0.3 * 1 + 0.4 * 3 - 1 is 1.1."""
     calibration = Calibration(Curve(2, 0.5, -0.3, 0.4, -1), Curve(0, 0, 0, 0, -1))
-    sure = confidence(calibration, Signs(0.1, 2, 1, 3))
+    sure = calibration(Signs(0.1, 2, 1, 3))
     assert sure.mask == pytest.approx(1 / (1 + np.exp(-1.1)))
     assert sure.point == pytest.approx(1 / (1 + np.exp(1)))
