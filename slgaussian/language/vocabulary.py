@@ -113,8 +113,8 @@ class Vocabulary:
         is a picture. A few compounds are one word, such as "trash can", a synonym of "bin".
 
         Raises:
-            InputError: If the text is empty, contains a negation, or has neither a word that counts
-                nor an unknown one.
+            InputError: If the text is empty, contains a negation, asks for two objects, or has
+                neither a word that counts nor an unknown one.
         """
         spelled = spellings(text)
         if not spelled:
@@ -125,6 +125,7 @@ class Vocabulary:
                     f"query {_short(text)!r}: {spelling!r} cannot be understood, because objects "
                     "are found by what they are, not by what they are not; leave that part out"
                 )
+        self._check_one_thing(text, spelled)
         spelled, places = self._take_phrases(spelled)
         end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
         content = [s for s in spelled[:end] if s not in self.stop]
@@ -165,6 +166,24 @@ class Vocabulary:
         return Reading(
             tuple(words.values()), tuple(dict.fromkeys(unknown)), unused, sought, classes
         )
+
+    def _check_one_thing(self, text: str, spelled: Sequence[str]) -> None:
+        """Raise InputError if "and" joins two objects."""
+        end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
+        for middle in (i for i in range(end) if spelled[i] == "and"):
+            sides = spelled[:middle], spelled[middle + 1 : end]
+            side_words = [[self._look_up(w) for w in side if self._names(w)] for side in sides]
+            nouns = [any(word and word.family in NOUNS for word in side) for side in side_words]
+            unknown = bool(side_words[1]) and all(word is None for word in side_words[1])
+            if nouns[0] and (nouns[1] or unknown):
+                left, right = map(" ".join, sides)
+                raise InputError(
+                    f"query {_short(text)!r}: asks for two things; ask for {_short(left)!r} and "
+                    f"for {_short(right)!r} one at a time"
+                )
+
+    def _names(self, spelling: str) -> bool:
+        return spelling not in self.stop and spelling not in self.unseen
 
     def explain(self, text: str) -> tuple[bool, str]:
         """Return whether all words of ``text`` are known, and a line on how each is measured."""

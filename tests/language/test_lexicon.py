@@ -147,7 +147,6 @@ def test_words_that_are_not_known_are_named(lexicon, text, unknown):
         ("the red traffic light of the street", "red traffic light", ("street",)),
         ("two old wooden chairs", "wooden chair", ("two", "old")),
         ("cup on the wooden table", "cup", ("on", "wooden", "table")),
-        ("beige building and tree", "beige plant", ("building",)),
     ],
 )
 def test_of_several_things_one_is_looked_for(lexicon, text, read_as, unused):
@@ -462,6 +461,14 @@ def test_the_noun_of_a_text_has_its_classes(lexicon, text, noun, classes):
     reading = load_vocabulary().read(text)
     assert (reading.noun, set(reading.classes)) == (noun, classes)
     assert lexicon.understand(text).classes == reading.classes
+
+
+@pytest.mark.parametrize(
+    "text", ["beige building and tree", "a chair and a qwxyz", "cups and mugs"]
+)
+def test_two_things_are_asked_for_one_at_a_time(lexicon, text):
+    with pytest.raises(InputError, match="asks for two things"):
+        lexicon.encode_text([text])
 
 
 def test_and_may_join_what_describes_one_thing(lexicon):
