@@ -20,7 +20,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 from torch.nn.utils.rnn import pad_sequence
@@ -69,7 +68,8 @@ class TrainingSet(Dataset[dict[str, Any]]):
         rows: pyarrow.Table. Rows of the index, in the order of the items.
 
     Raises:
-        InputError: If there is no such split or column, or no row remains.
+        InputError: If there is no such split, or no row remains.
+        pyarrow.ArrowInvalid: If the filter names no column.
         SpecError: If the index cannot be read or violates its spec.
     """
 
@@ -88,13 +88,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         if split is not None:
             rows = rows.filter(pc.field("split") == split)
         if where is not None:
-            try:
-                rows = rows.filter(where)
-            except pa.ArrowInvalid as error:
-                raise InputError(
-                    f"{self.folder}/{INDEX}: cannot choose rows by {where} ({error}); its columns "
-                    f"are {', '.join(rows.column_names)}"
-                ) from None
+            rows = rows.filter(where)
         if not rows.num_rows:
             which = "" if split is None else f" of the split {split!r}"
             raise InputError(f"{self.folder}: has no sample{which} that was asked for")

@@ -28,9 +28,6 @@ from slgaussian.scene import Sample, Scene, Size, View
 
 Place = str | Path
 
-SMALLEST = 32
-"""Smallest side of a photograph for estimating its camera, pixels."""
-
 
 def photographs(
     *images: Any, size: Size = "auto", near: float | None = None, far: float | None = None
@@ -179,12 +176,6 @@ def photograph(file: Path, name: str) -> Photograph:
 
 def _photograph(image: Image.Image, name: str) -> Photograph:
     full_size, (lens, focal) = image.size, read_lens(image)
-    if min(full_size) < SMALLEST:
-        size = " x ".join(map(str, full_size))
-        raise InputError(
-            f"{name}: is {size} pixels, expected {SMALLEST} x {SMALLEST} at least, to match "
-            "features; give the photograph at its original size"
-        )
     orientation = orientation_of(image)
     scale = min(1.0, LONGEST / max(full_size))
     small_size = max(1, round(full_size[0] * scale)), max(1, round(full_size[1] * scale))

@@ -223,8 +223,6 @@ def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path):
         TrainingSet(tmp_path)
     with pytest.raises(InputError, match="split: found 'val', expected one of train, test"):
         TrainingSet(folder / "set", "val")
-    with pytest.raises(InputError, match=r"cannot choose rows by .*its columns are sample"):
-        TrainingSet(folder / "set", where=pc.field("colour") > 1)
     with pytest.raises(InputError, match="has no sample that was asked for"):
         TrainingSet(folder / "set", where=pc.field("overlap") > 2)
     shutil.copytree(folder / "set", tmp_path / "set")
