@@ -110,9 +110,7 @@ class Window:
         if not self.has_shape(width, height):
             raise InputError(
                 f"{name}: is {width}x{height}, of another shape than its photograph, "
-                f"{self.photo_width}x{self.photo_height}; expected the same aspect to "
-                f"{MOST_ASPECT:.0%}, so check that it belongs to it and is neither turned nor "
-                "cropped"
+                f"{self.photo_width}x{self.photo_height}; check that it is not turned or cropped"
             )
 
     def mask(self, mask: np.ndarray, height: int, width: int) -> np.ndarray:

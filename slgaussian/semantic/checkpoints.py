@@ -12,7 +12,7 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
-from slgaussian.io import write_atomic
+from slgaussian.io import write_file
 from slgaussian.semantic.branch import Branch
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
@@ -44,13 +44,7 @@ def save_checkpoint(
     }
     content = io.BytesIO()
     torch.save(state, content)
-    try:
-        write_atomic(folder / CHECKPOINT, content.getbuffer())
-    except OSError as error:
-        raise InputError(
-            f"checkpoint in {folder}: cannot be written ({error.strerror}); make room, or choose "
-            "another folder, and run again: it goes on from the last one"
-        ) from error
+    write_file(folder / CHECKPOINT, content.getbuffer())
 
 
 def load_checkpoint(

@@ -4,9 +4,6 @@ The base Gaussians are frozen and the loss is a mean squared error on the splatt
 Implementation Details). Codes are drawn anew whenever a lesson is used, so the network cannot
 memorise codes; the paper does not state this.
 
-All computation is in float32. bfloat16 halves the network's time, a tenth of a step, on CPUs with
-bfloat16 matrix multiplication, and is slower on others.
-
 All random draws are seeded by (seed, sample, epoch), and the order of lessons by (seed, epoch): the
 step number alone determines the state of all random generators. PyTorch runs on a fixed number of
 threads, by default one, because its sums of weight gradients depend on the number of threads; those

@@ -22,7 +22,7 @@ import pyarrow as pa
 
 from slgaussian.errors import InputError, SpecError
 from slgaussian.formats import strict_json
-from slgaussian.io import file_sha256, write_atomic
+from slgaussian.io import file_sha256, write_atomic, write_file
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.locks import hold_lock
 from slgaussian.storage.specs import load_spec
@@ -159,13 +159,7 @@ class Versions:
         if version is not None:
             self.weights(version)
             number = version.number
-        try:
-            write_atomic(self.folder / POINTER, json.dumps({"version": number}).encode())
-        except OSError as error:
-            raise InputError(
-                f"{self.folder}: cannot be written ({error.strerror or error}); the version in use "
-                "stays"
-            ) from error
+        write_file(self.folder / POINTER, json.dumps({"version": number}).encode())
 
     def _current_number(self) -> int:
         """Return the number of the version in use; 0 for none."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import os
-import time
 import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -22,9 +21,6 @@ from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 
 DEFAULT_BOUND = "10 GB"
-
-ABANDONED = 3600.0
-"""Seconds after which an unfinished copy is assumed to belong to a killed process."""
 
 
 @dataclass
@@ -95,10 +91,8 @@ class LocalCache:
                     state = path.lstat()
                     files.append((state.st_mtime, state.st_size, path))
         total = size + sum(length for _, length, _ in files)
-        for used, length, path in sorted(files):
-            is_unfinished = path.suffix == ".tmp"
-            abandoned = is_unfinished and time.time() - used > ABANDONED
-            if abandoned or (total > self.bound * 7 // 8 and not is_unfinished):
+        for _, length, path in sorted(files):
+            if total > self.bound * 7 // 8:
                 with suppress(OSError):
                     path.unlink()
                 total -= length

@@ -1,12 +1,10 @@
-import os
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from slgaussian.errors import InputError
-from slgaussian.storage.local_copies import ABANDONED, LocalCache, cached_arrays
+from slgaussian.storage.local_copies import LocalCache, cached_arrays
 
 ROOT = Path(__file__).parents[2]
 KB = bytes(1000)
@@ -26,15 +24,6 @@ def test_the_bound_is_kept_and_what_is_used_stays(tmp_path):
     assert cache.get("a/199") == KB
     assert cache.get("a/0") is None
     assert size_of(tmp_path) > cache.bound / 2
-
-
-def test_what_a_killed_process_left_goes_and_what_is_being_written_stays(tmp_path):
-    for name, age in (("old", 2 * ABANDONED), ("new", 0)):
-        path = tmp_path / f".{name}.tmp"
-        path.write_bytes(KB)
-        os.utime(path, (time.time() - age,) * 2)
-    LocalCache(tmp_path, 8 * 1000).put("a", KB)
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".new.tmp", "a"]
 
 
 def test_size_and_place_come_from_the_environment(tmp_path, monkeypatch):
