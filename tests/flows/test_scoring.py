@@ -100,7 +100,7 @@ def test_a_method_of_another_package_is_in_the_report(made):
     (line,) = [line for line in page.splitlines() if line.startswith("| colours |")][:1]
     assert f"{value:.3f}" in line
     described = json.loads((made / "manifest.json").read_text())["methods"]
-    assert described["colours"].startswith("colours of colours 1 ")
+    assert described["colours"].startswith("colours of colours ")
 
 
 def test_another_version_of_its_code_is_asked_again(labelled, made, tmp_path):
