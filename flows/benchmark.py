@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -148,7 +148,7 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
         for name, reason in data["left_out"].items():
             progress.line(f"warning: {scene}: {name} has no camera and is left out: {reason}")
     with writing(config.out):
-        results = _write(config, store, refs, progress.line)
+        results = _write(config, store, refs)
     page = None if refs.report is None else config.out / "report.html"
     return RunResult(results, refs.failures, page, _example(refs, config.out))
 
@@ -201,9 +201,7 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     return scenes, notes
 
 
-def _write(
-    settings: Settings, store: ArtifactStore, refs: _Refs, tell: Callable[[str], None]
-) -> list[SceneResult]:
+def _write(settings: Settings, store: ArtifactStore, refs: _Refs) -> list[SceneResult]:
     """Write all outputs; return the results without images, of which there may be thousands."""
     out = settings.out
     write_failures(out, refs.failures)
@@ -256,7 +254,7 @@ def _write(
         else:
             # The file of an earlier run describes other scenes.
             (out / name).unlink(missing_ok=True)
-    write_fields(store, refs.fields, settings.built_by.encoder.places(), out, tell)
+    write_fields(store, refs.fields, settings.built_by.encoder.places(), out)
     return results
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,14 +48,12 @@ def write_fields(
     fields: Mapping[str, ArtifactRef],
     places: Mapping[str, str],
     out: Path,
-    tell: Callable[[str], None] = lambda _: None,
 ) -> None:
     """Write the fields by scene below folder ``out``, and a table of them.
 
     Their files are hard links to those in the store if possible, as they are by far the largest
-    output of a run. Unchanged fields are not written again; fields of an earlier run that this run
-    does not have are removed. ``places`` are the locations of the encoder's files, and ``tell``
-    receives messages about slow steps.
+    output of a run. Fields of the same description are not written again; fields of an earlier run
+    that this run does not have are removed. ``places`` are the locations of the encoder's files.
 
     Raises:
         DamagedError: If an artifact is missing or damaged.
@@ -77,19 +74,16 @@ def write_fields(
     ]
     write_table(FIELDS, pa.Table.from_pylist(rows, schema=load_spec(FIELDS).schema), out)
 
-    def look(scene: str) -> _FieldFolder | None:
+    def write(scene: str) -> None:
         description, parts = about_field(store, fields[scene])
-        folder = _FieldFolder(field_place(scene, out), description.to_json(places), parts)
-        return None if folder.is_there(store) else folder
+        folder, text = field_place(scene, out), description.to_json(places)
+        files = {spec: folder / field_folder.FILES[spec] for spec in parts}
+        about = folder / field_folder.ABOUT  # with the digests of the files
+        is_there = all(file.is_file() for file in (about, *files.values()))
+        if not is_there or about.read_bytes() != text.encode():
+            field_folder.write(folder, text, lambda spec, at: store.link_or_copy(parts[spec], at))
 
-    missing = [
-        missing_folder
-        for missing_folder in store.map(look, list(fields))
-        if missing_folder is not None
-    ]
-    if missing and not store.near:
-        tell(f"copying {len(missing)} fields from {store.root}")
-    store.map(lambda missing_folder: missing_folder.write(store), missing, CONCURRENT_READS)
+    store.map(write, list(fields), CONCURRENT_READS)
 
 
 def _earlier(out: Path) -> set[str]:
@@ -99,32 +93,6 @@ def _earlier(out: Path) -> set[str]:
         return {name for name in table["folder"].to_pylist() if file_name(name) == name}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
         return set()
-
-
-@dataclass(frozen=True)
-class _FieldFolder:
-    """A field in its folder; ``text`` is the content of ``field.json``."""
-
-    folder: Path
-    text: str
-    parts: Mapping[str, ArtifactRef]
-
-    def is_there(self, store: ArtifactStore) -> bool:
-        """Return whether the folder is unchanged since :meth:`write`."""
-        try:
-            same = (self.folder / field_folder.ABOUT).read_text("utf-8") == self.text
-        except (OSError, ValueError):
-            return False
-        return same and all(
-            store.has_content(ref, self.folder / field_folder.FILES[spec])
-            for spec, ref in self.parts.items()
-        )
-
-    def write(self, store: ArtifactStore) -> None:
-        """Write the folder completely or not at all."""
-        field_folder.write(
-            self.folder, self.text, lambda spec, file: store.link_or_copy(self.parts[spec], file)
-        )
 
 
 def manifest(
