@@ -4,8 +4,6 @@ import base64
 import json
 import os
 import pickle
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -34,37 +32,6 @@ def ran(store: ArtifactStore, log: Path, value: int = 6, extra: int = 1) -> list
     outcome = run_tiny(store, {"a": tiny(value, extra, log)})
     assert outcome.failures == []
     return sorted(log.read_text().splitlines())
-
-
-@pytest.mark.usefixtures("server")
-def test_what_one_machine_made_another_finds(bucket, tmp_path):
-    """Two programs with nothing in common but the bucket and the account."""
-    plans = {f"scene_{i}": tiny(10 * i + 4, 1, tmp_path / "a") for i in range(3)}
-    run_tiny(ArtifactStore(f"{bucket}/slg"), plans)
-    assert len((tmp_path / "a").read_text().splitlines()) == 9
-    home = tmp_path / "home"
-    local = {"HOME": home, "XDG_CACHE_HOME": home / "caches", "PREFECT_HOME": home / "prefect"}
-    local |= {
-        "SLGAUSSIAN_CACHE": home / "copies",
-        "PYTHONPATH": f"{HERE}{os.pathsep}{HERE.parents[1]}",
-    }
-    command = [
-        sys.executable,
-        HERE / "tiny_run.py",
-        f"{bucket}/slg",
-        tmp_path / "b",
-        "0",
-        "threads",
-    ]
-    second = subprocess.run(
-        list(map(str, command)),
-        env={**os.environ, **{name: str(value) for name, value in local.items()}},
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert second.returncode == 0, second.stderr
-    assert not (tmp_path / "b").exists(), "something was computed anew"
-    assert all(f"scene_{i}  3 stages cached" in second.stderr for i in range(3))
 
 
 class Trap:

@@ -115,22 +115,6 @@ def test_a_name_is_asked_and_taken_like_a_word(field, tmp_path, ask, monkeypatch
     assert set(labels_of(tmp_path / "wall.ply")) == {BLUE}
 
 
-def test_a_copy_of_taught_words_teaches_another_field(field, tmp_path, ask, monkeypatch, capsys):
-    assert run(monkeypatch, "objects", "teach", field, "zorp", "--at", 40, 16) == 0
-    second = two_walls(tmp_path / "other")
-    copy = second / "words.npz"
-    copy.write_bytes((field / "words.npz").read_bytes())
-    status, (answer,) = ask("query", second, "zorp")
-    assert status == 0 and [first["id"] for first in answer["objects"]] == [BLUE]
-    _, rows = ask("segment", second, "zorp", "red")
-    assert [(row["text"], row["objects"]) for row in rows[:2]] == [("zorp", [BLUE]), ("red", [RED])]
-    assert ask("objects", "list", second)[1][1]["words"][0] == "zorp"
-    assert run(monkeypatch, "objects", "extract", second, "zorp", "-o", tmp_path / "f.ply") == 0
-    copy.write_bytes(copy.read_bytes()[:-9])
-    assert run(monkeypatch, "query", second, "zorp") == 2
-    assert "words.npz: file: found" in said(capsys)
-
-
 def test_a_field_is_asked_by_picture(field, tmp_path, ask, monkeypatch, capsys):
     Image.new("RGB", (20, 16), (10, 25, 205)).save(tmp_path / "crop.png")
     status, (answer, red) = ask("query", field, "--like", tmp_path / "crop.png", "red")
