@@ -140,7 +140,7 @@ def baselines(
     return run.store.put("scene_result", result_to_arrays(result), {"costs": costs})
 
 
-@stage("attribution", version=6)
+@stage("attribution", version=7)
 def attribution(
     run: RunContext,
     sample: ArtifactRef,

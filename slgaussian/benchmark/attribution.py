@@ -192,10 +192,11 @@ def best_objects(objects: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.
 
 def elect(gaussians: Gaussians, labels: np.ndarray, camera: Camera) -> np.ndarray:
     """Render labels int32 [N] of Gaussians, 0 for none: int32 [H, W], 0 where none is visible."""
-    nothing = torch.zeros((len(gaussians), 0))
-    image = rasterize(gaussians, nothing, camera, labels=torch.from_numpy(labels))
-    assert image.label is not None and image.label_weights is not None  # labels were requested
-    return np.where(image.label_weights.numpy()[..., 2] >= VISIBLE, image.label.numpy(), 0)
+    ids = np.unique(labels[labels > 0])
+    members = torch.from_numpy((labels[:, None] == ids).astype(np.float32))
+    weights = rasterize(gaussians, members, camera).values.numpy()
+    best = np.pad(weights, ((0, 0), (0, 0), (0, 1))).argmax(-1)  # 0 without any label
+    return np.where(weights.sum(-1) >= VISIBLE, np.append(ids, 0)[best], 0).astype(np.int32)
 
 
 def context_truth(

@@ -29,9 +29,6 @@ BACKENDS = {
     "reference": "slgaussian.rasterize.reference:render",
 }
 
-MOST_LABELS = 2**24
-"""Exclusive bound of labels: kernels store them in float32, which is exact below it."""
-
 FRUSTUM_MARGIN = 0.3
 """Distance from the image, as a fraction of half its size, to which the point of evaluation of the
 affine approximation is clamped; farther outside it diverges (Kerbl et al. 2023 and gsplat use the
@@ -50,18 +47,12 @@ class Render:
             0.
         median: float [H, W] or None. Median z-depth: of the Gaussian at which ``alpha`` reaches one
             half; 0 where it does not. Without gradient.
-        label: int32 [H, W] or None. Label with the greatest blending weight, 0 without labelled
-            Gaussians. Without gradient.
-        label_weights: float [H, W, 3] or None. Blending weights of that label, of the second label,
-            and of all labels, each in [0, 1].
     """
 
     values: torch.Tensor
     alpha: torch.Tensor
     depth: torch.Tensor
     median: torch.Tensor | None = None
-    label: torch.Tensor | None = None
-    label_weights: torch.Tensor | None = None
 
     __repr__ = short_repr
 
@@ -74,7 +65,6 @@ def rasterize(
     backend: str = "auto",
     settings: Settings | str = "fast",
     median: bool = False,
-    labels: torch.Tensor | None = None,
 ) -> Render:
     """Render any number of channels of ``gaussians`` from ``camera`` in one pass.
 
@@ -92,13 +82,10 @@ def rasterize(
         settings: Settings or "fast", "exact", "3dgs". Image formation and cut-offs; see
             :mod:`slgaussian.rasterize.render_settings`.
         median: Compute the median depth as well.
-        labels: int32 [N], optional. Label of each Gaussian, below 2^24; 0 is none. Adds the label
-            of every pixel: the one with the greatest sum of weights, ties to the lowest.
 
     Raises:
-        InputError: If ``values`` or ``labels`` has the wrong shape, a label or a parameter is out
-            of range, NaN or infinite (named with its index), or the backend lacks a requested
-            feature.
+        InputError: If ``values`` has the wrong shape, a parameter is out of range, NaN or infinite
+            (named with its index), or the backend lacks a requested feature.
     """
     settings = find_settings(settings)
     if values is None:
@@ -109,26 +96,10 @@ def rasterize(
         raise InputError(
             f"rasterize values: found shape {tuple(values.shape)}, expected ({len(gaussians)}, C)"
         )
-    if labels is not None:
-        _check_labels(labels, len(gaussians))
     if backend == "auto":
         backend = "cuda" if gaussians.means.is_cuda else "cpu"
     draw = resolve("rasterizer", BACKENDS, backend)
-    return draw(gaussians, values, camera, settings, median, labels)
-
-
-def _check_labels(labels: torch.Tensor, n: int) -> None:
-    import torch
-
-    if labels.dtype != torch.int32 or labels.shape != (n,):
-        raise InputError(
-            f"rasterize labels: found {labels.dtype} {tuple(labels.shape)}, expected int32 ({n},)"
-        )
-    if n and not 0 <= int(labels.min()) <= int(labels.max()) < MOST_LABELS:
-        raise InputError(
-            f"rasterize labels: found {int(labels.min())} to {int(labels.max())}, expected 0 to "
-            f"{MOST_LABELS - 1}; number them anew from 1"
-        )
+    return draw(gaussians, values, camera, settings, median)
 
 
 def check_inputs(gaussians: Gaussians, values: torch.Tensor | np.ndarray) -> None:

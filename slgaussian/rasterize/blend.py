@@ -45,8 +45,6 @@ def draw(
     alpha_max: np.float32,
     pass_min: np.float32,
     with_median: bool,
-    labels: np.ndarray,
-    most_label: int,
 ) -> tuple[np.ndarray, ...]:
     """Composite front to back.
 
@@ -54,39 +52,29 @@ def draw(
         splats, boxes: as :func:`slgaussian.rasterize.project.project` returns them
         values: float32 [N, C]
         alpha_max, pass_min: float32. See :class:`slgaussian.rasterize.render_settings.Settings`.
-        labels: int32 [N], from 0
-        most_label: The largest of them, or -1 to skip the search for labels.
 
     Returns:
         image: float32 [H, W, C]
         alpha: float32 [H, W]
         depth: float32 [H, W]. Mean z; 0 where alpha is 0.
         median: float32 [H, W], or [0, 0] without ``with_median``
-        label: int32 [H, W], or [0, 0] without ``labels``
-        label_weights: float32 [H, W, 3], or [0, 0, 3]
     """
-    with_labels = most_label >= 0
     image = np.empty((height, width, values.shape[1]), np.float32)
     alpha = np.empty((height, width), np.float32)
     depth = np.zeros((height, width), np.float32)
     median = np.zeros((height, width) if with_median else (0, 0), np.float32)
-    label = np.zeros((height, width) if with_labels else (0, 0), np.int32)
-    label_weights = np.zeros((height, width, 3) if with_labels else (0, 0, 3), np.float32)
     share(
-        _draw, strips_of(bins), splats, boxes, values, bins, alpha_max, pass_min, labels,
-        most_label, image, alpha, depth, median, label, label_weights,
+        _draw, strips_of(bins), splats, boxes, values, bins, alpha_max, pass_min, image, alpha,
+        depth, median,
     )  # fmt: skip
-    return image, alpha, depth, median, label, label_weights
+    return image, alpha, depth, median
 
 
 @kernel
-def _draw(
-    counter, splats, boxes, values, bins, alpha_max, pass_min, labels, most_label, image, alpha,
-    depth, median, label, label_weights,
-):  # fmt: skip
+def _draw(counter, splats, boxes, values, bins, alpha_max, pass_min, image, alpha, depth, median):
     height, width, channels = image.shape
     channels += 1
-    with_median, with_labels = median.size > 0, most_label >= 0
+    with_median = median.size > 0
     strip, tiles = take(counter), bins.across * bins.down
     if strip * STRIP >= tiles:
         return
@@ -94,10 +82,6 @@ def _draw(
     work = make_workspace(capacity, channels - 1)
     sums = np.empty((channels + 3) * LANES, np.float32)
     alphas, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-    slots = np.full(most_label + 1, -1, np.int32)
-    label_at = np.empty(most_label + 1, np.int32)
-    votes = np.empty((most_label + 1) * LANES, np.float32)
-    elected = np.empty(4 * LANES, np.float32)
     while strip * STRIP < tiles:
         for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
@@ -110,9 +94,6 @@ def _draw(
                 _sum_block(block, used, channels, work, sums)
                 if with_median:
                     vstore(middles, 0, _median_block(block, used, channels, work))
-                if with_labels:
-                    entries = bins.entries[bins.starts[tile] :]
-                    _elect(block, used, work, entries, labels, slots, label_at, votes, elected)
                 for y in range(y0, min(y0 + BLOCK, height)):
                     for x in range(x0, min(x0 + BLOCK, width)):
                         lane = (y - y0) * BLOCK + x - x0
@@ -124,10 +105,6 @@ def _draw(
                             depth[y, x] = sums[(channels - 1) * LANES + lane] / alphas[lane]
                         if with_median:
                             median[y, x] = middles[lane]
-                        if with_labels:
-                            label[y, x] = elected[lane]
-                            for k in range(3):
-                                label_weights[y, x, k] = elected[(k + 1) * LANES + lane]
         strip = take(counter)
 
 
@@ -296,44 +273,6 @@ def _median_block(block, used, channels, work):
         median = vwhere(reached, z, median)
         transmittance = after
     return median
-
-
-@kernel(inline="always")
-def _elect(block, used, work, entries, labels, slots, label_at, votes, elected):
-    """Find the label with the greatest sum of weights, that sum, the second, and the total.
-
-    Writes four vectors to ``elected``; ties go to the lowest label. ``slots`` is -1 for every
-    label before and after the call.
-    """
-    first = block * len(work.keys)
-    total, count = vzero(), 0
-    for j in range(used):
-        label = labels[entries[np.uint32(work.lists[first + j])]]
-        if label == 0:
-            continue
-        weight = vload(work.weights, j * LANES)
-        total = total + weight
-        slot = slots[label]
-        if slot < 0:
-            slot = slots[label] = count
-            label_at[count] = label
-            vstore(votes, slot * LANES, weight)
-            count += 1
-        else:
-            vstore(votes, slot * LANES, vload(votes, slot * LANES) + weight)
-    best, second, winner = vzero(), vzero(), vzero()
-    for slot in range(count):
-        vote, label = vload(votes, slot * LANES), np.float32(label_at[slot])
-        slots[label_at[slot]] = -1
-        above = vote > best
-        lower = (vote >= best) & (winner > label)  # where ``above`` holds, the value is not used
-        second = vwhere(above, best, vwhere(vote > second, vote, second))
-        best = vwhere(above, vote, best)
-        winner = vwhere(above, label, vwhere(lower, label, winner))
-    vstore(elected, 0, winner)
-    vstore(elected, LANES, best)
-    vstore(elected, 2 * LANES, second)
-    vstore(elected, 3 * LANES, total)
 
 
 @kernel

@@ -29,7 +29,6 @@ def render(
     camera: Camera,
     settings: Settings,
     median: bool,
-    labels: torch.Tensor | None,
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32.
 
@@ -40,12 +39,10 @@ def render(
     }
     gaussians = replace(gaussians, **arrays)
     values = values.to("cpu", torch.float32).contiguous()
-    image, alpha, depth, middle, *elected = _Splatting.apply(
-        *arrays.values(), values, gaussians, eye_of(camera, settings), settings, median, labels
+    image, alpha, depth, middle = _Splatting.apply(
+        *arrays.values(), values, gaussians, eye_of(camera, settings), settings, median
     )
-    return Render(
-        image, alpha, depth, middle if median else None, *(elected if labels is not None else [])
-    )
+    return Render(image, alpha, depth, middle if median else None)
 
 
 class _Splatting(torch.autograd.Function):
@@ -61,19 +58,17 @@ class _Splatting(torch.autograd.Function):
         eye: Eye,
         settings: Settings,
         median: bool,
-        labels: torch.Tensor | None,
     ) -> tuple[torch.Tensor, ...]:
         arrays = [t.detach().numpy() for t in (means, scales, quats, opacities)]
-        named = None if labels is None else labels.cpu().contiguous().numpy()
         drawn, splats, boxes, bins, limits = splatted(
-            gaussians, arrays, values.detach().numpy(), eye, settings, median, named
+            gaussians, arrays, values.detach().numpy(), eye, settings, median
         )
-        image, alpha, depth, *rest = (torch.from_numpy(array) for array in drawn)
+        image, alpha, depth, middle = (torch.from_numpy(array) for array in drawn)
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(means, scales, quats, opacities, values, alpha, depth)
             ctx.drawn = splats, boxes, bins, limits, eye
-        ctx.mark_non_differentiable(*rest)
-        return image, alpha, depth, *rest
+        ctx.mark_non_differentiable(middle)
+        return image, alpha, depth, middle
 
     @staticmethod
     @torch.autograd.function.once_differentiable
@@ -95,4 +90,4 @@ class _Splatting(torch.autograd.Function):
             np.ascontiguousarray(d_image.numpy()), d_accumulated, d_z,
         )  # fmt: skip
         gradients = project_backward(geometry, eye, splats, firsts, grads)
-        return *(torch.from_numpy(array) for array in gradients), None, None, None, None, None
+        return *(torch.from_numpy(array) for array in gradients), None, None, None, None

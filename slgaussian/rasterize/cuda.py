@@ -39,7 +39,6 @@ def render(
     camera: Camera,
     settings: Settings,
     median: bool,
-    labels: torch.Tensor | None,
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32, on the device of the input.
 
@@ -47,10 +46,10 @@ def render(
 
     Raises:
         InputError: If the tensors are not on one CUDA device, gsplat is not installed or has no
-            compiled kernels, or it does not support the request: the median depth, labels, pixels
-            with skew, or an ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
+            compiled kernels, or it does not support the request: the median depth, pixels with
+            skew, or an ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
     """
-    _check_possible(camera, settings, median, labels is not None)
+    _check_possible(camera, settings, median)
     device = _one_device(gaussians, values)
     rasterization = load_gsplat()
     if not _all_valid(gaussians, values):
@@ -90,12 +89,10 @@ def render(
     return Render(image[..., :-1], alpha, depth)
 
 
-def _check_possible(camera: Camera, settings: Settings, median: bool, labels: bool) -> None:
+def _check_possible(camera: Camera, settings: Settings, median: bool) -> None:
     instead = "use backend 'cpu' for it"
     if median:
         raise InputError(f"rasterize: gsplat (backend 'cuda') finds no median depth; {instead}")
-    if labels:
-        raise InputError(f"rasterize: gsplat (backend 'cuda') finds no labels; {instead}")
     if camera.K[0, 1] != 0:
         raise InputError(
             f"camera K: found a skew of {camera.K[0, 1]:g} px, expected 0, as gsplat (backend "

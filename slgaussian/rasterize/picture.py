@@ -23,17 +23,12 @@ GEOMETRY = ("means", "scales", "quats", "opacities")
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A rendered view: :class:`slgaussian.rasterize.Render` as float32 arrays.
-
-    ``label`` and ``label_weights`` are empty without labels.
-    """
+    """A rendered view: :class:`slgaussian.rasterize.Render` as float32 arrays."""
 
     values: np.ndarray
     alpha: np.ndarray
     depth: np.ndarray
     median: np.ndarray
-    label: np.ndarray
-    label_weights: np.ndarray
 
     @staticmethod
     def of(render: Render) -> Picture:
@@ -42,7 +37,7 @@ class Picture:
         for name in (field.name for field in fields(Picture)):
             tensor = getattr(render, name)
             array = np.empty(0) if tensor is None else tensor.detach().cpu().numpy()
-            arrays[name] = array.astype("i4" if name == "label" else "f4", copy=False)
+            arrays[name] = array.astype(np.float32, copy=False)
         return Picture(**arrays)
 
 
@@ -51,9 +46,8 @@ def picture(
     values: np.ndarray,
     camera: Camera,
     settings: Settings | str = "fast",
-    labels: np.ndarray | None = None,
 ) -> Picture:
-    """Render Gaussians with ``values`` float32 [N, C], and ``labels`` int32 [N] from 0.
+    """Render Gaussians with ``values`` float32 [N, C].
 
     Raises:
         InputError: If a number is invalid, naming the first Gaussian with one.
@@ -63,7 +57,7 @@ def picture(
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
     drawn, *_ = splatted(
         gaussians, geometry, np.ascontiguousarray(values, np.float32), eye_of(camera, settings),
-        settings, False, labels,
+        settings, False,
     )  # fmt: skip
     return Picture(*drawn)
 
@@ -87,7 +81,6 @@ def splatted(
     eye: Eye,
     settings: Settings,
     median: bool,
-    labels: np.ndarray | None,
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, Any, tuple[np.float32, np.float32]]:
     """Project, bin and draw; return the images of :func:`slgaussian.rasterize.blend.draw`, splats,
     boxes, bins and limits.
@@ -100,9 +93,5 @@ def splatted(
         check_inputs(gaussians, values)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
-    named = np.empty(0, np.int32) if labels is None else np.ascontiguousarray(labels)
-    most_label = -1 if labels is None else int(named.max(initial=0))
-    drawn = draw(
-        splats, boxes, values, bins, eye.width, eye.height, *limits, median, named, most_label
-    )
+    drawn = draw(splats, boxes, values, bins, eye.width, eye.height, *limits, median)
     return drawn, splats, boxes, bins, limits

@@ -56,7 +56,6 @@ def render(
     camera: Camera,
     settings: Settings,
     median: bool,
-    labels: torch.Tensor | None,
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float64, without cut-offs."""
     check_inputs(gaussians, values)
@@ -70,8 +69,7 @@ def render(
         torch.arange(camera.height) + 0.5, torch.arange(camera.width) + 0.5, indexing="ij"
     )
     pixels = torch.stack([u, v], -1).reshape(-1, 2).to(mean)
-    names, belongs = (torch.zeros(0, 0),) * 2 if labels is None else _memberships(labels[order])
-    images, alphas, depths, medians, votes = [], [], [], [], []
+    images, alphas, depths, medians = [], [], [], []
     for some in pixels.split(max(1, PAIRS_AT_ONCE // max(1, len(order)))):
         d = some[:, None] - mean
         power = -0.5 * torch.einsum("pni,nij,pnj->pn", d, precision, d)
@@ -85,8 +83,6 @@ def render(
         if median:
             reached = (passed <= 0.5) & (before > 0.5)
             medians.append((reached * z).sum(-1).detach())
-        if labels is not None:
-            votes.append((weight @ belongs).detach())
     shape = (camera.height, camera.width)
     total = torch.cat(alphas).reshape(shape)
     depth = torch.cat(depths).reshape(shape) / total.clamp_min(1e-300)
@@ -95,22 +91,4 @@ def render(
         total,
         depth,
         torch.cat(medians).reshape(shape) if median else None,
-        *(() if labels is None else _elect(torch.cat(votes).reshape(*shape, -1), names)),
     )
-
-
-def _memberships(labels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the L labels above 0 in use, ascending, and their one-hot encoding, float64 [N, L]."""
-    names = labels[labels > 0].unique()
-    return names, (labels[:, None] == names).double()
-
-
-def _elect(votes: torch.Tensor, names: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Compute ``label`` and ``label_weights`` of a Render from the label weights [H, W, L]."""
-    two_more = torch.nn.functional.pad(votes, (0, 2))
-    best, second = two_more.topk(2, -1).values.unbind(-1)
-    # NumPy's argmax takes the first of equal values.
-    winner = torch.from_numpy(two_more.cpu().numpy().argmax(-1)).to(names.device)
-    named = torch.cat([names, names.new_zeros(2)])[winner]
-    label = torch.where(best > 0, named, named.new_zeros(()))
-    return label.int(), torch.stack([best, second, votes.sum(-1)], -1)

@@ -207,17 +207,6 @@ def test_what_cannot_be_read_is_said(tmp_path, steep):
         predicted(steep, tmp_path)
 
 
-def test_what_depends_on_a_file_knows_its_content(tmp_path, steep):
-    file = saved(tmp_path, depth=true_depth(steep))
-    before = Component.of("predictor", "precomputed", {"geometry": file}).identity()
-    saved(tmp_path, depth=2 * true_depth(steep))
-    after = Component.of("predictor", "precomputed", {"geometry": file})
-    assert after.identity() != before
-    with pytest.raises(InputError, match="was changed"):
-        saved(tmp_path, depth=3 * true_depth(steep))
-        after.load()
-
-
 def test_views_that_were_cropped_from_their_photographs_get_their_part(tmp_path, steep):
     smaller = replace(steep, context=tuple(view.resized(100, 160) for view in steep.context))
     assert off(smaller, saved(tmp_path, depth=true_depth(steep))) < 0.005

@@ -43,8 +43,6 @@ def test_what_gsplat_cannot_do_is_refused():
     splats, values = cloud(5)
     with pytest.raises(InputError, match="no median depth; use backend 'cpu'"):
         rasterize(splats, values, camera(), backend="cuda", median=True)
-    with pytest.raises(InputError, match="no labels; use backend 'cpu'"):
-        rasterize(splats, values, camera(), backend="cuda", labels=torch.ones(5, dtype=torch.int32))
     with pytest.raises(InputError, match=r"camera K: found a skew of 1\.5 px, expected 0"):
         rasterize(splats, values, camera(skew=1.5), backend="cuda")
     with pytest.raises(InputError, match=r"alpha_max: found 0\.5, expected 0\.99 or more"):

@@ -182,68 +182,6 @@ def test_median_depth(name):
     torch.testing.assert_close(fast.double(), true, rtol=2e-7, atol=0)
 
 
-LABEL_TOLERANCE = 5e-6
-"""Of the weights of labels, which are sums as the values are. Measured: at most 1.1e-6."""
-
-
-@pytest.mark.parametrize("count", [1, 3, 40])
-@pytest.mark.parametrize(
-    "name",
-    ["ordinary_cloud", "dense_overlap", "opacity_1", "a_gaussian_per_pixel", "image_of_17x33",
-     "no_channel", "nothing"],
-)  # fmt: skip
-def test_labels(name, count):
-    output = case(name)
-    labels = (torch.arange(len(output.gaussians)) * 7 % (count + 1)).int()
-    fast, true = (
-        rasterize(
-            output.gaussians,
-            output.values,
-            output.camera,
-            backend=b,
-            settings="exact",
-            labels=labels,
-        )
-        for b in BACKENDS
-    )
-    assert fast.label.dtype == true.label.dtype == torch.int32
-    assert (fast.label_weights - true.label_weights).abs().max() < LABEL_TOLERANCE
-    # Where one leads by more than rounding it is found.
-    best, second, _ = true.label_weights.unbind(-1)
-    clear = best - second > 2 * LABEL_TOLERANCE
-    assert torch.equal(fast.label[clear], true.label[clear])
-    plain = rasterize(output.gaussians, output.values, output.camera, settings="exact")
-    assert torch.equal(plain.values, fast.values)
-    assert plain.label is None
-    assert plain.label_weights is None
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_the_label_with_most_of_the_light_wins_and_ties_go_to_the_lowest(backend):
-    output = splats(
-        [[0, 0, 2.0], [0, 0, 3.0], [0, 0, 5.0], [0, 0, 6.0]], 1e6, [0.25, 0.3333333, 0.5, 1]
-    )
-
-    def view(*labels):
-        drawn = rasterize(
-            output, torch.ones(4, 1), camera(), backend=backend,
-            labels=torch.tensor(labels, dtype=torch.int32),
-        )  # fmt: skip
-        return int(drawn.label[12, 16]), drawn.label_weights[12, 16].tolist()
-
-    # A quarter each. Two together lead; nothing that is not labelled has a say.
-    assert view(9, 4, 9, 7) == (9, pytest.approx([0.5, 0.25, 1], abs=1e-6))
-    assert view(0, 0, 0, 7) == (7, pytest.approx([0.25, 0, 0.25], abs=1e-6))
-    assert view(0, 0, 0, 0) == (0, [0, 0, 0])
-    equal = splats([[0, 0, 2.0], [0, 0, 3.0]], 1e9, [0.5, 1.0])
-    for labels in ([2, 1], [1, 2]):
-        drawn = rasterize(
-            equal, torch.ones(2, 1), camera(), backend=backend,
-            labels=torch.tensor(labels, dtype=torch.int32),
-        )  # fmt: skip
-        assert drawn.label[12, 16] == 1
-
-
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_median_depth_is_where_half_the_light_is_gone(backend):
     output = splats([[0, 0, 2.0], [0, 0, 3.0], [0, 0, 5.0]], 100.0, [0.3, 0.4, 0.5])
@@ -278,11 +216,8 @@ def test_the_order_of_the_input_changes_no_byte(n, seed):
     """No two depths here are equal."""
     output, values = cloud(n, seed)
     order = torch.randperm(n, generator=torch.Generator().manual_seed(seed))
-    labels = (torch.arange(n) % 5).int()
-    item = rasterize(output, values, camera(), median=True, labels=labels)
-    alternative = rasterize(
-        output[order], values[order], camera(), median=True, labels=labels[order]
-    )
+    item = rasterize(output, values, camera(), median=True)
+    alternative = rasterize(output[order], values[order], camera(), median=True)
     for name, drawn in vars(item).items():
         assert torch.equal(drawn, getattr(alternative, name)), name
 
@@ -315,8 +250,7 @@ def test_no_finite_input_gives_nan(seed, preset):
     )
     output.quats[(output.quats == 0).all(1)] = 1
     view = camera(24, 17, 10 ** rng.uniform(0, 5), c2w=rotated(seed))
-    labels = (torch.arange(30) % 4).int()
-    image = rasterize(output, torch.ones(30, 2), view, settings=preset, median=True, labels=labels)
+    image = rasterize(output, torch.ones(30, 2), view, settings=preset, median=True)
     for name, drawn in vars(image).items():
         assert torch.isfinite(drawn).all(), name
         assert drawn.min() >= 0, name
@@ -330,11 +264,9 @@ def test_no_finite_input_gives_nan(seed, preset):
 def test_bytes_do_not_depend_on_the_threads(preset):
     output, values = cloud(300, view=camera(100, 80, 90))
 
-    labels = (torch.arange(300) % 40).int()
-
     def draw():
         view = camera(100, 80, 90)
-        return rasterize(output, values, view, settings=preset, median=True, labels=labels)
+        return rasterize(output, values, view, settings=preset, median=True)
 
     with kernels_on(1):
         first = draw()
@@ -383,10 +315,6 @@ def test_bad_gaussians_are_refused_with_field_and_index(field, bad, expected, ba
         rasterize(output, values, camera(), backend=backend)
 
 
-def ids(*values):
-    return torch.tensor(values, dtype=torch.int32)
-
-
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize(
     ("changed", "sentence"),
@@ -395,10 +323,6 @@ def ids(*values):
         ({"values": torch.zeros(4, 5)}, r"values: found shape .*expected \(5, C\)"),
         ({"values": torch.zeros(5)}, r"values: found shape .*expected \(5, C\)"),
         ({"values": torch.zeros(5, 2, 2)}, r"values: found shape .*expected \(5, C\)"),
-        ({"labels": ids(0, 0, 0, 0)}, r"labels: found torch.int32 \(4,\)"),
-        ({"labels": torch.zeros(5)}, r"labels: found torch.float32 \(5,\)"),
-        ({"labels": ids(0, 1, -1, 0, 0)}, "labels: found -1 to 1"),
-        ({"labels": ids(0, 1, 2**24, 0, 0)}, "labels: found 0 to 16777216"),
         ({"backend": "opengl"}, "expected one of cpu, cuda, reference"),
         ({"settings": "slow"}, "'slow': expected one of fast, exact, 3dgs"),
     ],
