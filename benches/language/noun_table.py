@@ -21,7 +21,7 @@ import lzma
 from collections import defaultdict
 from pathlib import Path
 
-from slgaussian.language import nouns
+from slgaussian.language import vocabulary
 
 VISIBLE = {"03", "05", "06", "08", "13", "15", "17", "20", "27"}
 """Lexicographer files of animals, artifacts, body, food, locations, objects, plants, substances."""
@@ -173,7 +173,7 @@ def main() -> None:
         for numbers, spelled in sorted(words.items())
     ]
     text = "\n".join(lines) + "\n"
-    target = Path(nouns.__file__).with_name(nouns.TABLE)
+    target = Path(vocabulary.__file__).with_name(vocabulary.TABLE)
     target.write_bytes(lzma.compress(text.encode(), preset=9 | lzma.PRESET_EXTREME))
     print(f"{target}: {sum(map(len, words.values()))} words, {target.stat().st_size} bytes")
 
