@@ -246,26 +246,18 @@ def _from_hub(
         cached = Path(snapshot_download(name, local_files_only=True))
         check(cached)
         return cached
-    if not wanted:
-        raise InputError(
-            f"{kind} {name}: is no folder here, and not in the cache of the hub yet; it is "
-            f"downloaded when it is first used, or now with `hf download {name}`"
-        )
+    reason = "download it once"
     for patterns in wanted:
         try:
             folder = Path(snapshot_download(name, allow_patterns=patterns))
-        except (OSError, ValueError) as problem:
-            reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
-            raise InputError(
-                f"{kind} {name}: there is no such folder, the hub's cache does not hold it, and it "
-                f"could not be downloaded ({reason}); check the spelling, or download it elsewhere "
-                "and give the folder"
-            ) from None
-        with contextlib.suppress(InputError):
             check(folder)
             return folder
-    check(folder)
-    return folder
+        except (OSError, ValueError) as error:
+            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+    raise InputError(
+        f"{kind} {name}: there is no such folder, and the hub's cache does not hold it ({reason}); "
+        f"check the spelling, or run `hf download {name}` where there is a network"
+    )
 
 
 def model_digest(model: str | Path) -> str:
