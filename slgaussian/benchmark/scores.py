@@ -38,10 +38,8 @@ GROUPS = ("dataset", "method", "protocol")
 GOOD = 0.5
 """Smallest IoU of an answer that is not a miss."""
 
-ONE_SCENE = "one scene: no interval"
-ONE_PLACE = "scenes of one place: no interval"
-FEW_SCENES = f"fewer than {LEAST} scenes: a rough interval"
-FEW_PLACES = f"scenes of fewer than {LEAST} places: a rough interval"
+ONE_PLACE = "one place: no interval"
+FEW_PLACES = f"fewer than {LEAST} places: a rough interval"
 
 
 def key_of(row: Row) -> tuple[str, str, str]:
@@ -186,10 +184,9 @@ def place_of(row: Row) -> str:
 def _trust(ends: tuple[float, float] | None, places: Sequence[str], samples: int) -> dict[str, Any]:
     """Return the columns of interval and note of a score; ``places`` are those of its scenes."""
     low, high = ends or (None, None)
-    scenes, distinct = len(places), len(set(places))
-    single, rough = (ONE_SCENE, FEW_SCENES) if distinct == scenes else (ONE_PLACE, FEW_PLACES)
-    note = single if ends is None else rough if distinct < LEAST else ""
-    counts = {"scenes": scenes, "places": distinct, "samples": samples}
+    distinct = len(set(places))
+    note = ONE_PLACE if ends is None else FEW_PLACES if distinct < LEAST else ""
+    counts = {"scenes": len(places), "places": distinct, "samples": samples}
     return {"low": low, "high": high, **counts, "note": note}
 
 

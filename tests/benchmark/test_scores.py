@@ -6,8 +6,8 @@ from rows import sample
 
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.benchmark.scores import (
-    FEW_SCENES,
-    ONE_SCENE,
+    FEW_PLACES,
+    ONE_PLACE,
     differences,
     scene_means,
     score_table,
@@ -56,9 +56,9 @@ def test_miou_is_the_mean_over_frames_of_the_mean_over_classes():
 
 def test_one_scene_has_no_interval_and_few_have_a_rough_one():
     one = score(score_table(ious(a=[0.1, 0.9])), "iou")
-    assert one["low"] is one["high"] is None and one["note"] == ONE_SCENE
+    assert one["low"] is one["high"] is None and one["note"] == ONE_PLACE
     few = score(score_table(ious(a=[0.1], b=[0.9])), "iou")
-    assert (few["low"], few["high"], few["note"]) == (0.1, 0.9, FEW_SCENES)
+    assert (few["low"], few["high"], few["note"]) == (0.1, 0.9, FEW_PLACES)
     enough = ious(**{f"s{k}": [k / 10] for k in range(LEAST)})
     row = score(score_table(enough), "iou")
     assert row["note"] == "" and row["low"] < row["value"] < row["high"]
@@ -95,7 +95,7 @@ def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
     found = {}
     for row in table.to_pylist():
         found.setdefault(row["protocol"], []).append(row["metric"])
-        assert row["scenes"] == 1 and row["note"] == ONE_SCENE
+        assert row["scenes"] == 1 and row["note"] == ONE_PLACE
     assert list(found) == [protocol.label for protocol in PROTOCOLS.values()]
     own = ["iou", "boundary_iou", "miou", "hit_mask", "hit_box"]
     assert found["slgaussian@2"] == own

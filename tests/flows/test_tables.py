@@ -24,14 +24,14 @@ def test_the_mean_has_an_interval_and_says_by_what():
     ]
     assert lines[-1] == (
         "by slgaussian@2 (near-best, share 0.7, temperature 10, phrases: lerf, absent: skip); "
-        "3 samples of 2 scenes; fewer than 6 scenes: a rough interval"
+        "3 samples of 2 scenes; fewer than 6 places: a rough interval"
     )
 
 
 def test_one_scene_has_no_interval_and_no_scene_no_numbers():
     *_, mean, by = scenes_text([result_of("a", 0.5)]).splitlines()
     assert mean.split() == ["mean", "0.500", "20.0"]
-    assert by.endswith("1 sample of 1 scene; one scene: no interval")
+    assert by.endswith("1 sample of 1 scene; one place: no interval")
     unasked = SceneResult("a", [], {"psnr": 20.0}, {}, {})
     assert len(scenes_text([unasked]).splitlines()) == 3
     assert scenes_text([]) == ""
