@@ -14,7 +14,7 @@ from slgaussian.gaussians import SH_C0, Gaussians
 from slgaussian.rasterize.api import Render, check_inputs
 from slgaussian.rasterize.blend import draw
 from slgaussian.rasterize.project import Eye, eye_of, project
-from slgaussian.rasterize.render_settings import Settings, find_settings
+from slgaussian.rasterize.render_settings import PRESETS, Settings
 from slgaussian.rasterize.tiles import bin_splats
 from slgaussian.scene import Camera
 
@@ -41,19 +41,13 @@ class Picture:
         return Picture(**arrays)
 
 
-def picture(
-    gaussians: Gaussians,
-    values: np.ndarray,
-    camera: Camera,
-    settings: Settings | str = "fast",
-) -> Picture:
-    """Render Gaussians with ``values`` float32 [N, C].
+def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture:
+    """Render Gaussians with ``values`` float32 [N, C] and the settings ``fast``.
 
     Raises:
         InputError: If a number is invalid, naming the first Gaussian with one.
     """
-    settings = find_settings(settings)
-    arrays = gaussians.to_arrays()
+    settings, arrays = PRESETS["fast"], gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
     drawn, *_ = splatted(
         gaussians, geometry, np.ascontiguousarray(values, np.float32), eye_of(camera, settings),

@@ -75,11 +75,6 @@ class MVSplat(MVSplatConfig):
             reason = str(problem).splitlines()[0]
             raise InputError(f"mvsplat device {device!r}: cannot be used ({reason})") from None
 
-    @property
-    def network(self) -> Network:
-        """The network, on its device."""
-        return self._network
-
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
         """Predict one Gaussian for each context pixel, in the world frame of ``sample``.
 
@@ -120,12 +115,12 @@ class MVSplat(MVSplatConfig):
     ) -> Gaussians:
         """Predict in the units of ``cameras``; ``source`` counts the cropped pixels."""
         stacked = np.stack([view.image for view in views])
-        device = next(self.network.parameters()).device
+        device = next(self._network.parameters()).device
         images = torch.from_numpy(stacked).permute(0, 3, 1, 2).to(device)
         bfloat16 = self.precision == "bfloat16"
-        with torch.no_grad(), inside(self.network):
+        with torch.no_grad(), inside(self._network):
             with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                output = self.network(images.float().div_(255), cameras, near, far)
+                output = self._network(images.float().div_(255), cameras, near, far)
             lifted = [
                 gaussians_of(disparity, raw, camera, self.config)
                 for disparity, raw, camera in zip(
