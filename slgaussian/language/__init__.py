@@ -21,7 +21,7 @@ ENCODERS = {
 }
 CODES = {
     "grid": "slgaussian.language.configs:GridConfig",
-    "separated": "slgaussian.language.codes:Separated",
+    "separated": "slgaussian.language.configs:SeparatedConfig",
 }
 
 

@@ -75,6 +75,12 @@ class ClipConfig(ComponentConfig, title="clip"):
     )
 
 
+class SeparatedConfig(ComponentConfig, title="separated"):
+    """Points of a checkerboard grid, assigned to objects by simulated annealing."""
+
+    target = "slgaussian.language.codes:Separated"
+
+
 class GridConfig(ComponentConfig, title="grid"):
     """The paper's codes: random points of an even grid."""
 
