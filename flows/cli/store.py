@@ -29,8 +29,8 @@ def inspect(
 ) -> None:
     """Show the spec, fields and provenance of a file, and check it.
 
-    Reads tables (Parquet), arrays (NPZ), weights (safetensors), JSON, Gaussians (PLY, SPZ), or all
-    files of a folder, such as a field or the results of a run. The exit status is 1 if a file is
+    Reads tables (Parquet), arrays (NPZ), weights (safetensors) and JSON, or all files of a folder,
+    such as a field or the results of a run. The exit status is 1 if a file is
     damaged, or a table or arrays break their spec.
 
     \b
