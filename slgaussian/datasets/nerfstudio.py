@@ -201,7 +201,7 @@ class Frame:
             return None
         depth = read_map(path)
         unit = self.number("depth_unit_scale_factor", MILLIMETRE)
-        if path.suffix not in (".npy", ".exr", ".pfm"):
+        if path.suffix not in (".npy", ".pfm"):
             unit /= MILLIMETRE  # read_map scales integers
         scale = unit * self.number("applied_scale", 1.0)
         if scale <= 0:

@@ -12,7 +12,7 @@ the views of one object, CLIP's learnt softmax temperature (:attr:`Clip.soft`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import cv2
@@ -21,12 +21,16 @@ import torch
 from pydantic import PrivateAttr
 
 from slgaussian.components.pretrained import (
+    OPEN_CLIP_CONFIG,
+    PREPROCESSOR,
     Family,
     ModelFiles,
     find_model,
     find_tokenizer,
     load_pretrained,
     load_tokenizer,
+    read_json,
+    table_in,
 )
 from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
@@ -37,7 +41,7 @@ if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
 
 MEAN, STD = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
-"""CLIP's mean and standard deviation of RGB in [0, 1]."""
+"""CLIP's mean and standard deviation of RGB in [0, 1]; the files of a model may override them."""
 
 
 def _converted(files: ModelFiles) -> Any:
@@ -76,11 +80,13 @@ class Clip(ClipConfig):
     device: str = "auto"
     _network: Any = PrivateAttr()
     _words: Any = PrivateAttr()
+    _colours: list[torch.Tensor] = PrivateAttr()
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
         self._network = load_pretrained(self.model, self.FAMILY, self.device)
         self._words = self._load_words()
+        self._colours = _colours(find_model(self.model))
 
     @property
     def network(self) -> Any:
@@ -137,7 +143,7 @@ class Clip(ClipConfig):
             pixels = np.zeros((self.batch, side, side, 3), np.uint8)
             for picture, mask in zip(pixels, masks, strict=False):
                 picture[:] = region_crop(image, mask, side, context)
-            mean, std = (torch.tensor(values).reshape(3, 1, 1) for values in (MEAN, STD))
+            mean, std = self._colours
             values = (torch.from_numpy(pixels).permute(0, 3, 1, 2) / 255 - mean) / std
             kind = self.network.device.type
             reduced = kind != "cpu" or self.precision == "bfloat16"
@@ -196,6 +202,24 @@ def _unit(output: Any) -> np.ndarray:
     """Normalise the output of the network, float64; ``transformers`` 5 wraps it in an object."""
     vectors = getattr(output, "pooler_output", output).double().cpu().numpy()
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _colours(files: ModelFiles) -> list[torch.Tensor]:
+    """Read the mean and standard deviation by which a model normalises colours, each [3, 1, 1]."""
+    if files.checkpoint is None:
+        file, keys = files.folder / PREPROCESSOR, ("image_mean", "image_std")
+        config: Mapping[str, Any] = read_json(file) if file.is_file() else {}
+    else:
+        file, keys = files.folder / OPEN_CLIP_CONFIG, ("mean", "std")
+        config = table_in(read_json(file), "preprocess_cfg", file) if file.is_file() else {}
+    values = [config.get(key, default) for key, default in zip(keys, (MEAN, STD), strict=True)]
+    try:
+        return [torch.tensor(value, dtype=torch.float32).reshape(3, 1, 1) for value in values]
+    except (TypeError, ValueError, RuntimeError):
+        raise InputError(
+            f"{file}: {' and '.join(keys)} are {values!r:.80}, expected three numbers each; get it "
+            "again"
+        ) from None
 
 
 def region_crop(image: np.ndarray, mask: np.ndarray, side: int, context: bool) -> np.ndarray:

@@ -65,6 +65,9 @@ WHOLE = {
     "ln_final.bias": "text_model.final_layer_norm.bias",
     "text_projection": "text_projection.weight",
 }
+OPENAI_SIZES = {"input_resolution", "context_length", "vocab_size"}
+"""Scalar tensors that only OpenAI's own checkpoints have; all of these use QuickGELU."""
+
 TRANSPOSED = ("visual.proj", "text_projection")
 
 
@@ -101,6 +104,9 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
     """
     from transformers import CLIPConfig, CLIPModel
 
+    if OPENAI_SIZES & tensors.keys():
+        tensors = {name: tensor for name, tensor in tensors.items() if name not in OPENAI_SIZES}
+        config = {"quick_gelu": True, **config}
     vision, text = config.get("vision_cfg", {}), config.get("text_cfg", {})
     for key, value in {**config, **vision, **text}.items():
         if value and key not in SUPPORTED:

@@ -256,6 +256,18 @@ def test_the_tokenizer_of_another_model_is_refused(folder, tmp_path, tokens):
         load_encoder("clip", model=tmp_path, tokenizer=folder)
 
 
+def test_colours_are_normalised_as_the_model_says(folder, clip, tmp_path):
+    """LAION's ViT-L/14 of laion2B-s32B is one that was trained with other constants than CLIP's."""
+    shutil.copytree(folder, tmp_path / "model")
+    file = tmp_path / "model" / "preprocessor_config.json"
+    file.write_text(json.dumps({"image_mean": [0.5] * 3, "image_std": [0.5] * 3}))
+    other = load_encoder("clip", model=tmp_path / "model").encode_regions(picture(), regions())
+    assert np.abs(other - clip.encode_regions(picture(), regions())).max() > 0.01
+    file.write_text(json.dumps({"image_mean": [0, 1]}))
+    with pytest.raises(InputError, match="expected three numbers each"):
+        load_encoder("clip", model=tmp_path / "model")
+
+
 def test_configurations_from_before_the_end_token_was_a_setting(folder, clip, tmp_path):
     shutil.copytree(folder, tmp_path / "model")
     config = json.loads((folder / "config.json").read_text())

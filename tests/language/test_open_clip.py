@@ -195,9 +195,19 @@ def test_weights_in_half_precision_are_read_as_they_are(tensors, model, tokens, 
 
 
 @pytest.mark.parametrize("name", ["open_clip_model.safetensors", "open_clip_pytorch_model.bin"])
-def test_a_folder_is_converted(tensors, tokens, expected, tmp_path, name):
+def test_a_folder_says_how_colours_are_normalised(tensors, tokens, expected, tmp_path, name):
     save(tensors, (folder := beside(tokens, tmp_path, CONFIG)) / name)
-    assert np.array_equal(said(load_encoder("clip", model=folder)), expected)
+    found = said(load_encoder("clip", model=folder))
+    assert np.array_equal(found[3:], expected[3:])
+    assert np.abs(found[:3] - expected[:3]).max() > 0.01
+
+
+def test_tensors_of_openais_checkpoints_have_sizes_and_quick_gelu(tensors, tokens, tmp_path):
+    sizes = {"input_resolution": 32, "context_length": 77, "vocab_size": 548}
+    state = {**tensors, **{name: torch.tensor(size) for name, size in sizes.items()}}
+    file = save(state, beside(tokens, tmp_path) / "ViT.pt")
+    config = load_encoder("clip", model=file).network.config
+    assert config.vision_config.hidden_act == config.text_config.hidden_act == "quick_gelu"
 
 
 def test_a_checkpoint_is_known_by_content_and_not_by_name(tensors, tokens, tmp_path):
