@@ -77,9 +77,17 @@ def find_config(kind: str, name: str) -> type[ComponentConfig]:
     fields.
 
     Raises:
-        InputError: As in :func:`resolve`.
+        InputError: As in :func:`resolve`, or if a component of another package has the name of a
+            built-in one, whose settings it would share.
     """
-    registered = resolve(kind, KINDS[kind].table, name, KINDS[kind].group)
+    group = KINDS[kind].group
+    if name in plugins(group) and any(name in other.table for other in KINDS.values()):
+        raise InputError(
+            f"{kind} {name!r}: a component of this name is built in, and the package "
+            f"{_owner(plugins(group)[name])} has one too; remove that package, or have its entry "
+            "point renamed"
+        )
+    registered = resolve(kind, KINDS[kind].table, name, group)
     if isinstance(registered, type) and issubclass(registered, ComponentConfig):
         return registered
 

@@ -12,6 +12,7 @@ because some readers assume that every property is a float.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import takewhile
@@ -44,6 +45,12 @@ _NEEDED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
 
 DISTORTING = {"filter_3D", "scaling_factor"}
 """Properties of Mip-Splatting and others by which Gaussians are drawn otherwise than here."""
+
+_ANTIALIASED = re.compile(
+    r"anti.?alias\w*\W+(1|true|yes|on)\b|mode\w*\W+(mip|anti.?alias)", re.IGNORECASE
+)
+"""Header comments by which Postshot, Brush and others mark training with anti-aliasing:
+``postshot.anti_aliasing=1``, ``SplatRenderMode: mip``."""
 
 
 def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None = None) -> None:
@@ -118,10 +125,10 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
 
     Raises:
         InputError: If the file is missing, not a ``.ply``, truncated, lacks properties of Gaussians
-            (such as a point cloud), has a property that demands another rendering, or
+            (such as a point cloud), has a comment or property that demands another rendering, or
             contains an invalid number; the message names the file and the property or vertex.
     """
-    table = _vertices(path)
+    table, comments = _vertices(path)
     n = len(table)
     # A list property is not a numeric column; it can only be extra.
     fields = table.dtype.names or ()
@@ -138,7 +145,8 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{', '.join(map(str, REST))}; write it again with harmonics of degree 0 to 3"
         )
     used = {*_NEEDED, *_NORMALS, *rest, *semantic}
-    if distorting := sorted(DISTORTING.intersection(fields)):
+    distorting = sorted(DISTORTING.intersection(fields))
+    if distorting := distorting or list(filter(_ANTIALIASED.search, comments)):
         raise InputError(
             f"{path}: has {_some(distorting)}, by which its Gaussians are drawn otherwise than "
             "here; export it as plain 3D Gaussian splatting"
@@ -201,8 +209,8 @@ def _finite(
     return values
 
 
-def _vertices(path: str | Path) -> np.ndarray:
-    """Read the vertex table of a file."""
+def _vertices(path: str | Path) -> tuple[np.ndarray, list[str]]:
+    """Read the vertex table of a file and the comments in its header."""
     try:
         data = PlyData.read(str(path))
     except OSError as error:
@@ -218,7 +226,7 @@ def _vertices(path: str | Path) -> np.ndarray:
         raise InputError(
             f"{path}: has no element vertex, only {elements}; give a .ply of Gaussians"
         )
-    return data["vertex"].data
+    return data["vertex"].data, [*data.comments, *data.obj_info, *data["vertex"].comments]
 
 
 def _numbered(names: Sequence[str], prefix: str) -> list[str]:

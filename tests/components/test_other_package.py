@@ -96,6 +96,23 @@ def test_a_field_is_built_with_it(asked, tmp_path):
     assert said["ink"] == {"colours": digest, "within": 60.0, "least": 20}
 
 
+@pytest.mark.parametrize("name", ["regions", "lexicon"])
+def test_a_name_that_is_built_in_is_refused(asked, tmp_path, name):
+    own = package(
+        tmp_path / "p",
+        "mine",
+        f"[slgaussian.proposers]\n{name} = mine:Regions\n",
+        "class Regions: ...",
+    )
+    printed = asked(
+        "from slgaussian.components.registry import find_config\n"
+        "from slgaussian.errors import InputError\n"
+        f"try: find_config('proposer', {name!r})\nexcept InputError as error: print(error)",
+        own,
+    )
+    assert printed.startswith(f"proposer '{name}': a component of this name is built in")
+
+
 def test_one_that_cannot_be_imported_is_named_when_it_is_asked_for(asked, tmp_path):
     line = "[slgaussian.encoders]\nbroken = broken:Encoder\n"
     own = package(tmp_path / "p", "broken", line, "import nothing_of_this_name\n")
