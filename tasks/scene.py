@@ -107,7 +107,7 @@ class Photographs:
         return sample
 
 
-@stage("ingest", version=12)  # increase it also when camera estimation changes
+@stage("ingest", version=13)  # increase it also when camera estimation changes
 def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     """Read the sample of a scene: spec ``sample``.
 

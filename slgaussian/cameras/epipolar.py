@@ -171,7 +171,7 @@ def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
 def _rated(ends: list[TwoViews], x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
     """Recompute the costs with one scale of the loss, the smallest; sort by cost."""
     scale = min((end.scale for end in ends), default=START)
-    rated = [replace(end, cost=posterior(end, x, y, prior, scale), scale=scale) for end in ends]
+    rated = [replace(end, cost=posterior(end, x, y, scale), scale=scale) for end in ends]
     return sorted(rated, key=lambda end: end.cost)
 
 
@@ -184,9 +184,7 @@ def _unlike(ends: list[TwoViews], degrees: float) -> list[TwoViews]:
     return distinct
 
 
-def posterior(
-    views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior, scale: float
-) -> float:
+def posterior(views: TwoViews, x: np.ndarray, y: np.ndarray, scale: float) -> float:
     """Compute the negative log posterior of two cameras, up to a constant.
 
     Matches behind a camera or farther off than ``FAR`` cost as much as matches ``FAR`` pixels off.

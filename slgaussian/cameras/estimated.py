@@ -70,7 +70,7 @@ class EstimatedCameras:
         confidence: Probability, 0 to 1, that every pose is right to a few degrees.
         doubt: Reason to doubt the cameras, a clause; empty if the matches give none. Whether the
             cameras are right is decided by the scene
-            (:meth:`slgaussian.cameras.quality.Quality.doubt`).
+            (:func:`slgaussian.cameras.quality.camera_doubt`).
         warnings: tuple of str. Warnings for the user, a sentence each.
         left_out: mapping str -> str. Reason, a clause, for each photograph whose camera could not
             be estimated.

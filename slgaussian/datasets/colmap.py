@@ -71,7 +71,12 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     stored_cameras, stored_images = read_model(source)
     if not stored_images:
         raise InputError(f"{source}: has no posed image; reconstruct again")
-    posed = {name_in(folder, image.name): image for image in stored_images}
+    posed = {}
+    for image in stored_images:
+        name = name_in(folder, image.name)
+        if name in posed:
+            raise InputError(f"{source}: two images are called {name!r}; remove one")
+        posed[name] = image
     files = {name: _file(path, folder, name) for name in sorted(posed)}
     lenses, cameras, maps = {}, {}, {}
     for number, stored in stored_cameras.items():

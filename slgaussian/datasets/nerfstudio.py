@@ -144,11 +144,17 @@ class Frame:
 
     def _check_keys(self) -> None:
         """Raise InputError for a key that may change the image and is not supported."""
-        model = self.values.get("camera_model", PERSPECTIVE[0])
+        fisheye = self.values.get("is_fisheye", False)
+        model = self.values.get("camera_model", FISHEYE if fisheye is True else PERSPECTIVE[0])
         if model not in (*PERSPECTIVE, FISHEYE):
             raise self.error(
                 f"camera_model {model!r} cannot be read, only {', '.join(PERSPECTIVE)} and "
                 f"{FISHEYE}; undistort the photographs to PINHOLE first"
+            )
+        if self.values.get("is_fisheye", model == FISHEYE) is not (model == FISHEYE):
+            raise self.error(
+                f"is_fisheye is {fisheye!r}, expected true or false as of camera_model {model}; "
+                "remove the wrong one"
             )
         for key, value in self.values.items():
             if key in USED or not CHANGES_PIXELS.search(key):
@@ -199,11 +205,9 @@ class Frame:
         name = self.values.get("depth_file_path")
         if name is None or not is_there(path := self.place(name)):
             return None
-        depth = read_map(path)
-        unit = self.number("depth_unit_scale_factor", MILLIMETRE)
-        if path.suffix not in (".npy", ".pfm"):
-            unit /= MILLIMETRE  # read_map scales integers
-        scale = unit * self.number("applied_scale", 1.0)
+        depth = read_map(path, unit=1.0)
+        scale = self.number("depth_unit_scale_factor", MILLIMETRE)
+        scale *= self.number("applied_scale", 1.0)
         if scale <= 0:
             raise self.error("depth_unit_scale_factor and applied_scale must be positive")
         depth = known_depth(depth.astype(np.float64) * scale).astype(np.float32)

@@ -209,7 +209,7 @@ def _clip(file: str | Path, number: int, entry: Any, max_bytes: int) -> Clip:
             raise ValueError("its values have other types or lengths")
         if sum(array.size for array in arrays) > max_bytes:
             raise ValueError("it has more bytes of images than the file")
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(
             f"{file}: clip {number}: expected key, url, N images of uint8, N timestamps of int64 "
             f"and cameras float32 [N, {ROW}] ({error})"

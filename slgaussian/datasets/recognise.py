@@ -50,7 +50,7 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
         if file.is_file()
     ]
     if files and not any(file.is_relative_to(folder) for file in files):
-        folder = files[0].parent
+        folder = unposed.folder_of(dict(enumerate(files)))
     return reader.read(place, str(folder)), folder
 
 

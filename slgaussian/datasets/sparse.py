@@ -123,6 +123,8 @@ def _cameras(file: Path) -> dict[int, SparseCamera]:
     cameras: dict[int, SparseCamera] = {}
     counts = dict(MODELS.values())
     for number, model, width, height, params in _stored_cameras(file):
+        if number in cameras:
+            raise ValueError(f"it has two cameras {number}")
         if model not in counts:
             raise InputError(
                 f"{file}: camera {number} is of model {model}, expected one of "

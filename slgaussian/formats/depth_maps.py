@@ -160,8 +160,8 @@ def read_geometry(file: Path) -> GeometryFile:
     return GeometryFile(file, maps, poses, inverted, names)
 
 
-def read_map(file: Path, byte: bool = False) -> np.ndarray:
-    """Read a file of one map [h, w]: integers are millimetres, floating-point values are unchanged.
+def read_map(file: Path, byte: bool = False, unit: float = MILLIMETRE) -> np.ndarray:
+    """Read a file of one map [h, w]: integers times ``unit``, floating-point values unchanged.
 
     With ``byte``, for maps of confidence, 8-bit integers are allowed.
 
@@ -188,7 +188,7 @@ def read_map(file: Path, byte: bool = False) -> np.ndarray:
             f"{file}: is {pixels.dtype} {pixels.shape}, expected one number a pixel, of 16 bits "
             "or more"
         )
-    return pixels * MILLIMETRE if pixels.dtype.kind in "ui" else pixels
+    return pixels * unit if pixels.dtype.kind in "ui" else pixels
 
 
 def write_map(file: Path, depth: np.ndarray) -> None:

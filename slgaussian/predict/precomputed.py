@@ -136,9 +136,11 @@ def _of_views(file: Path, views: Sequence[str]) -> list[DepthMap]:
 
 def _find_map(folder: Path, view: str) -> DepthMap:
     for key in dict.fromkeys(name_keys(view)):
-        files = [folder / f"{key}{suffix}" for suffix in DEPTHS]
+        files = [f for f in (folder / f"{key}{suffix}" for suffix in DEPTHS) if f.is_file()]
+        if len(files) > 1:
+            raise InputError(f"{files[0]}: {files[1].name} is there too; remove one of them")
         beside = [folder / f"{key}_conf{suffix}" for suffix in DEPTHS]
-        for file in filter(Path.is_file, files):
+        for file in files:
             if file.suffix == ".npz":
                 return _of_views(file, [view])[0]
             sure = next((read_map(conf, byte=True) for conf in beside if conf.is_file()), None)

@@ -111,7 +111,7 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     if ranged or matches:
         alone = {i for i, sources in enumerate(scored_links) if not sources}
         if alone and len(views) > 2:
-            names = listed([[views[i].name for i in alone]])
+            names = listed([[views[i].name for i in sorted(alone)]])
             warnings.warn(
                 f"{names}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
                 "which the given poses alone must find; leave out what shows another place "

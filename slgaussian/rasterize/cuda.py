@@ -57,7 +57,7 @@ def render(
     size = camera.height, camera.width
     if len(gaussians) == 0:  # gsplat 1.5 would end the process by a division by zero
         empty = torch.zeros(size, device=device)
-        return Render(values.new_zeros(*size, values.shape[1]), empty, empty.clone())
+        return Render(values.new_zeros(*size, values.shape[1]).float(), empty, empty.clone())
 
     # Relative to the camera in float64: a million units from the origin, float32 has a resolution
     # of a sixteenth. Quaternions of any length are normalised in float64 too.

@@ -179,8 +179,10 @@ class TestDamage:
         [
             ("cameras", "2 SIMPLE_PINHOLE", "2 MAGIC", "is of model MAGIC"),
             ("cameras", "2 SIMPLE_PINHOLE", "2 OPENCV", "camera 2: OPENCV with parameters"),
+            ("cameras", "2 SIMPLE_PINHOLE", "1 SIMPLE_PINHOLE", "it has two cameras 1"),
             ("cameras", "75", "0.8", "focal length x is 0.8, for 96x64 pixels a field"),
             ("cameras", "2 SIMPLE_PINHOLE", "7 SIMPLE_PINHOLE", "taken with camera 2"),
+            ("images", " deep/a.png", " b.png", "two images are called 'b.png'"),
             ("images", "2 1 0 -0 0", "2 1 0", "is damaged"),
             ("images", "2 1 0 -0 0", "2 1 1 0 0", "is no unit quaternion"),
         ],

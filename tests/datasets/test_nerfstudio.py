@@ -50,11 +50,11 @@ class TestCameras:
 
 class TestDepth:
     def read(self, tmp_path, values, **top) -> np.ndarray | None:
-        name = "d.png" if values.dtype == np.uint16 else "d.npy"
-        if name == "d.png":
-            Image.fromarray(values).save(tmp_path / name)
-        else:
+        name = {"u2": "d.png", "f4": "d.tiff"}.get(values.dtype.str[1:], "d.npy")
+        if name == "d.npy":
             np.save(tmp_path / name, values)
+        else:
+            Image.fromarray(values).save(tmp_path / name)
         file = write(tmp_path, [frame("a.png", depth_file_path=name)], **top)
         return nerfstudio.read(file).read("a.png").depth
 
@@ -67,7 +67,7 @@ class TestDepth:
             ({"depth_unit_scale_factor": 0.25}, 0.25),
             ({"applied_scale": 0.5}, 0.0005),
         ):
-            for values in (raw, raw.astype(float)):
+            for values in (raw, *map(raw.astype, (float, np.float32, np.int32))):
                 assert self.read(tmp_path, values, **top) == pytest.approx(raw * factor)
 
     def test_unknown_values_become_zero(self, tmp_path):
@@ -132,6 +132,8 @@ class TestImages:
         (frame("a.png", w=90.5), {}, "w and h are 90.5 and 64"),
         (frame("a.png"), {"fl_x": None}, "neither fl_x nor camera_angle_x"),
         (frame("a.png"), {"camera_model": "EQUIRECTANGULAR"}, "'EQUIRECTANGULAR' cannot be read"),
+        (frame("a.png"), {"is_fisheye": "false"}, "is_fisheye is 'false', expected true or false"),
+        (frame("a.png", is_fisheye=True), {"camera_model": "OPENCV"}, "is_fisheye is True"),
         (frame("gone.png"), {"w": None}, "neither w and h nor a photograph"),
         (frame("a.png", camera_angle_y=60.0), {"fl_y": None}, "camera_angle_y is 60, expected"),
         (frame("a.png", fl_x=0.8, fl_y=0.8), {}, "focal length x is 0.8"),

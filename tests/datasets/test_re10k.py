@@ -119,6 +119,7 @@ def test_what_is_wrong_in_a_chunk_is_named(split, tmp_path):
         {"key": 3},
         {"cameras": entry["cameras"][:2]},
         {"timestamps": entry["cameras"][:, 0]},
+        {"cameras": entry["cameras"].clone().requires_grad_()},
         {"images": [b"x"] * 3},
         {"images": [entry["images"][0][:1].expand(10**9)] * 3},
     ):

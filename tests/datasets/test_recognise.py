@@ -88,6 +88,20 @@ def test_a_folder_stands_for_its_photographs_that_have_a_camera(folder, kind):
         find_views(scene, [str(folder / "empty")], start)
 
 
+def test_photographs_of_a_model_may_be_elsewhere_in_several_folders(folder):
+    images, elsewhere = folder / "colmap/sparse/0/images.txt", folder / "elsewhere"
+    images.write_text(images.read_text().replace("a.png", "x/a.png").replace("b.png", "y/b.png"))
+    for name in ("x/a.png", "y/b.png"):
+        (elsewhere / name).parent.mkdir(parents=True)
+        (folder / "nerf/images" / Path(name).name).rename(elsewhere / name)
+    (folder / "colmap/images").rename(folder / "unused")
+    scene, start = posed_scene(
+        folder / "colmap", [str(elsewhere / "x/a.png"), str(elsewhere / "y")]
+    )
+    assert start == elsewhere
+    assert [scene.read(name).name for name in scene.cameras] == ["x/a.png", "y/b.png"]
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [

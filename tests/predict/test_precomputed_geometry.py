@@ -205,6 +205,9 @@ def test_what_cannot_be_read_is_said(tmp_path, steep):
     Image.fromarray(np.zeros((4, 4), np.uint8)).save(tmp_path / "0.png")
     with pytest.raises(InputError, match="expected one number a pixel, of 16 bits"):
         predicted(steep, tmp_path)
+    (tmp_path / "0.tiff").write_bytes(b"")
+    with pytest.raises(InputError, match=r"0\.\w+: 0\.\w+ is there too; remove one of them"):
+        predicted(steep, tmp_path)
 
 
 def test_views_that_were_cropped_from_their_photographs_get_their_part(tmp_path, steep):
