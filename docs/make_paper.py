@@ -19,9 +19,9 @@ slgaussian benchmark --rooms 0-9 --preset paper -o paper
 slgaussian train --lessons corpus --preset paper -o trained
 ```
 
-`--preset paper` is every **option** below in one word, but for what needs weights: add `--set
+`--preset paper` sets every **option** below, except those that need weights: for these add `--set
 predictor=mvsplat`, `proposer=sam`, `encoder=clip` and `lifting=branch`, each with its files. A
-question has settings of its own, so say it there too.
+query has settings of its own, so give the preset there too.
 
 **same**: as printed. **option**: the command does as printed, the default does not. **differs**:
 neither does. **absent**: not run here."""
@@ -37,12 +37,12 @@ TITLES = {
 
 TAIL = """## A case of the vote
 
-Two views of a room and its true masks; a tracker with a memory of frames, which at each look takes
-one object in four for another. Below the photographs are the ids by one look, and by the vote over
-five copies. Of the second view .84 have the id of the first by one look, .94 by the vote, means of
-six rooms (`tests/masks/test_associate.py`).
+The input is two views of a room with true masks, and a tracker that confuses one object in four in
+each copy of a view. Below the photographs are the ids by one copy, and by the vote over five copies.
+Of the pixels of the second view .84 have the id of the first view with one copy, .94 with the vote
+(means of six rooms, 2026-11-26, by a test of commit df753a4f).
 
-![Ids by one look and by the vote](vote.png)
+![Ids by one copy and by the vote](vote.png)
 """
 
 

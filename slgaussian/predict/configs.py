@@ -21,7 +21,7 @@ class PlaneSweepConfig(ComponentConfig, title="planesweep"):
         144,
         ge=8,
         le=512,
-        description="Most depths that planesweep compares, 8 to 512; a pair gets no more than it "
+        description="Largest number of depth candidates, 8 to 512; a pair gets no more than it "
         "needs.",
     )
 
@@ -35,11 +35,11 @@ class MVSplatConfig(ComponentConfig, title="mvsplat"):
         None, description="Weights of mvsplat, such as re10k.ckpt."
     )
     precision: Literal["float32", "bfloat16"] = Field(
-        "float32", description="Of mvsplat's layers: float32 or bfloat16."
+        "float32", description="Precision of mvsplat's layers: float32 or bfloat16."
     )
 
 
 class PrecomputedGeometryConfig(PrecomputedConfig, title="precomputed"):
-    """Depth out of files, as Depth Anything 3, DUSt3R or a phone wrote it, one Gaussian a pixel."""
+    """Depth from files of Depth Anything 3, DUSt3R or a phone, one Gaussian a pixel."""
 
     target = "slgaussian.predict.precomputed:PrecomputedGeometry"
