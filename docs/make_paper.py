@@ -38,7 +38,7 @@ TITLES = {
 TAIL = """## A case of the vote
 
 The input is two views of a room with true masks, and a tracker that confuses one object in four in
-each copy of a view. Below the photographs are the ids by one copy, and by the vote over five copies.
+each copy of a view. Below the photographs are the ids by one copy, and by the vote over five.
 Of the pixels of the second view .84 have the id of the first view with one copy, .94 with the vote
 (means of six rooms, 2026-11-26, by a test of commit df753a4f).
 
