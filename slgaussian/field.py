@@ -343,6 +343,15 @@ class SemanticField:
         ``mask``, bool [H, W], as in :meth:`FieldView.like`.
         """
         region = np.ones(image.shape[:2], bool) if mask is None else mask
+        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+            raise InputError(
+                f"picture: found {image.dtype} {image.shape}, expected uint8 [H, W, 3]"
+            )
+        if region.dtype != bool or region.shape != image.shape[:2]:
+            raise InputError(
+                f"picture: its mask is {region.dtype} {region.shape}, expected bool "
+                f"{image.shape[:2]}"
+            )
         if not region.any():
             raise InputError("picture: its mask is empty; give one that shows a thing")
         rows, columns = (np.flatnonzero(region.any(axis)) for axis in (1, 0))

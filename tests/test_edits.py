@@ -144,6 +144,24 @@ def test_ask_by_picture(field):
     assert view.ids[hit.point[1], hit.point[0]] == BLUE
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda image, mask: (image / 255, mask), r"found float64 \(9, 8, 3\), expected uint8"),
+        (lambda image, mask: (image[..., [0, 1, 2, 0]], mask), r"found uint8 \(9, 8, 4\)"),
+        (
+            lambda image, mask: (image, mask[:5]),
+            r"its mask is bool \(5, 8\), expected bool \(9, 8\)",
+        ),
+        (lambda image, mask: (image, mask & False), "its mask is empty"),
+    ],
+)
+def test_a_picture_or_mask_of_another_kind_is_refused(field, change, message):
+    image, mask = change(np.zeros((9, 8, 3), np.uint8), np.ones((9, 8), bool))
+    with pytest.raises(InputError, match=message):
+        field.picture_words(image, mask)
+
+
 def test_edits_are_saved_beside_the_field_and_taken_away_again(field, tmp_path):
     folder = tmp_path / "field"
     field.save(folder, {"photographs.json": b"{}"})

@@ -54,8 +54,8 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
                 raise InputError(f"{label}: {tensor_name} holds NaN or infinity; {AGAIN}")
     if not label:
         return ""
-    known = verified and all(verified)
-    return f"{label}: {'is what the hub has, by its SHA-256' if known else 'can be loaded'}"
+    of_hub = verified and all(verified)
+    return f"{label}: {'is what the hub has, by its SHA-256' if of_hub else 'can be loaded'}"
 
 
 def is_of_hub(file: Path) -> bool:

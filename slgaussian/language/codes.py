@@ -34,7 +34,7 @@ MARGIN = 1.2
 
 MOVES_PER_OBJECT = 1000
 MOST_COMPARISONS = 6e7
-"""Number of moves, and limit of moves times pairs of neighbours: half a second at most."""
+"""Number of moves, and limit of moves times pairs of neighbours: a second at most."""
 
 HEAT = (1e-3, 1e-6)
 """Temperature at the start and the end of the annealing, relative to the initial energy."""

@@ -35,7 +35,7 @@ away: 5x5 pixels."""
 
 
 class Decoder:
-    """Decodes feature images of one bank. Construction takes some milliseconds.
+    """Decodes feature images of one bank. Construction takes 10 ms for 60 objects.
 
     Args:
         bank: The codes and ids.

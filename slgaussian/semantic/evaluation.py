@@ -34,8 +34,8 @@ def label_iou(
         ious: list[float] = []
         for predicted, target in zip(views, lesson.targets, strict=True):
             for id_ in np.intersect1d(target, object_ids):
-                shown, answered = target == id_, (predicted == id_) & (target > 0)
-                ious.append(float((shown & answered).sum() / (shown | answered).sum()))
+                truth, answer = target == id_, (predicted == id_) & (target > 0)
+                ious.append(float((truth & answer).sum() / (truth | answer).sum()))
         scores[name] = float(np.mean(ious)) if ious else float("nan")
     return scores
 

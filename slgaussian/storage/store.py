@@ -134,7 +134,7 @@ class ArtifactStore:
         An existing file is written again, which repairs damage and renews its time, so that
         :func:`slgaussian.storage.housekeeping.collect` does not remove it before it has a record.
         If files of the same content have different provenance, the provenance that sorts first is
-        kept, so the bytes do not depend on which process wrote first.
+        kept, so the bytes do not depend on the order of runs.
 
         Raises:
             SpecError: If the content breaks ``data_specs/<spec>.toml``.
