@@ -77,7 +77,7 @@ class MemoryBank:
             raise InputError("memory bank ids: expected positive ids in ascending order")
         if self.codes.shape != (n, 3) or not ((self.codes >= 0) & (self.codes <= 1)).all():
             raise InputError(
-                f"memory bank codes: found {self.codes.shape}, NaN or numbers outside [0, 1], "
+                f"memory bank codes: found {self.codes.shape}, or NaN or numbers outside [0, 1], "
                 f"expected ({n}, 3) in [0, 1]"
             )
         if len(np.unique(self.codes, axis=0)) != n:
