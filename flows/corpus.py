@@ -149,12 +149,12 @@ def _write_table(file: Path, stage: str, store: ArtifactStore, clips: Clips) -> 
 
 
 def _write_chunks(folder: Path, clips: Clips, store: ArtifactStore) -> None:
-    """Add the clips of scenes to a folder of chunks, unless it has them."""
+    """Add the clips of scenes that may be used to a folder of chunks, unless it has them."""
     existing = re10k.read_index(folder) if (folder / re10k.INDEX).exists() else {}
     new = [
         refs[packed.name]
         for name, refs in clips.refs.items()
-        if packed.name in refs and name not in existing
+        if packed.name in refs and name not in existing and clips.owners.get(name) == name
     ]
     if new:
         re10k.write(folder, (clip for ref in new for clip in packed_clips(store, ref).values()))

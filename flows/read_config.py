@@ -122,8 +122,7 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
     if isinstance(values.get("store"), str) and "://" not in values["store"]:
         values["store"] = str(folder / values["store"])
     if isinstance(values.get("sources"), list):
-        paths = [(source, folder / str(source)) for source in values["sources"]]
-        values["sources"] = [str(path) if path.exists() else source for source, path in paths]
+        values["sources"] = [_anchored_source(str(source), folder) for source in values["sources"]]
     if isinstance(values.get("scenes"), list):
         values["scenes"] = [_anchored(s, ("path", "labels"), folder) for s in values["scenes"]]
     for name in TABLES.keys() & values.keys():
@@ -135,6 +134,15 @@ def anchored(values: dict[str, Any], folder: Path) -> dict[str, Any]:
             ]
             values[name] = _anchored(values[name], places, folder)
     return values
+
+
+def _anchored_source(source: str, folder: Path) -> str:
+    """Resolve the path in SOURCE or PLACE=SOURCE; URLs and procedural rooms stay as they are."""
+    place, equals, location = source.partition("=")
+    if not equals or (folder / source).exists():
+        place, equals, location = "", "", source
+    is_path = ":" not in location.partition("/")[0]
+    return f"{place}{equals}{folder / location}" if is_path else source
 
 
 def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:

@@ -35,6 +35,9 @@ from tasks.context import RunContext
 from tasks.scene import data_identity, describe_cameras
 from tasks.stage import stage
 
+STAMPS = ("mtime", "LastModified", "Last-Modified", "ETag", "Content-MD5", "created")
+"""Fields of fsspec's file info that identify the version of a file."""
+
 
 def digest_of(store: ArtifactStore, file: str) -> str:
     """Compute the SHA-256 of a file, hexadecimal, once for each path, size and time stamp.
@@ -50,8 +53,9 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     """
     fs, path = fsspec.core.url_to_fs(os.fspath(file))
     try:
-        is_local = isinstance(fs, LocalFileSystem)
-        stamp = file_stamp(path) if is_local else fs.ukey(path)
+        stamp: Any = (
+            file_stamp(path) if isinstance(fs, LocalFileSystem) else _remote_stamp(fs, path)
+        )
         name = fs.unstrip_protocol(path)  # the absolute path, which is unique
         uri = f"digests/{hashlib.sha256(name.encode()).hexdigest()}.json"
         identity = json.loads(json.dumps({"path": name, "stamp": stamp}))
@@ -68,6 +72,13 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     if stamp is not None:
         store.write(uri, json.dumps({**identity, "sha256": digest}).encode())
     return digest
+
+
+def _remote_stamp(fs: fsspec.AbstractFileSystem, path: str) -> list[str] | None:
+    """Return the version of a file, which ``fs.ukey`` lacks over HTTP; None without one."""
+    info = fs.info(path)
+    stamps = [str(info[name]) for name in STAMPS if info.get(name)]
+    return [str(info.get("size")), *stamps] if stamps else None
 
 
 def known_chunk(store: ArtifactStore, file: str) -> KnownFile:

@@ -156,7 +156,12 @@ def cameras(
     from flows.cli.photographs import print_warnings
     from slgaussian.datasets import nerfstudio, unposed
 
-    if out is not None and out.exists() and nerfstudio.OWN.encode() not in out.read_bytes():
+    try:
+        is_foreign = out and out.exists() and nerfstudio.OWN.encode() not in out.read_bytes()
+    except OSError as error:
+        message = f"{out}: cannot be written ({error.strerror}); choose another"
+        raise InputError(message) from None
+    if is_foreign:
         raise InputError(
             f"{out}: exists and was not written by `slgaussian cameras`; choose another file, or "
             "remove it"

@@ -223,8 +223,8 @@ def export(
 
     A page (.html) opens from disk in any browser, without a network, with queries and object
     selection. It contains small copies of the photographs. A .ply has all data: each Gaussian also
-    has its ID code and weight (f_sem_0 and on; without codes the number of its object), its source
-    pixel (source), and its object (label, 0 for none). A .spz stores Gaussians in fewer bytes.
+    has its ID code and weight (f_sem_0 and on), its source pixel (source), and its object (label, 0
+    for none). A .spz stores Gaussians in fewer bytes.
 
     \b
     slgaussian export field/ -o scene.html

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import multiprocessing
 import os
@@ -132,7 +133,22 @@ def _task_runner(name: str, count: int) -> Any:
     from prefect_dask import DaskTaskRunner
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    asyncio.run(_greet(f"tcp://{address}"))
     return DaskTaskRunner(address=f"tcp://{address}")
+
+
+async def _greet(url: str) -> None:
+    """Raise InputError if no Dask scheduler is at a URL, for which Dask's clients wait forever."""
+    from distributed.comm import connect
+
+    try:
+        comm = await asyncio.wait_for(connect(url, timeout=CONNECT), 2 * CONNECT)
+        await comm.close()
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"runner: no Dask scheduler answers at {url}; correct the address: its port is often "
+            "8786, and 8787 that of its dashboard"
+        ) from error
 
 
 @task(name="roll-call", cache_policy=NO_CACHE, persist_result=False)

@@ -247,10 +247,12 @@ def test_scenes_become_clips_of_chunks(clips, tmp_path):
     reasons = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
     assert "view_01.png: cannot be read" in reasons["kitchen", "packed"]
     assert "transforms.json" in reasons["bad", "packed"]
-    # What is there stays as it is.
+    # What is there stays as it is, and what was withdrawn is not added.
     before = (out / "000000.torch").read_bytes()
-    sources = [str(tmp_path / name) for name in ("kitchen", "hall")]
-    run_flow("ingest", settings_for(tmp_path, sources=sources), store)
+    sources = [*(str(tmp_path / name) for name in ("kitchen", "hall")), "procedural:7"]
+    (tmp_path / "withdrawn").write_text("procedural_7\n")
+    more = {"sources": sources, "withdrawn": tmp_path / "withdrawn"}
+    run_flow("ingest", settings_for(tmp_path, **more), store)
     assert re10k.read_index(out) == {"kitchen": "000000.torch", "hall": "000001.torch"}
     assert (out / "000000.torch").read_bytes() == before
 

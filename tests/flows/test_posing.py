@@ -97,6 +97,8 @@ def test_cameras_that_are_written_are_those_that_were_found(photos, monkeypatch,
         assert alternative.estimated == mine.estimated
     assert run(monkeypatch, "cameras", *PHOTOS, "-o", out) == 0  # its own are replaced
     assert run(monkeypatch, "masks", *PHOTOS, "--cameras", out, "-o", "ids") == 0
+    assert run(monkeypatch, "cameras", *PHOTOS, "-o", "there") == 2
+    assert "error: there: cannot be written (Is a directory)" in capsys.readouterr().err
 
 
 def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, monkeypatch, capsys):

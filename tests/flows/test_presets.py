@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from flows import config as settings_module
-from flows.config import PRESETS, TABLES, Method, TrainSettings
+from flows.config import PRESETS, TABLES, CorpusSettings, Method, TrainSettings
 from flows.read_config import checked, make_settings, read_toml
 from slgaussian.errors import InputError
 
@@ -61,3 +61,12 @@ def test_what_is_given_wins_key_by_key(tmp_path):
     # Its tables are as those of a file: that of a part which is not chosen lies idle.
     second = make_settings({"preset": "fast", "predictor": "mvsplat"}, "test")
     assert "planesweep" not in second.component_values()
+
+
+def test_sources_in_a_file_are_relative_to_it(tmp_path):
+    other = ["/elsewhere", "s3://bucket/chunks", "procedural:0-3"]
+    (tmp_path / "run.toml").write_text(
+        f'out = "out"\nsources = {["kitchen", "office=walk", *other]}\n'
+    )
+    read = read_toml(tmp_path / "run.toml", {}, CorpusSettings)
+    assert read.sources == [f"{tmp_path}/kitchen", f"office={tmp_path}/walk", *other]

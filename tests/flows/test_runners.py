@@ -3,6 +3,7 @@
 import importlib.util
 import io
 import json
+import socket
 from pathlib import Path
 
 import pytest
@@ -163,6 +164,15 @@ def test_a_cluster_that_does_not_answer_is_named(kind, tmp_path):
     runner = f"{kind}://127.0.0.1:{free_port()}"
     with pytest.raises(InputError, match=f"nothing answers at {runner}.*refused"):
         run_tiny(ArtifactStore(tmp_path), {}, runner=runner)
+
+
+@needs["dask"]
+def test_a_server_that_is_no_scheduler_is_not_waited_for_for_ever(tmp_path, monkeypatch):
+    monkeypatch.setattr(task_runners, "CONNECT", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        runner = f"dask://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(InputError, match="no Dask scheduler answers at"):
+            run_tiny(ArtifactStore(tmp_path), {}, runner=runner)
 
 
 @needs["dask"]

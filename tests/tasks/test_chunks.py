@@ -2,7 +2,10 @@
 
 import hashlib
 import os
+import threading
 import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import fsspec
 import pytest
@@ -67,3 +70,18 @@ def test_a_url_works_too(tmp_path, hashed):
     assert len(hashed) == 1
     with pytest.raises(InputError, match=r"memory://digests/y\.torch: cannot be read"):
         digest_of(store, "memory://digests/y.torch")
+
+
+def test_a_file_that_changed_on_a_server_is_read_again(tmp_path, hashed):
+    pytest.importorskip("aiohttp")
+    store, file = ArtifactStore(tmp_path / "store"), tmp_path / "x.torch"
+    handler = partial(SimpleHTTPRequestHandler, directory=tmp_path)
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{server.server_port}/x.torch"
+        for age, content in ((100, b"one"), (50, b"two")):
+            file.write_bytes(content)
+            os.utime(file, (time.time() - age,) * 2)
+            assert digest_of(store, url) == digest_of(store, url) == sha(content)
+        server.shutdown()
+    assert len(hashed) == 2
