@@ -228,7 +228,7 @@ def segment(
 
     from flows.cli import open_field as opening
     from flows.cli.pictures import check_picture, write_picture
-    from slgaussian.benchmark.reports.model import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
     from slgaussian.io import write_file
     from slgaussian.masks.precomputed import encode_ids
 

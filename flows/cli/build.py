@@ -180,7 +180,7 @@ def cameras(
 
 def _pairs_text(estimate: EstimatedCameras) -> str:
     """Tabulate the pairs of photographs: matches, inliers, angles and verdict."""
-    from slgaussian.benchmark.reports.model import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
 
     place = {name: number for number, name in enumerate([*estimate.cameras, *estimate.left_out])}
     rows: list[Sequence[str]] = [("pair", "matches", "agree", "angle", "off by", "verdict")]
@@ -211,7 +211,7 @@ def masks(
     """
     from flows.cli.photographs import load_photographs
     from slgaussian.benchmark import pictures
-    from slgaussian.benchmark.reports.model import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
     from slgaussian.build import predict
     from slgaussian.cameras.quality import camera_doubt
     from slgaussian.io import atomic_folder

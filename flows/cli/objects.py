@@ -68,7 +68,7 @@ def list_(
     """
     from flows.cli.open_field import open_field, refusals, sort_texts
     from flows.cli.pictures import check_picture, write_picture
-    from slgaussian.benchmark.reports.model import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
 
     if out is not None:
         check_picture(out)

@@ -42,7 +42,7 @@ def train(
     import numpy as np
 
     from flows.training import FILES
-    from slgaussian.benchmark.reports.model import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
     from slgaussian.benchmark.significance import clip_scores, gate
 
     scores = clip_scores(judgements)
@@ -98,7 +98,7 @@ def versions(
     slgaussian versions models --use 3
     slgaussian versions models --use none
     """
-    from slgaussian.benchmark.reports.model import table_text
+    from slgaussian.benchmark.reports.text_table import table_text
     from slgaussian.semantic.versions import Versions
 
     folder = Versions(models)

@@ -135,7 +135,7 @@ def compute_scene(
 ) -> tuple[dict[str, ArtifactRef], Failure | None]:
     """Return the refs of all stages, or of those before the one that failed, and its failure.
 
-    DamagedError if it needs a damaged artifact, which is deleted.
+    DamagedError if it needs a damaged artifact.
     """
     run = RunContext(store, scene_task.scene, workers, notify, refresh, stage=scene_task.first)
     try:
@@ -160,8 +160,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     At most one batch per worker is submitted at a time, each with one scene in memory.
 
     Raises:
-        DamagedError: At the end, if a scene needs a damaged artifact, which is deleted: the next
-            run of the scenes computes it again.
+        DamagedError: At the end, if a scene needs a damaged artifact.
         SLGaussianError: If the task runner accepts no more work.
     """
     outcome = Outcome()

@@ -40,6 +40,10 @@ def test_the_help_of_a_command_loads_no_kernel_and_no_network():
     assert imported("query", "--help")[1] <= {"numpy", "pydantic"}
 
 
+def test_a_list_of_versions_waits_for_no_pictures(tmp_path):
+    assert not imported("versions", str(tmp_path))[1] & {"cv2", "scipy", "torch"}
+
+
 def test_a_question_waits_for_no_torch_and_once_asked_for_no_kernel_either(tmp_path, monkeypatch):
     monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "cache"))
     two_walls(tmp_path / "field")

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import io
 import re
-import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -17,21 +16,17 @@ from typing import Any, ClassVar
 
 import jinja2
 import numpy as np
-import rich.console
-import rich.table
 from markdown_it import MarkdownIt
 from markupsafe import Markup
 from PIL import Image
 
 from slgaussian.benchmark.pictures import reduce_width
+from slgaussian.benchmark.reports.text_table import table_text
 
 NO_VALUE = "–"
 
 TERMINAL_WIDTH = 100
 """Largest width of a table in a terminal, characters."""
-
-UNBOUNDED = 10_000
-"""Width of tables that are not wrapped."""
 
 WEBP_QUALITY = 75
 """Quality of pictures: a third of the size of a JPEG with equally clear thin outlines."""
@@ -121,25 +116,6 @@ class Table:
         if len(text.partition("\n")[0]) > TERMINAL_WIDTH and len(self.rows) < len(self.columns):
             return table_text(zip(*rows, strict=True), wrap=False)
         return text
-
-
-def table_text(rows: Iterable[Sequence[str]], sides: str = "<", wrap: bool = True) -> str:
-    """Return rows of cells, with the header first, as text in columns two spaces apart.
-
-    ``sides`` has the alignment of each column, ``<`` (left) or ``>`` (right, the default). Cells
-    are wrapped to the width of the terminal if ``wrap`` and standard output is one.
-    """
-    header, *body = rows
-    table = rich.table.Table(box=None, pad_edge=False)
-    for title, side in zip(header, sides.ljust(len(header), ">"), strict=True):
-        table.add_column(title, justify="left" if side == "<" else "right")
-    for cells in body:
-        table.add_row(*cells)
-    width = None if wrap and sys.stdout.isatty() else UNBOUNDED
-    console = rich.console.Console(width=width, markup=False, emoji=False, highlight=False)
-    with console.capture() as text:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in text.get().splitlines())
 
 
 def number(value: float | None, digits: int, unit: float = 1) -> str | None:
