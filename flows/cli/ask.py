@@ -44,7 +44,8 @@ def query(
     Returns the objects that fit the text about as well as the best one, and none if all objects fit
     canonical phrases ("object", "things" ...) better. With --threshold, returns all objects above
     it. Prints the probability that the answer is right. The exit status is 0 if each text is found
-    in a view, 3 if one is not (not sure, not here, or cannot tell), 1 if one is refused.
+    in a view, 3 if one is not (not sure, not here, or cannot tell), 1 if some are refused, 2 if all
+    are.
 
     \b
     slgaussian query field/ "red basket" -o hit.png
@@ -216,9 +217,9 @@ def segment(
 
     Objects that fit canonical phrases ("object", "things" ...) better than any text get none;
     --threshold moves that bound from 0.5. Prints one row per text: label, fraction of the pixels,
-    mean relevancy, verdict of a query for it alone, and objects. The exit status is 1 if a text is
-    refused. With -o labels.png, also writes labels.ids.png: a 16-bit PNG, 1 for the first text, 0
-    for none.
+    mean relevancy, verdict of a query for it alone, and objects. The exit status is 1 if some texts
+    are refused, 2 if all are. With -o labels.png, also writes labels.ids.png: a 16-bit PNG, 1 for
+    the first text, 0 for none.
 
     \b
     slgaussian segment field/ wall floor "red sofa" -o labels.png

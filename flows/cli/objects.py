@@ -59,8 +59,8 @@ def list_(
     For each object, prints the words, of all known words or of the given texts, with which a query
     finds it, or in brackets the best word; the confidence of its segmentation (0 to 1); the size of
     its upright bounding box (longer side, shorter side, height); and the views that show it. --json
-    has all objects, with the best words, centres and axes. The exit status is 1 if a text is
-    refused.
+    has all objects, with the best words, centres and axes. The exit status is 1 if some texts
+    are refused, 2 if all are.
 
     \b
     slgaussian objects list field/

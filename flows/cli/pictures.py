@@ -30,7 +30,7 @@ def check_picture(path: Path, kinds: Sequence[str] = PICTURES) -> None:
         InputError: If the name has another suffix, or no file can be created.
     """
     if path.suffix.lower() not in kinds:
-        kind = "picture" if kinds is PICTURES else "film"
+        kind = {PICTURES: "picture", FILMS: "film"}.get(tuple(kinds), "file")
         raise InputError(
             f"{path}: found {path.suffix or 'no suffix'!r}, expected the name of a {kind} to end "
             f"in {' or '.join(kinds)}"

@@ -38,7 +38,7 @@ def place(tmp_path_factory):
         ("segment field red --between 0 1 0.5 --view 1 -o a.png", "--view and --between"),
         ("render field -o a.gif", "expected the name of a picture"),
         ("render field -o a.png --depth d.npy --view 0 --view 1", "--depth: is of one view"),
-        ("render field -o a.png --depth d.tif", "d.tif: found '.tif', expected the name of a"),
+        ("render field -o a.png --depth d.tif", "found '.tif', expected the name of a file"),
         ("render field -o a.png --show code", "--show: found 'code', expected colours or codes"),
         ("render field -o a.png --orbit 4", "expected the name of a film to end in .mp4"),
         ("render field -o a.mp4 --orbit 4 --view 1", "leave out one of them"),
