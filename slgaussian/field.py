@@ -574,7 +574,7 @@ class SemanticField:
             spec = "gaussians"
             gaussians = Gaussians.from_arrays(arrays[spec])
             features = gaussians.to_arrays().get("features")
-            if features is None or features.shape[1] != 4:
+            if features is None or features.shape[1:] != (4,):
                 raise InputError("no features [N, 4]")
         except InputError as error:
             raise InputError(f"{field_folder.FILES[spec]}: {error}") from error

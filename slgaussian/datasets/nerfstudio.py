@@ -132,7 +132,7 @@ class Frame:
             if (extra := self.values.get(OWN)) is None:
                 return camera
             if not isinstance(extra, dict):
-                raise ValueError(f"record {OWN} is {extra!r:.60}, expected an object")
+                raise InputError(f"{OWN} is {extra!r:.60}, expected an object")
             estimate, numbers = extra.get("estimated"), Frame.of(self.file, self.name, extra)
             estimated = None if estimate is None else Estimated.of(estimate)
             near, far = numbers.number("near"), numbers.number("far")

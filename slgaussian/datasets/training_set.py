@@ -114,6 +114,9 @@ class TrainingSet(Dataset[dict[str, Any]]):
             )
             info = strict_json.parse(members["about.json"])
             images = {role: _images(members, role) for role in ("context", "target")}
+            count, expected = sum(map(len, images.values())), len(geometry["K"])
+            if count != expected or not isinstance(info, dict):
+                raise ValueError(f"{count} images of {expected}, or about.json is no object")
         except KeyError as missing:
             raise SpecError(f"{label}: has no {missing}; {ANEW}") from None
         except ValueError as error:

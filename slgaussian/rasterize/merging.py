@@ -343,8 +343,8 @@ def _merge_cells(
             arrays_out["guessed"][first] = arrays["guessed"][members].mean((1, 2)) > 0.5
         arrays_out["scales"][first] = _scales(arrays, members)
     is_leader = leaders == np.arange(len(gaussians))
-    kept = Gaussians.from_arrays({name: array[is_leader] for name, array in arrays_out.items()})
-    return kept, (np.cumsum(is_leader) - 1)[leaders]
+    merged = Gaussians.from_arrays({name: array[is_leader] for name, array in arrays_out.items()})
+    return merged, (np.cumsum(is_leader) - 1)[leaders]
 
 
 def _scales(arrays: Mapping[str, np.ndarray], members: np.ndarray) -> np.ndarray:

@@ -217,7 +217,7 @@ def test_a_bad_scene_costs_itself_alone(output, tmp_path):
     assert pq.read_table(tmp_path / "none/set/failures.parquet")["scene"].to_pylist() == ["bad"]
 
 
-def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path):
+def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path, monkeypatch):
     folder, *_ = output
     with pytest.raises(SpecError, match=r"index\.parquet: cannot be read"):
         TrainingSet(tmp_path)
@@ -228,6 +228,13 @@ def test_what_is_damaged_or_not_there_is_one_sentence(output, tmp_path):
     shutil.copytree(folder / "set", tmp_path / "set")
     samples = TrainingSet(tmp_path / "set")
     shard = tmp_path / "set" / samples.rows["shard"][0].as_py()
+    members = samples.members(0)
+    without = {name: data for name, data in members.items() if not name.startswith("context_1")}
+    with monkeypatch.context() as patch:
+        for changed in (without, {**members, "about.json": b"[]"}):
+            patch.setattr(samples, "members", lambda index, changed=changed: changed)
+            with pytest.raises(SpecError, match="is damaged"):
+                samples[0]
     shard.write_bytes(b"x" * shard.stat().st_size)
     with pytest.raises(SpecError, match=f"{shard.name}: is damaged"):
         samples[0]

@@ -59,9 +59,10 @@ def read(
         ("baseline", baseline, 0.01, 2.0), ("noise", noise, 0.0, 1.0),
         ("exposure", exposure, 0.0, 1.0),
     ):  # fmt: skip
+        kind = "whole number" if isinstance(low, int) else "number"
         if not low <= value <= high or (isinstance(low, int) and value != int(value)):
             raise InputError(
-                f"procedural scene {option}: found {value}, expected a number from {low} to {high}"
+                f"procedural scene {option}: found {value}, expected a {kind} from {low} to {high}"
             )
     name = f"procedural_{seed}"
     arc = rng_for(seed, name, "arc")
