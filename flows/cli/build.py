@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -256,7 +256,8 @@ def masks(
             rows.append((view.name, files[view.name], str((areas > 0).sum()), labelled))
         look = pictures.side_by_side(panels)
         (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
-        identities = {c.kind: {c.name: c.identity()} for c in components}
+        identities: dict[str, Any] = {c.kind: {c.name: c.identity()} for c in components}
+        identities |= {"replicas": method.replicas, "votes": method.votes}
         text = {"size": [height, width], "views": files, "settings": identities}
         (draft / MASKS).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
     typer.echo(table_text(rows, "<<"))

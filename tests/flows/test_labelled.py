@@ -235,8 +235,9 @@ class TestHeldOut:
     def test_so_is_a_copy_of_its_picture(self, lerf, tmp_path):
         folder = lerf / "ramen"
         shutil.copy(folder / "images" / FRAMES[1], folder / "images" / FRAMES[2])
-        with pytest.raises(InputError, match="is the same picture as the context view"):
-            self.ingested(folder, tmp_path, FRAMES[1:4:2], [FRAMES[2]])
+        for size in (None, "at most 24x32"):  # targets keep the size that all are judged at
+            with pytest.raises(InputError, match="is the same picture as the context view"):
+                self.ingested(folder, tmp_path, FRAMES[1:4:2], [FRAMES[2]], size)
 
     @pytest.mark.parametrize("size", ["at most 24x32", (30, 20)])
     def test_all_are_judged_at_one_size_but_where_a_size_crops(self, lerf, tmp_path, size):

@@ -50,6 +50,7 @@ def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, mo
     info = json.loads((tmp_path / "ids" / "masks.json").read_text())
     assert info["views"] == {name: name for name in PHOTOS}
     assert info["settings"]["proposer"] == {"regions": {}}
+    assert info["settings"]["votes"] == "views"
 
 
 def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, capsys):
