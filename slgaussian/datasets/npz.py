@@ -160,6 +160,8 @@ class _Map:
         assert self.stored.poses is not None
         inverted, flipped = POSES[pose]
         c2w = self.stored.poses[self.number]
+        if not np.linalg.det(c2w):
+            raise InputError(f"{self.stored.file}: pose {self.number} is singular, not a rigid one")
         c2w = np.linalg.inv(c2w) if inverted else c2w
         c2w = c2w @ FLIP if flipped else c2w
         K = self.intrinsics(way, of_map)

@@ -117,6 +117,7 @@ def test_names_choose_among_more_photographs(folder, room, tmp_path):
         ({"order": [1, 0, 2]}, "does not fit the photographs"),
         ({"intrinsics": np.full((3, 3, 3), 1e-4)}, "focal length x is"),
         ({"poses": np.eye(4)[None]}, "as many as maps"),
+        ({"poses": np.zeros((3, 4, 4))}, r"a\.npz: pose \d is singular"),
     ],
 )
 def test_what_fits_no_photograph_is_refused(folder, room, tmp_path, change, sentence):
