@@ -24,12 +24,14 @@ candidate steps."""
 
 MAX_PLANES = 8
 MIN_SUPPORT = 0.01
-SQUARE = 16
+SQUARES = (8, 16, 32)
 JUDGES = 4000
+REFITTED = 10
 REFITS = 15
-"""Largest number of planes; smallest share of answered pixels on one; side in pixels of the squares
-that provide hypotheses; approximate number of pixels that score them; number of refits of the
-best."""
+"""Largest number of planes; smallest share of answered pixels on one; sides in pixels of the
+squares that provide hypotheses; approximate number of pixels that score them; number of best
+hypotheses that are refitted, and number of refits. Sides of 12 and 32 or of 16 alone serve as
+well."""
 
 MEDIAN_RADIUS = 7
 MEDIAN_COLOR = 40.0
@@ -110,10 +112,10 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
     """Fit planes to the answered pixels one after the other, float64 [P, 3].
 
     A plane in space is linear in inverse depth: ``w = p @ (x, y, 1)`` with x the column and y the
-    row. Hypotheses are the least-squares planes of all squares of a grid, so nothing is random. The
-    one with most inliers is refitted to its inliers, which are removed before the next is sought.
-    The search ends at :data:`MAX_PLANES` planes, or when a plane has less than :data:`MIN_SUPPORT`
-    of the answered pixels.
+    row. Hypotheses are the least-squares planes of all squares of a grid, so nothing is random.
+    The best are refitted to their inliers, and the one with most inliers is accepted; its inliers
+    are removed before the next is sought. The search ends at :data:`MAX_PLANES` planes, or when a
+    plane has less than :data:`MIN_SUPPORT` of the answered pixels.
 
     Args:
         inverse_depth: float32 [H, W]
@@ -127,18 +129,18 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
         rows, columns = np.nonzero(left)
         if len(rows) < fewest:
             break
-        guesses = _square_planes(rows, columns, inverse_depth)
+        guesses = np.concatenate(
+            [_square_planes(rows, columns, inverse_depth, size) for size in SQUARES]
+        )
         if not len(guesses):
             break
         stride = max(1, len(rows) // JUDGES)
         judges = slice(stride // 2, None, stride)
         y, x = rows[judges], columns[judges]
         points, w = np.stack([x, y, np.ones(len(x))], 1), inverse_depth[y, x].astype(np.float64)
-        plane = guesses[_support(guesses, points, w, tolerance).argmax()]
-        for _ in range(REFITS):
-            inliers = np.abs(points @ plane - w) < tolerance
-            if inliers.sum() >= 3:
-                plane = np.linalg.lstsq(points[inliers], w[inliers], rcond=None)[0]
+        first = np.argsort(-_support(guesses, points, w, tolerance), kind="stable")[:REFITTED]
+        refitted = _refit(guesses[first], points, w, tolerance)
+        plane = refitted[_support(refitted, points, w, tolerance).argmax()]
         explained = left & (np.abs(_plane_depths(plane, *left.shape) - inverse_depth) < tolerance)
         if explained.sum() < fewest:
             break
@@ -147,28 +149,62 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
     return np.array(planes).reshape(-1, 3)
 
 
-def _square_planes(y: np.ndarray, x: np.ndarray, inverse_depth: np.ndarray) -> np.ndarray:
-    """Fit least-squares planes to the squares that have enough of the pixels in rows ``y`` and
-    columns ``x``, float64 [K, 3]."""
-    across = -(-inverse_depth.shape[1] // SQUARE)
-    square = y // SQUARE * across + x // SQUARE
+def _square_planes(
+    y: np.ndarray, x: np.ndarray, inverse_depth: np.ndarray, size: int
+) -> np.ndarray:
+    """Fit least-squares planes to the squares of ``size`` pixels that have enough of the pixels in
+    rows ``y`` and columns ``x``, float64 [K, 3]."""
+    across = -(-inverse_depth.shape[1] // size)
+    square = y // size * across + x // size
     numbers = np.arange(square.max() + 1)
-    column, row = (numbers % across + 0.5) * SQUARE, (numbers // across + 0.5) * SQUARE
-    p, q, r = x - column[square], y - row[square], inverse_depth[y, x].astype(np.float64)
-    terms = np.ones_like(p), p, q, r, p * p, p * q, q * q, p * r, q * r
-    sums: list[np.ndarray] = [np.bincount(square, term, len(numbers)) for term in terms]
+    column, row = (numbers % across + 0.5) * size, (numbers // across + 0.5) * size
+    terms = _moments(x - column[square], y - row[square], inverse_depth[y, x].astype(np.float64))
+    sums = np.stack([np.bincount(square, term, len(numbers)) for term in terms])
+    planes, roundness = _planes_of_moments(sums)
+    planes[:, 2] -= planes[:, 0] * column + planes[:, 1] * row
+    return planes[(sums[0] >= size * size / 8) & (roundness > 1e-3)]
+
+
+def _refit(planes: np.ndarray, points: np.ndarray, w: np.ndarray, tolerance: float) -> np.ndarray:
+    """Refit planes [P, 3] to their inliers among the points [M, 3] :data:`REFITS` times.
+
+    Planes of collinear inliers stay. No BLAS product: so few unknowns are not worth waking its
+    threads for, and its last digit depends on them.
+    """
+    x, y, _ = points.T
+    middle_x, middle_y = x.mean(), y.mean()
+    terms = np.stack(_moments(x - middle_x, y - middle_y, w))
+    for _ in range(REFITS):
+        a, b, c = planes.T[..., None]
+        inliers = np.abs(a * x + b * y + c - w) < tolerance
+        fitted, roundness = _planes_of_moments(np.einsum("pm,km->kp", inliers * 1.0, terms))
+        fitted[:, 2] -= fitted[:, 0] * middle_x + fitted[:, 1] * middle_y
+        planes = np.where(roundness[:, None] > 1e-9, fitted, planes)
+    return planes
+
+
+def _moments(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the terms whose sums over points :func:`_planes_of_moments` takes."""
+    return np.ones_like(u), u, v, w, u * u, u * v, v * v, u * w, v * w
+
+
+def _planes_of_moments(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve centred normal equations for planes ``w = p @ (u, v, 1)`` from sums [9, P].
+
+    Returns:
+        planes: float64 [P, 3]
+        roundness: float64 [P]. Determinant over squared trace of the scatter of the points: 0 where
+            they are collinear or none, 0.25 in a disc. Planes of roundness 0 mean nothing.
+    """
     count, u, v, w, uu, uv, vv, uw, vw = sums
-    # Centred normal equations of w = a u + b v + c.
     mean_u, mean_v, mean_w = (axis / np.maximum(count, 1) for axis in (u, v, w))
     uu, uv, vv = uu - u * mean_u, uv - u * mean_v, vv - v * mean_v
     uw, vw = uw - u * mean_w, vw - v * mean_w
     det = uu * vv - uv * uv
-    # Of the scatter of the points: 0 where they are collinear, 0.25 in a disc.
     roundness = det / np.maximum((uu + vv) ** 2, 1e-30)
     det = np.where(roundness > 0, det, 1.0)
     a, b = (vv * uw - uv * vw) / det, (uu * vw - uv * uw) / det
-    planes = np.stack([a, b, mean_w - a * (mean_u + column) - b * (mean_v + row)], 1)
-    return planes[(count >= SQUARE * SQUARE / 8) & (roundness > 1e-3)]
+    return np.stack([a, b, mean_w - a * mean_u - b * mean_v], 1), roundness
 
 
 @kernel
