@@ -52,8 +52,8 @@ def write_fields(
     """Write the fields by scene below folder ``out``, and a table of them.
 
     Their files are hard links to those in the store if possible, as they are by far the largest
-    output of a run. Fields of the same description are not written again; fields of an earlier run
-    that this run does not have are removed. ``places`` are the locations of the encoder's files.
+    output of a run. Unchanged fields are not written again; fields of an earlier run that this run
+    does not have are removed. ``places`` are the locations of the encoder's files.
 
     Raises:
         DamagedError: If an artifact is missing or damaged.
@@ -79,8 +79,9 @@ def write_fields(
         folder, text = field_place(scene, out), description.to_json(places)
         files = {spec: folder / field_folder.FILES[spec] for spec in parts}
         about = folder / field_folder.ABOUT  # with the digests of the files
-        is_there = all(file.is_file() for file in (about, *files.values()))
-        if not is_there or about.read_bytes() != text.encode():
+        described = about.is_file() and about.read_bytes() == text.encode()
+        # Where files are hard links, damage of the store is damage of the folder.
+        if not described or not all(store.has_content(parts[k], f) for k, f in files.items()):
             field_folder.write(folder, text, lambda spec, at: store.link_or_copy(parts[spec], at))
 
     store.map(write, list(fields), CONCURRENT_READS)

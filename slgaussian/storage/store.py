@@ -232,6 +232,14 @@ class ArtifactStore:
                 return
         Path(path).write_bytes(data)
 
+    def has_content(self, ref: ArtifactRef, path: str | os.PathLike[str]) -> bool:
+        """Return whether a local file already has the content that :meth:`link_or_copy` writes."""
+        try:
+            self.decode(ref, Path(path).read_bytes())
+        except (OSError, DamagedError):
+            return False
+        return True
+
     def check(self, ref: ArtifactRef) -> None:
         """Raise :class:`DamagedError` if the artifact or one of its parts is missing or damaged.
 
