@@ -130,7 +130,9 @@ def fixed(count: int = 1) -> Iterator[None]:
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
-        with torch.backends.cudnn.flags(enabled=True, benchmark=False, allow_tf32=False):
+        with torch.backends.cudnn.flags(
+            enabled=True, deterministic=torch.backends.cudnn.deterministic, allow_tf32=False
+        ):
             yield
     finally:
         torch.set_num_threads(before)
