@@ -1,9 +1,9 @@
-"""Speed, error and memory of the rasteriser, compared with the loop of ``plain_loop.py``.
+"""Speed and error of the rasteriser, compared with the loop of ``plain_loop.py``.
 
     python -m benches.rasterize.speed_and_error [DATA] [-o docs/measured] [--scene NAME]
 
-DATA holds pairs of photographs; without it, the scene is a procedural room. Cut-offs, numbers of
-Gaussians and channels, and memory are measured on one scene, by default the first of DATA.
+DATA holds pairs of photographs; without it, the scene is a procedural room. Cut-offs and numbers of
+Gaussians and channels are measured on one scene, by default the first of DATA.
 
 Errors of the whole image are relative to the cpu backend with the finest cut-offs (:data:`FINE`).
 The error of that backend relative to the float64 reference, which is too slow for whole images, is
@@ -12,21 +12,14 @@ measured on windows.
 
 from __future__ import annotations
 
-import json
 import math
-import subprocess
-import sys
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-import numpy as np
 import torch
 
 from benches.common.harness import error, ms, parser, publish, table, times_in_turn
 from benches.common.photograph_pairs import DATA_HELP, load_samples, photographs
-from benches.common.resident_memory import memory_status, reset_peak_memory
 from benches.rasterize.plain_loop import splat_in_order
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import threads
@@ -155,44 +148,6 @@ def size_rows(subject: Subject) -> list[dict]:
     return rows
 
 
-JOBS: dict[str, Callable[[Subject], object]] = {
-    "one picture": Subject.drawn,
-    "forward and backward": lambda subject: both_ways(subject)(),
-}
-
-
-def memory_rows(subject: Subject) -> list[dict]:
-    """Return the megabytes of each job, in its own process, without libraries and inputs."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "scene.npz"
-        camera = subject.camera
-        fields = {"K": camera.K, "c2w": camera.c2w, "size": [camera.width, camera.height]}
-        values = subject.values.numpy()
-        np.savez(file, **subject.gaussians.to_arrays(), **fields, values=values)
-        command = [sys.executable, "-m", "benches.rasterize.speed_and_error", "--memory", file]
-        return [
-            {"what": job} | json.loads(subprocess.check_output([*command, job])) for job in JOBS
-        ]
-
-
-def memory(file: str, job: str) -> dict[str, float]:
-    """Return peak and final megabytes of a job, after a small run that loads libraries."""
-    arrays = dict(np.load(file))
-    camera = Camera(arrays.pop("K"), arrays.pop("c2w"), *arrays.pop("size").tolist())
-    values = torch.from_numpy(arrays.pop("values"))
-    subject = Subject(job, Gaussians.from_arrays(arrays), values, camera)
-    JOBS[job](replace(subject.part(5000), camera=camera.resized(32, 32)))
-    before = memory_status("VmRSS")
-    reset_peak_memory()
-    result = JOBS[job](subject)
-    megabytes = {
-        "peak": (memory_status("VmHWM") - before) / 1e6,
-        "kept": (memory_status("VmRSS") - before) / 1e6,
-    }
-    del result
-    return megabytes
-
-
 TIMES = {
     "loop": ("plain loop, ms", ms),
     "fast": ("rasterize, ms", ms),
@@ -208,11 +163,7 @@ def main() -> None:
     arguments = parser(__doc__, "rasterizer.md")
     arguments.add_argument("data", nargs="?", type=photographs, metavar="DATA", help=DATA_HELP)
     arguments.add_argument("--scene", help="of all tables but the first")
-    arguments.add_argument("--memory", nargs=2, metavar=("FILE", "JOB"), help="used by itself")
     args = arguments.parse_args()
-    if args.memory:
-        print(json.dumps(memory(*args.memory)))
-        return
     subjects = (Subject.of(*item) for item in load_samples(args.data).items())
     scenes, swept = [], None
     for subject in subjects:
@@ -225,7 +176,6 @@ def main() -> None:
     of_cuts |= {name: TIMES[name] for name in ("ratio", "greatest")} | {"mean": ("mean", error)}
     of_sizes = {"gaussians": ("Gaussians", ",d"), "channels": ("channels", "d")}
     of_sizes |= {name: TIMES[name] for name in ("loop", "fast", "ratio", "greatest")}
-    of_memory = {"what": ("what", str), "peak": ("peak, MB", ".0f"), "kept": ("kept, MB", ".0f")}
     publish(
         args.out,
         "rasterizer.md",
@@ -233,7 +183,6 @@ def main() -> None:
         table(scenes, of_scene | TIMES),
         table(cut_rows(swept), of_cuts),
         table(size_rows(swept), of_sizes),
-        table(memory_rows(swept), of_memory),
     )
 
 

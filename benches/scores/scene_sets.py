@@ -41,10 +41,7 @@ THINGS = ("boxes", "can", "carton", "duck", "stitch")
 class Set:
     """Scenes that are averaged; ``chosen``: whether constants were chosen on them."""
 
-    title: str
-    command: str
     chosen: bool
-    seeds: int
     scenes: Callable[[Path], list[SceneSettings]]
 
 
@@ -58,52 +55,15 @@ def labelled(names: Sequence[str], data: Path) -> list[SceneSettings]:
     return scenes
 
 
-OF_LABELS = (
-    "slgaussian benchmark --data {0} --pairs {0}/pairs.json --labels {0}/labels --set seed=K"
-)
 SETS: Mapping[str, Set] = {
-    "office": Set(
-        "office: 8 pairs of one building, 57 queries",
-        OF_LABELS.format("DATA/office"),
-        True,
-        3,
-        partial(labelled, ["office"]),
-    ),
-    "demo": Set(
-        "demo: rooms 0 to 2",
-        "slgaussian demo --seed K",
-        True,
-        3,
-        lambda _: [room_scene(seed) for seed in ROOMS],
-    ),
+    "office": Set(True, partial(labelled, ["office"])),
+    "demo": Set(True, lambda _: [room_scene(seed) for seed in ROOMS]),
     "motorcycle": Set(
-        "demo: the motorcycle",
-        "slgaussian demo --seed K",
-        True,
-        3,
-        lambda _: [scene for scene in demo_scenes() if scene.dataset == "stereo"],
+        True, lambda _: [scene for scene in demo_scenes() if scene.dataset == "stereo"]
     ),
-    "places": Set(
-        "places: 8 pairs of 6 other places, 63 queries",
-        OF_LABELS.format("DATA/places/PLACE") + ", place by place",
-        True,
-        3,
-        partial(labelled, [f"places/{name}" for name in PLACES]),
-    ),
-    "things": Set(
-        "things: 5 pairs of single things on tables and floors",
-        OF_LABELS.format("DATA/things/THING") + ", thing by thing",
-        True,
-        3,
-        partial(labelled, [f"things/{name}" for name in THINGS]),
-    ),
-    "rooms": Set(
-        f"rooms {UNSEEN[0]} to {UNSEEN[-1]}",
-        f"slgaussian benchmark --rooms {UNSEEN[0]}-{UNSEEN[-1]} --set seed=K",
-        False,
-        3,
-        lambda _: [room_scene(seed) for seed in UNSEEN],
-    ),
+    "places": Set(True, partial(labelled, [f"places/{name}" for name in PLACES])),
+    "things": Set(True, partial(labelled, [f"things/{name}" for name in THINGS])),
+    "rooms": Set(False, lambda _: [room_scene(seed) for seed in UNSEEN]),
 }
 
 

@@ -29,6 +29,7 @@ from slgaussian.benchmark.reports.score_tables import METRICS
 from slgaussian.errors import InputError
 from slgaussian.kernels import threads
 
+SEEDS = 3
 SHOWN = ("iou", "hit_mask", "miou", "psnr", "ssim", "abs_rel", "bad2")
 
 
@@ -65,8 +66,7 @@ def measure(data: Path, names: Sequence[str], file: Path, workers: int) -> list[
         jobs = {}
         for name in names:
             for scene in SETS[name].scenes(data):
-                wanted = range(SETS[name].seeds)
-                seeds = [seed for seed in wanted if (name, scene.name, seed) not in measured]
+                seeds = [k for k in range(SEEDS) if (name, scene.name, k) not in measured]
                 if seeds:
                     jobs[pool.submit(scored, scene, seeds)] = name, scene.name, seeds
         for job in as_completed(jobs):
