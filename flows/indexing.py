@@ -102,15 +102,12 @@ def _surrounded(
             wanted[frame] = place[view]
     barred = {place[view] for view in views.values() if view in place}
     around = surround(clip, list(wanted.values()), barred, rule)
-    for frame, contexts in zip(wanted, around, strict=True):
-        if isinstance(contexts, str):
-            out[frame] = contexts
+    for frame, pair in zip(wanted, around, strict=True):
+        if isinstance(pair, str):
+            out[frame] = pair
             continue
-        pair = contexts.pair
-        owners = {
-            "overlap": pair, "baseline": pair, "cover": contexts, "aside": contexts, "score": pair,
-        }  # fmt: skip
-        measured = {name: round(getattr(owner, name), 4) for name, owner in owners.items()}
+        measures = ("overlap", "baseline", "cover", "aside", "score")
+        measured = {measure: round(getattr(pair, measure), 4) for measure in measures}
         context = tuple(names[i] for i in pair.context)
         out[frame] = context, (views[frame],), frames[frame], measured
     order = [frame for frame in frames if frame in out]

@@ -1,18 +1,24 @@
 """COLMAP reconstructions: undistorted images and the cameras of the sparse model.
 
-COLMAP's poses are world-to-camera with OpenCV axes, and its pixel centres lie at +0.5, as here
-(https://colmap.github.io/format.html). Camera models are supported that OpenCV has too.
+COLMAP's poses are world-to-camera with OpenCV axes, and its pixel centres lie at +0.5, as here. The
+files are ``.bin`` or ``.txt`` (https://colmap.github.io/format.html); points are not read, and the
+newer files of rigs and frames repeat the poses. pycolmap reads these files too, but for a truncated
+file some versions (such as 4.2.1) return arbitrary numbers, hang or end the process.
 """
 
 from __future__ import annotations
 
 import os
+import struct
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slgaussian.datasets.lens import Maps, checked_camera, lens_maps
 from slgaussian.datasets.photographs import (
@@ -24,17 +30,32 @@ from slgaussian.datasets.photographs import (
     scene_of,
     stored_size,
 )
-from slgaussian.datasets.sparse import (
-    SparseCamera,
-    count_images,
-    model_files,
-    read_model,
-)
 from slgaussian.errors import InputError
+from slgaussian.io import read_lines
 from slgaussian.scene import Camera, Scene
 
 PLACES = ("sparse", "colmap/sparse", ".")
 """Folders of the model, or of models in subfolders 0, 1, ..., relative to the scene's folder."""
+
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
+    4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5),
+    14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4),
+}  # fmt: skip
+"""Supported camera models, those that OpenCV has too: name and number of parameters by id."""
+
+
+class _Intrinsics(NamedTuple):
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+class _Pose(NamedTuple):
+    camera: int
+    w2c: np.ndarray  # float64 [4, 4]
 
 
 def read(path: str | Path, images: str | None = None) -> Scene:
@@ -60,7 +81,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     models = models_in(path)
     source = largest(models) if models else path / PLACES[0] / "0"
     if len(models) > 1:
-        sizes = ", ".join(f"{count_images(place)} in {place.name}" for place in models)
+        sizes = ", ".join(f"{_count_images(place)} in {place.name}" for place in models)
         warnings.warn(
             f"{source.parent}: has several models ({sizes} images), of which {source.name} is "
             f"taken; give the folder of another one to take that",
@@ -68,28 +89,27 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         )
     path = scene_folder(path)
     folder = image_folder(path, images)
-    stored_cameras, stored_images = read_model(source)
-    if not stored_images:
+    stored_cameras, stored_poses = _read_model(source)
+    if not stored_poses:
         raise InputError(f"{source}: has no posed image; reconstruct again")
-    posed = {}
-    for image in stored_images:
-        name = name_in(folder, image.name)
-        if name in posed:
+    poses: dict[str, _Pose] = {}
+    for stored_name, pose in stored_poses:
+        name = name_in(folder, stored_name)
+        if name in poses:
             raise InputError(f"{source}: two images are called {name!r}; remove one")
-        posed[name] = image
-    files = {name: _file(path, folder, name) for name in sorted(posed)}
-    lenses, cameras, maps = {}, {}, {}
+        poses[name] = pose
+    files = {name: _file(path, folder, name) for name in sorted(poses)}
+    lenses = {}
     for number, stored in stored_cameras.items():
-        taken = [files[name] for name in files if posed[name].camera == number]
-        if taken:
-            existing = next(filter(is_there, taken), None)
-            lenses[number] = _lens(stored, existing)
+        taken = (file for name, file in files.items() if poses[name].camera == number)
+        lenses[number] = _lens(stored, next(filter(is_there, taken), None))
+    cameras, maps = {}, {}
     for name in files:
-        K, size, lens = lenses[posed[name].camera]
+        K, size, lens = lenses[poses[name].camera]
         if lens is not None:
             maps[name] = lens
         try:
-            cameras[name] = checked_camera(Camera(K, np.linalg.inv(posed[name].w2c), *size))
+            cameras[name] = checked_camera(Camera(K, np.linalg.inv(poses[name].w2c), *size))
         except InputError as bad:
             raise InputError(f"{source}: image {name!r}: {bad}") from None
     name = path.resolve().name or "scene"
@@ -107,7 +127,7 @@ def models_in(path: Path) -> list[Path]:
 
 def largest(models: Sequence[Path]) -> Path:
     """Return the model with most images, the first in a tie."""
-    return models[0] if len(models) == 1 else max(models, key=count_images)
+    return models[0] if len(models) == 1 else max(models, key=_count_images)
 
 
 def scene_folder(path: Path) -> Path:
@@ -122,6 +142,12 @@ def scene_folder(path: Path) -> Path:
     return next(with_images, above[-1] if above else path)
 
 
+def model_files(folder: Path) -> list[Path]:
+    """List the files of cameras and images in a folder, of one format; empty if one is missing."""
+    pairs = ([folder / f"cameras{kind}", folder / f"images{kind}"] for kind in (".bin", ".txt"))
+    return next((files for files in pairs if all(file.is_file() for file in files)), [])
+
+
 def _file(scene: Path, folder: Path, name: str) -> Path:
     """Return the path of a photograph, which may be missing."""
     # Some tools write downscaled photographs with another extension.
@@ -134,17 +160,154 @@ def _file(scene: Path, folder: Path, name: str) -> Path:
 
 
 def _lens(
-    stored: SparseCamera, photograph: Path | None
+    stored: _Intrinsics, photograph: Path | None
 ) -> tuple[np.ndarray, tuple[int, int], Callable[[], Maps] | None]:
     """Return K, size and undistortion of a camera, at the size of one of its photographs."""
-    focals = 1 if "SIMPLE" in stored.model or "RADIAL" in stored.model else 2
-    (cx, cy), distortion = stored.params[focals : focals + 2], stored.params[focals + 2 :]
-    K = np.array([[stored.params[0], 0, cx], [0, stored.params[focals - 1], cy], [0, 0, 1]])
-    full_size = (stored.width, stored.height)
-    size = None if photograph is None else stored_size(photograph, full_size)
-    if size is None or not has_shape(size, full_size):  # else it was shrunk
-        size = full_size
-    K[:2] *= np.array([[size[0] / full_size[0]], [size[1] / full_size[1]]])
-    fisheye = "FISHEYE" in stored.model
+    model, width, height, params = stored
+    focals = 1 if "SIMPLE" in model or "RADIAL" in model else 2
+    (cx, cy), distortion = params[focals : focals + 2], params[focals + 2 :]
+    K = np.array([[params[0], 0, cx], [0, params[focals - 1], cy], [0, 0, 1]])
+    size = None if photograph is None else stored_size(photograph, (width, height))
+    if size is None or not has_shape(size, (width, height)):  # else it was shrunk
+        size = (width, height)
+    K[:2] *= np.array([[size[0] / width], [size[1] / height]])
+    fisheye = "FISHEYE" in model
     is_pinhole = not fisheye and not any(distortion)
     return K, size, None if is_pinhole else partial(lens_maps, K, size, distortion, fisheye)
+
+
+def _count_images(folder: Path) -> int:
+    return len(_read_images(model_files(folder)[1]))
+
+
+def _read_model(folder: Path) -> tuple[dict[int, _Intrinsics], list[tuple[str, _Pose]]]:
+    """Read the cameras by id and the poses with their names; the binary files if both exist."""
+    files = model_files(folder)
+    if not files:
+        raise InputError(
+            f"{folder}: has no COLMAP model; expected cameras and images there, .bin or .txt"
+        )
+    cameras, images = _read_cameras(files[0]), _read_images(files[1])
+    for name, pose in images:
+        if pose.camera not in cameras:
+            raise InputError(
+                f"{files[1]}: {name!r} was taken with camera {pose.camera}, which "
+                f"{files[0].name} does not have; the two files are not of one model"
+            )
+    return cameras, images
+
+
+@contextmanager
+def _damage_named(file: Path) -> Iterator[None]:
+    """Raise InputError, which names the file, for errors while it is read and parsed."""
+    try:
+        yield
+    except InputError:
+        raise
+    except OSError as bad:
+        raise InputError(f"{file}: cannot be read ({bad.strerror})") from None
+    except (ValueError, IndexError, struct.error) as bad:
+        raise InputError(f"{file}: is damaged or cut short ({bad}); copy it again") from None
+
+
+def _read_cameras(file: Path) -> dict[int, _Intrinsics]:
+    cameras: dict[int, _Intrinsics] = {}
+    counts = dict(MODELS.values())
+    with _damage_named(file):
+        for number, model, width, height, params in _stored_cameras(file):
+            if number in cameras:
+                raise ValueError(f"it has two cameras {number}")
+            if model not in counts:
+                raise InputError(
+                    f"{file}: camera {number} is of model {model}, expected one of "
+                    f"{', '.join(counts)}; undistort with `colmap image_undistorter`"
+                )
+            if len(params) != counts[model] or not np.isfinite(params).all():
+                raise ValueError(f"camera {number}: {model} with parameters {params}")
+            if not (0 < width < 1e6 and 0 < height < 1e6):
+                raise ValueError(f"camera {number} has {width}x{height} pixels")
+            cameras[number] = _Intrinsics(model, width, height, params)
+    return cameras
+
+
+def _read_images(file: Path) -> list[tuple[str, _Pose]]:
+    images = []
+    with _damage_named(file):
+        for numbers, camera, name in _stored_images(file):
+            if not np.isfinite(numbers).all() or abs(np.linalg.norm(numbers[:4]) - 1) > 0.01:
+                raise ValueError(f"image {name!r}: {numbers} is no unit quaternion and translation")
+            w2c = np.eye(4)
+            w2c[:3, :3] = Rotation.from_quat(np.roll(numbers[:4], -1)).as_matrix()
+            w2c[:3, 3] = numbers[4:]
+            images.append((name, _Pose(camera, w2c)))
+    return images
+
+
+def _stored_cameras(file: Path) -> Iterator[tuple[int, str, int, int, tuple[float, ...]]]:
+    """Yield id, model, width, height and parameters of each camera in a file."""
+    if file.suffix == ".txt":
+        for words in map(str.split, _lines(file)):
+            params = tuple(map(float, words[4:]))
+            yield int(words[0]), words[1], int(words[2]), int(words[3]), params
+        return
+    data = _Bytes(file)
+    for _ in data.entries():
+        number, kind, width, height = data.take("iiQQ")
+        model, count = MODELS.get(kind, (str(kind), 0))
+        yield number, model, width, height, data.take(f"{count}d")
+
+
+def _stored_images(file: Path) -> Iterator[tuple[list[float], int, str]]:
+    """Yield quaternion (w first) with translation, camera and name of each image."""
+    if file.suffix == ".txt":
+        for line in _lines(file):
+            # COLMAP writes a line of points, triples of numbers, after each image. Files written
+            # from known poses often lack these lines.
+            if not _are_points(line):
+                _, *numbers, name = line.split(None, 9)
+                yield list(map(float, numbers[:7])), int(numbers[7]), name
+        return
+    data = _Bytes(file)
+    for _ in data.entries():
+        *numbers, camera = data.take("4x7di")
+        name = data.text()
+        data.take(f"{24 * data.take('Q')[0]}x")
+        yield numbers, camera, name
+
+
+def _are_points(line: str) -> bool:
+    try:
+        return len(list(map(float, line.split()))) % 3 == 0
+    except ValueError:
+        return False
+
+
+def _lines(file: Path) -> Iterator[str]:
+    """Yield each line that is neither blank nor a comment."""
+    return (line for line in read_lines(file) if line.strip() and line.lstrip()[0] != "#")
+
+
+class _Bytes:
+    """Sequential reader of a binary file; struct.error or ValueError past its end."""
+
+    def __init__(self, file: Path):
+        self.data = file.read_bytes()
+        self.at = 0
+
+    def take(self, layout: str) -> tuple:
+        """Return the next values for a :mod:`struct` format."""
+        values = struct.unpack_from(f"<{layout}", self.data, self.at)
+        self.at += struct.calcsize(f"<{layout}")
+        return values
+
+    def text(self) -> str:
+        """Return the text up to the next zero byte."""
+        start, end = self.at, self.data.index(b"\0", self.at)
+        self.at = end + 1
+        return self.data[start:end].decode("utf-8", "replace")
+
+    def entries(self) -> Iterator[int]:
+        """Yield the index of each entry, whose count is the first number of the file."""
+        yield from range(self.take("Q")[0])
+        if self.at != len(self.data):
+            raise ValueError(f"its last entry ends at byte {self.at} of {len(self.data)}")

@@ -28,6 +28,7 @@ from slgaussian.datasets.photographs import (
     is_there,
     name_in,
     open_view,
+    read_view,
     stored_size,
 )
 from slgaussian.errors import InputError
@@ -48,15 +49,14 @@ OWN = "slgaussian"
 (:meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`), and in each frame the other fields
 of a camera (``estimated``, ``near``, ``far``). Such frames refer to upright photographs."""
 
-USED = frozenset(
-    ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov")
-    + ("camera_model", "is_fisheye", "k1", "k2", "k3", "k4", "p1", "p2", "mask_path")
-    + ("depth_unit_scale_factor", "applied_scale")
-    + ("aabb_scale", "scale", "auto_scale_poses_override", "integer_depth_scale")
-)
-"""Supported keys among those that match :data:`CHANGES_PIXELS`; the last line has no influence on
-projection and image, as it places the scene in instant-ngp's cube, or is of depth that is not read.
-"""
+USED = {
+    "w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov",
+    "camera_model", "is_fisheye", "k1", "k2", "k3", "k4", "p1", "p2", "mask_path",
+    "depth_unit_scale_factor", "applied_scale",
+    "aabb_scale", "scale", "auto_scale_poses_override", "integer_depth_scale",
+}  # fmt: skip
+"""Supported keys among those that match :data:`CHANGES_PIXELS`. The last line does not change the
+image: it places the scene in instant-ngp's cube, or is of depth that is not read."""
 
 CHANGES_PIXELS = re.compile(
     r"lens|fish|distort|mask|rolling|readout|shutter(?!_?speed)|scale|crop|aspect|flip|skew|shear"
@@ -89,9 +89,9 @@ class Frame:
         """Return an error that names file and frame."""
         return InputError(f"{self.file}: frame {self.name!r}: {problem}")
 
-    def number(self, key: str, default: Any = None) -> Any:
+    def number(self, key: str, default: Any = None, values: Mapping[str, Any] | None = None) -> Any:
         """Return a finite number as float, or the default if the key is missing."""
-        value = self.values.get(key)
+        value = (self.values if values is None else values).get(key)
         if value is None:
             return default
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -133,9 +133,9 @@ class Frame:
                 return camera
             if not isinstance(extra, dict):
                 raise InputError(f"{OWN} is {extra!r:.60}, expected an object")
-            estimate, numbers = extra.get("estimated"), Frame.of(self.file, self.name, extra)
+            estimate = extra.get("estimated")
             estimated = None if estimate is None else Estimated.of(estimate)
-            near, far = numbers.number("near"), numbers.number("far")
+            near, far = (self.number(name, values=extra) for name in ("near", "far"))
             return replace(camera, near=near, far=far, estimated=estimated)
         except InputError as bad:
             raise self.error(str(bad)) from None
@@ -151,7 +151,7 @@ class Frame:
                 f"camera_model {model!r} cannot be read, only {', '.join(PERSPECTIVE)} and "
                 f"{FISHEYE}; undistort the photographs to PINHOLE first"
             )
-        if self.values.get("is_fisheye", model == FISHEYE) is not (model == FISHEYE):
+        if fisheye is not (model == FISHEYE) and "is_fisheye" in self.values:
             raise self.error(
                 f"is_fisheye is {fisheye!r}, expected true or false as of camera_model {model}; "
                 "remove the wrong one"
@@ -172,12 +172,10 @@ class Frame:
     def _focal(self, axis: str, size: float) -> float | None:
         """Return the focal length in pixels along an axis, from the first level that has one."""
         for level in self.values.maps:
-            alone = Frame(self.file, self.name, ChainMap(level))
-            if (focal := alone.number(f"fl_{axis}")) is not None:
+            if (focal := self.number(f"fl_{axis}", values=level)) is not None:
                 return focal
             for key, unit in ((f"camera_angle_{axis}", 1), (f"{axis}_fov", math.pi / 180)):
-                angle = alone.number(key)
-                if angle is not None:
+                if (angle := self.number(key, values=level)) is not None:
                     if not 0 < angle * unit < math.pi:
                         expected = "radians below pi" if unit == 1 else "degrees below 180"
                         raise self.error(f"{key} is {angle:g}, expected {expected} and above 0")
@@ -193,8 +191,8 @@ class Frame:
             return partial(lens_maps, camera.K, size, [k1, k2, k3, k4], fisheye=True)
         if k4:
             raise self.error(f"k4 is {k4:g}, expected a camera_model {FISHEYE} with it")
-        coefficients = [k1, k2, p1, p2, k3]
-        return partial(lens_maps, camera.K, size, coefficients) if any(coefficients) else None
+        lens = [k1, k2, p1, p2, k3]
+        return partial(lens_maps, camera.K, size, lens) if any(lens) else None
 
     def place(self, name: Any) -> Path:
         """Resolve a path relative to the folder of the camera file."""
@@ -215,23 +213,35 @@ class Frame:
         photograph.check_shape(path, *depth.shape[::-1])
         return photograph.depth(depth, camera.height, camera.width)
 
+    def view(self, camera: Camera) -> View:
+        """Open the photograph with its mask and depth."""
+        mask = self.values.get("mask_path")
+        return open_view(
+            self.name,
+            camera,
+            self.image_path or self.file.parent / self.name,
+            self.file.name,
+            upright=OWN in self.values,
+            lens=self.lens(camera),
+            mask=None if mask is None else self.place(mask),
+            depth=self.depth(camera),
+        )
+
 
 def read(path: str | Path) -> Scene:
     """Read a scene; photographs are opened and undistorted when a view is read.
 
     Views are named by their ``file_path``. Every number may be at the top level or in a frame,
-    which has priority, also under another key: the focal length is ``fl_x``, or given as the angle
-    ``camera_angle_x`` (radians) or ``x_fov`` (degrees); likewise for y, which defaults to x. ``cx``
-    and ``cy`` default to the image centre; ``w`` and ``h`` to the size of the first photograph that
-    exists. ``is_fisheye`` means ``camera_model`` OPENCV_FISHEYE. Undistorted views have the same K;
-    pixels outside the lens's image are black, with depth 0.
+    which has priority, also under another key: the focal length is ``fl_x``, ``camera_angle_x``
+    (radians) or ``x_fov`` (degrees); likewise for y, which defaults to x. ``cx`` and ``cy`` default
+    to the image centre; ``w`` and ``h`` to the size of the first photograph that exists.
+    ``is_fisheye`` means ``camera_model`` OPENCV_FISHEYE. Undistorted views have the same K; pixels
+    outside the lens's image are black, with depth 0.
 
-    Transparent pixels are composited over black and marked in ``View.opaque``; ``mask_path`` is a
-    second alpha channel. An EXIF orientation is applied only if w and h fit the rotated photograph
-    (:func:`slgaussian.datasets.photographs.open_photograph`). Depth along z
-    (:func:`slgaussian.formats.depth_maps.read_map`) is scaled by ``depth_unit_scale_factor`` and,
-    like the poses, by ``applied_scale``, and resampled at the image's pixel centres. A view whose
-    depth file is missing has no depth.
+    ``mask_path`` is a second alpha channel, see :func:`slgaussian.datasets.photographs.open_view`.
+    Depth along z (:func:`slgaussian.formats.depth_maps.read_map`) is scaled by
+    ``depth_unit_scale_factor`` and, like the poses, by ``applied_scale``, and resampled at the
+    image's pixel centres. A view whose depth file is missing has no depth.
 
     Args:
         path: ``transforms.json`` or the folder that holds it; other paths are relative to that
@@ -263,27 +273,9 @@ def read(path: str | Path) -> Scene:
     size = next((size for size in sizes if size), None)
     cameras = {name: frame.camera(size) for name, frame in frames.items()}
     name = file.resolve().parent.name or "scene"
-    read_view, sources = partial(_read_view, frames, cameras), partial(_sources, frames)
-    return Scene(name, cameras, read_view, found=estimation, sources=sources)
-
-
-def _read_view(frames: Mapping[str, Frame], cameras: Mapping[str, Camera], name: str) -> View:
-    if name not in frames:
-        file = next(iter(frames.values())).file
-        raise InputError(f"{file}: no frame has the file_path {name!r}")
-    frame, camera = frames[name], cameras[name]
-    photograph = frame.image_path or frame.file.parent / name
-    mask = frame.values.get("mask_path")
-    return open_view(
-        name,
-        camera,
-        photograph,
-        frame.file.name,
-        upright=OWN in frame.values,
-        lens=frame.lens(camera),
-        mask=None if mask is None else frame.place(mask),
-        depth=frame.depth(camera),
-    )
+    views = {name: partial(frame.view, cameras[name]) for name, frame in frames.items()}
+    open_named, sources = partial(read_view, views, file), partial(_sources, frames)
+    return Scene(name, cameras, open_named, found=estimation, sources=sources)
 
 
 def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:

@@ -7,6 +7,7 @@ earlier views.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -60,6 +61,7 @@ class Pair:
         overlap, baseline: As in :class:`slgaussian.datasets.configs.PairBounds`.
         depth: Mean of the typical depths of the context views, scene units.
         score: Quality of the pair, from 0, poor, to 1.
+        cover, aside: As in :class:`slgaussian.datasets.configs.Rule`, if chosen by it.
     """
 
     context: tuple[int, int]
@@ -68,19 +70,8 @@ class Pair:
     baseline: float
     depth: float
     score: float
-
-
-@dataclass(frozen=True)
-class Surrounding:
-    """Two context views around a target, with the measures of the rule.
-
-    Attributes:
-        cover, aside: As in :class:`slgaussian.datasets.configs.Rule`.
-    """
-
-    pair: Pair
-    cover: float
-    aside: float
+    cover: float = math.nan
+    aside: float = math.nan
 
 
 def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
@@ -135,7 +126,7 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
 
 def surround(
     clip: Views, targets: Sequence[int], barred: Collection[int], rule: Rule
-) -> list[Surrounding | str]:
+) -> list[Pair | str]:
     """Choose the best two context views of each target; none may be barred or a target.
 
     The best pair within the rule maximises its score (overlap near the middle of its bounds, sharp
@@ -152,7 +143,7 @@ def surround(
     if np.isnan(clip.depths).any():
         return ["the views show no parallax that a depth could be found from"] * len(targets)
     shown = [*usable, *targets]
-    sights = list(sightings([clip.cameras[i] for i in shown], clip.depths[shown]))
+    sights = list(_sightings([clip.cameras[i] for i in shown], clip.depths[shown]))
     overlap_matrix = np.stack([sight[:count].mean(-1) for sight in sights[:count]])
     shared, baselines, fits = _compare(clip, usable, overlap_matrix, rule)
     a, b = np.nonzero(np.triu(fits & (baselines > 0), 1))
@@ -164,23 +155,24 @@ def surround(
     centers = np.stack([camera.center for camera in clip.cameras])
     first, second = centers[usable[a]], centers[usable[b]]
     separations = np.linalg.norm(first - second, axis=1)
-    surroundings: list[Surrounding | str] = []
+    chosen: list[Pair | str] = []
     for target, sight in zip(targets, sights[count:], strict=True):
         aside = np.linalg.norm((first + second) / 2 - centers[target], axis=1) / separations
         cover = (sight[a] | sight[b]).mean(1)
         between = aside <= rule.max_aside
         good = between & (cover >= rule.min_cover)
         if not good.any():
-            surroundings.append(
+            chosen.append(
                 f"{len(pairs)} pairs of views fit by overlap and baseline and are not held out; "
                 f"{between.sum()} of them have it between them, none sees {rule.min_cover:g} of it"
             )
             continue
         values = scores * cover * (1 - 0.5 * aside / max(rule.max_aside, 1e-9))
         k = int(np.where(good, values, -1).argmax())
-        pair = replace(pairs[k], targets=(target,), score=float(values[k]))
-        surroundings.append(Surrounding(pair, float(cover[k]), float(aside[k])))
-    return surroundings
+        measures = {"score": values[k], "cover": cover[k], "aside": aside[k]}
+        numbers = {name: float(value) for name, value in measures.items()}
+        chosen.append(replace(pairs[k], targets=(target,), **numbers))
+    return chosen
 
 
 def overlaps(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
@@ -188,26 +180,21 @@ def overlaps(cameras: Sequence[Camera], depths: np.ndarray) -> np.ndarray:
 
     Row a, column b: the fraction of image a that projects into b if all lies at ``depths[a]``.
     """
-    return np.stack([s.mean(-1) for s in sightings(cameras, depths)])
+    return np.stack([sight.mean(-1) for sight in _sightings(cameras, depths)])
 
 
-def sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield for each view the visibility of its pixels in every view, bool [N, 81].
-
-    Row b: whether the pixels of a regular grid over the image project into b, assuming that all of
-    the image lies at its depth.
-    """
+def _sightings(cameras: Sequence[Camera], depths: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield for each view which pixels of a grid, at its depth, each view shows: bool [N, 81]."""
     grid = (np.arange(9) + 0.5) / 9
     fractions = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
     ends = np.array([(c.width, c.height) for c in cameras], np.float64)
     w2c = np.stack([c.w2c for c in cameras])
     K = np.stack([c.K for c in cameras])
     for camera, end, depth in zip(cameras, ends, depths, strict=True):
-        pixels = np.concatenate([fractions * end, np.ones((len(fractions), 1))], 1)
+        pixels = np.column_stack([fractions * end, np.ones(len(fractions))])
         local = depth * pixels @ np.linalg.inv(camera.K).T
         world = local @ camera.c2w[:3, :3].T + camera.center
-        in_views = world @ w2c[:, :3, :3].mT + w2c[:, None, :3, 3]
-        image = in_views @ K.mT
+        image = (world @ w2c[:, :3, :3].mT + w2c[:, None, :3, 3]) @ K.mT
         z = image[..., 2:]
         with np.errstate(divide="ignore", invalid="ignore"):
             xy = image[..., :2] / z
@@ -238,10 +225,7 @@ def schedule(pairs: Sequence[Pair]) -> list[Pair]:
 def _compare(
     clip: Views, frames: np.ndarray, overlap_matrix: np.ndarray, bounds: PairBounds
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return overlap, baseline and whether both are within the bounds for all pairs, [N, N].
-
-    Row a, column b of ``overlap_matrix``: the fraction of image a that projects into b.
-    """
+    """Return overlap, baseline and whether both are within the bounds for all pairs, [N, N]."""
     centers = np.stack([clip.cameras[i].center for i in frames])
     depths = clip.depths[frames]
     separations = np.linalg.norm(centers[:, None] - centers, axis=-1)
@@ -257,8 +241,7 @@ def _pair(
 ) -> Pair:
     """Return a pair without targets.
 
-    Half of its score depends on the overlap, largest in the middle of the bounds, and half on the
-    blur of the worse view.
+    Its score is halved by an overlap at the bounds, and by a blur of the worse view at its bound.
     """
     middle = (bounds.min_overlap + bounds.max_overlap) / 2
     half = max((bounds.max_overlap - bounds.min_overlap) / 2, 1e-9)

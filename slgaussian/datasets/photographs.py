@@ -74,30 +74,6 @@ def open_photograph(
     return pixels, None if opaque.all() else opaque
 
 
-def masked(
-    pixels: np.ndarray, opaque: np.ndarray | None, mask: Path
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Composite pixels uint8 [H, W, 3] over black with a mask file as a second alpha channel.
-
-    A mask is white where pixels are valid; a mask with values 0 and 1 only is scaled.
-
-    Returns:
-        pixels: uint8 [H, W, 3]
-        opaque: bool [H, W], or None if all are. Intersection of ``opaque`` and the mask.
-
-    Raises:
-        InputError: If the mask is missing, damaged, or of another size.
-    """
-    alpha = mask_levels(mask)
-    if alpha.shape != pixels.shape[:2]:
-        raise InputError(
-            f"{mask}: has {alpha.shape} pixels, expected {pixels.shape[:2]} as its photograph"
-        )
-    alpha = alpha * np.uint8(255) if alpha.max() == 1 else alpha
-    visible = (alpha >= OPAQUE) & (True if opaque is None else opaque)
-    return _over_black(pixels, alpha), None if visible.all() else visible
-
-
 def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, int] | None:
     """Return width and height of an :func:`open_photograph`; None if it cannot be opened."""
     try:
@@ -177,25 +153,23 @@ def scene_of(
     Args:
         cameras, photographs: Cameras and photographs by view name; a photograph may be missing.
         named_by: File that lists the photographs, for messages.
-        files: sequence of Path. Files from which the cameras were read.
-        lenses: mapping str -> callable, optional. Computes the undistortion maps of a view
-            (:mod:`slgaussian.datasets.lens`); pinhole views are left out.
+        files: Files from which the cameras were read.
+        lenses: Functions that compute the undistortion maps of views; pinholes are left out.
         upright: Whether the cameras refer to the upright photographs, see :func:`open_photograph`.
         estimation: Record of the estimation of the cameras.
     """
-    lenses = lenses or {}
     views = {
-        view: partial(
-            open_view, view, camera, photographs[view], named_by, upright, lenses.get(view)
-        )
+        view: partial(open_view, view, camera, photographs[view], named_by, upright)
         for view, camera in cameras.items()
     }
+    views |= {view: partial(views[view], lens=lens) for view, lens in (lenses or {}).items()}
     sources = {view: [*files, photograph] for view, photograph in photographs.items()}
-    read = partial(_read_view, views, named_by)
+    read = partial(read_view, views, named_by)
     return Scene(name, cameras, read, found=estimation or {}, sources=sources.__getitem__)
 
 
-def _read_view(views: Mapping[str, Callable[[], View]], named_by: str | Path, name: str) -> View:
+def read_view(views: Mapping[str, Callable[[], View]], named_by: str | Path, name: str) -> View:
+    """Call the reader of a view by its name; InputError if there is none."""
     if name not in views:
         raise InputError(f"{named_by}: has no view {name!r}")
     return views[name]()
@@ -211,10 +185,12 @@ def open_view(
     mask: Path | None = None,
     depth: np.ndarray | None = None,
 ) -> View:
-    """Open a photograph as a view, with its mask, and undistort it; see :func:`scene_of`.
+    """Open a photograph as a view and undistort it; see :func:`scene_of`.
+
+    ``mask`` is a second alpha channel: white where pixels are valid; values 0 and 1 are scaled.
 
     Raises:
-        InputError: If a file is missing or damaged, or the photograph has another size.
+        InputError: If a file is missing or damaged, or has another size than the camera.
     """
     if not is_there(photograph):
         raise InputError(
@@ -229,6 +205,13 @@ def open_view(
             f"{camera.height}; resize it or scale its camera"
         )
     if mask is not None:
-        pixels, opaque = masked(pixels, opaque, mask)
+        alpha = mask_levels(mask)
+        if alpha.shape != (height, width):
+            raise InputError(
+                f"{mask}: has {alpha.shape} pixels, expected {height, width} as its photograph"
+            )
+        alpha = alpha * np.uint8(255) if alpha.max() == 1 else alpha
+        visible = (alpha >= OPAQUE) & (True if opaque is None else opaque)
+        pixels, opaque = _over_black(pixels, alpha), None if visible.all() else visible
     view = View(name, camera, pixels, depth, opaque=opaque)
     return view if lens is None else straightened(view, lens())

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from slgaussian.datasets import colmap, llff, nerfstudio, npz, unposed
 from slgaussian.datasets.photographs import image_folder, photographs_of
-from slgaussian.datasets.sparse import model_files
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene
 
@@ -99,7 +98,7 @@ def recognise(path: Path) -> tuple[str, Path]:
         return "llff", path
     if start.startswith(b"PK\x03\x04") or path.suffix == ".npz":
         return "npz", path
-    if path in model_files(path.parent):
+    if path in colmap.model_files(path.parent):
         return "colmap", _scene_of(path.parent)
     if start.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"{", b"[")) or path.suffix == ".json":
         return "nerfstudio", path

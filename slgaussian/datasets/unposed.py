@@ -91,14 +91,18 @@ def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Sc
     Raises:
         InputError: As :func:`photographs`.
     """
-    places = [path] if isinstance(path, str | Path) else path
-    listed = named(places if only is None else [Path(places[0]) / name for name in only])
+    listed = _listed(path, only)
     return posed(listed, find(listed))
 
 
-def files(path: Place, only: Sequence[str] | None = None) -> list[Path]:
+def files(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> list[Path]:
     """List the photographs of a scene, all of which influence the estimated cameras."""
-    return list(named([path] if only is None else [Path(path) / name for name in only]).values())
+    return list(_listed(path, only).values())
+
+
+def _listed(path: Place | Sequence[Place], only: Sequence[str] | None) -> dict[str, Path]:
+    places = [path] if isinstance(path, Place) else path
+    return named(places if only is None else [Path(places[0]) / name for name in only])
 
 
 def named(places: Sequence[Place]) -> dict[str, Path]:
@@ -193,4 +197,4 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
 def posed(files: Mapping[str, Path], estimated: EstimatedCameras) -> Scene:
     """Return the scene of photographs by name with their estimated cameras."""
     name, record = folder_of(files).name or "photographs", estimated.as_json()
-    return scene_of(name, estimated.cameras, files, "photographs", (), {}, True, record)
+    return scene_of(name, estimated.cameras, files, "photographs", upright=True, estimation=record)

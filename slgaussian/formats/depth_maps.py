@@ -97,10 +97,11 @@ class GeometryFile:
                 )
             return {view: i for i, view in enumerate(views)}
         row_of_key = {key: i for i, name in enumerate(self.names) for key in name_keys(name)}
-        candidates = {
-            view: [row_of_key[k] for k in name_keys(view) if k in row_of_key] for view in views
+        keys = {
+            view: next((key for key in name_keys(view) if key in row_of_key), None)
+            for view in views
         }
-        return {view: numbers[0] for view, numbers in candidates.items() if numbers}
+        return {view: row_of_key[key] for view, key in keys.items() if key is not None}
 
 
 def name_keys(name: str) -> tuple[str, ...]:
@@ -121,14 +122,13 @@ def read_geometry(file: Path) -> GeometryFile:
         raise InputError(f"{file}: holds no depth; expected one of {', '.join(KEYS['depth'])}")
     depth = _stacked(file, "depth", arrays["depth"])
     count, height, width = depth.shape
-    confidence = arrays.get("confidence")
-    if confidence is not None:
-        confidence = _stacked(file, "confidence", confidence)
+    confidence = matrices = poses = names = None
+    if "confidence" in arrays:
+        confidence = _stacked(file, "confidence", arrays["confidence"]).astype(np.float32)
         if confidence.shape != depth.shape:
             raise InputError(
                 f"{file}: confidence is {confidence.shape}, expected {depth.shape} as depth"
             )
-    matrices = None
     if "K" in arrays:
         matrices = _shaped(file, "intrinsics", arrays["K"], count, (3, 3))
     elif "focal" in arrays:
@@ -136,14 +136,12 @@ def read_geometry(file: Path) -> GeometryFile:
         focals = np.broadcast_to(focals, count) if len(focals) == 1 else focals
         matrices = np.array([[[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]] for f in focals])
         matrices = _shaped(file, "focals", matrices, count, (3, 3))
-    poses, inverted = None, "w2c" in arrays
-    if inverted or "c2w" in arrays:
-        stored_poses = arrays["w2c" if inverted else "c2w"]
-        if stored_poses.shape[-2:] == (3, 4):
-            last = np.broadcast_to([0.0, 0, 0, 1], (*stored_poses.shape[:-2], 1, 4))
-            stored_poses = np.concatenate([stored_poses, last], -2)
-        poses = _shaped(file, "poses", stored_poses, count, (4, 4))
-    names = None
+    inverted = "w2c" in arrays
+    if (stored := arrays.get("w2c", arrays.get("c2w"))) is not None:
+        if stored.shape[-2:] == (3, 4):
+            last = np.broadcast_to([0.0, 0, 0, 1], (*stored.shape[:-2], 1, 4))
+            stored = np.concatenate([stored, last], -2)
+        poses = _shaped(file, "poses", stored, count, (4, 4))
     if "names" in arrays:
         names = [str(name) for name in arrays["names"].reshape(-1)]
         if len(names) != count:
@@ -152,7 +150,7 @@ def read_geometry(file: Path) -> GeometryFile:
         DepthMap(
             f"{file} [{i}]",
             known_depth(depth[i]),
-            None if confidence is None else confidence[i].astype(np.float32),
+            None if confidence is None else confidence[i],
             None if matrices is None else matrices[i],
         )
         for i in range(count)
@@ -230,10 +228,9 @@ def _read_npz(file: Path) -> dict[str, np.ndarray]:
             raise ValueError(f"{size:,} bytes unpacked, of which at most {MOST_BYTES:,} are read")
         with np.load(file, allow_pickle=False) as stored:
             present = {
-                ours: next((theirs for theirs in names if theirs in stored), None)
-                for ours, names in KEYS.items()
+                ours: [name for name in names if name in stored] for ours, names in KEYS.items()
             }
-            return {ours: stored[theirs] for ours, theirs in present.items() if theirs is not None}
+            return {ours: stored[names[0]] for ours, names in present.items() if names}
     except Exception as problem:  # a damaged archive raises almost anything
         raise unreadable(file, problem) from None
 
@@ -244,8 +241,7 @@ def _stacked(file: Path, name: str, values: np.ndarray) -> np.ndarray:
         values = values[0]
     if values.ndim == 4:
         values = values[..., 0] if values.shape[-1] == 1 else values[0]
-    if values.ndim == 2:
-        values = values[None]
+    values = values[None] if values.ndim == 2 else values
     if values.ndim != 3 or not values.size or values.dtype.kind not in "uif":
         raise InputError(f"{file}: {name} is {values.dtype} {values.shape}, expected [N, H, W]")
     return values

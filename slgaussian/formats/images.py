@@ -50,12 +50,17 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
     """
     if Path(str(source)).suffix.lower() in (".heic", ".heif") and _reads_heic():
         kinds = (*kinds, "HEIF")
+    with _damage_as_value_error(), Image.open(source, formats=tuple(kinds)) as image:
+        check_size(*image.size)
+        if not min(image.size):
+            raise ValueError("it has no pixel")
+        yield image
+
+
+@contextmanager
+def _damage_as_value_error() -> Iterator[None]:
     try:
-        with Image.open(source, formats=tuple(kinds)) as image:
-            check_size(*image.size)
-            if not min(image.size):
-                raise ValueError("it has no pixel")
-            yield image
+        yield
     except (InputError, TooLargeError):
         raise
     except Image.DecompressionBombError:
@@ -119,13 +124,9 @@ def read_npy(file: Path) -> np.ndarray:
     Raises:
         OSError, ValueError: See :func:`opened`.
     """
-    try:
+    with _damage_as_value_error():
         # Memory mapping detects a header that claims more data than the file has before allocation.
         array = np.lib.format.open_memmap(file, mode="r")
-    except Exception as bad:  # a damaged header raises almost anything
-        if isinstance(bad, OSError) and bad.errno is not None:
-            raise
-        raise ValueError(_reason(bad)) from None
     if array.size > MOST_PIXELS:
         raise TooLargeError(
             f"it has {array.size:,} numbers, of which at most {MOST_PIXELS:,} are read; shrink it"

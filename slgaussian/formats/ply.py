@@ -38,8 +38,7 @@ REST = (0, 9, 24, 45)
 
 _MEANS = ["x", "y", "z"]
 _NORMALS = ["nx", "ny", "nz"]
-_DC = [f"f_dc_{i}" for i in range(3)]
-_SCALES = [f"scale_{i}" for i in range(3)]
+_DC, _SCALES = ([f"{prefix}_{i}" for i in range(3)] for prefix in ("f_dc", "scale"))
 _ROTATIONS = [f"rot_{i}" for i in range(4)]
 _NEEDED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
 
@@ -68,41 +67,41 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     """
     check_type(gaussians, Gaussians, "save_ply: expected Gaussians, and then a path")
     gaussians.check()
-    arrays = gaussians.to_arrays()
-    n = len(gaussians)
-    opacities, scales, sh = arrays["opacities"], arrays["scales"], arrays["sh"]
-    rest = sh.shape[1] - 1
-    if 3 * rest not in REST:
+    arrays, n = gaussians.to_arrays(), len(gaussians)
+    sh, features = arrays["sh"], arrays.get("features", np.empty((n, 0)))
+    rest = 3 * (sh.shape[1] - 1)
+    if rest not in REST:
         raise InputError(
             f"gaussians sh: found {sh.shape[1]} coefficients a colour, expected 1, 4, 9 or 16: a "
             ".ply holds harmonics of degree 0 to 3"
         )
     with np.errstate(divide="ignore"):  # log of 0; LOWEST is written instead
-        logits = logit(opacities.astype(np.float64)).clip(LOWEST, HIGHEST)
-        logs = np.log(scales.astype(np.float64)).clip(LOWEST)
-    features = arrays.get("features", np.empty((n, 0)))
-    columns = [
-        *zip(_MEANS, arrays["means"].T, strict=True),
-        *((name, np.zeros(n)) for name in _NORMALS),
-        *zip(_DC, sh[:, 0].T, strict=True),
-        *((f"f_rest_{i}", sh[:, 1 + i % rest, i // rest]) for i in range(3 * rest)),
-        ("opacity", logits),
-        *zip(_SCALES, logs.T, strict=True),
-        *zip(_ROTATIONS, arrays["quats"].T, strict=True),
-        *((f"f_sem_{i}", column) for i, column in enumerate(features.T)),
+        logits = logit(arrays["opacities"].astype(np.float64)).clip(LOWEST, HIGHEST)
+        logs = np.log(arrays["scales"].astype(np.float64)).clip(LOWEST)
+    groups = [
+        (_MEANS, arrays["means"]),
+        (_NORMALS, np.zeros((n, 3))),
+        (_DC, sh[:, 0]),
+        ([f"f_rest_{i}" for i in range(rest)], sh[:, 1:].swapaxes(1, 2).reshape(n, rest)),
+        (["opacity"], logits[:, None]),
+        (_SCALES, logs),
+        (_ROTATIONS, arrays["quats"]),
+        ([f"f_sem_{i}" for i in range(features.shape[1])], features),
     ]
+    columns = {
+        name: column.astype("<f4")
+        for names, values in groups
+        for name, column in zip(names, values.T, strict=True)
+    }
     integers = {"source": arrays["source"]}
     if labels is not None:
         integers["label"] = _checked(labels, n)
-    kinds = [(name, "<f4") for name, _ in columns]
-    kinds += [
-        (name, "<f4" if np.array_equal(values.astype(np.float32), values) else "<i4")
-        for name, values in integers.items()
-    ]
-    columns += integers.items()
-    table = np.empty(n, kinds)
-    for name, values in columns:
-        table[name] = values
+    for name, values in integers.items():
+        floats = values.astype("<f4")
+        columns[name] = floats if np.array_equal(floats, values) else values.astype("<i4")
+    table = np.empty(n, [(name, column.dtype) for name, column in columns.items()])
+    for name, column in columns.items():
+        table[name] = column
     buffer = io.BytesIO()
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
     write_file(path, buffer.getbuffer())
@@ -144,9 +143,10 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: has {len(rest)} properties f_rest_*, expected one of "
             f"{', '.join(map(str, REST))}; write it again with harmonics of degree 0 to 3"
         )
-    used = {*_NEEDED, *_NORMALS, *rest, *semantic}
-    distorting = sorted(DISTORTING.intersection(fields))
-    if distorting := distorting or list(filter(_ANTIALIASED.search, comments)):
+    if distorting := [
+        *sorted(DISTORTING.intersection(fields)),
+        *filter(_ANTIALIASED.search, comments),
+    ]:
         raise InputError(
             f"{path}: has {_some(distorting)}, by which its Gaussians are drawn otherwise than "
             "here; export it as plain 3D Gaussian splatting"
@@ -159,26 +159,25 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: vertex {int(np.argmin(lengths))} has the rotation (0, 0, 0, 0), which is "
             "none; remove it, or write the file again"
         )
-    higher = len(rest) // 3
-    sh = np.empty((n, 1 + higher, 3), np.float32)
-    sh[:, 0] = read(_DC)
-    sh[:, 1:] = read(rest).reshape(n, 3, higher).transpose(0, 2, 1)
+    higher = read(rest).reshape(n, 3, len(rest) // 3).transpose(0, 2, 1)
     source = _whole(table["source"]) if "source" in names else None
     arrays = {
         "means": read(_MEANS),
         "scales": read(_SCALES, np.exp),
         "quats": (quats / lengths).astype(np.float32),
         "opacities": read(["opacity"], expit)[:, 0],
-        "sh": sh,
+        "sh": np.concatenate([read(_DC)[:, None], higher], 1),
         "source": np.arange(n, dtype=np.int32) if source is None else source,
     }
     if semantic:
         arrays["features"] = read(semantic)
-    if source is not None:
-        used.add("source")
-    extra = {name: table[name] for name in fields if name not in used}
-    # Copy to native byte order; the file is only memory-mapped.
-    extra = {name: np.array(v, v.dtype.newbyteorder("=")) for name, v in extra.items()}
+    used = {*_NEEDED, *_NORMALS, *rest, *semantic, *(["source"] if source is not None else [])}
+    # Copied in native byte order; the file is only memory-mapped.
+    extra = {
+        name: np.array(table[name], table.dtype[name].newbyteorder("="))
+        for name in fields
+        if name not in used
+    }
     if "label" in names and (label := _whole(extra["label"])) is not None:
         extra["label"] = label
     return Gaussians.from_arrays(arrays), extra
@@ -188,20 +187,15 @@ def _finite(
     path: str | Path,
     table: np.ndarray,
     names: Sequence[str],
-    convert: Callable[[np.ndarray], np.ndarray] | None = None,
+    convert: Callable[[np.ndarray], np.ndarray] = np.positive,
 ) -> np.ndarray:
-    """Stack columns, float32 [N, len(names)], after applying ``convert`` in float64.
-
-    Raises InputError if a number is not finite.
-    """
+    """Stack columns, converted in float64, as finite float32 [N, len(names)]; else InputError."""
     values = np.empty((len(table), len(names)), np.float32)
     with np.errstate(over="ignore"):  # overflow gives infinity, which is refused below
         for column, name in enumerate(names):
-            raw = table[name]
-            values[:, column] = raw if convert is None else convert(raw.astype(np.float64))
-    finite = np.isfinite(values)
-    if not finite.all():
-        row, column = np.argwhere(~finite)[0]
+            values[:, column] = convert(table[name].astype(np.float64))
+    if not np.isfinite(values).all():
+        row, column = np.argwhere(~np.isfinite(values))[0]
         raise InputError(
             f"{path}: vertex {row} has {names[column]} {table[names[column]][row]}, which makes no "
             "Gaussian; remove it, or write the file again"

@@ -118,18 +118,17 @@ class Window:
 
         A pixel is set if more than half of it is covered.
         """
-        rows, columns = self._overlaps(mask.shape, height, width)
+        (y0, y1), (x0, x1) = self._ends(mask.shape)
+        rows = _overlap(mask.shape[0], y0, y1, height)
+        columns = _overlap(mask.shape[1], x0, x1, width)
         cover = (rows @ mask.astype(np.float32)) @ columns.T
         return cover > 0.5 + 1e-5  # exactly half covered means unset, despite rounding
 
     def ids(self, ids: np.ndarray, height: int, width: int) -> np.ndarray:
         """Resample ids [H, W] of the whole photograph at the pixel centres (nearest)."""
         x, y = self._centres(ids.shape, height, width)
-        places = (
-            np.clip(np.floor(at), 0, count - 1).astype(np.int64)
-            for at, count in zip((y, x), ids.shape, strict=True)
-        )
-        return ids[np.ix_(*places)]
+        rows, columns = np.floor(y).astype(np.int64), np.floor(x).astype(np.int64)
+        return ids[np.ix_(rows.clip(0, len(ids) - 1), columns.clip(0, ids.shape[1] - 1))]
 
     def depth(self, depth: np.ndarray, height: int, width: int) -> np.ndarray:
         """Resample z-depth float32 [H, W] of the whole photograph by :func:`sample_depth`."""
@@ -157,12 +156,6 @@ class Window:
         x = x0 + (x1 - x0) * (np.arange(width) + 0.5) / width
         return x, y0 + (y1 - y0) * (np.arange(height) + 0.5) / height
 
-    def _overlaps(
-        self, shape: tuple[int, ...], height: int, width: int
-    ) -> tuple[csr_array, csr_array]:
-        rows, columns = self._ends(shape)
-        return _overlap(shape[0], *rows, height), _overlap(shape[1], *columns, width)
-
 
 def sample_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Sample a depth map at points.
@@ -181,20 +174,18 @@ def sample_depth(depth: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         float32 [...]: 0 where the pixel is unknown or the point outside.
     """
     height, width = depth.shape
-    x, y = np.broadcast_arrays(x, y)
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     x, y = np.where(inside, x, 0).astype(np.float64), np.where(inside, y, 0).astype(np.float64)
     column, row = x.astype(np.int64), y.astype(np.int64)
-    at = row, column
     valid = depth > 0
     inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=valid)
-    nearest = inverse[at]
+    nearest = inverse[row, column]
     value = nearest.copy()
     for offset, slopes in (
         (x - column - 0.5, _slopes(inverse, valid)),
         (y - row - 0.5, [slope.T for slope in _slopes(inverse.T, valid.T)]),
     ):
-        behind, ahead = (slope[at] for slope in slopes)
+        behind, ahead = (slope[row, column] for slope in slopes)
         value += offset * np.where(offset < 0, behind, ahead)
     # If half a pixel reaches half way to the horizon, the slope is not reliable.
     value = np.where(value > nearest / 2, value, nearest)

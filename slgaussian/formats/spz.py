@@ -95,10 +95,8 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     smaller = unit[rows[:, None], _OTHERS[largest]]
     sizes = np.minimum(np.rint(np.abs(smaller) * _MOST), 511).astype(np.uint32)
     codes = sizes | ((smaller < 0).astype(np.uint32) << np.uint32(9))
-    packed = largest.astype(np.uint32)
-    for column in range(3):
-        packed = packed << np.uint32(10) | codes[:, column]
-    return packed
+    shifts = np.array([20, 10, 0], np.uint32)
+    return largest.astype(np.uint32) << np.uint32(30) | (codes << shifts).sum(1, dtype=np.uint32)
 
 
 def _bytes(values: np.ndarray) -> bytes:

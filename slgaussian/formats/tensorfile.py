@@ -35,13 +35,13 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
     """
     stream = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
-        zipped = zipfile.is_zipfile(stream)
-        if zipped:
+        if zipped := zipfile.is_zipfile(stream):
             with zipfile.ZipFile(stream) as archive:
-                if any("/code/" in member.filename for member in archive.infolist()):
-                    raise ValueError(SCRIPTED)
-                if any(member.compress_type for member in archive.infolist()):
-                    raise ValueError("it is packed")
+                members = archive.infolist()
+            if any("/code/" in member.filename for member in members):
+                raise ValueError(SCRIPTED)
+            if any(member.compress_type for member in members):
+                raise ValueError("it is packed")
         if isinstance(stream, io.BytesIO):
             stream.seek(0)
         with warnings.catch_warnings():

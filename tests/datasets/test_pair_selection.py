@@ -180,9 +180,9 @@ def test_the_pair_is_the_best_of_a_plain_search(seed, unordered):
         if best is None:
             assert "have it between them" in found
         else:
-            assert found.pair.score == pytest.approx(best[0], rel=1e-9)
-            assert found.pair.context == best[1]
-            assert found.pair.targets == (target,)
+            assert found.score == pytest.approx(best[0], rel=1e-9)
+            assert found.context == best[1]
+            assert found.targets == (target,)
 
 
 @pytest.mark.parametrize(

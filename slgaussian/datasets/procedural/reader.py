@@ -80,10 +80,11 @@ def read(
     # Visibility is tested on small images of one size, so the room is equal at any resolution.
     ends = [camera(fraction, 52, 72) for fraction in (-1, 1)]
     room = furnish(rng_for(seed, name, f"room {objects} {float(baseline)}"), objects, ends)
+    phrases = {i: thing.phrase for i, thing in enumerate(room.things, 1)}
     cameras = {
         f"view_{i:02d}": camera(2 * i / (views - 1) - 1, height, width) for i in range(views)
     }
-    return Scene(name, cameras, partial(_read, seed, room, cameras, noise, exposure), room.phrases)
+    return Scene(name, cameras, partial(_read, seed, room, cameras, noise, exposure), phrases)
 
 
 def _read(

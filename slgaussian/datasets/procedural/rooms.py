@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slgaussian.datasets.procedural import raycast, textures
-from slgaussian.datasets.procedural.names import (
-    COLOURS,
-    MATERIALS,
-    PATTERNS,
-    SHAPES,
-    jitter,
-    look,
-    material,
-)
-from slgaussian.datasets.procedural.raycast import BALL, BOX, CONE, CYLINDER, RING, Solid
+from slgaussian.datasets.procedural import names, raycast, textures
+from slgaussian.datasets.procedural.raycast import BOX, Solid
 from slgaussian.datasets.procedural.shading import Light
 from slgaussian.datasets.procedural.textures import Material
 from slgaussian.errors import InputError
@@ -58,11 +50,6 @@ class Room:
     things: tuple[Thing, ...]
     light: Light
 
-    @property
-    def phrases(self) -> dict[int, str]:
-        """Return the phrase of each id."""
-        return {i: thing.phrase for i, thing in enumerate(self.things, 1)}
-
     def solids(self, casters: bool = False) -> raycast.Solids:
         """Pack all solids; with ``casters`` without walls, floor and ceiling (no shadows)."""
         return raycast.pack([s for t in self.things for s in t.solids][6 if casters else 0 :])
@@ -73,9 +60,8 @@ class Room:
 
     def owners(self) -> np.ndarray:
         """Return the object id of each solid, int32 [P]."""
-        return np.repeat(
-            np.arange(1, len(self.things) + 1, dtype=np.int32), [len(t.solids) for t in self.things]
-        )
+        ids = np.arange(1, len(self.things) + 1, dtype=np.int32)
+        return np.repeat(ids, [len(thing.solids) for thing in self.things])
 
 
 def furnish(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) -> Room:
@@ -151,8 +137,8 @@ def _paler(material: Material) -> Material:
 
 def _shell(rng: np.random.Generator, used_looks: set[tuple[str, str]]) -> list[Thing]:
     """Make floor, ceiling, back wall and, as one object, side walls and the wall behind cameras."""
-    floor = str(rng.choice(_FLOORS))
-    back = str(rng.choice(_WALLS))
+    look, material = names.look, names.material
+    floor, back = str(rng.choice(_FLOORS)), str(rng.choice(_WALLS))
     side = str(rng.choice([w for w in _WALLS if look(w) != look(back) and w != "brick"]))
     middle, depth, half, t = (_BACK + _FRONT) / 2, (_BACK - _FRONT) / 2, _HEIGHT / 2, 0.1
     used_looks.update({("floor", look(floor)), ("wall", look(back)), ("wall", look(side))})
@@ -205,7 +191,7 @@ class _Ground:
         place = self.floor
         if raised and rng.random() < 0.4:
             place = raised[rng.integers(len(raised))]
-        u, v = rng.uniform(-1, 1, 2) * (np.array(place.half) - radius)
+        u, v = (rng.uniform(-1, 1, 2) * (np.array(place.half) - radius)).tolist()
         c, s = math.cos(place.angle), math.sin(place.angle)
         x, y = place.centre[0] + c * u - s * v, place.centre[1] + s * u + c * v
         if place is self.floor:
@@ -217,59 +203,55 @@ class _Ground:
                     return None
                 # The carpet shares the circles of the floor: it only raises objects on it.
                 place = self.carpet if edge < 0 else self.floor
-        if any(math.hypot(x - a, y - b) < r + radius + _GAP for a, b, r in place.circles):
-            return None
-        return float(x), float(y), place
+        taken = any(math.hypot(x - a, y - b) < r + radius + _GAP for a, b, r in place.circles)
+        return None if taken else (x, y, place)
 
 
 def _carpet(
     rng: np.random.Generator, ground: _Ground, floor: Thing, used_looks: set[tuple[str, str]]
 ) -> Thing:
-    below = look(floor.phrase)
+    below = names.look(floor.phrase)
     colours = [c for c in ("red", "blue", "green", "purple", "orange", "beige") if c != below]
     words = str(rng.choice(colours))
     if rng.random() < 0.4:
         words += " " + str(rng.choice(["striped", "checked", "dotted"]))
     elif rng.random() < 0.15 and below != "green":
         words = "grass"
-    half = (float(rng.uniform(0.75, 1.05)), float(rng.uniform(0.5, 0.7)))
-    centre = (float(rng.uniform(-0.35, 0.35)), float(rng.uniform(-0.4, -0.2)))
-    angle = float(rng.uniform(-0.2, 0.2))
-    ground.carpet = _Place(centre, angle, half, _THICK, ground.floor.circles)
-    solid = Solid(BOX, (*half, _THICK / 2), (*centre, _THICK / 2), _turned(angle))
-    used_looks.add(("carpet", look(words)))
-    return Thing(f"{words} carpet", replace(material(rng, words, 0.16), gloss=0.0), (solid,))
+    a, b, x, y, angle = rng.uniform(
+        (0.75, 0.5, -0.35, -0.4, -0.2), (1.05, 0.7, 0.35, -0.2, 0.2)
+    ).tolist()
+    ground.carpet = _Place((x, y), angle, (a, b), _THICK, ground.floor.circles)
+    solid = Solid(BOX, (a, b, _THICK / 2), (x, y, _THICK / 2), _turned(angle))
+    used_looks.add(("carpet", names.look(words)))
+    return Thing(f"{words} carpet", replace(names.material(rng, words, 0.16), gloss=0.0), (solid,))
 
 
 def _table(rng: np.random.Generator, ground: _Ground, used_looks: set[tuple[str, str]]) -> Thing:
     words = str(rng.choice(["wooden", "wooden", "white", "black", "brown"]))
-    half = (float(rng.uniform(0.45, 0.6)), float(rng.uniform(0.28, 0.36)))
-    height, top, leg = float(rng.uniform(0.42, 0.6)), 0.025, 0.03
+    a, b, height = rng.uniform((0.45, 0.28, 0.42), (0.6, 0.36, 0.6)).tolist()
+    top, leg = 0.025, 0.03
     side = float(rng.choice([-1, 1]))
     angle = float(rng.uniform(-0.15, 0.15))
     # The table stands at the wall, so its front edge is behind any carpet.
-    deep = half[0] * abs(math.sin(angle)) + half[1] * math.cos(angle)
-    centre = (side * float(rng.uniform(0.75, 1.1)), _BACK - 0.06 - deep)
-    turn = _turned(angle)
-    solids = [Solid(BOX, (*half, top), (*centre, height - top), turn)]
-    reach = (height - 2 * top) / 2
-    for sx in (-1, 1):
-        for sy in (-1, 1):
-            at = turn @ [sx * (half[0] - 2 * leg), sy * (half[1] - 2 * leg), 0]
-            foot = (centre[0] + float(at[0]), centre[1] + float(at[1]), reach)
-            solids.append(Solid(BOX, (leg, leg, reach), foot, turn))
-    ground.table = _Place(centre, angle, half, height, [])
-    used_looks.add(("table", look(words)))
-    return Thing(f"{words} table", material(rng, words, 0.4), tuple(solids))
+    deep = a * abs(math.sin(angle)) + b * math.cos(angle)
+    x, y = side * float(rng.uniform(0.75, 1.1)), _BACK - 0.06 - deep
+    turn, reach = _turned(angle), (height - 2 * top) / 2
+    solids = [Solid(BOX, (a, b, top), (x, y, height - top), turn)]
+    for sx, sy in itertools.product((-1, 1), (-1, 1)):
+        dx, dy, _ = (turn @ [sx * (a - 2 * leg), sy * (b - 2 * leg), 0]).tolist()
+        solids.append(Solid(BOX, (leg, leg, reach), (x + dx, y + dy, reach), turn))
+    ground.table = _Place((x, y), angle, (a, b), height, [])
+    used_looks.add(("table", names.look(words)))
+    return Thing(f"{words} table", names.material(rng, words, 0.4), tuple(solids))
 
 
 def _picture(rng: np.random.Generator) -> Thing:
     half = float(rng.uniform(0.26, 0.36))
-    frame = jitter(rng, COLOURS[str(rng.choice(["black", "white", "brown"]))])
+    frame = names.jitter(rng, names.COLOURS[str(rng.choice(["black", "white", "brown"]))])
     photo = str(rng.choice(textures.PHOTOS[2:]))
-    centre = (float(rng.uniform(-1.0, 1.0)), _BACK - 0.015, float(rng.uniform(1.35, 1.5)))
+    x, z = rng.uniform((-1.0, 1.35), (1.0, 1.5)).tolist()
     material = Material(textures.PICTURE, frame, frame, photo=photo, gloss=0.02)
-    return Thing("picture", material, (Solid(BOX, (half, 0.015, half), centre),))
+    return Thing("picture", material, (Solid(BOX, (half, 0.015, half), (x, _BACK - 0.015, z)),))
 
 
 def _object(
@@ -279,48 +261,45 @@ def _object(
 
     Returns the object, its shape and look, its surface and circle, and its top.
     """
-    shape = str(rng.choice(list(SHAPES)))
+    shape = str(rng.choice(list(names.SHAPES)))
     draw = rng.random()
     if draw < 0.2 and shape in ("box", "cylinder"):
-        words = str(rng.choice([m for m in MATERIALS if (shape, m) != ("cylinder", "brick")]))
+        words = str(rng.choice([m for m in names.MATERIALS if (shape, m) != ("cylinder", "brick")]))
     else:
-        words = str(rng.choice(list(COLOURS)))
+        words = str(rng.choice(list(names.COLOURS)))
         if draw > 0.55:
-            words += " " + str(rng.choice(PATTERNS))
-    if (shape, look(words)) in used_looks:
+            words += " " + str(rng.choice(names.PATTERNS))
+    key = shape, names.look(words)
+    if key in used_looks:
         return None
     scale = float(rng.uniform(0.15, 0.31))
     spot = ground.find(rng, scale * 1.02)
     if spot is None:
         return None
     x, y, place = spot
-    z, angle, top = place.z, float(rng.uniform(0, 2 * math.pi)), None
+    angle, top = float(rng.uniform(0, 2 * math.pi)), None
     turn = _turned(angle)
     if shape == "ball":
-        solid = Solid(BALL, (scale,), (x, y, z + scale))
+        size, lift, turn = (scale,), scale, np.eye(3)
     elif shape == "box":
-        a, b = scale * math.sqrt(0.5) * rng.uniform([0.85, 0.85], [1, 1])
-        h = scale * float(rng.uniform(0.6, 1.5))
-        solid = Solid(BOX, (float(a), float(b), h), (x, y, z + h), turn)
-        if h < 1.1 * scale:
-            top = _Place((x, y), angle, (float(a), float(b)), z + 2 * h, [])
-    elif shape == "cylinder":
-        r, h = scale * float(rng.uniform(0.6, 0.9)), scale * float(rng.uniform(0.7, 1.6))
-        solid = Solid(CYLINDER, (r, h), (x, y, z + h), turn)
-    elif shape == "cone":
-        r, h = scale * float(rng.uniform(0.75, 1.0)), scale * float(rng.uniform(0.9, 1.6))
-        solid = Solid(CONE, (r, h), (x, y, z + h), turn)
+        a, b = (scale * math.sqrt(0.5) * rng.uniform([0.85, 0.85], [1, 1])).tolist()
+        lift = scale * float(rng.uniform(0.6, 1.5))
+        size = a, b, lift
+        if lift < 1.1 * scale:
+            top = _Place((x, y), angle, (a, b), place.z + 2 * lift, [])
+    elif shape in ("cylinder", "cone"):
+        low, high = ((0.6, 0.7), (0.9, 1.6)) if shape == "cylinder" else ((0.75, 0.9), (1.0, 1.6))
+        size = (scale * rng.uniform(low, high)).tolist()
+        lift = size[1]
     else:
         tube = scale * float(rng.uniform(0.2, 0.28))
-        ring = scale - tube
-        if rng.random() < 0.5:  # lying
-            solid = Solid(RING, (ring, tube), (x, y, z + tube), turn)
-        else:  # standing, its axis level and roughly towards the cameras
-            turn = _turned(float(rng.uniform(-0.7, 0.7))) @ _QUARTER
-            solid = Solid(RING, (ring, tube), (x, y, z + scale), turn)
+        size, lift = (scale - tube, tube), tube
+        if rng.random() >= 0.5:  # standing, its axis level and roughly towards the cameras
+            turn, lift = _turned(float(rng.uniform(-0.7, 0.7))) @ _QUARTER, scale
+    solid = Solid(names.SHAPES[shape], tuple(size), (x, y, place.z + lift), turn)
     cell = {"striped": 0.3, "checked": 0.38, "dotted": 0.42}.get(words.split(" ")[-1], 1.0) * scale
-    thing = Thing(f"{words} {shape}", material(rng, words, cell), (solid,))
-    return thing, (shape, look(words)), place, (x, y, scale), top
+    thing = Thing(f"{words} {shape}", names.material(rng, words, cell), (solid,))
+    return thing, key, place, (x, y, scale), top
 
 
 _QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rotates local z to -y
