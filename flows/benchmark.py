@@ -23,8 +23,7 @@ from flows.runners.progress import Progress
 from flows.runners.session import (
     check_folder,
     completed,
-    publish_markdown,
-    publish_table,
+    publish,
     run_session,
     stages_to_refresh,
     writing,
@@ -113,8 +112,8 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
     result = run_session("run", config, lambda store: _score(config, store, verbose))
     message = f"report: {result.report}" if result.report else "no report"
     if result.report is not None:
-        publish_markdown(REPORT, result.report.with_suffix(".md").read_text("utf-8"))
-        publish_table(SCORES, read_table(config.out / "scores.parquet").to_pylist())
+        publish(REPORT, result.report.with_suffix(".md").read_text("utf-8"))
+        publish(SCORES, read_table(config.out / "scores.parquet").to_pylist())
     return completed(message, result, result.failures)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cached_property
@@ -75,21 +76,15 @@ Phrase = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 
 RUNNERS = ("threads", "processes")
 """Runners on this machine."""
-CLUSTERS = ("dask", "ray")
-"""Runners that need the address of a running cluster."""
 
 
 def _parse_runner(value: Any) -> str:
-    kind, _, address = str(value).partition("://")
-    host, _, port = address.rpartition(":")
-    has_scheme = "://" in str(value)
-    if kind in (CLUSTERS if has_scheme else RUNNERS) and (
-        not has_scheme or (host and port.isdecimal())
-    ):
-        return str(value)
+    text = str(value)
+    if text in RUNNERS or re.fullmatch(r"dask://.+:\d+", text):
+        return text
     raise ValueError(
-        "expected threads, processes, or for a cluster that runs dask://host:port or "
-        f"ray://host:port{did_you_mean(kind, (*RUNNERS, *CLUSTERS))}",
+        "expected threads, processes, or for a cluster that runs dask://host:port"
+        f"{did_you_mean(text.partition('://')[0], (*RUNNERS, 'dask'))}",
     )
 
 

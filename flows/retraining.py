@@ -17,7 +17,7 @@ from prefect.states import State
 
 from flows import corpus
 from flows.config import RetrainSettings, Training
-from flows.runners.session import check_folder, completed, publish_markdown, run_session
+from flows.runners.session import check_folder, completed, publish, run_session
 from flows.training import parted, read_lessons, train_on
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
 from slgaussian.errors import InputError, SLGaussianError
@@ -137,7 +137,7 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
             text = json.dumps(record, indent=1, ensure_ascii=False)
             write_atomic(config.out / RECORD, text.encode())
             paragraphs = f"# Retraining: {record['outcome']}", *record["messages"]
-            publish_markdown(ARTIFACT, "\n\n".join([*paragraphs, f"```json\n{text}\n```\n"]))
+            publish(ARTIFACT, "\n\n".join([*paragraphs, f"```json\n{text}\n```\n"]))
     return Retraining(record["outcome"], tuple(record["messages"]))
 
 

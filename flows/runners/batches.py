@@ -36,13 +36,7 @@ from tasks.context import Notify, RunContext, StageEvent, enclosing_run, run_con
 MAX_BATCH = 16
 """Largest number of scenes of a batch: with all stages cached a batch takes a second."""
 
-DEAD = {
-    "BrokenProcessPool",
-    "KilledWorker",
-    "NodeDiedError",
-    "OutOfMemoryError",
-    "WorkerCrashedError",
-}
+DEAD = {"BrokenProcessPool", "KilledWorker"}
 """Names of the errors by which task runners report a dead worker; a worker raised any other."""
 
 
@@ -106,23 +100,16 @@ def run_batch(label: str, pickled: bytes) -> list[SceneResult]:
 
     ``pickled`` are the store's root, the scene tasks, the number of workers and the stages to
     recompute. Arguments are pickled for threads too, so that all task runners behave alike. Events
-    are sent to the flow if it is in this process. DamagedError at the end, if a scene needs a
-    damaged artifact.
+    are sent to the flow if it is in this process. DamagedError if a scene needs a damaged artifact.
     """
     root, scene_tasks, workers, refresh = pickle.loads(pickled)
     store, enclosing = ArtifactStore(root), enclosing_run()
-    results, damaged = [], None
+    results = []
     for scene_task in scene_tasks:
         events: list[StageEvent] = []
         notify = events.append if enclosing is None else enclosing.notify
-        try:
-            result = compute_scene(scene_task, store, workers, notify, refresh)
-        except DamagedError as error:
-            damaged = error
-            continue
-        results.append(SceneResult(scene_task.scene, *result, events))
-    if damaged is not None:
-        raise damaged
+        refs, failure = compute_scene(scene_task, store, workers, notify, refresh)
+        results.append(SceneResult(scene_task.scene, refs, failure, events))
     return results
 
 
@@ -145,11 +132,10 @@ def compute_scene(
     except (StoppedError, DamagedError):
         raise
     except (Exception, SystemExit) as error:  # other scenes continue after any error
-        expected = isinstance(error, SLGaussianError)
-        reason = " ".join(str(error).split()) or type(error).__name__
-        if not expected:
+        reason, trace = " ".join(str(error).split()) or type(error).__name__, ""
+        if not isinstance(error, SLGaussianError):
             reason = f"unexpected {type(error).__name__}: {reason}"
-        trace = "" if expected else "".join(traceback.format_exception(error)).rstrip()
+            trace = "".join(traceback.format_exception(error)).rstrip()
         notify(StageEvent(run.scene, run.stage, "failed", reason, traceback=trace))
         return run.refs, Failure(run.scene, run.stage, type(error).__name__, reason)
 
@@ -188,19 +174,30 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
         died, reason = type(error).__name__ in DEAD, last_line(str(error)) or type(error).__name__
         event_text = f"died ({reason})" if died else f"raised {type(error).__name__}: {reason}"
         progress.lost(event_text, [scene_task.scene for scene_task in scenes])
+        text = f"its worker {event_text} twice, the second time with no other scene"
+        if died:
+            text += "; it may need more memory than there is: try it with --workers 1"
         for scene_task in scenes:
-            if scene_task.scene not in lost_before:
+            if scene_task.scene in lost_before:
+                scene, stage = scene_task.scene, scene_task.first
+                kind = "WorkerDied" if died else "WorkerRaised"
+                outcome.failures.append(Failure(scene, stage, kind, text))
+                progress.update(StageEvent(scene, stage, "failed", text))
+            else:
+                lost_before.add(scene_task.scene)
                 retried_singly.append(scene_task)
-                continue
-            text = f"its worker {event_text} twice, the second time with no other scene"
-            if died:
-                text += "; it may need more memory than there is: try it with --workers 1"
-            kind = "WorkerDied" if died else "WorkerRaised"
-            outcome.failures.append(Failure(scene_task.scene, scene_task.first, kind, text))
-            progress.update(StageEvent(scene_task.scene, scene_task.first, "failed", text))
-        lost_before.update(scene_task.scene for scene_task in scenes)
         if died:
             workers.restart(runner)
+
+    def collect(results: list[SceneResult]) -> None:
+        for result in results:
+            for event in result.events:
+                progress.update(event)
+            if result.failure is None:
+                outcome.refs[result.scene] = result.refs
+            else:
+                outcome.failures.append(result.failure)
+                outcome.partial[result.scene] = result.refs
 
     with run_context(RunContext(workers.store, notify=notify)):
         try:
@@ -219,18 +216,10 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
                     results = event.result()
                 except DamagedError as error:
                     damaged = error
-                    continue
                 except Exception as error:  # each task runner has its own
                     retry(scenes, runner, error)
-                    continue
-                for result in results:
-                    for stage_event in result.events:
-                        progress.update(stage_event)
-                    if result.failure is None:
-                        outcome.refs[result.scene] = result.refs
-                    else:
-                        outcome.failures.append(result.failure)
-                        outcome.partial[result.scene] = result.refs
+                else:
+                    collect(results)
         finally:
             stopped.set()
     if damaged is not None:
@@ -249,14 +238,9 @@ def map_shown(
         return map_scenes(scene_tasks, workers, progress)
 
 
-def failures_table(failures: Sequence[Failure]) -> pa.Table:
-    """Return the failures as a table of spec ``failures``."""
-    rows = [vars(failure) for failure in failures]
-    return pa.Table.from_pylist(rows, schema=load_spec("failures").schema)
-
-
 def write_failures(out: Path, failures: Sequence[Failure]) -> None:
     """Write failures to ``failures.parquet`` in a folder; OSError if that fails."""
-    failures = sorted(failures, key=lambda failure: (failure.scene, failure.stage, failure.reason))
-    data = encode_table(failures_table(failures), load_spec("failures"))
-    write_atomic(out / "failures.parquet", data)
+    spec = load_spec("failures")
+    rows = [vars(f) for f in sorted(failures, key=lambda f: (f.scene, f.stage, f.reason))]
+    table = pa.Table.from_pylist(rows, schema=spec.schema)
+    write_atomic(out / "failures.parquet", encode_table(table, spec))

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import atexit
 import os
-import secrets
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -61,24 +60,8 @@ def prepare(home: Path) -> None:
         # Prefect's embedded server would survive when this process is killed.
         "PREFECT_SERVER_EPHEMERAL_ENABLED": "false",
     }
-    for name, value in (variables | ray_variables()).items():
+    for name, value in variables.items():
         os.environ.setdefault(name, value)
-
-
-def ray_variables() -> dict[str, str]:
-    """Return the environment variables that Ray reads on import."""
-    variables = {
-        "RAY_USAGE_STATS_ENABLED": "0",
-        # Suppresses a warning at every fork.
-        "GRPC_VERBOSITY": "ERROR",
-        # Ray hides all GPUs from tasks that do not request one.
-        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
-        # Access to Ray allows code execution. By default its token is readable by all users.
-        "RAY_AUTH_MODE": "token",
-    }
-    if "RAY_AUTH_TOKEN_PATH" in os.environ or Path("~/.ray/auth_token").expanduser().exists():
-        return variables
-    return variables | {"RAY_AUTH_TOKEN": secrets.token_hex(32)}
 
 
 def home_of(store: ArtifactStore) -> Path:
@@ -128,25 +111,24 @@ def interruptible() -> Iterator[None]:
     itself, without waiting for threads that still compute a stage.
     """
 
+    received = signal.SIGINT
+
     def terminate(number: int, frame: object) -> NoReturn:
-        raise _Terminated
+        nonlocal received
+        received = signal.SIGTERM
+        raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGTERM, terminate)
     try:
         yield
-    except (KeyboardInterrupt, _Terminated) as reason:
+    except KeyboardInterrupt:
         sys.stderr.write("\nstopped; the same command goes on from here\n")
         sys.stderr.flush()
-        number = signal.SIGTERM if isinstance(reason, _Terminated) else signal.SIGINT
-        signal.signal(number, signal.SIG_DFL)
+        signal.signal(received, signal.SIG_DFL)
         atexit._run_exitfuncs()  # avoids warnings of leaked process pools
-        signal.raise_signal(number)
+        signal.raise_signal(received)
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-class _Terminated(BaseException):
-    """Raised on SIGTERM."""
 
 
 def perform(command: str, config: Any, verbose: bool = False) -> Any:

@@ -7,7 +7,6 @@ the reading end of a pipe whose writing end only the parent has: when the parent
 
 from __future__ import annotations
 
-import hashlib
 import os
 import socket
 import sqlite3
@@ -76,7 +75,8 @@ class LocalServer:
                 start_new_session=True,  # on Ctrl-C the run stops the server itself
                 env={
                     **os.environ,
-                    **import_path(),
+                    "PYTHONPATH": import_path(),
+                    "PYTHONSAFEPATH": "1",
                     "PREFECT_HOME": str(self.home),
                     "PREFECT_UI_ENABLED": "0",
                     "PREFECT__SERVER_EPHEMERAL": "1",
@@ -102,20 +102,16 @@ class LocalServer:
 
     def stop(self) -> None:
         """Close the pipe and wait until the server exits."""
-        if self.process is not None:
-            if self.process.stdin is not None:
-                self.process.stdin.close()
+        if self.process is not None and self.process.stdin is not None:
+            self.process.stdin.close()
             self.process.wait(timeout=10)
             self.process = None
 
 
-def import_path() -> dict[str, str]:
-    """Return variables that give another Python the import path of this one."""
-    root = str(Path(__file__).resolve().parents[2])
-    places = [place for place in sys.path if place]
-    if root not in places:  # '' may stand for it
-        places.insert(0, root)
-    return {"PYTHONPATH": os.pathsep.join(places), "PYTHONSAFEPATH": "1"}
+def import_path() -> str:
+    """Return the import path of this Python, for ``PYTHONPATH`` of another one."""
+    root = str(Path(__file__).resolve().parents[2])  # '' may stand for it
+    return os.pathsep.join(dict.fromkeys([root, *filter(None, sys.path)]))
 
 
 def _lay_database(home: Path) -> bool:
@@ -123,20 +119,12 @@ def _lay_database(home: Path) -> bool:
 
     Prefect creates a database by hundreds of migrations, which take longer than the server's start.
     """
-    place = home / DATABASE
-    if place.exists():
-        return True
-    cache = LocalCache.from_environment()
-    cached = cache and cache.get(_kept_at())
-    if not cached or hashlib.sha256(cached[32:]).digest() != cached[:32]:
-        return False
-    with (
-        suppress(OSError),
-        tempfile.NamedTemporaryFile(dir=home, prefix=".database-") as unfinished,
-    ):
-        unfinished.write(cached[32:])
-        unfinished.flush()
-        os.link(unfinished.name, place)  # does not replace the file of another server
+    place, cache = home / DATABASE, LocalCache.from_environment()
+    if not place.exists() and cache is not None and (data := cache.get(_kept_at())):
+        with suppress(OSError), tempfile.NamedTemporaryFile(dir=home, prefix=".database-") as file:
+            file.write(data)
+            file.flush()
+            os.link(file.name, place)  # does not replace the file of another server
     return place.exists()
 
 
@@ -145,12 +133,13 @@ def _keep_database(home: Path) -> None:
     cache, place = LocalCache.from_environment(), home / DATABASE
     if cache is None or not place.exists():  # Prefect's database is configured elsewhere
         return
-    with suppress(OSError, sqlite3.Error), tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / DATABASE
-        with closing(sqlite3.connect(place)) as live, closing(sqlite3.connect(copy)) as still:
-            live.backup(still)
-        data = copy.read_bytes()
-        cache.put(_kept_at(), hashlib.sha256(data).digest() + data)
+    with (
+        suppress(sqlite3.Error),
+        closing(sqlite3.connect(place)) as live,
+        closing(sqlite3.connect(":memory:")) as copy,
+    ):
+        live.backup(copy)
+        cache.put(_kept_at(), copy.serialize())
 
 
 def _kept_at() -> str:

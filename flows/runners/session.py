@@ -126,21 +126,19 @@ def check_folder(out: Path) -> None:
         ) from error
 
 
-def publish_markdown(key: str, markdown: str) -> None:
-    """Create a Markdown artifact of a key, lower-case letters, digits and dashes."""
-    _publish(lambda: create_markdown_artifact(markdown, key))
+def publish(key: str, content: str | Sequence[dict[str, Any]]) -> None:
+    """Create a Prefect artifact on an external server; our own ends with the command.
 
-
-def publish_table(key: str, rows: Sequence[dict[str, Any]]) -> None:
-    """Create a table artifact of a key, of the first :data:`MOST_ROWS` rows."""
-    _publish(lambda: create_table_artifact(list(rows[:MOST_ROWS]), key))
-
-
-def _publish(create: Callable[[], Any]) -> None:
-    """Create an artifact on an external server; our own ends with the command."""
+    Args:
+        key: Lower-case letters, digits and dashes.
+        content: Markdown, or a table, of which the first :data:`MOST_ROWS` rows are used.
+    """
     if NO_EVENTS in os.environ:
         return
     try:
-        create()
+        if isinstance(content, str):
+            create_markdown_artifact(content, key)
+        else:
+            create_table_artifact(list(content[:MOST_ROWS]), key)
     except Exception as error:  # the run continues without its artifact
         logger.warning("an artifact was not created: %s", error)

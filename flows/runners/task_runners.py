@@ -1,4 +1,4 @@
-"""Prefect task runners by name: threads, processes, or the workers of a Dask or Ray cluster."""
+"""Prefect task runners by name: threads, processes, or the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -6,16 +6,12 @@ import asyncio
 import logging
 import multiprocessing
 import os
-import signal
 import socket
-import tempfile
 import threading
 import uuid
-import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, chdir, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from importlib import import_module
 from multiprocessing.connection import wait
 from typing import Any
@@ -29,7 +25,6 @@ from prefect.futures import PrefectFuture
 from prefect.logging.handlers import set_api_log_sink
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
-from flows.runners.environment import ray_variables
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import install_line
 from slgaussian.storage.store import ArtifactStore, DamagedError
@@ -102,53 +97,30 @@ def open_workers(
             do the work.
     """
     check_runner(name)
-    stack = ExitStack()
-    try:
-        workers = Workers(
-            store, count, refresh, stack.enter_context(_task_runner(name, count)), stack
-        )
-        if "://" in name:
-            _check_workers(name, workers)
-        yield workers
-    except Exception:
-        stack.close()
-        raise
-    except BaseException:
-        stack.pop_all()
-        for process in multiprocessing.active_children():
-            process.kill()
-        raise
-    else:
-        stack.close()
+    with ExitStack() as stack:
+        try:
+            runner = stack.enter_context(_task_runner(name, count))
+            workers = Workers(store, count, refresh, runner, stack)
+            if "://" in name:
+                _check_workers(name, workers)
+            yield workers
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                stack.pop_all()  # does not wait for the workers
+                for process in multiprocessing.active_children():
+                    process.kill()
+            raise
 
 
-def _task_runner(name: str, count: int) -> Any:
-    kind, _, address = name.partition("://")
-    if kind == "threads":
+def _task_runner(name: str, count: int) -> TaskRunner[Any]:
+    if name == "threads":
         return ThreadPoolTaskRunner(max_workers=count)
-    if kind == "processes":
+    if name == "processes":
         return ProcessPoolTaskRunner(max_workers=count, initializer=become_worker)
-    if kind == "ray":
-        return _ray(address)
     from prefect_dask import DaskTaskRunner
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
-    asyncio.run(_greet(f"tcp://{address}"))
-    return DaskTaskRunner(address=f"tcp://{address}")
-
-
-async def _greet(url: str) -> None:
-    """Raise InputError if no Dask scheduler is at a URL, for which Dask's clients wait forever."""
-    from distributed.comm import connect
-
-    try:
-        comm = await asyncio.wait_for(connect(url, timeout=CONNECT), 2 * CONNECT)
-        await comm.close()
-    except (OSError, ValueError) as error:
-        raise InputError(
-            f"runner: no Dask scheduler answers at {url}; correct the address: its port is often "
-            "8786, and 8787 that of its dashboard"
-        ) from error
+    return DaskTaskRunner(address=name.replace("dask", "tcp", 1))
 
 
 @task(name="roll-call", cache_policy=NO_CACHE, persist_result=False)
@@ -189,23 +161,31 @@ def check_runner(runner: str) -> None:
     Raises:
         InputError: If the package of the runner is not installed, or its cluster does not answer.
     """
-    kind, _, address = runner.partition("://")
-    if not address:
+    place = urlsplit(runner)
+    if not place.port:
         return
     try:
-        import_module(f"prefect_{kind}")
+        import_module("prefect_dask")
     except ImportError as error:
         raise InputError(
-            f"runner: {kind} is not installed ({error}); install it with {install_line(kind)}"
+            f"runner: dask is not installed ({error}); install it with {install_line('dask')}"
         ) from error
-    place = urlsplit(runner)
     try:
         socket.create_connection((place.hostname, place.port), CONNECT).close()
-    except OSError as error:
+        asyncio.run(_greet(f"tcp://{place.netloc}"))
+    except (OSError, ValueError) as error:
         raise InputError(
-            f"runner: nothing answers at {runner} ({error}); start the cluster, or correct the "
-            "address"
+            f"runner: no Dask scheduler answers at {runner} ({error}); start the cluster, or "
+            "correct the address: its port is often 8786, and 8787 that of its dashboard"
         ) from error
+
+
+async def _greet(url: str) -> None:
+    """Raise OSError if no Dask scheduler is at a URL, for which Dask's clients wait forever."""
+    from distributed.comm import connect
+
+    comm = await asyncio.wait_for(connect(url, timeout=CONNECT), 2 * CONNECT)
+    await comm.close()
 
 
 def become_worker() -> None:
@@ -224,51 +204,6 @@ def become_worker() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _ray(address: str) -> Iterator[TaskRunner[Any]]:
-    for name, value in ray_variables().items():
-        os.environ.setdefault(name, value)
-    import ray
-    from prefect_ray import RayTaskRunner
-    from prefect_ray.context import remote_options
-
-    with ExitStack() as stack:
-        url = f"ray://{address}"
-        variables = {name: os.environ[name] for name in (NO_EVENTS,) if name in os.environ}
-        connect = partial(
-            ray.init,
-            url,
-            namespace="slgaussian",
-            runtime_env={"env_vars": variables},
-            log_to_driver=False,
-            logging_level=logging.CRITICAL,
-        )
-        before = signal.getsignal(signal.SIGTERM)  # Ray replaces the handler
-        try:
-            # Ray's workers import from the client's working directory first: use an empty one.
-            with (
-                tempfile.TemporaryDirectory() as empty,
-                chdir(empty),
-                warnings.catch_warnings(action="ignore"),
-            ):
-                try:
-                    connect()
-                except ConnectionAbortedError:
-                    # The server process that Ray forks for a client may crash in gRPC's threads.
-                    connect()
-        except Exception as error:  # Ray's own, and any
-            raise InputError(
-                f"runner: the Ray cluster at {url} refuses us ({last_line(str(error))}); if it "
-                "wants a token, give it in RAY_AUTH_TOKEN"
-            ) from error
-        finally:
-            signal.signal(signal.SIGTERM, before)
-        stack.callback(ray.shutdown)
-        # flows.runners.batches retries scenes whose worker died.
-        stack.enter_context(remote_options(max_retries=0))
-        yield stack.enter_context(RayTaskRunner())
 
 
 def last_line(text: str) -> str:

@@ -24,6 +24,6 @@ def ask(monkeypatch, capsys):
 
 @pytest.fixture
 def home() -> Iterator[Path]:
-    """Home and temporary folder of a program; the paths of Ray's sockets must be short."""
+    """Home and temporary folder of a program."""
     with tempfile.TemporaryDirectory(prefix="slg-") as folder:
         yield Path(folder)

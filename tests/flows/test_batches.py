@@ -1,11 +1,11 @@
 import io
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 from tiny_run import run_tiny, tiny
 
-from flows.runners.batches import failures_table
-from slgaussian.storage.encoding import table_digest
+from flows.runners.batches import write_failures
 from slgaussian.storage.store import ArtifactStore, DamagedError
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -102,19 +102,18 @@ def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     view = io.StringIO()
     outcome = run_tiny(store, scenes, stream=view)
     assert sorted(outcome.refs) == ["fine", "good"]
-    rows = {row["scene"]: row for row in failures_table(outcome.failures).to_pylist()}
-    assert rows["bad"] == {
+    write_failures(tmp_path, outcome.failures)
+    bad, defect, unkeyable = pq.read_table(tmp_path / "failures.parquet").to_pylist()
+    assert bad == {
         "scene": "bad",
         "stage": "make",
         "kind": "InputError",
         "reason": "value -1: expected a positive number",
     }
-    assert rows["defect"]["reason"] == "unexpected ZeroDivisionError: a defect"
-    assert "value: set {1, 2} cannot be part of a cache key" in rows["unkeyable"]["reason"]
+    assert defect["reason"] == "unexpected ZeroDivisionError: a defect"
+    assert "value: set {1, 2} cannot be part of a cache key" in unkeyable["reason"]
     assert "bad  left out at make: value -1" in view.getvalue()
     assert "Traceback" not in view.getvalue()
-    stored = store.put("failures", failures_table(outcome.failures))
-    assert table_digest(store.get(stored)) == stored.digest
 
 
 def test_no_more_scenes_than_workers_are_open_at_once(store, tmp_path):

@@ -1,7 +1,6 @@
-"""Clusters of Dask and Ray as their users start them, on loopback, for the tests to run on."""
+"""Clusters of Dask as their users start them, on loopback, for the tests to run on."""
 
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -18,16 +17,11 @@ LOOPBACK = "127.0.0.1"
 
 
 def environment() -> dict[str, str]:
-    """What a worker finds: our packages, and nothing of the run's own settings but Ray's token."""
+    """What a worker finds: our packages, and nothing of the run's own settings."""
     local = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "SLGAUSSIAN_"))}
     path = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
-    variables = {
-        # With it, some servers that Ray's head forks for its clients die at once.
-        "GRPC_ENABLE_FORK_SUPPORT": "0",
-        # So often Dask itself tries what its worker died of; three times, if not told.
-        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
-    }
-    return {**local, **variables, "PYTHONPATH": path}
+    # So often Dask itself tries what its worker died of; three times, if not told.
+    return {**local, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1", "PYTHONPATH": path}
 
 
 @contextmanager
@@ -48,34 +42,6 @@ def dask_cluster(workers: int = 1) -> Iterator[str]:
             stack.enter_context(begun(log, "dask", "worker", *local))
         wait_for(place)
         yield f"dask://{place}"
-
-
-@contextmanager
-def ray_cluster(cpus: int = 1) -> Iterator[str]:
-    """The runner that has its work done by a new Ray cluster."""
-    place = f"{LOOPBACK}:{free_port()}"
-    host, port = place.split(":")
-    # Not pytest's own: the paths of Ray's sockets would be too long.
-    folder = tempfile.mkdtemp(prefix="slg-")
-    options = {
-        "node-ip-address": host,
-        "port": free_port(),
-        "ray-client-server-port": port,
-        "include-dashboard": "false",
-        "temp-dir": folder,
-        "num-cpus": cpus,
-        "object-store-memory": 80_000_000,
-    }
-    inputs = [f"--{name}={value}" for name, value in options.items()]
-    try:
-        with (
-            Path(folder, "log").open("wb") as log,
-            begun(log, "ray", "start", "--head", "--block", "--disable-usage-stats", *inputs),
-        ):
-            wait_for(place)
-            yield f"ray://{place}"
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
