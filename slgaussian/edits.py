@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Set
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,10 +57,8 @@ def write(folder: Path, files: Mapping[str, bytes]) -> None:
         ) from error
 
 
-def read(
-    folder: Path, encoder: str, ids: np.ndarray
-) -> tuple[TaughtWords, dict[int, str], frozenset[int]]:
-    """Read the taught words, names and removed objects of a field's folder, or empty ones.
+def read(folder: Path, encoder: str, ids: np.ndarray) -> dict[str, Any]:
+    """Read the edits in a field's folder, attributes of a field by name: taught, names, removed.
 
     Args:
         encoder: From :func:`slgaussian.language.taught.encoder_identity`.
@@ -69,10 +68,10 @@ def read(
         SpecError: If a file is damaged, its words have another encoder, or an object is not in the
             field.
     """
-    taught, names, removed = TaughtWords(), {}, frozenset[int]()
+    edits: dict[str, Any] = {}
     file = folder / WORDS
     if file.is_file():
-        taught = TaughtWords.from_bytes(_content(file), str(file), encoder)
+        edits["taught"] = TaughtWords.from_bytes(_content(file), str(file), encoder)
     file = folder / EDITS
     if file.is_file():
         arrays = decode_arrays(_content(file), load_spec("edits"), str(file), repair=REPAIR)
@@ -80,8 +79,8 @@ def read(
         if len(strange):
             raise SpecError(f"{file}: object {strange[0]} is not in this field; {REPAIR}")
         named = zip(arrays["named"].tolist(), arrays["names"].tolist(), strict=True)
-        names, removed = dict(named), frozenset(arrays["removed"].tolist())
-    return taught, names, removed
+        edits |= {"names": dict(named), "removed": frozenset(arrays["removed"].tolist())}
+    return edits
 
 
 def _content(file: Path) -> bytes:

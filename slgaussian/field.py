@@ -75,7 +75,7 @@ class FieldView:
 
     @property
     def reader(self) -> BankReader:
-        """Reader that scores texts; the encoder is loaded on first use."""
+        """Reader that scores texts."""
         return self.field.reader
 
     @property
@@ -109,8 +109,7 @@ class FieldView:
         ``mask``, bool [H, W], selects the object in the picture; by default it is the whole one.
         """
         check_type(image, np.ndarray, "like: expected a picture, uint8 [H, W, 3]")
-        words = self.field.picture_words(image, mask)
-        (text,) = words
+        (text,) = words = self.field.picture_words(image, mask)
         reader = BankReader(self.field.bank, self.field.encoder, words)
         answer = ask([text], self._objects, reader, Rules(**rules))[0]
         return replace(answer, understood=replace(answer.understood, kind="picture", instead_of=""))
@@ -238,12 +237,11 @@ class SemanticField:
         """
         check_type(camera, Camera, "render: expected a Camera, such as sample.context[0].camera")
         image = self._picture(camera, backend)
-        drawn, alpha, depth = image.values, image.alpha, image.depth
-        ids, confidence = self._decoder(drawn[..., 3:])
-        rgb = shown(drawn[..., :3], alpha)
+        ids, confidence = self._decoder(image.values[..., 3:])
+        rgb = shown(image.values[..., :3], image.alpha)
         if self.removed:
-            rgb = hatched(rgb, alpha < VISIBLE)
-        return FieldView(rgb, ids, confidence, alpha, depth, self, camera)
+            rgb = hatched(rgb, image.alpha < VISIBLE)
+        return FieldView(rgb, ids, confidence, image.alpha, image.depth, self, camera)
 
     def render_codes(self, camera: Camera, backend: str = "auto") -> np.ndarray:
         """Render the semantic feature map F (paper, equation 3), float32 [H, W, 3].
@@ -271,14 +269,12 @@ class SemanticField:
     def changed(self, **parts: Any) -> SemanticField:
         """Return the field with ``parts`` replaced; cached results that stay valid are shared."""
         other = replace(self, **parts)
-        kept = {"encoder"}
+        valid = {"encoder"}
         if other.gaussians is self.gaussians and other.bank is self.bank:
-            kept |= {"_decoder", "_labels"}
-            if other.cameras is self.cameras:
-                kept |= {"_whole"}
-                if other.removed == self.removed:
-                    kept |= {"gone", "drawn"}
-        other.__dict__.update({name: self.__dict__[name] for name in kept & self.__dict__.keys()})
+            valid |= {"_decoder", "_labels"}
+            if other.cameras is self.cameras and other.removed == self.removed:
+                valid |= {"gone", "drawn"}
+        other.__dict__.update({name: self.__dict__[name] for name in valid & self.__dict__.keys()})
         return other
 
     def teach(self, word: str, object_id: int) -> SemanticField:
@@ -304,8 +300,7 @@ class SemanticField:
         """
         self._row(object_id)
         names = {id_: name_ for id_, name_ in self.names.items() if id_ != object_id}
-        plain = " ".join(name.split())
-        if plain:
+        if plain := " ".join(name.split()):
             normal(plain)
             names[int(object_id)] = plain
         return self.changed(names=names)
@@ -324,8 +319,7 @@ class SemanticField:
         InputError if one does not exist, or its Gaussians are no longer in the field.
         """
         restored = self._check_ids(ids)
-        missing = restored - set(self.labels().tolist())
-        if missing:
+        if missing := restored - set(self.labels().tolist()):
             raise InputError(
                 f"object {min(missing)}: its Gaussians are not in this field; open the one that it "
                 "was removed from"
@@ -342,15 +336,14 @@ class SemanticField:
 
         ``mask``, bool [H, W], as in :meth:`FieldView.like`.
         """
-        region = np.ones(image.shape[:2], bool) if mask is None else mask
-        if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
+        region, size = np.ones(image.shape[:2], bool) if mask is None else mask, image.shape[:2]
+        if image.dtype != np.uint8 or image.shape != (*size, 3):
             raise InputError(
                 f"picture: found {image.dtype} {image.shape}, expected uint8 [H, W, 3]"
             )
-        if region.dtype != bool or region.shape != image.shape[:2]:
+        if region.dtype != bool or region.shape != size:
             raise InputError(
-                f"picture: its mask is {region.dtype} {region.shape}, expected bool "
-                f"{image.shape[:2]}"
+                f"picture: its mask is {region.dtype} {region.shape}, expected bool {size}"
             )
         if not region.any():
             raise InputError("picture: its mask is empty; give one that shows a thing")
@@ -358,29 +351,29 @@ class SemanticField:
         frame = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         image, region = np.ascontiguousarray(image[frame]), region[frame]
         feature = self.encoder.encode_regions(image, region[None])[0]
-        rivals = np.stack([self._feature(row) for row in self._present_rows])
         identity = encoder_identity(self.settings)
-        return TaughtWords().with_example("the picture", feature, rivals, identity)
+        return TaughtWords().with_example("the picture", feature, self._unit_means, identity)
 
     def _features(self, object_id: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the mean unit features of an object [C], and of all other visible ones [R, C]."""
         row = self._row(object_id)
-        if row not in self._present_rows:
+        if not self.bank.present[row].any():
             raise InputError(f"object {object_id}: no view holds it, so it is like nothing")
-        rivals = [self._feature(rival) for rival in self._present_rows if rival != row]
-        empty = np.zeros((0, self.bank.features.shape[2]), np.float32)
-        return self._feature(row), np.stack(rivals) if rivals else empty
+        is_object = self._present_rows == row
+        return self._unit_means[is_object][0], self._unit_means[~is_object]
 
-    def _feature(self, row: int) -> np.ndarray:
-        """Compute the mean unit feature of an object over the views that show it: float32 [C]."""
-        mean = self.bank.features[row, self.bank.present[row]].mean(0, dtype=np.float64)
-        unit: np.ndarray = (mean / np.linalg.norm(mean)).astype(np.float32)
-        return unit
-
-    @cached_property
-    def _present_rows(self) -> list[int]:
+    @property
+    def _present_rows(self) -> np.ndarray:
         """Rows of the bank that some view shows."""
-        return [int(row) for row in np.flatnonzero(self.bank.present.any(1))]
+        return np.flatnonzero(self.bank.present.any(1))
+
+    @property
+    def _unit_means(self) -> np.ndarray:
+        """Mean unit features of the objects in :attr:`_present_rows` over their views, [R, C]."""
+        features, present = self.bank.features, self.bank.present
+        rows = [features[r, present[r]].mean(0, dtype=np.float64) for r in self._present_rows]
+        units = [(mean / np.linalg.norm(mean)).astype(np.float32) for mean in rows]
+        return np.array(units, np.float32).reshape(-1, features.shape[2])
 
     def _row(self, object_id: int) -> int:
         row = int(np.searchsorted(self.bank.ids, object_id))
@@ -408,30 +401,13 @@ class SemanticField:
         gone = np.isin(self.labels(), ids)
         if not gone.any():
             return gone
-        cameras = list(self.cameras.values())
-        present = self.bank.present[np.isin(self.bank.ids, ids)].any(0)
-        views = [view for view in np.flatnonzero(present).tolist() if view < len(cameras)]
-        renders = [self._render_whole(view) for view in views]
-        edge = boundary_gaussians(
-            self.gaussians.to_arrays()["means"],
-            gone,
-            [cameras[view] for view in views],
-            [depth for _, depth in renders],
-            [np.isin(rendered_ids, ids) for rendered_ids, _ in renders],
-        )
-        return gone | edge
-
-    def _render_whole(self, view: int) -> tuple[np.ndarray, np.ndarray]:
-        """Render ids and depth of a context view with all objects; cached."""
-        if view not in self._whole:
-            camera = list(self.cameras.values())[view]
-            rendered = replace(self, removed=frozenset()).render(camera)
-            self._whole[view] = rendered.ids, rendered.depth
-        return self._whole[view]
-
-    @cached_property
-    def _whole(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        return {}
+        views = np.flatnonzero(self.bank.present[np.isin(self.bank.ids, ids)].any(0))
+        cameras = [camera for i, camera in enumerate(self.cameras.values()) if i in views]
+        whole = self.changed(removed=frozenset())
+        renders = [whole.render(camera) for camera in cameras]
+        depths, masks = [v.depth for v in renders], [np.isin(v.ids, ids) for v in renders]
+        means = self.gaussians.to_arrays()["means"]
+        return gone | boundary_gaussians(means, gone, cameras, depths, masks)
 
     @cached_property
     def _decoder(self) -> Decoder | NearestCode:
@@ -462,10 +438,7 @@ class SemanticField:
         labels = self.labels()
         rows = np.searchsorted(self.bank.ids, labels[labels > 0])  # ids are positive and ascending
         counts = np.bincount(rows, minlength=len(self.bank.ids))
-        columns: dict[str, Any] = {"id": self.bank.ids.astype(np.int64)}
-        for channel, letter in enumerate("rgb"):
-            columns[f"code_{letter}"] = self.bank.codes[:, channel].astype(np.float64)
-        columns["gaussians"] = counts.astype(np.int64)
+        columns = [self.bank.ids.astype(np.int64), *self.bank.codes.T.astype(np.float64), counts]
         return pa.table(columns, schema=load_spec("objects").schema)
 
     def contents(self) -> dict[str, Arrays | pa.Table]:
@@ -495,8 +468,7 @@ class SemanticField:
         Raises:
             InputError: If the folder cannot be written, or holds something that is not a field.
         """
-        path = Path(path)
-        field_folder.check_target(path)
+        field_folder.check_target(Path(path))
         with record_provenance(self.made()):
             files = {
                 spec: encode_artifact(spec, content, field_folder.FILES[spec])
@@ -504,7 +476,7 @@ class SemanticField:
             }
         about = self.about({spec: digest for spec, (digest, _) in files.items()})
         field_folder.write(
-            path,
+            Path(path),
             about.to_json(self.places),
             lambda spec, file: file.write_bytes(files[spec][1]),
             {**(beside or {}), **self._edits()},
@@ -546,12 +518,11 @@ class SemanticField:
             for spec in ("bank", "gaussians")
         }
         try:
-            loaded = SemanticField.of(about, arrays, places)
+            built = SemanticField.of(about, arrays, places)
         except InputError as error:
             raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
         identity = encoder_identity(about.settings)
-        taught, names, removed = edits.read(path, identity, loaded.bank.ids)
-        loaded = replace(loaded, taught=taught, names=names, removed=removed)
+        loaded = replace(built, **edits.read(path, identity, built.bank.ids))
         try:
             if not Component.stored("encoder", about.settings).files:
                 loaded.encoder  # noqa: B018  (checked at once if it needs no files)

@@ -160,10 +160,7 @@ class Gaussians:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return NumPy arrays by field name, as stored in ``gaussians.npz``."""
-        return {
-            name: value if isinstance(value, np.ndarray) else value.detach().cpu().numpy()
-            for name, value in self._present()
-        }
+        return {name: _to_array(value) for name, value in self._present()}
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> Gaussians:
@@ -196,12 +193,12 @@ class Gaussians:
 def first_not_finite(values: torch.Tensor | np.ndarray) -> int | None:
     """Return the index of the first row with NaN or infinity, or None."""
     # In NumPy: the check takes less time than torch needs to wake its threads.
-    finite = np.isfinite(
-        values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
-    )
-    if finite.all():
-        return None
-    return int(np.argwhere(~finite)[0, 0])
+    finite = np.isfinite(_to_array(values))
+    return None if finite.all() else int(np.argwhere(~finite)[0, 0])
+
+
+def _to_array(values: torch.Tensor | np.ndarray) -> np.ndarray:
+    return values if isinstance(values, np.ndarray) else values.detach().cpu().numpy()
 
 
 def rgb_to_sh(rgb: Numbers) -> Numbers:

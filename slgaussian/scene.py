@@ -8,7 +8,7 @@ covers [0, 1] x [0, 1] and its centre is (0.5, 0.5).
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -59,12 +59,12 @@ class Estimated:
         """
         try:
             low, high = map(float, content["focal"])
-            estimated = Estimated((low, high), str(content["source"]), float(content["confidence"]))
+            confidence = float(content["confidence"])
+            if 0 < low <= high < np.inf and 0 <= confidence <= 1:
+                return Estimated((low, high), str(content["source"]), confidence)
         except (TypeError, KeyError, ValueError):
-            low = high = np.nan
-        if not (0 < low <= high < np.inf and 0 <= estimated.confidence <= 1):
-            raise ValueError("says how a camera was estimated in no form that is known")
-        return estimated
+            pass
+        raise ValueError("says how a camera was estimated in no form that is known")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +101,9 @@ class Camera:
     def __post_init__(self) -> None:
         K = np.asarray(self.K, dtype=np.float64)
         c2w = np.asarray(self.c2w, dtype=np.float64)
-        if K.shape != (3, 3):
-            raise InputError(f"camera K: found shape {K.shape}, expected (3, 3)")
-        if c2w.shape != (4, 4):
-            raise InputError(f"camera c2w: found shape {c2w.shape}, expected (4, 4)")
-        for name, matrix in (("K", K), ("c2w", c2w)):
+        for name, matrix, shape in (("K", K, (3, 3)), ("c2w", c2w, (4, 4))):
+            if matrix.shape != shape:
+                raise InputError(f"camera {name}: found shape {matrix.shape}, expected {shape}")
             if not np.isfinite(matrix).all():
                 raise InputError(f"camera {name}: holds NaN or infinity, expected finite numbers")
         if K[0, 0] <= 0 or K[1, 1] <= 0:
@@ -130,10 +128,7 @@ class Camera:
             raise InputError(f"camera near: found {self.near}, expected a positive number")
         if self.far is not None and not (self.near or 0) < self.far < np.inf:
             raise InputError(f"camera far: found {self.far}, expected a number above near")
-        object.__setattr__(self, "K", K)
-        object.__setattr__(self, "c2w", c2w)
-        object.__setattr__(self, "width", int(self.width))
-        object.__setattr__(self, "height", int(self.height))
+        self.__dict__.update(K=K, c2w=c2w, width=int(self.width), height=int(self.height))
 
     def ranged(self, near: float | None, far: float | None) -> Camera:
         """Return the camera with another depth range along z, scene units; None keeps a bound."""
@@ -143,11 +138,8 @@ class Camera:
     @property
     def w2c(self) -> np.ndarray:
         """World-to-camera, float64 [4, 4]."""
-        R, t = self.c2w[:3, :3], self.c2w[:3, 3]
-        out = np.eye(4)
-        out[:3, :3] = R.T
-        out[:3, 3] = -R.T @ t
-        return out
+        R = self.c2w[:3, :3].T
+        return np.vstack([np.column_stack([R, -R @ self.c2w[:3, 3]]), (0.0, 0.0, 0.0, 1.0)])
 
     @property
     def center(self) -> np.ndarray:
@@ -302,15 +294,16 @@ class Sample:
                 f"scene {self.scene!r}: found {len(self.context)} context view(s), expected at "
                 "least two; add a photograph of the same things from some way apart"
             )
-        first, *others = self.context
-        for view in others:
-            if view.image.shape != first.image.shape:
-                (h0, w0), (h1, w1) = first.image.shape[:2], view.image.shape[:2]
+        first = self.context[0]
+        (h0, w0), name = first.image.shape[:2], f"scene {self.scene!r}: {first.name!r}"
+        for view in self.context:
+            h1, w1 = view.image.shape[:2]
+            if (h1, w1) != (h0, w0):
                 least = min(h0, h1), min(w0, w1)
                 raise InputError(
-                    f"scene {self.scene!r}: {first.name!r} is {w0}x{h0} and {view.name!r} is "
-                    f"{w1}x{h1}; context views must have one size; give one to bring them to, "
-                    f"height first: --size {least[0]}x{least[1]}, or size={least} in Python"
+                    f"{name} is {w0}x{h0} and {view.name!r} is {w1}x{h1}; context views must have "
+                    "one size; give one to bring them to, height first: "
+                    f"--size {least[0]}x{least[1]}, or size={least} in Python"
                 )
         _check_views(self.scene, self.context)
 
@@ -431,11 +424,12 @@ class Scene:
                     f"scene {self.name!r}: the context names {name!r} twice; depth needs "
                     "photographs taken from different positions"
                 )
-        least, n = self._least(names), len(context)
-        views = []
-        for k, name in enumerate(names):  # one at a time: photographs are large
-            view = self._fitted(name, size if k < n or judged is None else judged, least)
-            views.append(replace(view, camera=view.camera.ranged(near, far)))
+        sizes = [size] * len(context) + [judged or size] * len(targets)
+        views = [
+            replace(view, camera=view.camera.ranged(near, far))
+            for view in self._resized(names, sizes)
+        ]
+        n = len(context)
         return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.found)
 
     def views(self, names: Sequence[str], size: Size = "auto") -> list[View]:
@@ -444,16 +438,15 @@ class Scene:
         InputError if a view cannot be found or read.
         """
         names = [self.find(name) for name in names]
-        least = self._least(names)
-        return [self._fitted(name, size, least) for name in names]
+        return list(self._resized(names, [size] * len(names)))
 
-    def _least(self, names: Sequence[str]) -> tuple[int, int]:
+    def _resized(self, names: Sequence[str], sizes: Sequence[Size]) -> Iterator[View]:
+        """Read views one at a time, as photographs are large, and resize them."""
         cameras = [self.cameras[name] for name in names]
-        return min(c.height for c in cameras), min(c.width for c in cameras)
-
-    def _fitted(self, name: str, size: Size, least: tuple[int, int]) -> View:
-        view = self.read(name)
-        return view if size == "original" else view.resized(*_fit(*least, size))
+        least = min(c.height for c in cameras), min(c.width for c in cameras)
+        for name, size in zip(names, sizes, strict=True):
+            view = self.read(name)
+            yield view if size == "original" else view.resized(*_fit(*least, size))
 
 
 def _check_views(scene: str, views: Sequence[View]) -> None:

@@ -5,12 +5,14 @@ import os
 import re
 import shlex
 import tomllib
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 from command import files_below, run, score
+from tiny_clusters import dask_cluster
 
 from flows.read_config import make_settings
 from flows.scene import STAGES
@@ -91,6 +93,20 @@ def test_a_second_run_is_cached_and_leaves_the_same_files(first, capsys):
     told = capsys.readouterr().err
     assert "room  8 stages cached" in told
     assert not re.search(r"\w [\d.]+ s( ·|\n)", told.split("left out at")[1].split("\n", 1)[1])
+
+
+@pytest.mark.parametrize("kind", ["processes", "dask"])
+def test_every_runner_leaves_the_same_files(kind, first, tmp_path, request):
+    folder, missing, _ = first
+    store, runner = ArtifactStore(tmp_path / "store"), kind
+    with ExitStack() as stack:
+        if kind == "dask":
+            pytest.importorskip("prefect_dask")
+            store = ArtifactStore(f"{request.getfixturevalue('bucket')}/slg")
+            runner = stack.enter_context(dask_cluster())
+        score(settings_for(tmp_path, missing, runner=runner, workers=1), store)
+    hidden = ("log", "times", "report.")
+    assert files_below(tmp_path / "out", hidden) == files_below(folder / "out", hidden)
 
 
 def test_every_artifact_says_which_stage_made_it(first):

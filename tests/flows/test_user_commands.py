@@ -29,10 +29,6 @@ def test_a_corpus_is_prepared_and_learnt(server, tmp_path):
     check("corpus", tmp_path, PREFECT_API_URL=server.url)
 
 
-def test_every_runner_leaves_the_same_files(server, tmp_path):
-    check("runners", tmp_path, PREFECT_API_URL=server.url)
-
-
 def test_a_killed_run_leaves_the_files_of_an_undisturbed_one(tmp_path):
     """Each command has a server of its own."""
     check("killed", tmp_path)
