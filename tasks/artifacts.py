@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, astuple
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from PIL import Image
@@ -23,6 +23,8 @@ from slgaussian.storage.encoding import Arrays
 from slgaussian.storage.field_folder import About
 from slgaussian.storage.provenance import current_provenance, record_provenance
 from slgaussian.storage.store import ArtifactRef, ArtifactStore, address
+
+Key = TypeVar("Key")
 
 TARGET = "target_"
 """Prefix of the names of arrays of target views."""
@@ -47,13 +49,12 @@ def sample_to_arrays(sample: Sample) -> Arrays:
 def sample_from_arrays(arrays: Arrays) -> Sample:
     """Inverse of :func:`sample_to_arrays`; a truth map without a known pixel becomes None."""
     ids, phrases = arrays["phrase_ids"].tolist(), arrays["phrases"].tolist()
-    phrases_by_id = dict(zip(ids, phrases, strict=True))
-    camera_search = json.loads(str(arrays["found"])) if "found" in arrays else {}
-    cut = len(TARGET)
-    of_targets = {name[cut:]: array for name, array in arrays.items() if name.startswith(TARGET)}
+    found = json.loads(str(arrays["found"])) if "found" in arrays else {}
+    of_targets = {n.removeprefix(TARGET): a for n, a in arrays.items() if n.startswith(TARGET)}
     context = _views_from_arrays(arrays)
     targets = _views_from_arrays(of_targets) if of_targets else ()
-    return Sample(str(arrays["scene"]), context, targets, phrases_by_id, camera_search)
+    phrases_by_id = dict(zip(ids, phrases, strict=True))
+    return Sample(str(arrays["scene"]), context, targets, phrases_by_id, found)
 
 
 def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:
@@ -72,21 +73,18 @@ def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:
         "c2w": np.stack([view.camera.c2w for view in views]),
         "near_far": np.array([[v.camera.near or 0.0, v.camera.far or 0.0] for v in views]),
     }
-    for name, dtype in (("depth", np.float32), ("instances", np.int32)):
-        truths = [getattr(view, name) for view in views]
-        if any(truth is not None for truth in truths):
-            empty = np.zeros(first.image.shape[:2])
-            stack = [empty if truth is None else truth for truth in truths]
-            arrays[name] = np.stack(stack).astype(dtype)
-    if any(view.opaque is not None for view in views):
-        full = np.ones(first.image.shape[:2], bool)
-        masks = [full if view.opaque is None else view.opaque for view in views]
-        arrays["opaque"] = np.stack(masks).astype(np.uint8)
+    optional = ("depth", 0, np.float32), ("instances", 0, np.int32), ("opaque", 1, np.uint8)
+    for name, fill, dtype in optional:
+        maps = [getattr(view, name) for view in views]
+        if any(pixels is not None for pixels in maps):
+            blank = np.full(first.image.shape[:2], fill)
+            stack = np.stack([blank if pixels is None else pixels for pixels in maps])
+            arrays[name] = stack.astype(dtype)
     if any(view.window is not None for view in views):
         arrays["window"] = np.array([astuple(view.shown) for view in views], np.float64)
-    estimated = [view.camera.estimated for view in views]
-    if any(estimate is not None for estimate in estimated):
-        texts = ["" if estimate is None else json.dumps(asdict(estimate)) for estimate in estimated]
+    estimates = [view.camera.estimated for view in views]
+    if any(estimates):
+        texts = [json.dumps(asdict(estimate)) if estimate else "" for estimate in estimates]
         arrays["estimated"] = np.array(texts, np.str_)
     return arrays
 
@@ -245,34 +243,19 @@ def pictures_of(arrays: Arrays) -> dict[str, bytes]:
     return dict(zip(arrays["picture_names"].tolist(), blobs, strict=True))
 
 
-class Decoded(Mapping[Any, np.ndarray]):
-    """A mapping of PNG files that decodes the pixels on every access."""
-
-    def __init__(self, files: Mapping[Any, bytes]) -> None:
-        self.files = files
-
-    def __getitem__(self, key: Any) -> np.ndarray:
-        return _pixels(self.files[key])
-
-    def __contains__(self, key: Any) -> bool:
-        return key in self.files  # does not decode the image
-
-    def __iter__(self) -> Iterator[Any]:
-        return iter(self.files)
-
-    def __len__(self) -> int:
-        return len(self.files)
+def decoded(files: Mapping[Key, bytes]) -> dict[Key, np.ndarray]:
+    """Decode PNG files by name."""
+    images = {}
+    for name, png in files.items():
+        with opened(io.BytesIO(png)) as image:
+            images[name] = np.asarray(image)
+    return images
 
 
 def _png(image: np.ndarray) -> bytes:
     out = io.BytesIO()
     Image.fromarray(image).save(out, "PNG", compress_level=1)
     return out.getvalue()
-
-
-def _pixels(png: bytes) -> np.ndarray:
-    with opened(io.BytesIO(png)) as image:
-        return np.asarray(image)
 
 
 def _pack(blobs: Iterable[bytes]) -> tuple[np.ndarray, np.ndarray]:

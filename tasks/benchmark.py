@@ -25,7 +25,7 @@ from slgaussian.kernels import compiling
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from tasks.artifacts import (
-    Decoded,
+    decoded,
     get_field,
     labels_from_arrays,
     pictures_of,
@@ -82,20 +82,15 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
     if not rows_by_query:
         return None
     view = field.render(next(iter(field.cameras.values())))
-    candidates: list[tuple[bool, float, str, float | None]] = []
+    candidates: list[tuple[bool, float, dict[str, Any]]] = []
     for hit in view.query_all(list(rows_by_query)):
-        text, rows = hit.text, rows_by_query[hit.text]
-        if not hit.found:
-            continue
+        rows = rows_by_query[hit.text]
         ious = [row["iou"] for row in rows]
-        if None in ious:
-            candidates.append((False, rows[0]["score"], text, None))
-        elif min(ious) >= GOOD and all(row["hit_mask"] for row in rows):
-            candidates.append((True, fmean(ious), text, fmean(ious)))
-    if not candidates:
-        return None
-    *_, text, iou = max(candidates, key=lambda candidate: candidate[:2])
-    return {"text": text, "iou": iou}
+        if hit.found and None in ious:
+            candidates.append((False, rows[0]["score"], {"text": hit.text, "iou": None}))
+        elif hit.found and min(ious) >= GOOD and all(row["hit_mask"] for row in rows):
+            candidates.append((True, fmean(ious), {"text": hit.text, "iou": fmean(ious)}))
+    return max(candidates, key=lambda candidate: candidate[:2])[2] if candidates else None
 
 
 @stage("baselines", version=8)
@@ -158,10 +153,8 @@ def attribution(
     rows = []
     if any(mask.any() for masks in scene_truth.masks.values() for mask in masks.values()):
         built_field = get_field(run.store, field, method.encoder.places())
-        base, views = (
-            run.read(gaussians, Gaussians.from_arrays),
-            run.read(sample, sample_from_arrays),
-        )
+        base = run.read(gaussians, Gaussians.from_arrays)
+        views = run.read(sample, sample_from_arrays)
         rows = attribute_errors(built_field, base, views, scene_truth, settings)
     table = pa.Table.from_pylist(rows, schema=load_spec("attribution").schema)
     misses = sum(row["lost"] is not None for row in rows)
@@ -203,13 +196,12 @@ def report(
 def _report_scene(store: ArtifactStore, scored: Scored) -> Scene:
     refs = [scored.answer, *scored.others.values()]
     ours, *baselines = (result_from_arrays(store.get(ref)) for ref in refs)
-
     return Scene(
         name=scored.scene,
         dataset=ours.dataset,
         rows=[row for each in (ours, *baselines) for row in each.rows],
         metrics=ours.scene_metrics,
-        pictures=lambda: Decoded(pictures_of(store.get(scored.answer))),
+        pictures=lambda: decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,
-        masks=lambda: Decoded(predictions_of(store.get(scored.answer))),
+        masks=lambda: decoded(predictions_of(store.get(scored.answer))),
     )

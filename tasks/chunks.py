@@ -52,24 +52,21 @@ def digest_of(store: ArtifactStore, file: str) -> str:
         InputError: If the file cannot be read or the store not written.
     """
     fs, path = fsspec.core.url_to_fs(os.fspath(file))
+    name = fs.unstrip_protocol(path)  # the absolute path, which is unique
+    uri = f"digests/{hashlib.sha256(name.encode()).hexdigest()}.json"
     try:
-        stamp: Any = (
-            file_stamp(path) if isinstance(fs, LocalFileSystem) else _remote_stamp(fs, path)
-        )
-        name = fs.unstrip_protocol(path)  # the absolute path, which is unique
-        uri = f"digests/{hashlib.sha256(name.encode()).hexdigest()}.json"
-        identity = json.loads(json.dumps({"path": name, "stamp": stamp}))
+        local = isinstance(fs, LocalFileSystem)
+        stamp: Sequence[Any] | None = file_stamp(path) if local else _remote_stamp(fs, path)
+        identity = {"path": name, "stamp": stamp and list(stamp)}
         with suppress(SpecError, ValueError, AttributeError):
-            if (
-                stamp is not None
-                and (cached := json.loads(store.read(uri))).items() >= identity.items()
-            ):
+            cached = json.loads(store.read(uri)) if stamp else {}
+            if cached.items() >= identity.items():
                 return cached["sha256"]
         with fs.open(path, "rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
     except file_system_errors() as error:
         raise InputError(f"{file}: cannot be read ({explain_error(error)})") from error
-    if stamp is not None:
+    if stamp:
         store.write(uri, json.dumps({**identity, "sha256": digest}).encode())
     return digest
 
@@ -95,10 +92,9 @@ def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re1
         InputError: If it cannot be read, two clips have one key, or its content has changed.
     """
 
-    if isinstance(chunk, ArtifactRef):
-        return run.once((re10k.Clip, chunk.digest), lambda: packed_clips(run.store, chunk))
-
     def read() -> dict[str, re10k.Clip]:
+        if isinstance(chunk, ArtifactRef):
+            return packed_clips(run.store, chunk)
         clips: dict[str, re10k.Clip] = {}
         for clip in re10k.read_chunk(chunk.place):
             if clip.key in clips:
@@ -110,7 +106,7 @@ def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re1
             raise InputError(f"{chunk.place}: {CHANGED}")
         return clips
 
-    return run.once(chunk, read)
+    return run.once((re10k.Clip, chunk.digest), read)
 
 
 def packed_clips(store: ArtifactStore, chunk: ArtifactRef) -> dict[str, re10k.Clip]:
@@ -193,14 +189,11 @@ def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     that could not be read.
     """
     scene = source.scene()
-    bad: list[dict[str, str]] = []
-
-    def pass_over(error: InputError) -> None:
-        bad.append(left_out(source.name, error))
-
-    clip = re10k.clip_of(scene, pass_over)
+    errors: list[InputError] = []
+    clip = re10k.clip_of(scene, errors.append)
     unplaced = scene.found.get("left_out", {})
-    bad += [left_out(source.name, InputError(f"{n}: {why}")) for n, why in unplaced.items()]
+    errors += [InputError(f"{name}: {reason}") for name, reason in unplaced.items()]
+    bad = [left_out(source.name, error) for error in errors]
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)
     meta = {"cameras": describe_cameras(scene.cameras.values()), "left_out": bad}
     return run.store.put("packed", {"torch": data}, meta)
@@ -221,25 +214,24 @@ def views(run: RunContext, chunk: KnownFile | ArtifactRef) -> ArtifactRef:
     bad: list[dict[str, str]] = []
     clips = read_chunk(run, chunk)
     for clip in clips.values():
-        clip_rows, failed = _views(clip)
+        clip_rows, errors = _views(clip)
         if not clip_rows:
             none = f"clip {clip.key!r}: none of its {len(clip.images)} frames can be used"
-            failed.append(left_out(clip.key, InputError(none)))
+            errors.append(InputError(none))
         rows += clip_rows
-        bad += failed
+        bad += [left_out(clip.key, error) for error in errors]
     table = pa.Table.from_pylist(rows, schema=load_spec("views").schema)
     return run.store.put("views", table, {"clips": len(clips), "views": len(rows), "left_out": bad})
 
 
-def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
-    rows, bad, greys, cameras = [], [], [], []
+def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[InputError]]:
+    rows, errors, greys, cameras = [], [], [], []
     for frame, (data, numbers) in enumerate(zip(clip.images, clip.cameras, strict=True)):
         try:
             grey, (width, height) = glance(data)
             camera = re10k.camera_of(numbers, width, height)
         except InputError as error:
-            named = InputError(f"clip {clip.key!r}, frame {frame}: {error}")
-            bad.append(left_out(clip.key, named))
+            errors.append(InputError(f"clip {clip.key!r}, frame {frame}: {error}"))
             continue
         mean, clipped = exposure(grey)
         greys.append(grey)
@@ -260,7 +252,7 @@ def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[dict[str, str]]
         )
     for row, depth in zip(rows, typical_depths(greys, cameras).tolist(), strict=True):
         row["depth"] = None if np.isnan(depth) else depth
-    return rows, bad
+    return rows, errors
 
 
 @stage("pairs", version=2)

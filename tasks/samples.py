@@ -73,12 +73,10 @@ def all_masks(
 
 def read_everywhere(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) -> list[SeenView]:
     """Read the views of :func:`seen_everywhere` once for all stages."""
-
-    def make() -> list[SeenView]:
-        predicted = run.read(gaussians, Gaussians.from_arrays)
-        return seen_everywhere(run.read(sample, sample_from_arrays), predicted)
-
-    return run.once((SeenView, sample.digest, gaussians.digest), make)
+    views = run.read(sample, sample_from_arrays)
+    predicted = run.read(gaussians, Gaussians.from_arrays)
+    key = SeenView, sample.digest, gaussians.digest
+    return run.once(key, lambda: seen_everywhere(views, predicted))
 
 
 def seen_everywhere(sample: Sample, gaussians: Gaussians) -> list[SeenView]:
@@ -131,8 +129,7 @@ def predictions(
         entry = {"sample": row["sample"], "uri": ref.uri, "digest": ref.digest}
         rows.append({**entry, "gaussians": len(gaussians)})
     table = pa.Table.from_pylist(rows, schema=load_spec("predictions").schema)
-    parts = [row["uri"] for row in rows]
-    meta = {"samples": len(rows), "left_out": bad, "parts": parts}
+    meta = {"samples": len(rows), "left_out": bad, "parts": [row["uri"] for row in rows]}
     return store.put("predictions", table, meta)
 
 
@@ -144,7 +141,6 @@ def read_sample(clip: Clip, row: Mapping[str, Any], framing: Framing, targets: b
     Raises:
         InputError: If a view cannot be decoded, or the views do not make a sample.
     """
-
     context = framed_views(clip, row["context"], framing)
     target_views = framed_views(clip, row["targets"], framing) if targets else ()
     return Sample(row["sample"], context, target_views)
@@ -186,22 +182,21 @@ def lessons(
         cameras = tuple(view.camera for view in sample.targets)
         lesson = Lesson(sample.scene, gaussians, context.labels, cameras, targets.labels)
         ref = store.put("lesson", lesson.to_arrays())
-        rows.append({**_lesson_row(lesson, ref), "clip": row["clip"]})
+        rows.append(_lesson_row(lesson, ref, row["clip"]))
     table = pa.Table.from_pylist(rows, schema=load_spec("lessons").schema)
     meta = {"samples": len(rows), "left_out": bad, "parts": [row["uri"] for row in rows]}
     return store.put("lessons", table, meta)
 
 
-def _lesson_row(lesson: Lesson, ref: ArtifactRef) -> dict[str, Any]:
-    """Return the row of spec ``lessons`` of a stored lesson, without its clip and chunk."""
-    context_ids, target_ids = np.unique(lesson.labels), np.unique(lesson.targets)
+def _lesson_row(lesson: Lesson, ref: ArtifactRef, clip: str) -> dict[str, Any]:
     return {
         "sample": lesson.sample,
+        "clip": clip,
         "uri": ref.uri,
         "digest": ref.digest,
         "gaussians": len(lesson.gaussians),
-        "objects": int((context_ids > 0).sum()),
-        "shared": int((target_ids > 0).sum()),
+        "objects": int((np.unique(lesson.labels) > 0).sum()),
+        "shared": int((np.unique(lesson.targets) > 0).sum()),
         "unlabelled_context": float((lesson.labels == 0).mean()),
         "unlabelled_target": float((lesson.targets == 0).mean()),
     }

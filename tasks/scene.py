@@ -85,15 +85,13 @@ class Photographs:
         if self.path is None:
             return data_identity([], {}, Path())
         views = [*self.context, *self.targets]
-        return data_identity(
-            *datasets.inputs(self.format, self.path, views, **self.options), self.path
-        )
+        inputs = datasets.inputs(self.format, self.path, views, **self.options)
+        return data_identity(*inputs, self.path)
 
     def identity(self) -> dict[str, Any]:
         """Return the identity of the sample for cache keys: content, but no locations of files."""
-        settings = {field.name: getattr(self, field.name) for field in fields(self)}
-        del settings["path"]
-        return settings | self.inputs
+        names = {field.name for field in fields(self)} - {"path"}
+        return {name: getattr(self, name) for name in names} | self.inputs
 
     def read(self) -> Sample:
         """Read the sample; InputError if it cannot be read, or a target is not held out.
@@ -102,9 +100,8 @@ class Photographs:
         """
         paths = [] if self.path is None else [self.path]
         scene = datasets.load(self.format, *paths, **self.options)
-        context = scene.placed(self.context)
         arguments = self.size, self.near, self.far, self.judged
-        sample = scene.sample(context, self.targets, *arguments)
+        sample = scene.sample(scene.placed(self.context), self.targets, *arguments)
         sample = replace(sample, scene=self.scene)
         _check_held_out(sample)
         return sample
@@ -123,13 +120,11 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     if photographs.look() != photographs.inputs:
         raise InputError(f"{photographs.path}: {CHANGED}")
     left_out = {**sample.found.get("left_out", {}), **useless}
-    cameras = [view.camera for view in (*sample.context, *sample.targets)]
-    targets = [view.name for view in sample.targets]
     matches = run.store.put("matches", graph.to_arrays())
     meta = {
-        "cameras": describe_cameras(cameras),
+        "cameras": describe_cameras(v.camera for v in (*sample.context, *sample.targets)),
         "left_out": left_out,
-        "targets": targets,
+        "targets": [view.name for view in sample.targets],
         "matches": {"uri": matches.uri, "digest": matches.digest},
         "parts": [matches.uri],
     }
@@ -178,16 +173,13 @@ def data_identity(
         dict: ``files``: SHA-256 by path below the folder, from :func:`digests_of`. ``cameras``:
             SHA-256 of the ordered, named cameras.
     """
-    folder = path if path.is_dir() else path.parent
     numbers = [
         (name, vars(camera) | {"K": camera.K.tolist(), "c2w": camera.c2w.tolist()})
         for name, camera in cameras.items()
     ]
     text = json.dumps(canonical(numbers), sort_keys=True)
-    return {
-        "files": digests_of(files, folder),
-        "cameras": hashlib.sha256(text.encode()).hexdigest(),
-    }
+    digests = digests_of(files, path if path.is_dir() else path.parent)
+    return {"files": digests, "cameras": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def digests_of(files: Iterable[Path], folder: Path) -> dict[str, str]:
@@ -278,12 +270,10 @@ def read_geometry(run: RunContext, sample: ArtifactRef, gaussians: ArtifactRef) 
 
     Scattering Gaussians into depth is faster than decompressing a stored copy.
     """
-
-    def make() -> SceneGeometry:
-        views = run.read(sample, sample_from_arrays)
-        return SceneGeometry.of(views.context, run.read(gaussians, Gaussians.from_arrays))
-
-    return run.once((SceneGeometry, sample.digest, gaussians.digest), make)
+    views = run.read(sample, sample_from_arrays)
+    predicted = run.read(gaussians, Gaussians.from_arrays)
+    key = SceneGeometry, sample.digest, gaussians.digest
+    return run.once(key, lambda: SceneGeometry.of(views.context, predicted))
 
 
 @stage("masks", version=7)

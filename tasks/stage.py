@@ -72,8 +72,7 @@ def canonical(value: Any, name: str = "value") -> Any:
     if hasattr(value, "identity"):
         return canonical(value.identity(), name)
     if is_dataclass(value) and not isinstance(value, type):
-        values = {field.name: getattr(value, field.name) for field in fields(value)}
-        return canonical(values, name)
+        return canonical(_fields(value), name)
     if isinstance(value, Config):
         return canonical(dict(value), name)
     if isinstance(value, (list, tuple)):
@@ -108,18 +107,13 @@ class Stage:
 
     Returns the ref of the result. Its ``meta`` has the ``settings``, the digests of ``inputs``, the
     ``seconds`` of wall time and ``processor_seconds`` without those of ``compiling`` kernels, the
-    ``processor``, the number of ``workers``, the bytes by which memory has ``grown`` (None if
-    unknown). Files that a stage writes name the stage, its version and the settings.
+    ``peak`` of memory in bytes (None if unknown), the number of ``workers``. Files that a stage
+    writes name the stage, its version and the settings.
     """
 
     __qualname__: str
 
-    def __init__(
-        self,
-        compute: Callable[..., ArtifactRef],
-        name: str,
-        version: int,
-    ) -> None:
+    def __init__(self, compute: Callable[..., ArtifactRef], name: str, version: int) -> None:
         update_wrapper(self, compute)
         self.compute, self.name, self.version = compute, name, version
         self.signature = inspect.signature(compute)
@@ -147,12 +141,11 @@ class Stage:
         run.notify(StageEvent(run.scene, self.name, "running"))
         bound = self.signature.bind(run, *args, **kwargs)
         bound.apply_defaults()
-        _, *arguments = bound.arguments.items()
+        arguments = dict(list(bound.arguments.items())[1:])
         start = time.perf_counter()
-        keyword_arguments = dict(arguments)
-        refs = list(refs_in(keyword_arguments))
+        refs = list(refs_in(arguments))
         edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]
-        result = self.task(edges, quote(refs), quote(keyword_arguments))  # type: ignore[call-overload]
+        result = self.task(edges, quote(refs), quote(arguments))  # type: ignore[call-overload]
         cached = isinstance(result, State)
         stage_result = result.result() if cached else result
         run.refs[self.name] = ref = stage_result.ref
@@ -199,7 +192,6 @@ class Stage:
             "processor_seconds": time.process_time() - worked - compiling.spent() + compiled,
             "compiling": compiling.spent() - compiled,
             "peak": peak_memory(),
-            "processor": threads.processor(),
             "workers": run.workers,
         }
         return replace(ref, meta={**ref.meta, "settings": settings, "inputs": digests, **cost})
@@ -217,12 +209,14 @@ def refs_in(value: Any) -> Iterator[ArtifactRef]:
     """Yield the refs in a value, within sequences, mappings and dataclasses too."""
     if isinstance(value, ArtifactRef):
         yield value
-    elif isinstance(value, Mapping):
-        for item in value.values():
+        return
+    if is_dataclass(value) and not isinstance(value, type):
+        value = _fields(value)
+    items = value.values() if isinstance(value, Mapping) else value
+    if isinstance(value, (Mapping, list, tuple)):
+        for item in items:
             yield from refs_in(item)
-    elif isinstance(value, (list, tuple)):
-        for item in value:
-            yield from refs_in(item)
-    elif is_dataclass(value) and not isinstance(value, type):
-        for field in fields(value):
-            yield from refs_in(getattr(value, field.name))
+
+
+def _fields(value: Any) -> dict[str, Any]:
+    return {field.name: getattr(value, field.name) for field in fields(value)}

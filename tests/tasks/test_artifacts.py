@@ -13,7 +13,7 @@ from slgaussian.errors import InputError
 from slgaussian.scene import Estimated
 from slgaussian.storage.store import ArtifactStore
 from tasks.artifacts import (
-    Decoded,
+    decoded,
     pictures_of,
     predictions_of,
     result_from_arrays,
@@ -142,12 +142,12 @@ def test_a_result_keeps_every_pixel(sample, store):
     arrays = through(store, "scene_result", result_to_arrays(result))
     back = result_from_arrays(arrays)
     assert (back.rows, back.scene_metrics) == (result.rows, result.scene_metrics)
-    masks = Decoded(predictions_of(arrays))
+    masks = decoded(predictions_of(arrays))
     assert list(masks) == list(result.predictions)
     for key, mask in result.predictions.items():
         assert masks[key].dtype == bool
         np.testing.assert_array_equal(masks[key], mask)
-    np.testing.assert_array_equal(Decoded(pictures_of(arrays))["input/f"], image)
+    np.testing.assert_array_equal(decoded(pictures_of(arrays))["input/f"], image)
     nothing = SceneResult("a", [], {}, {}, {})
     empty = result_from_arrays(through(store, "scene_result", result_to_arrays(nothing)))
     assert vars(empty) == vars(nothing)
