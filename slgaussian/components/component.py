@@ -36,10 +36,10 @@ class Component:
             InputError: If the component or a field is unknown, a value is invalid or not
                 JSON-serialisable, or a file cannot be read.
         """
-        config, values = find_config(kind, name), values or {}
-        beside = _fields_beside(config, values)
-        checked = config(**{key: value for key, value in values.items() if key not in beside})
-        settings = dict(checked) | {key: values[key] for key in beside}
+        config, values = find_config(kind, name), dict(values or {})
+        beside = {key: values.pop(key) for key in _fields_beside(config, values)}
+        checked = config(**values)
+        settings = dict(checked) | beside
         for key, file in config.files().items():
             if settings[key] is not None:
                 try:

@@ -128,12 +128,9 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
     title = model.model_config.get("title") or ""
     if issubclass(model, ComponentConfig):
         title = title or model.__name__.lower()
-    # In a config, texts after the first part are names of the members of a union.
-    loc = [
-        part
-        for number, part in enumerate(first["loc"])
-        if number == 0 or isinstance(part, int) or not is_config
-    ]
+    loc = list(first["loc"])
+    if is_config:  # texts after the first part are names of the members of a union
+        loc = loc[:1] + [part for part in loc[1:] if isinstance(part, int)]
     key = ".".join(map(str, loc))
     if first["type"] == "extra_forbidden":
         fields = model.model_fields
@@ -152,5 +149,4 @@ def explain(error: ValidationError, model: type[BaseModel]) -> str:
         message = str(cause or first["msg"])
         return f"{value}; {message[0].lower()}{message[1:]}"
     choices = [choice for option in _options(model, key) for choice in option.get("enum", ())]
-    near = did_you_mean(first["input"], choices)
-    return f"{value}, expected {expected(model, key)}{near}"
+    return f"{value}, expected {expected(model, key)}{did_you_mean(first['input'], choices)}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from slgaussian.components.pretrained import (
 )
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
+from slgaussian.io import file_sha256
 
 SHA256 = re.compile("[0-9a-f]{64}")
 AGAIN = "get it again"
@@ -38,13 +38,15 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     Raises:
         InputError: If a file is missing, damaged, or not what the component needs.
     """
-    files, verified = find_config(kind, name).files(), list[bool]()
-    places = {key: values[key] for key in files if values.get(key) is not None}
-    for key, place in places.items():
-        if files[key].digest is model_digest:
+    verified, places = list[bool](), dict[str, Any]()
+    for key, file in find_config(kind, name).files().items():
+        if (place := values.get(key)) is None:
+            continue
+        places[key] = place
+        if file.digest is model_digest:
             weights = find_model(place, download=False).files
-            verified += [is_of_hub(file) for file in weights if file.suffix != ".json"]
-        elif files[key].digest is tokenizer_digest:
+            verified += [is_of_hub(each) for each in weights if each.suffix != ".json"]
+        elif file.digest is tokenizer_digest:
             find_tokenizer(place, download=False)
     part = Component.of(kind, name, values).load()
     label = ", ".join(f"{key} {place}" for key, place in places.items())
@@ -68,8 +70,7 @@ def is_of_hub(file: Path) -> bool:
     if not SHA256.fullmatch(stored.name):
         return False
     try:
-        with file.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        digest = file_sha256(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read ({error.strerror}); {AGAIN}") from error
     if stored.name != digest:

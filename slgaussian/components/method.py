@@ -77,7 +77,7 @@ class Method(BuildConfig):
         **build: Any,
     ) -> None:
         chosen = (predictor, proposer, tracker, encoder, codes, lifting)
-        fields = dict(settings or {})
+        fields, components = dict(settings or {}), dict[str, Component]()
         for name in fields:
             if name not in [choice for choice in chosen if isinstance(choice, str)]:
                 names = (choice if isinstance(choice, str) else choice.name for choice in chosen)
@@ -86,12 +86,10 @@ class Method(BuildConfig):
                     "proposer, tracker, encoder, codes and lifting, which are "
                     f"{', '.join(map(repr, names))}"
                 )
-        components = {
-            kind: choice
-            if isinstance(choice, Component)
-            else Component.of(kind, choice, fields.get(choice))
-            for kind, choice in zip(KINDS, chosen, strict=True)
-        }
+        for kind, choice in zip(KINDS, chosen, strict=True):
+            if isinstance(choice, str):
+                choice = Component.of(kind, choice, fields.get(choice))
+            components[kind] = choice
         super().__init__(**components, **build)
 
     @property

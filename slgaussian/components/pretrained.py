@@ -14,6 +14,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -73,13 +74,10 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
             device cannot be used.
     """
     part = family.part
-    try:
-        import transformers  # noqa: F401
-    except ImportError as problem:
+    if find_spec("transformers") is None:
         raise InputError(
-            f"{part}: needs the package transformers ({problem}); "
-            f"install it with {install_line('models')}"
-        ) from None
+            f"{part}: needs the package transformers; install it with {install_line('models')}"
+        )
     if model is None:
         raise InputError(
             f"{part} model: none given; give a folder, or a name on the hub as in "
@@ -128,9 +126,9 @@ def load_tokenizer(place: str | Path, class_name: str) -> Any:
         with quiet_transformers():
             return getattr(transformers, class_name).from_pretrained(folder, local_files_only=True)
     except Exception as problem:  # its parsers raise errors of any type
-        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise InputError(
-            f"tokenizer {folder}: cannot be loaded as {class_name} ({reason}); get it again"
+            f"tokenizer {folder}: cannot be loaded as {class_name} ({_reason(problem)}); get it "
+            "again"
         ) from None
 
 
@@ -138,9 +136,10 @@ def _load_folder(folder: Path, family: Family) -> Any:
     import torch
     import transformers
 
+    name, advice = family.class_name, f"get it again, or give another one, such as {family.example}"
     try:
         with quiet_transformers():
-            loaded, report = getattr(transformers, family.class_name).from_pretrained(
+            loaded, report = getattr(transformers, name).from_pretrained(
                 folder,
                 local_files_only=True,
                 use_safetensors=True,
@@ -148,18 +147,19 @@ def _load_folder(folder: Path, family: Family) -> Any:
                 output_loading_info=True,
             )
     except Exception as problem:  # its layers raise errors of any type
-        reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise InputError(
-            f"model {folder}: cannot be loaded as {family.class_name} ({reason}); get it again, "
-            f"or give another one, such as {family.example}"
+            f"model {folder}: cannot be loaded as {name} ({_reason(problem)}); {advice}"
         ) from None
-    missing = sorted(report["missing_keys"])
-    if missing:
+    if missing := sorted(report["missing_keys"]):
         raise InputError(
-            f"model {folder}: lacks {len(missing)} of the tensors of {family.class_name}, such as "
-            f"{missing[0]}; get it again, or give another one, such as {family.example}"
+            f"model {folder}: lacks {len(missing)} of the tensors of {name}, such as "
+            f"{missing[0]}; {advice}"
         )
     return loaded
+
+
+def _reason(problem: Exception) -> str:
+    return f"{type(problem).__name__}: {problem}".splitlines()[0]
 
 
 def resolve_device(device: str) -> str:
@@ -197,8 +197,7 @@ def find_model(model: str | Path, download: bool = True) -> ModelFiles:
     if path.is_dir():
         return _files_of_model(path)
     if path.is_file():
-        config = path.parent / OPEN_CLIP_CONFIG
-        return ModelFiles(path.parent, (config, path) if config.is_file() else (path,), path)
+        return _checkpoint(path)
     beside = [CONFIG, OPEN_CLIP_CONFIG, PREPROCESSOR, *TOKENIZER]
     formats = [[WEIGHTS, INDEX, "model-*.safetensors"], *([name] for name in OPEN_CLIP_WEIGHTS)]
     wanted = [beside + weights for weights in formats] if download else []
@@ -213,9 +212,10 @@ def find_tokenizer(place: str | Path, download: bool = True) -> Path:
     Raises:
         InputError: If its files are missing, or the hub cannot be reached; as :func:`find_model`.
     """
-    if Path(place).is_dir():
-        _tokenizer_files(Path(place))
-        return Path(place)
+    folder = Path(place)
+    if folder.is_dir():
+        _tokenizer_files(folder)
+        return folder
     expected = "one with tokenizer.json, or vocab.json and merges.txt"
     wanted = [list(TOKENIZER)] if download else []
     return _from_hub("tokenizer", place, wanted, expected, _tokenizer_files)
@@ -235,13 +235,13 @@ def _from_hub(
             f"{kind} {name}: there is no such folder; expected {expected}, or a name on the hub, "
             "such as OWNER/NAME"
         )
-    try:
-        from huggingface_hub import snapshot_download
-    except ImportError as problem:
+    if find_spec("huggingface_hub") is None:
         raise InputError(
-            f"{kind} {name}: is no folder here, and the hub needs the package huggingface_hub "
-            f"({problem}); install it with {install_line('models')}"
-        ) from None
+            f"{kind} {name}: is no folder here, and the hub needs the package huggingface_hub; "
+            f"install it with {install_line('models')}"
+        )
+    from huggingface_hub import snapshot_download
+
     with contextlib.suppress(OSError, ValueError, InputError):
         cached = Path(snapshot_download(name, local_files_only=True))
         check(cached)
@@ -253,7 +253,7 @@ def _from_hub(
             check(folder)
             return folder
         except (OSError, ValueError) as error:
-            reason = f"{type(error).__name__}: {error}".splitlines()[0]
+            reason = _reason(error)
     raise InputError(
         f"{kind} {name}: there is no such folder, and the hub's cache does not hold it ({reason}); "
         f"check the spelling, or run `hf download {name}` where there is a network"
@@ -268,14 +268,11 @@ def model_digest(model: str | Path) -> str:
     Raises:
         InputError: As in :func:`find_model`.
     """
-    model_files = find_model(model)
-    beside = [model_files.folder / name for name in (PREPROCESSOR, *TOKENIZER)]
+    found = find_model(model)
+    beside = [found.folder / name for name in (PREPROCESSOR, *TOKENIZER)]
+    files = [*found.files, *(file for file in beside if file.is_file())]
     # A checkpoint may have any file name.
-    named = {
-        "checkpoint" if file == model_files.checkpoint else file.name: file
-        for file in model_files.files
-    }
-    return _digest(named | {file.name: file for file in beside if file.is_file()})
+    return _digest({"checkpoint" if f == found.checkpoint else f.name: f for f in files})
 
 
 def tokenizer_digest(place: str | Path) -> str:
@@ -305,14 +302,13 @@ def _tokenizer_files(folder: Path) -> list[Path]:
 
 def _files_of_model(folder: Path) -> ModelFiles:
     """Find the files of the model in a folder; InputError if one is missing."""
-    present = [(folder / name).is_file() for name in (WEIGHTS, INDEX)]
-    if not any(present):
+    index, has_weights = folder / INDEX, (folder / WEIGHTS).is_file()
+    if not has_weights and not index.is_file():
         for name in OPEN_CLIP_WEIGHTS:
             if (folder / name).is_file():
-                return find_model(folder / name)
+                return _checkpoint(folder / name)
     files = [folder / CONFIG]
-    if present == [False, True]:
-        index = folder / INDEX
+    if index.is_file() and not has_weights:
         parts = table_in(read_json(index), "weight_map", index).values()
         for part in parts:
             if not isinstance(part, str) or Path(part).name != part or len(part) > 255:
@@ -329,6 +325,11 @@ def _files_of_model(folder: Path) -> ModelFiles:
                 f"transformers writes it, with {CONFIG} and {WEIGHTS}"
             )
     return ModelFiles(folder, tuple(files))
+
+
+def _checkpoint(file: Path) -> ModelFiles:
+    config = file.parent / OPEN_CLIP_CONFIG
+    return ModelFiles(file.parent, (config, file) if config.is_file() else (file,), file)
 
 
 def read_json(file: Path) -> dict[str, Any]:
