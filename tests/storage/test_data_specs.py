@@ -1,9 +1,12 @@
+import re
 import tomllib
+from contextlib import nullcontext
 from importlib import resources
 
 import numpy as np
 import pyarrow as pa
 import pytest
+from contents import failures
 
 from slgaussian.benchmark import attribution
 from slgaussian.errors import SpecError
@@ -54,16 +57,10 @@ def gaussians(n: int = 3) -> dict[str, np.ndarray]:
     }
 
 
-def test_a_good_artifact_passes_with_and_without_optional_fields():
-    spec = load_spec("gaussians")
-    spec.check_arrays(gaussians(), "file")
-    spec.check_arrays({**gaussians(), "features": np.zeros((3, 7), np.float32)}, "file")
-    spec.check_arrays(gaussians(0), "file")
-
-
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
+        ("features", np.zeros((3, 7), np.float32), ""),
         ("means", None, "f.npz: means: found no such field, expected float32 [N, 3]"),
         ("extra", np.zeros(3), "f.npz: extra: found an unknown field, expected only means, scales"),
         ("means", np.zeros((3, 3)), "f.npz: means: found float64 [3, 3], expected float32 [N, 3]"),
@@ -79,24 +76,25 @@ def test_a_mismatch_names_file_field_found_and_expected(name, value, message):
     arrays = gaussians() | {name: value}
     if value is None:
         del arrays[name]
-    with pytest.raises(SpecError) as error:
+    with refused(message) if message else nullcontext():
         load_spec("gaussians").check_arrays(arrays, "f.npz")
-    assert message in str(error.value)
+
+
+def refused(message: str):
+    return pytest.raises(SpecError, match=re.escape(message))
 
 
 def test_tables_are_checked_by_column():
-    spec = load_spec("failures")
-    row = {"scene": "a", "stage": "masks", "kind": "InputError", "reason": "why"}
-    good = pa.Table.from_pylist([row], schema=spec.schema)
+    spec, good = load_spec("failures"), failures("a")
     spec.check_table(good, "t")
-    with pytest.raises(SpecError, match="t: reason: found no such column"):
-        spec.check_table(good.drop_columns("reason"), "t")
-    with pytest.raises(SpecError, match="t: stage: found int64, expected string"):
-        spec.check_table(good.set_column(1, "stage", pa.array([1])), "t")
-    with pytest.raises(SpecError, match="t: stage: found 1 empty cells"):
-        spec.check_table(good.set_column(1, "stage", pa.array([None], pa.string())), "t")
-    with pytest.raises(SpecError, match="t: more: found an unknown column"):
-        spec.check_table(good.append_column("more", pa.array([1])), "t")
+    for wrong, message in (
+        (good.drop_columns("reason"), "t: reason: found no such column"),
+        (good.set_column(1, "stage", pa.array([1])), "t: stage: found int64, expected string"),
+        (good.set_column(1, "stage", pa.nulls(1, pa.string())), "t: stage: found 1 empty cells"),
+        (good.append_column("more", pa.array([1])), "t: more: found an unknown column"),
+    ):
+        with refused(message):
+            spec.check_table(wrong, "t")
 
 
 @pytest.mark.parametrize(
@@ -115,13 +113,9 @@ def test_values_of_tables_have_bounds(changed, message):
     row |= {"selection": "none", "absent": "skip", "hit_mask": True}
     row |= {"hit_box": None, "hit_peak": None}
     table = pa.Table.from_pylist([row | changed], schema=spec.schema)
-    if not message:
+    spec.check_table(table.slice(0, 0), "t")
+    with refused(message) if message else nullcontext():
         spec.check_table(table, "t")
-        spec.check_table(table.slice(0, 0), "t")
-        return
-    with pytest.raises(SpecError) as error:
-        spec.check_table(table, "t")
-    assert message in str(error.value)
 
 
 @pytest.mark.parametrize("name", [name for name in spec_names() if load_spec(name).keys])

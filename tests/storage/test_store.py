@@ -91,7 +91,13 @@ def test_a_table_digest_ignores_chunks_and_sees_values():
     assert table_digest(small) != table_digest(large)
 
 
-@pytest.mark.parametrize("damage", ["missing", "cut", "altered", "empty", "swapped"])
+def pickled() -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, labels=np.array([{"code": "here"}], object), margin=labels()["margin"])
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize("damage", ["missing", "cut", "altered", "empty", "swapped", "pickled"])
 def test_damage_is_one_sentence_that_names_the_file(store, damage):
     ref, other = store.put("labels", labels(3)), store.put("labels", labels(4))
     path = f"{store.path}/{ref.uri}"
@@ -104,15 +110,11 @@ def test_damage_is_one_sentence_that_names_the_file(store, damage):
             "altered": whole[:90] + bytes([whole[90] ^ 255]) + whole[91:],
             "empty": b"",
             "swapped": store.fs.cat_file(f"{store.path}/{other.uri}"),
+            "pickled": pickled(),
         }[damage]
         store.fs.pipe_file(path, bad)
-    with pytest.raises(SpecError) as error:
+    with pytest.raises(SpecError, match=rf"^[^\n]*{ref.uri}[^\n]*found[^\n]*expected[^\n]*$"):
         store.get(ref)
-    message = str(error.value)
-    assert ref.uri in message
-    assert "found" in message
-    assert "expected" in message
-    assert "\n" not in message
     assert store.put("labels", labels(3)) == ref
     assert store.fs.cat_file(path) == whole
 
@@ -141,15 +143,6 @@ def test_what_a_spec_forbids_is_neither_written_nor_read(local):
         local.get(ref)
 
 
-def test_pickled_objects_are_refused(local):
-    ref = local.put("labels", labels())
-    buffer = io.BytesIO()
-    np.savez(buffer, labels=np.array([{"code": "here"}], object), margin=labels()["margin"])
-    path_of(local, ref).write_bytes(buffer.getvalue())
-    with pytest.raises(SpecError, match="cannot be read"):
-        local.get(ref)
-
-
 def test_an_interrupted_write_leaves_nothing_behind(local, monkeypatch):
     ref = local.put("labels", labels(1))
     before = sorted(Path(local.path).rglob("*"))
@@ -166,14 +159,20 @@ def test_an_interrupted_write_leaves_nothing_behind(local, monkeypatch):
     local.get(ref)
 
 
-@pytest.mark.skipif(sys.platform == "win32" or os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_without_permission_is_an_input_error(tmp_path):
-    tmp_path.chmod(stat.S_IRUSR | stat.S_IXUSR)
-    with pytest.raises(InputError, match="cannot write"):
-        ArtifactStore(tmp_path / "store").check_writable()
-
-
-def test_a_store_below_a_file_is_an_input_error(tmp_path):
+@pytest.mark.parametrize(
+    "below",
+    [
+        "file",
+        pytest.param(
+            "locked",
+            marks=pytest.mark.skipif(
+                sys.platform == "win32" or os.geteuid() == 0, reason="root may write anywhere"
+            ),
+        ),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_an_input_error(tmp_path, below):
     (tmp_path / "file").write_text("not a folder")
+    (tmp_path / "locked").mkdir(stat.S_IRUSR | stat.S_IXUSR)
     with pytest.raises(InputError, match=r"cannot write there .*--store"):
-        ArtifactStore(tmp_path / "file" / "store").check_writable()
+        ArtifactStore(tmp_path / below / "store").check_writable()
