@@ -25,7 +25,6 @@ from flows.runners.session import (
     completed,
     publish,
     run_session,
-    stages_to_refresh,
     writing,
 )
 from flows.runners.task_runners import Workers, open_workers
@@ -60,9 +59,6 @@ from tasks.benchmark import Scored, baselines, report
 
 BUILDING = ("geometry", "masks", "supervision", "field")
 """Stages that build a field from a sample."""
-
-REFRESHABLE = [stage.name for stage in (*STAGES, baselines, report)]
-"""Stages that ``refresh`` may name."""
 
 SWEPT = len(STAGES) - 1
 """Number of stages of a scene in a sweep: all but attribution."""
@@ -127,7 +123,6 @@ def check(config: Settings, store: ArtifactStore) -> None:
         method.check()
     Rules.of(config)
     chosen_baselines(config.against)
-    stages_to_refresh(config, REFRESHABLE)
     store.check_writable()
     check_folder(config.out)
     check_places([scene.name for scene in scenes], config.out)
@@ -137,8 +132,7 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
     check(config, store)
     scenes, notes = scenes_of(config)
     variants, method = combinations(config), config.built_by
-    refresh = stages_to_refresh(config, REFRESHABLE)
-    with open_workers(config.runner, config.workers, store, refresh) as workers:
+    with open_workers(config.runner, config.workers, store) as workers:
         progress = Progress(len(scenes), len(STAGES), verbose=verbose)
         for text in (f"with {', '.join(part.name for part in method.components)}", *notes):
             progress.line(text)

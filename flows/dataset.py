@@ -19,7 +19,7 @@ from flows.clip_sources import Clips, Source, choose_samples, map_sources, sourc
 from flows.config import DatasetSettings
 from flows.data_card import write_card
 from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
-from flows.runners.session import completed, run_session, stages_to_refresh, writing
+from flows.runners.session import completed, run_session, writing
 from flows.runners.task_runners import Workers, open_workers
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
@@ -88,9 +88,7 @@ def build(
     """Do the work of :func:`make_training_set` within any flow."""
     check(config, store)
     places = Places()
-    stages = (packed, views, pairs, *SAMPLES)
-    refresh = stages_to_refresh(config, [stage.name for stage in stages])
-    with open_workers(config.runner, config.workers, store, refresh) as workers:
+    with open_workers(config.runner, config.workers, store) as workers:
         arguments = Bounds.of(config), config.targets
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
         failures = clips.failures
@@ -102,6 +100,7 @@ def build(
             f"{config.out}: no sample is left of the sources; the reasons are in "
             f"{config.out / 'failures.parquet'}"
         )
+    stages = packed, views, pairs, *SAMPLES
     versions = {stage.name: stage.version for stage in stages}
     with writing(config.out):
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
