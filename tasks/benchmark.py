@@ -116,7 +116,6 @@ def baselines(
     views = run.read(sample, sample_from_arrays)
     label_maps = run.read(labels, labels_from_arrays)
     scene_truth = run.read(truth, truth_from_arrays)
-    texts = [text for masks in scene_truth.masks.values() for text in masks]
     inputs = Inputs(
         sample=views,
         field=get_field(run.store, field, method.encoder.places()),
@@ -125,7 +124,6 @@ def baselines(
         proposer=method.proposer.load(),
         seed=method.seed,
         settings={part.name: part.values() for part in (method.proposer, method.lifting)},
-        classes=tuple(dict.fromkeys([*texts, *settings.queries])),
     )
     begun = compiling.clock()
     answering = load_method(of, **own)(inputs)
@@ -173,7 +171,7 @@ class Scored:
     others: Mapping[str, ArtifactRef]
 
 
-@stage("report", version=14)
+@stage("report", version=15)
 def report(
     run: RunContext,
     scenes: Sequence[Scored],

@@ -62,7 +62,7 @@ def benchmark(
     photographs, the middle one is held out. Writes a report, tables, masks and fields.
 
     \b
-    slgaussian benchmark --rooms 0-19 --against lerf-like
+    slgaussian benchmark --rooms 0-19 --against query-2d
     slgaussian benchmark a.jpg b.jpg c.jpg --sweep planesweep.depth_candidates=32,64
     slgaussian benchmark --data 3dovs --format ovs3d --set max_baseline=0.6
     slgaussian benchmark --data office --pairs office/pairs.json --labels office/labels

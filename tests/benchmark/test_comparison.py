@@ -89,12 +89,12 @@ def test_settings_and_data_are_compared_by_their_leaves():
     other = {
         **MANIFEST,
         "settings": {"share": 0.5, "seed": 0},
-        "methods": {"query-2d": "query-2d", "lerf-like": "lerf-like"},
+        "methods": {"query-2d": "query-2d", "no-bank": "no-bank"},
         "data": {"procedural_3": {"sample": "aa", "files": {"a.png": "22"}}, "new": {}},
     }
     assert differing_settings([MANIFEST, other, MANIFEST]) == [
         ["settings.share", "0.7", "0.5", "0.7"],
-        ["methods.lerf-like", "–", "lerf-like", "–"],
+        ["methods.no-bank", "–", "no-bank", "–"],
         ["data: missing or different scenes", "new", "procedural_3", "new"],
     ]
 

@@ -137,7 +137,7 @@ def test_completion_and_help_need_no_heavy_library():
         ("demo --workers two", "--workers"),
         ("doctor red", "red"),
         ("demo --set codes=seperated", "; did you mean 'separated'?"),
-        ("benchmark --rooms 0-0 --against lerflike", "; did you mean 'lerf-like'?"),
+        ("benchmark --rooms 0-0 --against langsplatlike", "; did you mean 'langsplat-like'?"),
         ("demo --set seed", "--set: found 'seed', expected KEY=VALUE, as planesweep"),
         ("demo --seed 1 --set seed=2", "--set: seed is given twice"),
         ("demo --set sam.point=4", "unknown key 'sam.point'; did you mean 'points'?"),

@@ -22,8 +22,6 @@ METHODS = {
     "slgaussian": "slgaussian.benchmark.baselines.ours:Ours",
     "query-2d": "slgaussian.benchmark.baselines.query_2d:Query2d",
     "langsplat-like": "slgaussian.benchmark.baselines.langsplat_like:LangSplatLike",
-    "lerf-like": "slgaussian.benchmark.baselines.crops:LerfLike",
-    "3d-ovs-like": "slgaussian.benchmark.baselines.crops:Ovs3dLike",
     "no-association": "slgaussian.benchmark.baselines.ours:NoAssociation",
     "no-bank": "slgaussian.benchmark.baselines.ours:NoBank",
 }
@@ -96,14 +94,6 @@ ROWS = {
         "langsplat-like",
         "not LangSplat: the same, by masks that agree across views",
         {"association": True},
-    ),
-    "lerf-like": Row(
-        "lerf-like", "not LERF: a pyramid of crops of each view, lifted a pixel, no training"
-    ),
-    "3d-ovs-like": Row(
-        "3d-ovs-like",
-        "not 3D-OVS: patches at the scale that tells the given classes apart best, lifted a pixel, "
-        "no training",
     ),
     "no-association": Row(
         "no-association", "ablation: each view's masks are objects of their own", variant=True

@@ -36,7 +36,6 @@ class Inputs:
         seed: Seed of the field, for codes and initial network weights.
         settings: {component: settings}. Settings of the field's components, as in
             :func:`slgaussian.build.build_field`.
-        classes: tuple of str. All texts that will be queried, for methods that need a closed list.
     """
 
     sample: Sample
@@ -46,7 +45,6 @@ class Inputs:
     proposer: MaskProposer
     seed: int = 0
     settings: Mapping[str, Mapping[str, Any]] = dataclasses.field(default_factory=dict)
-    classes: tuple[str, ...] = ()
 
     @property
     def bank(self) -> MemoryBank:

@@ -23,11 +23,12 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
-from slgaussian.benchmark.baselines.dense import DenseView, draw_picture, draw_vectors, reduced
+from slgaussian.benchmark.baselines.dense import DenseView, draw_picture
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import seed_for
 from slgaussian.kernels.threads import LARGE_THREADS, fixed
+from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
 from slgaussian.semantic.decode import VISIBLE
 
@@ -38,6 +39,10 @@ RATE, COSINE = 2e-3, 0.001
 
 BLOCK = 8192
 """Number of codes decoded at a time."""
+
+MOST_NUMBERS = 2**26
+"""Largest number of elements of an image of vectors, 256 MB in float32; a larger one is rendered at
+a half, a quarter ... of the resolution."""
 
 
 @dataclass(frozen=True)
@@ -77,16 +82,20 @@ class _Codes:
     carried: np.ndarray
 
     def render(self, camera: Camera) -> DenseView:
-        gaussians = self.inputs.gaussians
+        gaussians, size = self.inputs.gaussians, np.array([camera.width, camera.height])
         picture = draw_picture(gaussians, camera)
-        small = reduced(camera, self.inputs.bank.features.shape[2])
-        drawn = draw_vectors(gaussians, small, [lambda at, a, b: self.carried[at, a:b]], 4)[0]
+        factor = 1
+        while size.prod() * self.inputs.bank.features.shape[2] > MOST_NUMBERS * factor**2:
+            factor *= 2
+        carried = torch.from_numpy(self.carried[gaussians.source.numpy()])
+        small = camera.resized(*np.maximum(size // factor, 1).tolist())
+        drawn = rasterize(gaussians, carried, small).values.float().numpy()
         codes, weight = drawn[..., :3], drawn[..., 3:]
         codes = np.divide(codes, weight, out=np.zeros_like(codes), where=weight > 0)
-        vectors = self.network.decode(codes.reshape(-1, 3)).reshape(1, *codes.shape[:2], -1)
+        vectors = self.network.decode(codes.reshape(-1, 3)).reshape(*codes.shape[:2], -1)
         # If most of a pixel's weight has no mask, its code is not valid.
-        full_size = camera.width, camera.height
-        visible = cv2.resize(drawn[..., 3], full_size, interpolation=cv2.INTER_LINEAR) >= VISIBLE
+        weight = cv2.resize(drawn[..., 3], size.tolist(), interpolation=cv2.INTER_LINEAR)
+        visible = weight >= VISIBLE
         return DenseView(picture.rgb, picture.depth, self.inputs.reader, visible, vectors)
 
 

@@ -1,4 +1,4 @@
-"""Inputs of methods: the room of the benchmark's tests, and what its views show."""
+"""Inputs of methods: the room of the benchmark's tests."""
 
 from dataclasses import replace
 
@@ -11,9 +11,8 @@ from slgaussian.masks import load_proposer
 @pytest.fixture(scope="session")
 def given(room) -> Inputs:
     """Shared by tests that do not look at what is worked out only once."""
-    texts = tuple(sorted(room.truth["view_01"]))
-    made = room.sample, room.field, room.gaussians, room.label_maps
-    return Inputs(*made, load_proposer("regions"), 0, {}, texts)
+    data = room.sample, room.field, room.gaussians, room.label_maps
+    return Inputs(*data, load_proposer("regions"))
 
 
 @pytest.fixture
