@@ -32,7 +32,7 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
             pair.
     """
     rule = Rule.of(settings)
-    pairs: list[ScenePair] = []
+    pairs: dict[str, ScenePair] = {}
     left_out: dict[str, str] = {}
     for name, options, place in label_places(data, labels, settings.format):
         scene = datasets.load(settings.format, data, **options)
@@ -41,11 +41,11 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
             if isinstance(pair, str):
                 left_out[pair_name] = pair
             else:
-                pairs.append(ScenePair(pair_name, *pair[:3], place, options, pair[3]))
+                pairs[pair_name] = ScenePair(options=options, labels=place, **pair)
     if not pairs:
         text = "; ".join(f"{name}: {reason}" for name, reason in list(left_out.items())[:3])
         raise InputError(f"{labels or data}: no labelled frame has a pair ({text or 'no labels'})")
-    index = Index(tuple(pairs), settings.format, rule.described(), left_out)
+    index = Index(format=settings.format, rule=rule.described(), scenes=pairs, left_out=left_out)
     write_index(out, index)
     return index
 
@@ -74,14 +74,13 @@ def label_places(
             yield name, options, place
 
 
-Chosen = tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], dict[str, float]]
-"""Context, targets, categories and measurements of a pair."""
-
-
 def _surrounded(
     scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
-) -> dict[str, Chosen | str]:
-    """Return the pair of every labelled frame, or the reason if there is none, by pair name."""
+) -> dict[str, dict[str, Any] | str]:
+    """Return the pair of every labelled frame, or the reason if there is none, by pair name.
+
+    Pairs are fields of a :class:`ScenePair`.
+    """
     views: dict[str, str] = {}
     out: dict[str, Any] = {}
     for frame, categories in frames.items():
@@ -109,7 +108,8 @@ def _surrounded(
         measures = ("overlap", "baseline", "cover", "aside", "score")
         measured = {measure: round(getattr(pair, measure), 4) for measure in measures}
         context = tuple(names[i] for i in pair.context)
-        out[frame] = context, (views[frame],), frames[frame], measured
+        out[frame] = {"context": context, "target": (views[frame],)}
+        out[frame] |= {"categories": frames[frame], "measured": measured}
     order = [frame for frame in frames if frame in out]
     return {f"{name}-{frame.replace('/', '-')}": out[frame] for frame in order}
 

@@ -83,21 +83,21 @@ def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]
             f"{settings.pairs}: was made for data of format {index.format!r}, but format is "
             f"{settings.format!r}; leave it out"
         )
-    if index.format is None and settings.labels is None:
+    if not index.format and settings.labels is None:
         raise InputError(f"{settings.pairs}: does not say where its labels are; give their folder")
     format = index.format or settings.format or "nerfstudio"
     messages = []
     if index.left_out:
         name, reason = next(iter(index.left_out.items()))
         messages.append(f"left out by the index: {len(index.left_out)}, such as {name}: {reason}")
-    pairs = index.pairs
+    pairs = index.scenes
     if format == "re10k":
         available = datasets.scenes(format, settings.data)
-        pairs = tuple(pair for pair in pairs if pair.options.get("key") in available)
-        if len(pairs) < len(index.pairs):
-            gone = len(index.pairs) - len(pairs)
-            messages.append(f"not in {settings.data}: {gone} of the {len(index.pairs)} clips")
-    tried = (_scene(pair, format, settings.data, settings.labels) for pair in pairs)
+        pairs = {n: pair for n, pair in pairs.items() if pair.options.get("key") in available}
+        if len(pairs) < len(index.scenes):
+            gone = len(index.scenes) - len(pairs)
+            messages.append(f"not in {settings.data}: {gone} of the {len(index.scenes)} clips")
+    tried = (_scene(*item, format, settings.data, settings.labels) for item in pairs.items())
     scenes = [scene for scene in tried if scene is not None]
     if len(scenes) < len(pairs):
         messages.append(
@@ -109,10 +109,10 @@ def labelled_scenes(settings: Settings) -> tuple[list[SceneSettings], list[str]]
 
 
 def _scene(
-    pair: ScenePair, format: str, data: Path, label_folder: Path | None
+    name: str, pair: ScenePair, format: str, data: Path, label_folder: Path | None
 ) -> SceneSettings | None:
     """Return the scene of a pair; None if labels are given, but none for its targets."""
-    targets, categories = list(pair.targets), list(pair.categories)
+    targets, categories = list(pair.target), list(pair.categories or ())
     place = (label_folder or data) / pair.labels
     labels = place if categories or label_folder is not None else None
     if not categories and label_folder is not None:
@@ -124,10 +124,10 @@ def _scene(
     folder = data.resolve()
     folder = folder.parent if folder.is_file() else folder
     return SceneSettings(
-        name=pair.scene,
+        name=name,
         dataset=folder.name,
         format=format,
-        options=dict(pair.options),
+        options=pair.options,
         path=data,
         context=list(pair.context),
         targets=targets,

@@ -18,7 +18,6 @@ from slgaussian.benchmark.external_predictions import (
     SCORABLE,
     JudgedScene,
     Predictions,
-    Tally,
     read_predictions,
     score_predictions,
 )
@@ -38,7 +37,6 @@ class Scores:
 
     results: list[SceneResult]
     predictions: Predictions
-    tally: Tally
     messages: list[str]
 
 
@@ -73,12 +71,12 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     by_labels = settings.data and settings.pairs is None and settings.rooms is None
     scenes, messages = ([], []) if by_labels else scenes_of(settings)
     judged = _by_labels(settings) if by_labels else _by_scenes(settings, scenes)
-    tally, results, masks = Tally(), [], []
-    for result in score_predictions(predictions, judged, chosen, tally):
+    results, masks = [], []
+    for result in score_predictions(predictions, judged, chosen):
         masks.append({key: encode_png(mask) for key, mask in result.predictions.items()})
         results.append(replace(result, predictions={}))
-    if not tally.used:
-        listed = ", ".join(tally.unused(predictions)[:3])
+    if not predictions.used:
+        listed = ", ".join(predictions.unused[:3])
         raise InputError(
             f"{predictions.place}: no mask belongs to a query (found {listed}); name scenes, "
             "frames and queries as the data and labels do"
@@ -96,7 +94,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
         write_predictions(result.rows, predicted, out / "predictions")
     write_samples(rows, out)
     (out / "times.parquet").unlink(missing_ok=True)  # of an earlier release
-    return Scores(results, predictions, tally, messages)
+    return Scores(results, predictions, messages)
 
 
 def _by_scenes(settings: Settings, scenes: Sequence[SceneSettings]) -> Iterator[JudgedScene]:

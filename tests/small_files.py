@@ -245,8 +245,18 @@ def read_all_labels(folder: Path) -> None:
 
 
 def make_indices(folder: Path) -> None:
-    pair = ScenePair("room", ("a", "b"), ("c",), ("cup",), "label/room", {"scene": "x"}, {"o": 0.5})
-    write_index(folder / "pairs.json", Index((pair,), "lerf_ovs", {"name": "around"}, {"d": "why"}))
+    pair = ScenePair(
+        options={"scene": "x"},
+        labels="label/room",
+        context=("a", "b"),
+        target=("c",),
+        categories=("cup",),
+        measured={"o": 0.5},
+    )
+    index = Index(
+        format="lerf_ovs", rule={"name": "around"}, scenes={"room": pair}, left_out={"d": "why"}
+    )
+    write_index(folder / "pairs.json", index)
     published = {"5a": {"context": [0, 40], "target": [10, 20]}, "5b": None}
     (folder / "published.json").write_text(json.dumps(published))
     old = {"room": {"context": ["a", "b"], "target": ["c"], "categories": ["cup"]}}

@@ -74,9 +74,9 @@ def places(data: Path, seed: int) -> dict[str, float]:
 def _labelled(folders: Mapping[str, Path], seed: int) -> dict[str, float]:
     ious = []
     for name, folder in folders.items():
-        (pair,) = (p for p in read_index(folder / "pairs.json").pairs if p.scene == name)
+        pair = read_index(folder / "pairs.json").scenes[name]
         scene = datasets.load("nerfstudio", path=folder)
-        sample = scene.sample(pair.context, pair.targets, size=SIZE)
+        sample = scene.sample(pair.context, pair.target, size=SIZE)
         truth = read_truth(folder / "labels", pair.categories, sample.targets)
         ious.append(_scores(sample, truth, seed)["iou"])
     return {"iou": float(np.mean(ious))}

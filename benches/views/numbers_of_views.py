@@ -112,15 +112,15 @@ def fern(folder: Path) -> Iterator[Row]:
 def place(folder: Path) -> Iterator[Row]:
     """Yield the rows of each pair of a place, for the numbers of views that it has."""
     scene = datasets.load("nerfstudio", folder)
-    for pair in read_index(folder / "pairs.json").pairs:
+    for name, pair in read_index(folder / "pairs.json").scenes.items():
         contexts = {}
         for number in NUMBERS:
             try:
-                contexts[number] = context_of(scene, pair.context, pair.targets, number)
+                contexts[number] = context_of(scene, pair.context, pair.target, number)
             except InputError:  # too few photographs
                 break
         if len(contexts) > 1:
-            yield from rows_of(scene, contexts, pair.targets, pair.scene)
+            yield from rows_of(scene, contexts, pair.target, name)
 
 
 def room(seed: int) -> Iterator[Row]:

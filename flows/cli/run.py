@@ -85,7 +85,7 @@ def benchmark(
         index = build_index(settings.data, settings.labels, chosen, file)
         for name, reason in index.left_out.items():
             typer.echo(f"left out: {name}: {reason}", err=True)
-        typer.echo(f"{len(index.pairs)} pairs  {file}", err=True)
+        typer.echo(f"{len(index.scenes)} pairs  {file}", err=True)
         settings = settings.model_copy(update={"pairs": file})
     elif fields := rule.keys() - {"format"}:
         raise InputError(

@@ -43,14 +43,14 @@ def score(
 
     scores = scoring.score(settings, predictions, protocols or [], out)
     rows = [row for result in scores.results for row in result.rows]
-    notes, tally = [*scores.messages], scores.tally
-    if tally.missing:
+    notes, masks = [*scores.messages], scores.predictions
+    if masks.missing:
         notes.append(
-            f"missing: {len(tally.missing)} of {tally.asked} samples have no mask and count as an "
-            f"empty one: {_few(list(dict.fromkeys(tally.missing)))}"
+            f"missing: {len(masks.missing)} of {masks.samples} samples have no mask and count as "
+            f"an empty one: {_few(list(dict.fromkeys(masks.missing)))}"
         )
-    if unused := tally.unused(scores.predictions):
-        notes.append(f"not queried, left out: {_few(unused)}")
+    if masks.unused:
+        notes.append(f"not queried, left out: {_few(masks.unused)}")
     for note in notes:
         typer.echo(note, err=True)
     typer.echo(f"{methods_text(rows)}\n{out}")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
+from slgaussian.benchmark.scores import grouped
 from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
@@ -46,29 +47,29 @@ def costs_of(rows: Iterable[Row]) -> list[Cost]:
 
     Rows may lack unknown columns.
     """
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row["dataset"], row["method"]), []).append(row)
-    return [_cost(*names, members) for names, members in groups.items()]
+    costs = []
+    for (dataset, method), answers in grouped(rows, "dataset", "method").items():
+        frames = {(row["scene"], row["frame"]): row for row in answers}.values()
+        scenes = {row["scene"]: row for row in answers}.values()
+        cost = Cost(
+            dataset,
+            method,
+            view_query=_median(frames, "view_seconds"),
+            further_query=_median(answers, "query_seconds"),
+            prepare=_median(scenes, "prepare_seconds"),
+            build=_median(scenes, "build_seconds"),
+            peak=max(_present(scenes, "peak_bytes"), default=None),
+        )
+        costs.append(cost)
+    return costs
 
 
-def _cost(dataset: str, method: str, rows: Sequence[Row]) -> Cost:
-    frames = list({(row["scene"], row["frame"]): row for row in rows}.values())
-    scenes = list({row["scene"]: row for row in rows}.values())
-    peaks = [row["peak_bytes"] for row in scenes if row.get("peak_bytes") is not None]
-    return Cost(
-        dataset,
-        method,
-        view_query=_median(row.get("view_seconds") for row in frames),
-        further_query=_median(row.get("query_seconds") for row in rows),
-        prepare=_median(row.get("prepare_seconds") for row in scenes),
-        build=_median(row.get("build_seconds") for row in scenes),
-        peak=max(peaks, default=None),
-    )
+def _present(rows: Iterable[Row], column: str) -> list[Any]:
+    return [row[column] for row in rows if row.get(column) is not None]
 
 
-def _median(values: Iterable[float | None]) -> float | None:
-    measured = [value for value in values if value is not None]
+def _median(rows: Iterable[Row], column: str) -> float | None:
+    measured = _present(rows, column)
     return median(measured) if measured else None
 
 
@@ -93,11 +94,10 @@ class StageCost:
         """Summarise the metadata of artifacts."""
         artifacts = list(metas)
         seconds = [meta["seconds"] for meta in artifacts]
-        peaks = [meta["peak"] for meta in artifacts if meta.get("peak") is not None]
         return StageCost(
             sum(seconds),
             median(seconds) if seconds else 0.0,
-            max(peaks, default=None),
+            max(_present(artifacts, "peak"), default=None),
             sum(meta["compiling"] for meta in artifacts),
         )
 

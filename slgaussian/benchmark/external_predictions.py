@@ -54,38 +54,43 @@ class Prediction:
     """A mask of another program.
 
     Attributes:
-        where: Name in messages.
+        place: Name in messages.
         read: function (height, width) -> bool [height, width]. Raises InputError if the mask cannot
             be read, or has another size.
         point: (x, y) or None
     """
 
-    where: str
+    place: str
     read: Callable[[int, int], np.ndarray]
     point: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True)
+@dataclass
 class Predictions:
-    """Masks of a folder or file.
+    """Masks of a folder or file, and counts of the masks that scoring used and missed.
 
     Attributes:
         place: The folder or file.
         masks: {key: Prediction}. Scene, frame and query as written in the file or in the folder
             names.
+        samples: Number of scored samples with ground truth, of which those in ``missing`` have no
+            mask.
+        used: Keys of the scored masks.
     """
 
     place: Path
     masks: Mapping[Key, Prediction]
+    samples: int = 0
+    missing: list[str] = field(default_factory=list)
+    used: set[Key] = field(default_factory=set)
 
     @property
     def methods(self) -> dict[str, tuple[str, ...]]:
         """Return the protocols of each method's masks; empty if its masks are for all."""
-        by_method: dict[str, dict[str, None]] = {}
+        by_method: dict[str, dict[str, None]] = {name: {} for name in ROWS}
         for method, protocol, *_ in self.masks:
             by_method.setdefault(method, {})[protocol] = None
-        order = [*(name for name in ROWS if name in by_method), *by_method]
-        return {name: tuple(filter(None, by_method[name])) for name in dict.fromkeys(order)}
+        return {name: tuple(filter(None, of)) for name, of in by_method.items() if of}
 
     @property
     def protocols(self) -> tuple[str, ...]:
@@ -93,14 +98,19 @@ class Predictions:
         present = {protocol for _, protocol, *_ in self.masks}
         return tuple(name for name in SCORABLE if name in present) or SCORABLE[:1]
 
-    def key(self, method: str, protocol: str, scene: str, frame: str, query: str) -> Key | None:
+    @property
+    def unused(self) -> list[str]:
+        """List the masks that belong to no sample."""
+        keys = (key for key in self.masks if key not in self.used)
+        return list(dict.fromkeys(_describe(*key[2:]) for key in keys))
+
+    def find(self, method: str, protocol: str, scene: str, frame: str, query: str) -> Key | None:
         """Return the key of the mask of a query; None if there is none.
 
         A frame may lack its folder and suffix, and names may be file names.
         """
         path = Path(frame)
-        frames = (frame, path.with_suffix("").as_posix(), path.stem)
-        names = [(scene, name, query) for name in frames]
+        names = [(scene, name, query) for name in (frame, str(path.with_suffix("")), path.stem)]
         names.append((file_name(scene), file_name(path.stem), file_name(query)))
         keys = ((method, of, *name) for of in (protocol, "") for name in names)
         return next((key for key in keys if key in self.masks), None)
@@ -121,24 +131,6 @@ class JudgedScene:
     truth: Truth
 
     __repr__ = short_repr
-
-
-@dataclass
-class Tally:
-    """Counts of used and missing masks.
-
-    ``asked`` is the number of samples with ground truth, of which those in ``missing`` have no
-    mask. ``used`` are the keys of evaluated masks.
-    """
-
-    asked: int = 0
-    missing: list[str] = field(default_factory=list)
-    used: set[Key] = field(default_factory=set)
-
-    def unused(self, predictions: Predictions) -> list[str]:
-        """List the masks that belong to no sample."""
-        keys = (key for key in predictions.masks if key not in self.used)
-        return list(dict.fromkeys(_called(*key[2:]) for key in keys))
 
 
 def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predictions:
@@ -169,12 +161,9 @@ def read_predictions(place: str | Path, protocols: Sequence[str] = ()) -> Predic
 
 
 def score_predictions(
-    predictions: Predictions,
-    scenes: Iterable[JudgedScene],
-    protocols: Sequence[ScoringProtocol],
-    tally: Tally,
+    predictions: Predictions, scenes: Iterable[JudgedScene], protocols: Sequence[ScoringProtocol]
 ) -> Iterator[SceneResult]:
-    """Score the masks of each method, scene by scene.
+    """Score the masks of each method, scene by scene, and count them in ``predictions``.
 
     A sample without a mask is scored as an empty mask. Results have no pictures and no times.
 
@@ -185,16 +174,17 @@ def score_predictions(
     for judged in scenes:
         for method, present in predictions.methods.items():
             scored = [protocol for protocol in protocols if not present or protocol.name in present]
+            if not scored:
+                continue
             rows: list[dict[str, Any]] = []
             masks: dict[tuple[str, str, str], np.ndarray] = {}
-            for frame in judged.truth.masks if scored else ():
-                for row, mask in _score_frame(predictions, judged, method, scored, frame, tally):
+            for frame in judged.truth.masks:
+                for row, mask in _score_frame(predictions, judged, method, scored, frame):
                     rows.append(row)
                     if mask is not None:
                         masks[row["protocol"], frame, row["query"]] = mask
-            if scored:
-                means = scene_means(of_first_protocol(rows))
-                yield SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
+            means = scene_means(of_first_protocol(rows))
+            yield SceneResult(judged.scene, rows, means, masks, {}, judged.dataset, method)
 
 
 def _score_frame(
@@ -203,16 +193,13 @@ def _score_frame(
     method: str,
     protocols: Sequence[ScoringProtocol],
     frame: str,
-    tally: Tally,
 ) -> Iterator[tuple[dict[str, Any], np.ndarray | None]]:
     """Yield the rows of the spec ``samples`` of a frame, and the mask of each that has one."""
     truths, boxes = judged.truth.masks[frame], judged.truth.boxes.get(frame, {})
-    common: dict[str, Any] = {"dataset": judged.dataset, "scene": judged.scene, "method": method}
+    common = {"dataset": judged.dataset, "scene": judged.scene, "method": method}
     common |= {"place": judged.place, "frame": frame}
     answers = {
-        protocol.name: _look_up(
-            predictions, (method, protocol.name, judged.scene, frame), truths, tally
-        )
+        protocol.name: _look_up(predictions, (method, protocol.name, judged.scene, frame), truths)
         for protocol in protocols
     }
     # The same texts compete in two protocols, and their masks determine which wins.
@@ -223,52 +210,46 @@ def _score_frame(
         masks = [answer for answer, _ in of_protocol.values()]
         queried = Frame(masks, list(truths.values()), true_boxes, labels, external=True)
         notes = {
-            text: {"note": ABSENT if not truths[text].any() else "" if where else NOT_GIVEN}
-            for text, (_, where) in of_protocol.items()
+            text: {"note": ABSENT if not truths[text].any() else "" if place else NOT_GIVEN}
+            for text, (_, place) in of_protocol.items()
         }
+        first = protocol is protocols[0]
         for row, scored in score_frame(queried, list(truths), [protocol], None, common, notes):
-            text = row["query"]
-            if protocol is protocols[0] or truths[text].any():
-                yield row, scored.mask if of_protocol[text][1] else None
+            if first or truths[row["query"]].any():
+                yield row, scored.mask if of_protocol[row["query"]][1] else None
 
 
 def _look_up(
-    predictions: Predictions,
-    names: tuple[str, str, str, str],
-    truths: Mapping[str, np.ndarray],
-    tally: Tally,
+    predictions: Predictions, names: tuple[str, str, str, str], truths: Mapping[str, np.ndarray]
 ) -> dict[str, tuple[Answer, str]]:
     """Return the answer for each text of a frame, and the name of its mask; empty without one."""
-    nothing = np.zeros((0, 0), np.float32)
     answers = {}
     for text, truth in truths.items():
-        key = predictions.key(*names, text)
-        tally.asked += bool(truth.any())
-        if key is None:
-            answers[text] = Answer(nothing, np.zeros_like(truth), None), ""
-            if truth.any():
-                tally.missing.append(_called(*names[2:], text))
-            continue
-        tally.used.add(key)
-        prediction = predictions.masks[key]
-        answer = Answer(nothing, prediction.read(*truth.shape), prediction.point)
-        answers[text] = answer, prediction.where
+        prediction = Prediction("", lambda *size: np.zeros(size, bool))
+        if (key := predictions.find(*names, text)) is not None:
+            prediction = predictions.masks[key]
+            predictions.used.add(key)
+        elif truth.any():
+            predictions.missing.append(_describe(*names[2:], text))
+        predictions.samples += bool(truth.any())
+        mask = prediction.read(*truth.shape)
+        answer = Answer(np.zeros((0, 0), np.float32), mask, prediction.point)
+        answers[text] = answer, prediction.place
     return answers
 
 
 def _winners(answers: Mapping[str, tuple[Answer, str]]) -> np.ndarray:
     """Return the winning text k of each pixel as k + 1, int32 [H, W]; InputError for overlaps."""
-    texts, masks = list(answers), [answer.mask for answer, _ in answers.values()]
-    labels = np.zeros(masks[0].shape, np.int32)
-    for k, mask in enumerate(masks):
-        if (rivals := labels[mask]).any():
-            rival = texts[int(rivals.max()) - 1]
+    texts = list(answers)
+    labels = np.zeros(answers[texts[0]][0].mask.shape, np.int32)
+    for k, (answer, place) in enumerate(answers.values(), start=1):
+        if rival := labels[answer.mask].max(initial=0):
             raise InputError(
-                f"{answers[texts[k]][1]}: overlaps the mask of {rival!r}, but by the protocol "
+                f"{place}: overlaps the mask of {texts[rival - 1]!r}, but by the protocol "
                 "3d-ovs texts compete, and each pixel is of one at most; give masks that do not "
                 "overlap, or choose --protocol slgaussian"
             )
-        labels[mask] = k + 1
+        labels[answer.mask] = k
     return labels
 
 
@@ -278,11 +259,11 @@ def _read_png(file: Path, height: int, width: int) -> np.ndarray:
     return mask
 
 
-def _check_size(where: str, size: Sequence[int], height: int, width: int) -> None:
+def _check_size(place: str, size: Sequence[int], height: int, width: int) -> None:
     if tuple(size) != (height, width):
         h, w = size
         raise InputError(
-            f"{where}: the mask has {h}x{w} pixels, height first, and its view is judged at "
+            f"{place}: the mask has {h}x{w} pixels, height first, and its view is judged at "
             f"{height}x{width}; bring it to that size, or say the size of all masks with --size "
             f"{h}x{w}"
         )
@@ -301,30 +282,29 @@ class _Entry(BaseModel):
     counts: Any = None
     point: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
 
-    def read(self, where: str, height: int, width: int) -> np.ndarray:
-        _check_size(where, self.size, height, width)  # before allocating an array of that size
+    def read(self, place: str, height: int, width: int) -> np.ndarray:
+        _check_size(place, self.size, height, width)  # before allocating an array of that size
         try:
             return rle.decode(self.counts, height, width)
         except ValueError as bad:
-            raise InputError(f"{where}: {bad}; write the mask again") from None
+            raise InputError(f"{place}: {bad}; write the mask again") from None
 
 
-def _read_file(place: Path) -> dict[Key, Prediction]:
-    content = read_json(place, "file of masks")
+def _read_file(file: Path) -> dict[Key, Prediction]:
+    content = read_json(file, "file of masks")
     if not isinstance(content, list) or not content:
-        raise InputError(f"{place}: found no list of masks, with scene, frame, query, size, counts")
+        raise InputError(f"{file}: found no list of masks, with scene, frame, query, size, counts")
     masks: dict[Key, Prediction] = {}
-    for number, entry in enumerate(content):
-        where = f"{place}: [{number}]"
-        mask = check_document(_Entry, entry, where)
-        key = mask.method or place.stem, "", mask.scene, mask.frame, mask.query
-        where = f"{where}, {_called(*key[2:])}"
+    for number, item in enumerate(content):
+        entry = check_document(_Entry, item, f"{file}: [{number}]")
+        key = entry.method or file.stem, "", entry.scene, entry.frame, entry.query
+        place = f"{file}: [{number}], {_describe(*key[2:])}"
         if key in masks:
-            raise InputError(f"{where} is there twice")
-        point = None if mask.point is None else (mask.point[0], mask.point[1])
-        masks[key] = Prediction(where, partial(mask.read, where), point)
+            raise InputError(f"{place} is there twice")
+        point = None if entry.point is None else (entry.point[0], entry.point[1])
+        masks[key] = Prediction(place, partial(entry.read, place), point)
     return masks
 
 
-def _called(scene: str, frame: str, query: str) -> str:
+def _describe(scene: str, frame: str, query: str) -> str:
     return f"{query!r} in {frame} of {scene}"

@@ -16,37 +16,20 @@ def iou(predicted: np.ndarray, truth: np.ndarray) -> float:
     return float(np.count_nonzero(predicted & truth) / union) if union else 1.0
 
 
-DILATION = 0.02
-"""Distance of :func:`boundary_iou` as a fraction of the image diagonal."""
-
-
 def boundary_iou(predicted: np.ndarray, truth: np.ndarray) -> float:
     """Boundary IoU of two bool masks [H, W]; 1.0 if both are empty.
 
-    It is the IoU of the pixels of each mask within a distance of its outline, which measures the
-    outline independently of the area (Cheng et al., CVPR 2021, arXiv:2103.16562).
+    It is the IoU of the pixels of each mask within 0.02 of the image diagonal of its outline, which
+    measures the outline independently of the area (Cheng et al., CVPR 2021, arXiv:2103.16562).
     """
+    side = 2 * max(1, round(0.02 * math.hypot(*truth.shape))) + 1
+    square = np.ones((side, side), np.uint8)
+
+    def rim(mask: np.ndarray) -> np.ndarray:
+        border = {"borderType": cv2.BORDER_CONSTANT, "borderValue": 0}  # the image's edge counts
+        return mask & (cv2.erode(mask.view(np.uint8), square, **border) == 0)
+
     return iou(rim(predicted), rim(truth))
-
-
-def rim(mask: np.ndarray) -> np.ndarray:
-    """Return the pixels of a mask bool [H, W] within :func:`reach` pixels of its outside.
-
-    Positions beyond the image are outside.
-    """
-    side = 2 * reach(*mask.shape) + 1
-    core = cv2.erode(
-        mask.view(np.uint8),
-        np.ones((side, side), np.uint8),
-        borderType=cv2.BORDER_CONSTANT,
-        borderValue=0,
-    )
-    return mask & (core == 0)
-
-
-def reach(height: int, width: int) -> int:
-    """Return the distance in pixels: 0.02 of the diagonal, rounded, at least 1; 14 at 416 x 576."""
-    return max(1, round(DILATION * math.hypot(height, width)))
 
 
 def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float | None]:
@@ -61,8 +44,7 @@ def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float |
         truths: sequence of bool [H, W]. The mask of each class; masks may overlap.
 
     Returns:
-        list of float or None: In [0, 1]; None for a class with an empty true mask, which is not a
-            sample.
+        list of float or None: None for a class with an empty true mask, which is not a sample.
     """
     return [iou(labels == k + 1, truth) if truth.any() else None for k, truth in enumerate(truths)]
 
@@ -76,19 +58,17 @@ def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
 
     Parameters are those of :func:`class_ious`.
     """
-    right = np.zeros(labels.shape, bool)
-    claims = np.zeros(labels.shape, np.int32)
-    for k, truth in enumerate(truths):
-        right |= (labels == k + 1) & truth
-        claims += truth
-    return float(np.count_nonzero(right & (claims == 1)) / labels.size)
+    stack = np.array(truths)
+    wins = labels == np.arange(1, len(stack) + 1)[:, None, None]
+    right = (wins & stack).any(0) & (stack.sum(0) == 1)
+    return float(np.count_nonzero(right) / labels.size)
 
 
 def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:
     """Tell whether the pixel that contains ``point`` (x, y) is set; False for no point."""
     if point is None:
         return False
-    x, y = int(np.floor(point[0])), int(np.floor(point[1]))
+    x, y = map(math.floor, point)
     return 0 <= y < mask.shape[0] and 0 <= x < mask.shape[1] and bool(mask[y, x])
 
 
@@ -99,9 +79,7 @@ def point_in_boxes(point: tuple[float, float] | None, boxes: np.ndarray) -> bool
     """
     if point is None:
         return False
-    x, y = point
-    inside = (boxes[:, 0] <= x) & (x <= boxes[:, 2]) & (boxes[:, 1] <= y) & (y <= boxes[:, 3])
-    return bool(inside.any())
+    return bool(((boxes[:, :2] <= point) & (point <= boxes[:, 2:])).all(1).any())
 
 
 def any_in_boxes(mask: np.ndarray, boxes: np.ndarray) -> bool:
@@ -110,11 +88,8 @@ def any_in_boxes(mask: np.ndarray, boxes: np.ndarray) -> bool:
     One pixel of maximal relevancy suffices, which is lenient: they may cover a whole wall. Bounds
     are included.
     """
-    rows, columns = np.nonzero(mask)
-    return any(
-        bool(((x0 <= columns) & (columns <= x1) & (y0 <= rows) & (rows <= y1)).any())
-        for x0, y0, x1, y1 in boxes
-    )
+    points = np.argwhere(mask)[:, None, ::-1]
+    return bool(((boxes[:, :2] <= points) & (points <= boxes[:, 2:])).all(2).any())
 
 
 def depth_errors(
@@ -138,8 +113,7 @@ def depth_errors(
     is_known = truth > 0
     if not is_known.any():
         return {}
-    d = predicted[is_known].astype(np.float64)
-    t = truth[is_known].astype(np.float64)
+    d, t = (depth[is_known].astype(np.float64) for depth in (predicted, truth))
     is_predicted = d > 0
     safe = np.where(is_predicted, d, 1.0)
     ratio = np.where(is_predicted, np.maximum(safe / t, t / safe), np.inf)
@@ -164,13 +138,6 @@ def ssim(image: np.ndarray, reference: np.ndarray) -> float:
 
     Gaussian window of sigma 1.5 and 11 pixels, mean over pixels and channels.
     """
-    mean = structural_similarity(
-        image.astype(np.float64),
-        reference.astype(np.float64),
-        data_range=255.0,
-        channel_axis=2,
-        gaussian_weights=True,
-        sigma=1.5,
-        use_sample_covariance=False,
-    )
-    return float(mean)
+    images = image.astype(np.float64), reference.astype(np.float64)
+    window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
+    return float(structural_similarity(*images, data_range=255.0, channel_axis=2, **window))

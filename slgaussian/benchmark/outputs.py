@@ -29,20 +29,14 @@ _DEVICES = {"CON", "PRN", "AUX", "NUL", *(f"{d}{n}" for d in ("COM", "LPT") for 
 
 
 def write_samples(rows: Sequence[Row], out: str | Path) -> None:
-    """Write ``samples.parquet`` into folder ``out``: one row per sample, of the spec ``samples``.
-
-    Also write ``scores.parquet``, the scores of the samples, of the spec ``scores``.
-    """
+    """Write ``samples.parquet`` and ``scores.parquet``, of the specs of these names, to ``out``."""
     samples = pa.Table.from_pylist(list(rows), schema=load_spec("samples").schema)
     write_table("samples", samples, out)
     write_table("scores", score_table(rows), out)
 
 
 def write_costs(rows: Sequence[Row], out: str | Path) -> None:
-    """Write ``times.parquet`` into folder ``out``: the cost of each answer.
-
-    Columns are those of the data spec ``times``; missing values are null.
-    """
+    """Write ``times.parquet``, the cost of each answer, to ``out``; missing columns are null."""
     schema = load_spec("times").schema
     complete = [{name: row.get(name) for name in schema.names} for row in rows]
     write_table("times", pa.Table.from_pylist(complete, schema=schema), out)
@@ -85,13 +79,11 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
         obsolete = set(map(mask_path, earlier)) - set(map(mask_path, rows))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
         return
-    folders: set[Path] = set()
     for path in obsolete:
         (out / "predictions" / path).unlink(missing_ok=True)
-        folders.update(list(path.parents)[:-1])
-    for folder in sorted(folders, key=lambda folder: -len(folder.parts)):
         with suppress(OSError):  # not empty, or missing
-            (out / "predictions" / folder).rmdir()
+            for folder in list(path.parents)[:-1]:
+                (out / "predictions" / folder).rmdir()
 
 
 def mask_path(row: Row) -> Path:

@@ -125,16 +125,7 @@ class ScoringProtocol:
         return f"{self.name}@{self.version}"
 
     def score(self, frame: Frame, settings: MaskSettings) -> list[Scored]:
-        """Score each query in order; a query with an empty true mask has no scores.
-
-        Raises InputError if masks are external and the protocol cannot score masks.
-        """
-        if frame.external and not self.scores_masks:
-            able = ", ".join(name for name, protocol in PROTOCOLS.items() if protocol.scores_masks)
-            raise InputError(
-                f"protocol: {self.name!r} scores relevancies, of which masks say nothing; expected "
-                f"one of {able}"
-            )
+        """Score each query in order; a query with an empty true mask has no scores."""
         scored = [self.score_query(frame, k, settings) for k in range(len(frame.masks))]
         return [
             score if truth.any() else replace(score, scores={})
@@ -157,32 +148,25 @@ def _slgaussian(frame: Frame, k: int, settings: MaskSettings) -> Scored:
 
 def _langsplat(frame: Frame, k: int, settings: MaskSettings) -> Scored:
     answer, truth, boxes = frame.answers[k], frame.masks[k], frame.boxes[k]
-    if frame.external:
-        scores = _overlap(answer.mask, truth)
-        if answer.point is not None:
-            scores["hit_box"] = metrics.point_in_boxes(answer.point, boxes)
-        return Scored(scores, answer.mask, answer.point)
-    relevancy = answer.relevancy
-    side = langsplat.FILTER if settings.filter is None else settings.filter
-    mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
-    is_known = relevancy > 0
-    if is_known.any():
-        # Holes must not change the range to which the threshold is relative.
-        image = np.where(is_known, relevancy, relevancy.min(where=is_known, initial=np.inf))
-        mask = langsplat.find_mask(image, side)
-        point, peak = langsplat.find_point(image, side)
-    scores = _overlap(mask, truth) | {
-        "hit_box": metrics.point_in_boxes(point, boxes),
-        "hit_peak": metrics.any_in_boxes(peak, boxes),
-    }
-    return Scored(scores, mask, point)
+    mask, point, relevancy = answer.mask, answer.point, answer.relevancy
+    scores: dict[str, Any] = {}
+    if not frame.external:
+        mask, point, peak = np.zeros_like(truth), None, np.zeros_like(truth)
+        is_known = relevancy > 0
+        if is_known.any():
+            # Holes must not change the range to which the threshold is relative.
+            image = np.where(is_known, relevancy, relevancy.min(where=is_known, initial=np.inf))
+            side = settings.filter or langsplat.FILTER
+            mask = langsplat.find_mask(image, side)
+            point, peak = langsplat.find_point(image, side)
+        scores["hit_peak"] = metrics.any_in_boxes(peak, boxes)
+    if point is not None or not frame.external:
+        scores["hit_box"] = metrics.point_in_boxes(point, boxes)
+    return Scored(_overlap(mask, truth) | scores, mask, point)
 
 
 def _highest_pixel(frame: Frame, k: int, settings: MaskSettings) -> Scored:
-    """Localise by the highest pixel, as in the paper; pixels of an object are tied.
-
-    The point is the first of the tied pixels in reading order.
-    """
+    """Localise by the first of the highest pixels in reading order; those of an object are tied."""
     relevancy = frame.answers[k].relevancy
     peak = (relevancy == relevancy.max()) & (relevancy > 0)
     row, column = np.unravel_index(int(peak.argmax()), peak.shape)
@@ -196,8 +180,7 @@ def _highest_pixel(frame: Frame, k: int, settings: MaskSettings) -> Scored:
 
 
 def _three_d_ovs(frame: Frame, k: int, settings: MaskSettings) -> Scored:
-    assert frame.labels is not None  # texts always compete in this protocol
-    region = frame.labels == k + 1
+    region = np.equal(frame.labels, k + 1)  # texts always compete in this protocol
     scores = {
         "boundary_iou": metrics.boundary_iou(region, frame.masks[k]),
         "class_iou": frame.class_ious[k],

@@ -13,7 +13,6 @@ from slgaussian.benchmark.external_predictions import (
     NOT_GIVEN,
     SCORABLE,
     JudgedScene,
-    Tally,
     read_predictions,
     score_predictions,
 )
@@ -51,9 +50,9 @@ def place_of(result, folder, query, protocol="slgaussian@2"):
 
 
 def scored(place, judged, *protocols):
-    predictions, tally = read_predictions(place, protocols), Tally()
+    predictions = read_predictions(place, protocols)
     chosen = [load_protocol(name) for name in protocols or predictions.protocols]
-    return list(score_predictions(predictions, [judged], chosen, tally)), tally, predictions
+    return list(score_predictions(predictions, [judged], chosen)), predictions
 
 
 def by_key(rows):
@@ -80,7 +79,7 @@ def as_file(path, result, protocol="slgaussian@2", text=True, **more):
 
 
 def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
-    (again,), tally, predictions = scored(folder, judged)
+    (again,), predictions = scored(folder, judged)
     assert predictions.methods == {"slgaussian": tuple(sorted(SCORABLE))}
     theirs = by_key(result.rows)
     for key, row in by_key(again.rows).items():
@@ -94,8 +93,8 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
     assert by_key(again.rows).keys() == known
     assert any(row["accuracy"] for row in again.rows) and any(r["class_iou"] for r in again.rows)
     assert by_key(again.rows)["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
-    assert tally.missing == []
-    unused = tally.unused(predictions)
+    assert predictions.missing == []
+    unused = predictions.unused
     assert unused and all(" in halfway of " in name for name in unused)
     for key, mask in again.predictions.items():
         assert np.array_equal(mask, result.predictions[key])
@@ -104,7 +103,7 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
 @pytest.mark.parametrize("text", [True, False])
 def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, judged, text):
     place = as_file(tmp_path / "mine.json", result, text=text)
-    (again,), _, predictions = scored(place, judged, "slgaussian")
+    (again,), predictions = scored(place, judged, "slgaussian")
     theirs = by_key(result.rows)
     assert again.method == "mine" and predictions.methods == {"mine": ()}
     rows = by_key(again.rows)
@@ -122,7 +121,7 @@ def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, 
 
 def test_texts_that_compete_say_which_wins_by_both_protocols(tmp_path, result, judged):
     place = as_file(tmp_path / "own.json", result, "3d-ovs@2", method="ours")
-    (again,), _, _ = scored(place, judged, "slgaussian", "3d-ovs")
+    (again,), _ = scored(place, judged, "slgaussian", "3d-ovs")
     theirs = by_key(result.rows)
     for (protocol, *rest), row in by_key(again.rows).items():
         assert row["class_iou"] == theirs["slgaussian@2", *rest]["class_iou"]
@@ -145,14 +144,14 @@ def test_a_mask_that_is_missing_is_an_empty_one_and_counted(folder, result, judg
     query = next(q for q, mask in judged.truth.masks["view_01"].items() if mask.any())
     place_of(result, folder, query).unlink()
     place_of(result, folder, "red sofa").unlink()  # no truth: no sample
-    (again,), tally, _ = scored(folder, judged, "slgaussian")
+    (again,), predictions = scored(folder, judged, "slgaussian")
     rows = by_key(again.rows)
     row = rows["slgaussian@2", "view_01", query]
     assert (row["iou"], row["note"]) == (0, NOT_GIVEN)
     assert rows["slgaussian@2", "view_01", "red sofa"]["note"] == ABSENT
     samples = sum(mask.any() for mask in judged.truth.masks["view_01"].values())
-    assert tally.asked == samples
-    assert tally.missing == [f"{query!r} in view_01 of {judged.scene}"]
+    assert predictions.samples == samples
+    assert predictions.missing == [f"{query!r} in view_01 of {judged.scene}"]
     assert ("slgaussian@2", "view_01", query) not in again.predictions
 
 
@@ -170,14 +169,14 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(folder, tmp_pat
     Image.fromarray(masks[other]).save(
         tmp_path / "p" / "My method!" / safe.relative_to(safe.parts[0])
     )
-    (again,), tally, predictions = scored(tmp_path / "p", own)
-    assert [row["iou"] for row in again.rows] == [1, 1] and not tally.missing
-    assert again.method == "My method!" and not tally.unused(predictions)
+    (again,), predictions = scored(tmp_path / "p", own)
+    assert [row["iou"] for row in again.rows] == [1, 1] and not predictions.missing
+    assert again.method == "My method!" and not predictions.unused
     entry = {"scene": own.scene, "frame": "view_01", "query": "café", "size": [104, 144]}
     file = tmp_path / "m.json"
     file.write_text(json.dumps([{**entry, "counts": encode(masks[query])}]))
-    (again,), tally, _ = scored(file, own)
-    assert [row["iou"] for row in again.rows] == [1, 0] and len(tally.missing) == 1
+    (again,), predictions = scored(file, own)
+    assert [row["iou"] for row in again.rows] == [1, 0] and len(predictions.missing) == 1
 
 
 def test_a_damaged_mask_is_one_sentence(folder, result, judged):

@@ -18,16 +18,19 @@ def test_an_index_that_is_not_one_is_refused(tmp_path, text):
 
 
 PAIR = ScenePair(
-    "ramen-frame_00024",
-    ("a.jpg", "c.jpg"),
-    ("b.jpg",),
-    ("egg", "nori"),
-    "label/ramen",
-    {"scene": "ramen"},
-    {"overlap": 0.8},
+    options={"scene": "ramen"},
+    labels="label/ramen",
+    context=("a.jpg", "c.jpg"),
+    target=("b.jpg",),
+    categories=("egg", "nori"),
+    measured={"overlap": 0.8},
 )
+NAME = "ramen-frame_00024"
 INDEX = Index(
-    (PAIR,), "lerf_ovs", {"name": "around", "version": 1, "max_aside": 0.3}, {"ramen-f": "no pair"}
+    format="lerf_ovs",
+    rule={"name": "around", "version": 1, "max_aside": 0.3},
+    scenes={NAME: PAIR},
+    left_out={"ramen-f": "no pair"},
 )
 
 
@@ -40,11 +43,11 @@ def test_what_is_written_is_read_in_every_version(tmp_path):
     assert path.read_bytes() == first
     fern = {"context": ["1.png", "3.png", "5.png"], "target": ["0.png", "4.png"]}
     write(path, {**json.loads(first), "scenes": {"fern": fern}})
-    pair = ScenePair("fern", ("1.png", "3.png", "5.png"), ("0.png", "4.png"))
-    assert read_index(path).pairs == (pair,)
+    pair = ScenePair(context=("1.png", "3.png", "5.png"), target=("0.png", "4.png"))
+    assert read_index(path).scenes == {"fern": pair}
     write(path, {"fern": {**fern, "categories": ["leaf"]}, "hall": {**fern, "categories": ["x"]}})
     old = read_index(path)
-    assert [pair.scene for pair in old.pairs] == ["fern", "hall"] and old.format is None
+    assert list(old.scenes) == ["fern", "hall"] and old.format == ""
     write(path, {"fern": {**fern, "categories": None}})
     with pytest.raises(InputError, match="scene 'fern': categories is missing"):
         read_index(path)
@@ -67,7 +70,7 @@ def test_a_bad_index_is_named_with_what_is_wrong(tmp_path, change, message):
     write_index(path, INDEX)
     content = json.loads(path.read_text())
     of_file = change.keys() <= content.keys()
-    (content if of_file else content["scenes"][PAIR.scene]).update(change)
+    (content if of_file else content["scenes"][NAME]).update(change)
     with pytest.raises(InputError) as caught:
         read_index(write(path, content))
     scene = "" if of_file else "scene 'ramen-frame_00024': "
@@ -85,9 +88,9 @@ class TestPublished:
         index = self.read(tmp_path, ab={"context": [58, 133], "target": [84, 102]}, cd=None)
         assert index.format == "re10k"
         assert index.left_out == {}
-        assert index.pairs == (
-            ScenePair("ab", ("58", "133"), ("84", "102"), labels="ab", options={"key": "ab"}),
-        )
+        views = {"context": ("58", "133"), "target": ("84", "102")}
+        pair = ScenePair(labels="ab", options={"key": "ab"}, **views)
+        assert index.scenes == {"ab": pair}
 
     def test_targets_that_are_contexts_are_left_out_and_said(self, tmp_path):
         clips = {
@@ -95,7 +98,7 @@ class TestPublished:
             "cd": {"context": [1, 9], "target": [9, 1]},
         }
         index = self.read(tmp_path, **clips)
-        assert [pair.targets for pair in index.pairs] == [("53",)]
+        assert [pair.target for pair in index.scenes.values()] == [("53",)]
         assert sorted(index.left_out) == ["ab/81", "cd", "cd/1", "cd/9"]
 
     @pytest.mark.parametrize(
@@ -107,5 +110,5 @@ class TestPublished:
 
     def test_the_whole_index_is_read(self, real_data):
         index = read_index(real_data / "re10k" / "evaluation_index_re10k.json")
-        assert len(index.pairs) == 6474
+        assert len(index.scenes) == 6474
         assert len({name.split("/")[0] for name in index.left_out}) == 575

@@ -26,7 +26,7 @@ def test_a_healthy_installation(server, tmp_path, monkeypatch, capsys):
     status, told = examined(monkeypatch, capsys, "--store", tmp_path / "store")
     assert told["BAD"] == [] and status == 0
     names = [line.split()[0] for line in told["ok"]]
-    assert names == ["slgaussian", "packages", "threads", "store", "server", "numerics"]
+    assert names == ["slgaussian", "packages", "threads", "store", "server"]
     assert f"torch {torch.__version__}, numpy {np.__version__}" in told["ok"][1]
     assert f"server Prefect's server {version('prefect')} answers at {server.url}" in told["ok"]
 

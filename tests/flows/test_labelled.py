@@ -104,9 +104,9 @@ class TestIndex:
         index = indexed(lerf)
         assert index.format == "lerf_ovs"
         assert index.rule["name"] == "around"
-        ramen, teatime = index.pairs
-        assert (ramen.scene, teatime.scene) == ("ramen-frame_00004", "teatime-frame_00005")
-        assert ramen.targets == (FRAMES[3],)
+        assert list(index.scenes) == ["ramen-frame_00004", "teatime-frame_00005"]
+        ramen, teatime = index.scenes.values()
+        assert ramen.target == (FRAMES[3],)
         assert ramen.categories == ("bowl", "nori")
         assert (ramen.labels, ramen.options) == ("label/ramen", {"scene": "ramen"})
         before, after = (FRAMES.index(name) for name in teatime.context)
@@ -115,13 +115,13 @@ class TestIndex:
         assert "have it between them" in index.left_out["teatime-frame_00001"]
 
     def test_a_photograph_that_is_missing_or_damaged_is_no_context(self, lerf):
-        pair = indexed(lerf).pairs[1]
+        pair = indexed(lerf).scenes["teatime-frame_00005"]
         (lerf / "teatime/images" / pair.context[0]).write_text("hello")
         (lerf / "teatime/images" / pair.context[1]).unlink()
         (lerf / "ramen/images" / FRAMES[3]).unlink()
         index = indexed(lerf)
         assert "no such photograph" in index.left_out["ramen-frame_00004"]
-        assert not any(set(pair.context) & set(second.context) for second in index.pairs)
+        assert not any(set(pair.context) & set(second.context) for second in index.scenes.values())
 
     def test_what_cannot_be_is_said_in_one_sentence(self, lerf, monkeypatch, capsys):
         lerf_ovs = ("--format", "lerf_ovs")

@@ -98,10 +98,10 @@ class DenseView:
         Raises InputError if the encoder cannot use a text.
         """
         size, full_size = self.vectors.shape[:2], self.seen.shape[::-1]
-        own, rivals = self._cosines(texts), self._cosines(self.reader.phrases(rules))
+        rival = self._cosines(self.reader.phrases(rules)).max(0)
         return [
             cv2.resize(gap.reshape(size), full_size, interpolation=cv2.INTER_LINEAR)
-            for gap in own - rivals.max(0)
+            for gap in self._cosines(texts) - rival
         ]
 
     def _cosines(self, texts: Sequence[str]) -> np.ndarray:

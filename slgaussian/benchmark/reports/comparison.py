@@ -117,7 +117,7 @@ def compare_runs(runs: Sequence[Run]) -> Report:
     manifests = {letter: run.manifest for letter, run in named.items() if run.manifest}
     block: Block = Prose("No known difference in settings, versions or data.")
     if settings := differing_settings(list(manifests.values())):
-        block = Table.of([Column(n, is_text=True) for n in ("Setting", *manifests)], settings)
+        block = Table([Column(n, is_text=True) for n in ("Setting", *manifests)], settings)
     sections.append(Section("Configuration", [block]))
     if tables := rank_methods(named):
         sections.append(Section("Scores", fold_protocols(tables)))
@@ -149,7 +149,7 @@ def _runs_table(named: Mapping[str, Run]) -> Table:
         rows.append([letter, str(run.folder), *map(str, counts)])
     heads = ["", Column("Folder", is_text=True), "Scenes", "Methods", "Samples",
              "Common with A", "Changed"]  # fmt: skip
-    return Table.of(heads, rows)
+    return Table(heads, rows)
 
 
 def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], list[Row]]]:
@@ -230,7 +230,7 @@ def _costs_table(runs: Sequence[Run]) -> Table:
         "or of machines under load, are not comparable."
     )
     rows = _side_by_side([_costs_by_name(run) for run in runs])
-    return Table.of(["Cost", *ascii_uppercase[: len(runs)]], rows, notes=[note])
+    return Table(["Cost", *ascii_uppercase[: len(runs)]], rows, notes=[note])
 
 
 def _costs_by_name(run: Run) -> dict[str, str]:

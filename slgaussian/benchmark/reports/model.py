@@ -60,49 +60,32 @@ class Cell:
         return f"{self.value} ({self.below})" if self.below else self.value
 
 
-@dataclass(frozen=True)
+@dataclass
 class Table:
-    """A table; ``notes`` are prose below it, ``style`` is a class of the style sheet.
+    """A table of columns, strings (of which the first is text) or :class:`Column`, and rows of
+    cells: strings, :class:`Cell`, or None for an empty cell.
 
-    With ``has_total`` the last row is a total.
+    ``notes`` are prose below it, ``style`` is a class of the style sheet. With ``has_total`` the
+    last row is a total.
     """
 
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    columns: Sequence[Any]
+    rows: Iterable[Iterable[Any]]
     title: str = ""
-    notes: tuple[str, ...] = ()
+    notes: Sequence[str] = ()
     style: str = ""
     has_total: bool = False
     kind: ClassVar[str] = "table"
 
-    @staticmethod
-    def of(
-        columns: Sequence[Any],
-        rows: Iterable[Iterable[Any]],
-        title: str = "",
-        notes: Sequence[str] = (),
-        style: str = "",
-        has_total: bool = False,
-    ) -> Table:
-        """Return a table of plain values.
-
-        Columns are strings, of which the first is text, or :class:`Column`; cells are strings,
-        :class:`Cell`, or None for an empty cell.
-        """
-        heads = (
+    def __post_init__(self) -> None:
+        self.columns = [
             column if isinstance(column, Column) else Column(column, is_text=place == 0)
-            for place, column in enumerate(columns)
-        )
-        cells = (
-            tuple(v if isinstance(v, Cell) else Cell(NO_VALUE if v is None else v) for v in row)
-            for row in rows
-        )
-        return Table(tuple(heads), tuple(cells), title, tuple(notes), style, has_total)
-
-    @staticmethod
-    def of_values(tree: Mapping[str, Any], title: str = "") -> Table:
-        """Return a table of two columns without headings: the leaves of nested mappings."""
-        return Table.of(["", Column("", is_text=True)], flatten(tree).items(), title)
+            for place, column in enumerate(self.columns)
+        ]
+        self.rows = [
+            [v if isinstance(v, Cell) else Cell(NO_VALUE if v is None else v) for v in row]
+            for row in self.rows
+        ]
 
     def as_text(self) -> str:
         """Return the table as text for a terminal, cells two spaces apart.
@@ -113,9 +96,14 @@ class Table:
         rows = [titles, *([cell.text for cell in row] for row in self.rows)]
         sides = "".join("<" if column.is_text else ">" for column in self.columns)
         text = table_text(rows, sides, wrap=False)
-        if len(text.partition("\n")[0]) > TERMINAL_WIDTH and len(self.rows) < len(self.columns):
+        if len(text.partition("\n")[0]) > TERMINAL_WIDTH and len(rows) <= len(titles):
             return table_text(zip(*rows, strict=True), wrap=False)
         return text
+
+
+def values_table(tree: Mapping[str, Any], title: str = "") -> Table:
+    """Return a table of two columns without headings: the leaves of nested mappings."""
+    return Table(["", Column("", is_text=True)], flatten(tree).items(), title)
 
 
 def number(value: float | None, digits: int, unit: float = 1) -> str | None:
@@ -139,9 +127,8 @@ class Prose:
 
 def terms(definitions: Mapping[str, str]) -> Prose:
     """Return a paragraph that defines terms."""
-    return Prose(
-        "; ".join(f"**{escape(term)}**: {escape(text)}" for term, text in definitions.items())
-    )
+    parts = (f"**{escape(term)}**: {escape(text)}" for term, text in definitions.items())
+    return Prose("; ".join(parts))
 
 
 @dataclass(frozen=True)
@@ -243,7 +230,7 @@ class Report:
             tables = [block for block in section.blocks if isinstance(block, Table)]
             texts = ["\n".join(filter(None, (table.title, table.as_text()))) for table in tables]
             if texts:
-                parts.append("\n".join([section.title, "\n\n".join(texts)]))
+                parts.append(f"{section.title}\n" + "\n\n".join(texts))
         return "\n\n".join(parts)
 
 

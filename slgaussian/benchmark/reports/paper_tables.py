@@ -109,7 +109,7 @@ def _table(
             cells.append(Cell(text, _number(scores[key]) if present else ""))
         rows.append([named(line), *cells])
     heads = ["", *map(named, table["columns"])]
-    return Table.of(heads, rows, table["title"], notes, has_total=titles[-1] == "overall")
+    return Table(heads, rows, table["title"], notes, has_total=titles[-1] == "overall")
 
 
 def _number(score: Row) -> str:

@@ -33,6 +33,7 @@ from slgaussian.benchmark.reports.model import (
     escape,
     number,
     terms,
+    values_table,
 )
 from slgaussian.benchmark.reports.paper_tables import paper_section
 from slgaussian.benchmark.reports.score_tables import (
@@ -51,6 +52,8 @@ from slgaussian.benchmark.reports.speed import speed_blocks
 from slgaussian.benchmark.scores import GOOD, grouped, key_of, of_first_protocol, score_table
 
 Row = Mapping[str, Any]
+BySet = Mapping[str, tuple[Mapping[str, Mapping[str, float]], Sequence[Row]]]
+"""Metrics by scene, and scores, of each data set."""
 
 PICTURED = 24
 """Largest number of scenes with pictures, those with the worst answers; all are in the tables."""
@@ -80,7 +83,6 @@ def run_report(
     """Make the report of a run.
 
     Args:
-        scenes: sequence of slgaussian.benchmark.reports.examples.Scene
         manifest: Versions, settings and data, nested mappings allowed. Entries of ``data``, by
             scene, have ``format``, ``scene`` and ``published``, whether it is a scene of the
             paper's tables, and ``cameras``, the source of the cameras.
@@ -95,7 +97,6 @@ def run_report(
     leading = of_first_protocol(rows)
     answers = [row for row in leading if row["method"] == ours]
     scores = score_table(leading).to_pylist()
-    our_scores = [score for score in scores if score["method"] == ours]
     data = manifest.get("data", {})
     sections, worst, folds = _picture_sections(scenes, answers, attribution)
     if scores:
@@ -106,18 +107,24 @@ def run_report(
         sections.append(_worst_section(answers, worst, attribution))
     if (paper := paper_section(rows, data, ours)) is not None:
         sections.append(paper)
-    if scenes:
-        sections.append(Section("Scenes", _scene_blocks(scenes, our_scores, data, folds), "scenes"))
-    configuration = [
-        Fold("Settings, methods and versions", [Table.of_values({**manifest, "data": {}})])
-    ]
-    if data:
-        configuration.append(Fold("Data of each scene, with digests", [Table.of_values(data)]))
-    sections.append(Section("Configuration", configuration, "configuration"))
     summary: list[Block] = [Prose(f"No scene was completed; {len(failures)} left out.", "lead")]
     if scenes:
-        summary = [*_summary(scenes, methods, answers, data, len(failures)),
-                   *_key_scores(scenes, scores, ours)]  # fmt: skip
+        by_set = {
+            dataset: (
+                {scene.name: scene.metrics for scene in scenes if scene.dataset == dataset},
+                [score for score in scores if score["dataset"] == dataset],
+            )
+            for dataset in dict.fromkeys(scene.dataset for scene in scenes)
+        }
+        sections.append(Section("Scenes", _scene_blocks(by_set, ours, data, folds), "scenes"))
+        summary = _summary(scenes, methods, answers, data, len(failures))
+        summary += _key_scores(by_set, ours)
+    configuration = [
+        Fold("Settings, methods and versions", [values_table({**manifest, "data": {}})])
+    ]
+    if data:
+        configuration.append(Fold("Data of each scene, with digests", [values_table(data)]))
+    sections.append(Section("Configuration", configuration, "configuration"))
     return Report("SLGaussian report", summary, sections)
 
 
@@ -164,36 +171,28 @@ def _summary(
         f"Other queries, without ground truth: {len(answers) - scored}.": 0 < scored < len(answers),
         f"Queries that the encoder does not understand (IoU 0): {unknown}.": unknown,
     }
-    listed = [part for part, holds in exceptions.items() if holds]
-    return [Prose(f"{text}.", "lead"), Prose(" ".join(listed), "soft fine")]
+    listed = " ".join(part for part, holds in exceptions.items() if holds)
+    return [Prose(f"{text}.", "lead"), Prose(listed, "soft fine")]
 
 
-def _key_scores(scenes: Sequence[examples.Scene], scores: Sequence[Row], ours: str) -> list[Table]:
+def _key_scores(by_set: BySet, ours: str) -> list[Table]:
     """Return the main scores of our method and of the best baseline, a row per data set."""
-    columns = [c for c in (IOU, HIT_MASK, PSNR) if any(c.metric in s.metrics for s in scenes)]
+    present = {name for metrics, _ in by_set.values() for of in metrics.values() for name in of}
+    columns = [column for column in (IOU, HIT_MASK, PSNR) if column.metric in present]
     lines: list[list[Cell | str]] = []
-    for dataset in dict.fromkeys(scene.dataset for scene in scenes):
-        metrics = {scene.name: scene.metrics for scene in scenes if scene.dataset == dataset}
-        of_set = [score for score in scores if score["dataset"] == dataset]
-        our_scores = [score for score in of_set if score["method"] == ours]
-        means = mean_cells(metrics, our_scores, columns)
-        cells = []
-        for column, cell in zip(columns, means, strict=True):
-            baselines = [
-                (score["value"], score["method"])
-                for score in of_set
-                if score["metric"] == column.metric
-                and score["method"] != ours
-                and not is_variant(score["method"])
-            ]
-            parts = [cell.below] if cell.below else []
-            if baselines:
-                value, method = max(baselines)
+    for dataset, (metrics, scores) in by_set.items():
+        cells = mean_cells(metrics, [s for s in scores if s["method"] == ours], columns)
+        rivals = [s for s in scores if s["method"] != ours and not is_variant(s["method"])]
+        for place, column in enumerate(columns):
+            parts = [cells[place].below] if cells[place].below else []
+            values = [(s["value"], s["method"]) for s in rivals if s["metric"] == column.metric]
+            if values:
+                value, method = max(values)
                 parts.append(f"best baseline: {value:.{column.digits}f}, {method}")
-            cells.append(replace(cell, below="; ".join(parts)))
+            cells[place] = replace(cells[place], below="; ".join(parts))
         lines.append([dataset, *cells])
     heads = ["Data set", *(column.column for column in columns)]
-    return [Table.of(heads, lines, style="key")] if columns else []
+    return [Table(heads, lines, style="key")] if columns else []
 
 
 def _picture_sections(
@@ -247,7 +246,7 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
         rest = [f"and {len(names) - LISTED} more"] if names[LISTED:] else []
         rows.append(["; ".join([*names[:LISTED], *rest]), stage, reason])
     heads = [Column(name, is_text=True) for name in ("Scene", "Stage", "Reason")]
-    return Section("Left out", [Table.of(heads, rows)], "left-out", style="failed")
+    return Section("Left out", [Table(heads, rows)], "left-out", style="failed")
 
 
 def _worst_section(
@@ -275,13 +274,12 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
         by_stage = {stage or "no miss": rows for (stage,), rows in grouped(queries, "lost").items()}
         order = sorted(by_stage, key=lambda stage: (stage == "no miss", -len(by_stage[stage])))
         lines = []
-        for stage in [*order, "all"]:
-            rows = by_stage.get(stage, queries)
+        for stage, rows in ((stage, by_stage.get(stage, queries)) for stage in [*order, "all"]):
             ious = ([row[n] for row in rows if row[n] is not None] for n in STAND_INS)
             means = [number(float(np.mean(values)), 3) if values else None for values in ious]
             lines.append([stage, str(len(rows)), *means])
         title = f"Misses by responsible stage, {dataset}"
-        blocks.append(Table.of(columns, lines, title, has_total=True))
+        blocks.append(Table(columns, lines, title, has_total=True))
     text = "Mean IoU if stages are replaced by ground truth one after the other, from left to "
     text += "right. The first replacement that turns a miss into a hit names the responsible stage."
     stand_ins = {title: help for title, help in STAND_INS.values() if help}
@@ -289,19 +287,15 @@ def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
 
 
 def _scene_blocks(
-    scenes: Sequence[examples.Scene],
-    scores: Sequence[Row],
-    data: Mapping[str, Any],
-    folds: Mapping[str, Fold],
+    by_set: BySet, ours: str, data: Mapping[str, Any], folds: Mapping[str, Fold]
 ) -> list[Block]:
-    """List the metrics of all scenes and their pictures; ``scores`` are those of our method."""
-    blocks: list[Block] = []
+    """List the metrics of all scenes and their pictures."""
     links = {name: fold.id for name, fold in folds.items()}
-    for dataset in dict.fromkeys(scene.dataset for scene in scenes):
-        metrics = {scene.name: scene.metrics for scene in scenes if scene.dataset == dataset}
-        of_set = [score for score in scores if score["dataset"] == dataset]
-        blocks.append(metrics_table(metrics, of_set, dataset, links))
-    present = {name for scene in scenes for name in scene.metrics}
+    blocks: list[Block] = [
+        metrics_table(metrics, [s for s in scores if s["method"] == ours], dataset, links)
+        for dataset, (metrics, scores) in by_set.items()
+    ]
+    present = {name for metrics, _ in by_set.values() for of in metrics.values() for name in of}
     view_metrics = [m for m in METRICS if m.metric in present and m not in SCORES["slgaussian"]]
     blocks.append(terms({m.title: m.help for m in view_metrics}))
     estimated = []

@@ -138,7 +138,7 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
             f"{_describe_interval(scenes, places)}",
         ]
         title = f"{dataset}, protocol {protocol}"
-        tables.append(Table.of([*heads, "Queries"], lines, title, notes))
+        tables.append(Table([*heads, "Queries"], lines, title, notes))
     return tables
 
 
@@ -188,7 +188,7 @@ def difference_tables(pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]]) 
             note += " Green: significant gain; red: significant loss; not corrected for multiple "
             note += "comparisons (1 in 20 is significant by chance)."
         heads = ["Method", *(score.column for score in columns)]
-        tables.append(Table.of(heads, lines, f"{dataset}, protocol {protocol}", [note]))
+        tables.append(Table(heads, lines, f"{dataset}, protocol {protocol}", [note]))
     return tables
 
 
@@ -221,7 +221,7 @@ def metrics_table(
     ]  # fmt: skip
     means = ["mean", *mean_cells(metrics, scores, columns)]
     heads = ["Scene", *(m.column for m in columns)]
-    return Table.of(heads, [*lines, means], title, has_total=True)
+    return Table(heads, [*lines, means], title, has_total=True)
 
 
 def mean_cells(

@@ -23,6 +23,7 @@ from slgaussian.benchmark.reports.model import (
     Table,
     data_uri,
     number,
+    values_table,
 )
 from slgaussian.benchmark.reports.score_tables import score_cell
 from slgaussian.benchmark.scores import of_first_protocol, score_table
@@ -90,7 +91,7 @@ def speed_blocks(
     blocks += [_paper_costs(cost, times) for cost in times.costs if cost.method == times.paper]
     if times.stages:
         blocks.append(_stages_table(times))
-    return [*blocks, Table.of_values(times.host, "Machine")]
+    return [*blocks, values_table(times.host, "Machine")]
 
 
 def _scores_by_cost(
@@ -133,7 +134,7 @@ def _scores_by_cost(
              "Pareto front"]  # fmt: skip
     score = "IoU" if by_method else "PSNR, dB"
     plots = [plot_pareto(points, front, label, score)] if len(points) > 1 else []
-    return [Table.of(heads, rows, title), Gallery(plots, "grid plots")]
+    return [Table(heads, rows, title), Gallery(plots, "grid plots")]
 
 
 def _paper_costs(cost: Cost, times: Times) -> Table:
@@ -154,7 +155,7 @@ def _paper_costs(cost: Cost, times: Times) -> Table:
     ]
     heads = ["Cost", "Paper, RTX 3090", "This machine", Column("Definition here", is_text=True)]
     lines = [[name, paper, number(ours, 4), text] for name, paper, ours, text in rows]
-    return Table.of(heads, lines, f"{cost.dataset}: costs in the paper at 416 x 576")
+    return Table(heads, lines, f"{cost.dataset}: costs in the paper at 416 x 576")
 
 
 def pareto_front(points: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
@@ -182,7 +183,7 @@ def _stages_table(times: Times) -> Table:
     if times.compiling >= 0.5:
         note += f" Compiling kernels, once per installation, took {times.compiling:.0f} s more."
     heads = ["Stage", "Per scene, s", "Total, s", "Share", "Memory, MB"]
-    return Table.of(heads, rows, "Time by stage", [note])
+    return Table(heads, rows, "Time by stage", [note])
 
 
 def plot(draw: Callable[[], Figure], caption: str) -> Picture:

@@ -9,7 +9,15 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from slgaussian.benchmark.reports.model import Column, Gallery, Prose, Report, Section, Table
+from slgaussian.benchmark.reports.model import (
+    Column,
+    Gallery,
+    Prose,
+    Report,
+    Section,
+    Table,
+    values_table,
+)
 from slgaussian.benchmark.reports.score_tables import comparison_cell
 from slgaussian.benchmark.reports.speed import ACCENT, SOFT, plot
 from slgaussian.benchmark.significance import clip_scores, gain
@@ -47,9 +55,9 @@ def training_report(metrics: pa.Table, judgements: pa.Table, manifest: Mapping[s
     caption = "Loss of every step and its running mean; grey: learning rate"
     curve = plot(lambda: _loss_curve(metrics), caption)
     sections = [
-        Section("Scores", [Table.of(heads, rows, notes=[note])]),
+        Section("Scores", [Table(heads, rows, notes=[note])]),
         Section("Loss", [Gallery([curve], "grid plots")]),
-        Section("Configuration", [Table.of_values(manifest)]),
+        Section("Configuration", [values_table(manifest)]),
     ]
     summary = "Evaluated by the objects in target views of clips that are not in the training set."
     return Report("Training of the semantic branch", [Prose(summary)], sections)
