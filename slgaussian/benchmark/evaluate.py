@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from dataclasses import field as dataclass_field
@@ -51,21 +52,20 @@ class SceneResult:
     """All results of one scene and one method.
 
     Attributes:
-        rows: list of dict. One per (frame, query, protocol), with the columns of the data spec
-            ``samples``. A query without ground truth has one row, of the first protocol.
-        scene_metrics: {name: float}. The scores of the first protocol
+        rows: One per (frame, query, protocol), with the columns of the data spec ``samples``. A
+            query without ground truth has one row, of the first protocol.
+        scene_metrics: The scores of the first protocol
             (:func:`slgaussian.benchmark.scores.scene_means`), and ``psnr``, ``ssim`` (means over
             targets), ``abs_rel``, ``delta125`` (context views), ``bad2`` (the same, rectified pairs
             only), ``target_abs_rel``, ``target_delta125`` (rendered); metrics without ground truth
             are absent. ``near`` and ``far`` are the range of the depth colours.
-        predictions: {(protocol, frame, query): bool [H, W]}. Mask of each row, with the row's
-            protocol. Some protocols have no masks.
-        pictures: {name: uint8 [H, W, 3]}. ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds:
-            ``input``, ``labels``, ``depth``, ``true_depth`` (context views),
-            ``photo``, ``render``, ``ids`` (targets and viewpoints along the way), ``relevancy`` and
-            ``mask`` (queries, by the first protocol).
-        costs: list of dict. One per (frame, query), with those columns of the data spec ``times``
-            that belong to the scene and method. Not reproducible.
+        predictions: Mask bool [H, W] by protocol, frame and query; some protocols have none.
+        pictures: uint8 [H, W, 3] by ``<kind>/<frame>`` or ``<kind>/<frame>/<query>``; kinds:
+            ``input``, ``labels``, ``depth``, ``true_depth`` (context views), ``photo``, ``render``,
+            ``ids`` (targets and viewpoints along the way), ``relevancy`` and ``mask`` (queries, by
+            the first protocol).
+        costs: One per (frame, query), with those columns of the data spec ``times`` that belong to
+            the scene and method. Not reproducible.
     """
 
     scene: str
@@ -88,11 +88,10 @@ class EvaluationSettings:
         method: Name of the method in every row.
         dataset: Data set of the scene; scores of different data sets are not averaged.
         place: Name of the place, if several scenes show one place and are not independent samples.
-        queries: sequence of str. Queries without ground truth, in the view midway between the first
-            two context cameras.
-        rules: Rules for answers.
-        protocols: sequence of str. Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`.
-            Pictures and scene metrics use the first. Default: all, that of ``rules`` first.
+        queries: Queries without ground truth, in the view midway between the first two context
+            cameras.
+        protocols: Names in :data:`slgaussian.benchmark.protocols.PROTOCOLS`; by default all.
+            Pictures and scene metrics use the first.
         drawn: Whether to render pictures.
     """
 
@@ -154,15 +153,18 @@ def evaluate(
     settings = settings or EvaluationSettings()
     queries, drawn = settings.queries, settings.drawn
     recorder = _Recorder(sample.scene, settings)
-    texts = list(dict.fromkeys([*(t for of in truth.masks.values() for t in of), *queries]))
-    if texts:
-        recorder.warm_up(field.render(sample.context[0].camera), texts)
+    if texts := [*(text for masks in truth.masks.values() for text in masks), *queries]:
+        # Answer a text untimed: then all that is computed once per scene is cached.
+        view = field.render(sample.context[0].camera)
+        known = [text for text in dict.fromkeys(texts) if understands(view.reader, text)]
+        if known:
+            recorder.query(view, known[:1])
     for target in sample.targets:
         view, seconds = _timed(field.render, target.camera)
         masks, boxes = (of.get(target.name, {}) for of in (truth.masks, truth.boxes))
         recorder.ask(view, seconds, target.name, target.image, masks, boxes)
-        psnr, ssim = (of(view.rgb, target.image) for of in (metrics.psnr, metrics.ssim))
-        recorder.measure({"psnr": psnr, "ssim": ssim})
+        images = view.rgb, target.image
+        recorder.measure({"psnr": metrics.psnr(*images), "ssim": metrics.ssim(*images)})
         if view.depth.any() and target.depth is not None:
             errors = metrics.depth_errors(view.depth, target.depth)
             recorder.measure({f"target_{name}": value for name, value in errors.items()})
@@ -242,11 +244,11 @@ class _Recorder:
         self.pictures: dict[str, np.ndarray] = {}
         self.costs: list[dict[str, Any]] = []
         self.constants: dict[str, float] = {}
-        self.measured: dict[str, list[float]] = {}
+        self.measured: dict[str, list[float]] = defaultdict(list)
 
     def measure(self, values: Mapping[str, float]) -> None:
         for name, value in values.items():
-            self.measured.setdefault(name, []).append(value)
+            self.measured[name].append(value)
 
     def look_at_depths(self, sample: Sample, gaussians: Gaussians) -> None:
         """Score and draw the predicted depths of the context views."""
@@ -271,10 +273,9 @@ class _Recorder:
         boxes: Mapping[str, np.ndarray],
         has_truth: bool = True,
     ) -> None:
-        """Answer, score and draw all queries of a frame, the keys of ``masks``.
+        """Answer, score and draw the queries of a frame, the keys of ``masks``.
 
-        An empty mask means no ground truth in this frame; without ``has_truth`` there is none at
-        all. ``seconds`` are those of rendering.
+        ``seconds`` are those of rendering. Without ``has_truth`` no empty mask is noted as absent.
         """
         if not masks:
             return
@@ -327,12 +328,6 @@ class _Recorder:
             self.costs.append(row if query in texts else row | {"query_seconds": None})
         return dict(zip(texts, hits, strict=True))
 
-    def warm_up(self, view: AnsweringView, texts: Sequence[str]) -> None:
-        """Answer one of ``texts`` untimed: then all that is computed once per scene is cached."""
-        known = (text for text in texts if understands(view.reader, text))
-        if (text := next(known, None)) is not None:
-            self.query(view, [text])
-
     def query(self, view: AnsweringView, texts: Sequence[str]) -> Sequence[Result]:
         hits = view.query_all(texts, **dict(self.rules))
         for hit in hits:
@@ -361,8 +356,8 @@ class _Recorder:
         heat = np.zeros(mask.shape, np.float32) if hit is None else hit.relevancy
         predicted = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
         painted = pictures.paint_stretched(heat, ground)
-        answer = pictures.spotlight(ground, predicted)
-        answer = pictures.draw_outline(answer, predicted, pictures.PREDICTED)
+        spotlit = pictures.spotlight(ground, predicted)
+        answer = pictures.draw_outline(spotlit, predicted, pictures.PREDICTED)
         for kind, picture in (("relevancy", painted), ("mask", answer)):
             outlined = pictures.draw_outline(picture, mask, pictures.TRUE)
             self.pictures[f"{kind}/{name}"] = pictures.draw_point(outlined, scored.point)
@@ -398,17 +393,12 @@ def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
 
 
 def _note(hit: Result | None, absent: bool) -> str:
-    notes = [] if hit is not None else [NOT_UNDERSTOOD]
-    if hit is not None and hit.unknown:
-        notes.append(f"unknown: {', '.join(hit.unknown)}")
-    if absent:
-        notes.append(ABSENT)
-    return "; ".join(notes)
+    unknown = f"unknown: {', '.join(hit.unknown)}" if hit and hit.unknown else ""
+    return "; ".join(filter(None, (unknown if hit else NOT_UNDERSTOOD, ABSENT if absent else "")))
 
 
 def _disparity_scale(sample: Sample) -> float | None:
-    """Return focal length times baseline if the context is one rectified pair, for which disparity
-    is defined; else None."""
+    """Return focal length times baseline of a rectified pair; None for other contexts."""
     if len(sample.context) != 2:
         return None
     a, b = (view.camera for view in sample.context)

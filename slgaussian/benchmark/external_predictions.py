@@ -196,7 +196,7 @@ def _score_frame(
 ) -> Iterator[tuple[dict[str, Any], np.ndarray | None]]:
     """Yield the rows of the spec ``samples`` of a frame, and the mask of each that has one."""
     truths, boxes = judged.truth.masks[frame], judged.truth.boxes.get(frame, {})
-    common = {"dataset": judged.dataset, "scene": judged.scene, "method": method}
+    common: dict[str, Any] = {"dataset": judged.dataset, "scene": judged.scene, "method": method}
     common |= {"place": judged.place, "frame": frame}
     answers = {
         protocol.name: _look_up(predictions, (method, protocol.name, judged.scene, frame), truths)

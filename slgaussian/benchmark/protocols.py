@@ -180,7 +180,8 @@ def _highest_pixel(frame: Frame, k: int, settings: MaskSettings) -> Scored:
 
 
 def _three_d_ovs(frame: Frame, k: int, settings: MaskSettings) -> Scored:
-    region = np.equal(frame.labels, k + 1)  # texts always compete in this protocol
+    assert frame.labels is not None  # texts always compete in this protocol
+    region = frame.labels == k + 1
     scores = {
         "boundary_iou": metrics.boundary_iou(region, frame.masks[k]),
         "class_iou": frame.class_ious[k],

@@ -26,7 +26,7 @@ def test_the_best_is_what_no_other_reads_better_than_and_stands_first():
         ("c", "0.499", ""),
     ]
     common = "near-best, share 0.7, temperature 10, phrases: lerf, absent: skip"
-    assert table.notes[:2] == (f"slgaussian@2: {common}.", f"b: {common.replace('0.7', '0.5')}.")
+    assert table.notes[:2] == [f"slgaussian@2: {common}.", f"b: {common.replace('0.7', '0.5')}."]
 
 
 def test_data_sets_and_protocols_are_apart():

@@ -25,17 +25,18 @@ def ious(**by_scene):
     ]
 
 
-def score(table, metric, **known):
-    (row,) = (
-        row
-        for row in table.to_pylist()
-        if row["metric"] == metric and all(row[k] == v for k, v in known.items())
-    )
+def score(rows, metric="iou"):
+    (row,) = (row for row in score_table(rows).to_pylist() if row["metric"] == metric)
     return row
 
 
+def difference(rows, baseline):
+    (found,) = differences(rows, baseline)
+    return found
+
+
 def test_every_scene_has_one_weight_whatever_its_samples():
-    row = score(score_table(ious(a=[1.0], b=[0.0, 0.5, 0.1])), "iou")
+    row = score(ious(a=[1.0], b=[0.0, 0.5, 0.1]))
     assert row["value"] == pytest.approx((1.0 + 0.2) / 2)
     assert (row["scenes"], row["samples"]) == (2, 4)
 
@@ -46,21 +47,19 @@ def test_miou_is_the_mean_over_frames_of_the_mean_over_classes():
         sample("a", "x", frame="g", class_iou=0.9, accuracy=0.8),
         sample("a", "z", frame="g"),
     ]
-    table = score_table(rows)
-    assert score(table, "miou")["value"] == pytest.approx((0.3 + 0.9) / 2)
-    assert score(table, "miou")["samples"] == 3
-    # One number a frame, however many rows it has.
-    assert score(table, "accuracy")["value"] == pytest.approx((0.5 + 0.8) / 2)
-    assert scene_means(rows) == {"miou": pytest.approx(0.6), "accuracy": pytest.approx(0.65)}
+    # Of accuracies there is one number a frame, however many rows it has.
+    expected = {"miou": pytest.approx((0.3 + 0.9) / 2), "accuracy": pytest.approx((0.5 + 0.8) / 2)}
+    assert scene_means(rows) == expected
+    assert {name: score(rows, name)["value"] for name in expected} == expected
+    assert score(rows, "miou")["samples"] == 3
 
 
 def test_one_scene_has_no_interval_and_few_have_a_rough_one():
-    one = score(score_table(ious(a=[0.1, 0.9])), "iou")
+    one = score(ious(a=[0.1, 0.9]))
     assert one["low"] is one["high"] is None and one["note"] == ONE_PLACE
-    few = score(score_table(ious(a=[0.1], b=[0.9])), "iou")
+    few = score(ious(a=[0.1], b=[0.9]))
     assert (few["low"], few["high"], few["note"]) == (0.1, 0.9, FEW_PLACES)
-    enough = ious(**{f"s{k}": [k / 10] for k in range(LEAST)})
-    row = score(score_table(enough), "iou")
+    row = score(ious(**{f"s{k}": [k / 10] for k in range(LEAST)}))
     assert row["note"] == "" and row["low"] < row["value"] < row["high"]
     assert row["level"] == LEVEL
 
@@ -77,16 +76,14 @@ def test_every_scene_of_a_drawn_place_counts_alike():
         for scene in range(scenes):
             iou = rng.random() / 4 + (scenes > 2)  # the place of many scenes is the best by far
             rows.append(sample(f"s{place}{scene}", "q", place=f"place {place}", iou=iou))
-    means = []
-    for often in resample_counts(tuple(row["place"] for row in rows)).tolist():
-        taken = [row["iou"] for row, times in zip(rows, often, strict=True) for _ in range(times)]
-        means.append(np.mean(taken))
-    row = score(score_table(rows), "iou")
-    ends = tuple(np.quantile(means, [0.025, 0.975]))
-    assert (row["low"], row["high"]) == pytest.approx(ends, abs=1e-9)
+    values = [row["iou"] for row in rows]
+    means = [np.repeat(values, n).mean() for n in resample_counts(tuple(r["place"] for r in rows))]
+    ends = pytest.approx(tuple(np.quantile(means, [0.025, 0.975])), abs=1e-9)
+    row = score(rows)
+    assert (row["low"], row["high"]) == ends
     assert row["places"] == 7 and row["note"] == ""
-    gain = gain_of(differences(rows, [row | {"iou": 0.0} for row in rows])).gain
-    assert (gain.low, gain.high) == pytest.approx(ends)
+    gain = difference(rows, [row | {"iou": 0.0} for row in rows]).gain
+    assert (gain.low, gain.high) == ends
 
 
 def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
@@ -96,16 +93,20 @@ def test_scores_of_all_protocols_have_the_columns_of_the_spec(result):
     for row in table.to_pylist():
         found.setdefault(row["protocol"], []).append(row["metric"])
         assert row["scenes"] == 1 and row["note"] == ONE_PLACE
-    assert list(found) == [protocol.label for protocol in PROTOCOLS.values()]
-    own = ["iou", "boundary_iou", "miou", "hit_mask", "hit_box"]
-    assert found["slgaussian@2"] == own
-    for name in ("langsplat@2", "langsplat-rescaled@2"):
-        assert found[name] == ["iou", "boundary_iou", "hit_box", "hit_peak"]
-    assert found["3d-ovs@2"] == ["boundary_iou", "miou", "accuracy"]
-    assert score(table, "iou", protocol="langsplat@2")["filter"] == "30"
-    for row in table.to_pylist():
-        if row["protocol"] == "slgaussian@2" and row["metric"] in result.scene_metrics:
+        assert row["filter"] == {"langsplat@2": "30", "langsplat-rescaled@2": "4"}.get(
+            row["protocol"]
+        )
+        if row["protocol"] == "slgaussian@2":
             assert row["value"] == result.scene_metrics[row["metric"]]
+    langsplat = ["iou", "boundary_iou", "hit_box", "hit_peak"]
+    assert found == {
+        "slgaussian@2": ["iou", "boundary_iou", "miou", "hit_mask", "hit_box"],
+        "langsplat@2": langsplat,
+        "langsplat-rescaled@2": langsplat,
+        "3d-ovs@2": ["boundary_iou", "miou", "accuracy"],
+        "highest-pixel@1": ["hit_mask", "hit_box", "hit_peak"],
+    }
+    assert list(found) == [protocol.label for protocol in PROTOCOLS.values()]
 
 
 def test_samples_of_several_settings_are_no_one_score():
@@ -115,26 +116,15 @@ def test_samples_of_several_settings_are_no_one_score():
         score_table(rows)
     # A filter that goes with the images' width is one setting.
     rows = [sample("a", "x", iou=0.1, filter=17), sample("b", "x", iou=0.2, filter=9)]
-    assert score(score_table(rows), "iou")["filter"] == "9, 17"
-
-
-def gain_of(found, metric="iou"):
-    (one,) = (difference for difference in found if difference.metric == metric)
-    return one
+    assert score(rows)["filter"] == "9, 17"
 
 
 def test_differences_are_of_what_both_were_asked():
     mine = ious(a=[0.9, 0.5], b=[0.4], c=[0.8])
     theirs = [*ious(a=[0.7], b=[0.1]), sample("d", "q0", iou=0.0)]
-    found = gain_of(differences(mine, theirs))
-    assert found.gain.difference == pytest.approx((0.2 + 0.3) / 2)
-    assert (found.gain.samples, found.samples) == (2, 2)
+    found = difference(mine, theirs)
     assert found.gain == compare([0.9, 0.4], [0.7, 0.1])
-    back = gain_of(differences(theirs, mine))
-    assert back.gain.low == pytest.approx(-found.gain.high)
-
-
-def test_two_methods_at_once_are_refused():
-    rows = [*ious(a=[0.9]), sample("a", "q0", iou=0.1, method="n")]
+    assert (found.gain.samples, found.samples) == (2, 2)
+    assert difference(theirs, mine).gain.low == pytest.approx(-found.gain.high)
     with pytest.raises(InputError, match="'q0' in 'f' of scene 'a' is there twice by slgaussian@2"):
-        differences(rows, ious(a=[0.9]))
+        differences([*mine, sample("a", "q0", iou=0.1, method="n")], mine)

@@ -50,4 +50,4 @@ def test_scores_stand_beside_costs_and_the_papers_beside_ours(result):
     assert machine[1:] == [["machine", "a machine"], ["processor", "this"]]
     assert "took 30 s more" in text
     page = append_section("<nav></nav><main></main>", "html", section)
-    assert page.count("data:image/svg+xml") == 1 and '<a href="#times">' in page
+    assert '<a href="#times">' in page

@@ -53,6 +53,12 @@ SUMMARY = (
 )
 
 
+COSTS_NOTE = (
+    "Medians over scenes, measured when each result was computed. Times of different machines, or "
+    "of machines under load, are not comparable."
+)
+
+
 @dataclass(frozen=True)
 class Run:
     """Files of a run: samples, manifest, times and costs; empty if missing."""
@@ -131,24 +137,30 @@ def compare_runs(runs: Sequence[Run]) -> Report:
         title = f"Differences: {'each run' if later[1:] else later[0][0]} minus {base}"
         sections.append(Section(title, fold_protocols(tables)))
     if all(run.times for run in runs):
-        sections.append(Section("Costs", [_costs_table(runs)]))
+        rows = _side_by_side([_costs_by_name(run) for run in runs])
+        table = Table(["Cost", *named], rows, notes=[COSTS_NOTE])
+        sections.append(Section("Costs", [table]))
     return Report("Comparison of runs", [Prose(SUMMARY)], sections)
 
 
 def _runs_table(named: Mapping[str, Run]) -> Table:
     """List the runs, and the number of samples that each shares with the first."""
-    first = next(iter(named.values()))
+    first = named["A"]
     rows = []
     for letter, run in named.items():
         pairs = [
-            pair for _, mine, theirs in _pair_methods(first, run) for pair in _align(mine, theirs)
+            (row, theirs[sample_key(row)])
+            for _, mine, baseline in _pair_methods(first, run)
+            for theirs in [{sample_key(row): row for row in baseline}]
+            for row in mine
+            if sample_key(row) in theirs
         ]
         changed = sum({**a, "method": ""} != {**b, "method": ""} for a, b in pairs)
         scenes = len({row["scene"] for row in run.rows})
         counts = (scenes, len(run.by_method), len(run.rows), len(pairs), changed)
         rows.append([letter, str(run.folder), *map(str, counts)])
-    heads = ["", Column("Folder", is_text=True), "Scenes", "Methods", "Samples",
-             "Common with A", "Changed"]  # fmt: skip
+    folder = Column("Folder", is_text=True)
+    heads = ["", folder, "Scenes", "Methods", "Samples", "Common with A", "Changed"]
     return Table(heads, rows)
 
 
@@ -161,12 +173,6 @@ def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], lis
     if not shared and earlier and later:
         (name, rows), (rival, rival_rows) = next(iter(earlier.items())), next(iter(later.items()))
         yield f"{rival} − {name}", rows, rival_rows
-
-
-def _align(rows: Sequence[Row], baseline: Sequence[Row]) -> list[tuple[Row, Row]]:
-    """Return the pairs of common samples."""
-    theirs = {sample_key(row): row for row in baseline}
-    return [(row, theirs[sample_key(row)]) for row in rows if sample_key(row) in theirs]
 
 
 def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]]:
@@ -205,32 +211,20 @@ def rank_methods(named: Mapping[str, Run]) -> list[Table]:
     for letter, run in named.items():
         for (dataset,), rows in grouped(run.rows, "dataset").items():
             by_dataset.setdefault(dataset, {})[letter] = rows
-    rows = []
+    common: list[Row] = []
     for by_run in by_dataset.values():
         truths: dict[str, set[str]] = {}
         for letter in by_run:
             for scene, data in named[letter].manifest.get("data", {}).items():
                 truths.setdefault(scene, set()).update(filter(None, [data.get("truth")]))
-        shared = set.intersection(
-            *({sample_key(row) for row in run_rows} for run_rows in by_run.values())
-        )
-        rows += [
+        shared = set.intersection(*(set(map(sample_key, rows)) for rows in by_run.values()))
+        common += [
             {**row, "method": f"{row['method']}, {letter}"}
-            for letter, run_rows in by_run.items()
-            for row in run_rows
+            for letter, rows in by_run.items()
+            for row in rows
             if sample_key(row) in shared and len(truths.get(row["scene"], ())) < 2
         ]
-    return method_tables(rows)
-
-
-def _costs_table(runs: Sequence[Run]) -> Table:
-    """Return a table of seconds, memory and machines of the runs."""
-    note = (
-        "Medians over scenes, measured when each result was computed. Times of different machines, "
-        "or of machines under load, are not comparable."
-    )
-    rows = _side_by_side([_costs_by_name(run) for run in runs])
-    return Table(["Cost", *ascii_uppercase[: len(runs)]], rows, notes=[note])
+    return method_tables(common)
 
 
 def _costs_by_name(run: Run) -> dict[str, str]:

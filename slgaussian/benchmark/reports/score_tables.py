@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -101,25 +102,23 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
             method: {row["metric"]: row for row in method_rows}
             for (method,), method_rows in grouped(rows, "method").items()
         }
-        columns = [s for s in scores_of(protocol) if any(s.metric in r for r in by_method.values())]
+        columns = _present(protocol, by_method)
         if not columns:
             continue
-        first = columns[0].metric
         best = [
-            score_cell(max((r[s.metric] for r in by_method.values() if s.metric in r),
-                           key=lambda row: row["value"]), s.digits).value
+            max((r[s.metric] for r in by_method.values() if s.metric in r), key=itemgetter("value"))
             for s in columns
-        ]  # fmt: skip
+        ]
         lines: list[list[Any]] = []
         for method, by_metric in by_method.items():
             cells = [score_cell(by_metric.get(score.metric), score.digits) for score in columns]
-            if len(by_method) > 1:
-                cells = [
-                    replace(cell, mark="best" if cell.value == highest else "")
-                    for cell, highest in zip(cells, best, strict=True)
-                ]
+            for place, (score, highest) in enumerate(zip(columns, best, strict=True)):
+                is_best = cells[place].value == f"{highest['value']:.{score.digits}f}"
+                if is_best and len(by_method) > 1:
+                    cells[place] = replace(cells[place], mark="best")
             if ours:
-                cells.append(gain_cell(gains.get((dataset, protocol, method, first)), columns[0]))
+                gain = gains.get((dataset, protocol, method, columns[0].metric))
+                cells.append(gain_cell(gain, columns[0]))
             queries = max(row["samples"] for row in by_metric.values())
             lines.append([Cell(method), *cells, str(queries)])
         lines.sort(key=lambda line: line[1].value.replace(NO_VALUE, ""), reverse=True)
@@ -129,17 +128,21 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
             heads.append(Column(f"{ours} minus method", text))
         settings = {method: conditions(next(iter(r.values()))) for method, r in by_method.items()}
         ((usual, _),) = Counter(settings.values()).most_common(1)
-        unusual = [f"{escape(m)}: {escape(s)}." for m, s in settings.items() if s != usual]
         scenes, places = (max(row[unit] for row in rows) for unit in ("scenes", "places"))
         notes = [
             f"{escape(protocol)}: {escape(usual)}.",
-            *unusual,
+            *(f"{escape(m)}: {escape(s)}." for m, s in settings.items() if s != usual),
             f"Mean over {count_text(scenes, 'scene')} of the scene means. "
             f"{_describe_interval(scenes, places)}",
         ]
         title = f"{dataset}, protocol {protocol}"
         tables.append(Table([*heads, "Queries"], lines, title, notes))
     return tables
+
+
+def _present(protocol: str, by_name: Mapping[str, Mapping[str, Any]]) -> list[Score]:
+    """Return the scores of a protocol that any of several mappings by metric has."""
+    return [s for s in scores_of(protocol) if any(s.metric in of for of in by_name.values())]
 
 
 def _gains(samples: Sequence[Row], ours: str) -> dict[tuple[str, ...], Difference]:
@@ -173,7 +176,7 @@ def difference_tables(pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]]) 
             by_name.setdefault(name, {})[difference.metric] = difference
     tables = []
     for (dataset, protocol), by_name in groups.items():
-        columns = [s for s in scores_of(protocol) if any(s.metric in d for d in by_name.values())]
+        columns = _present(protocol, by_name)
         if not columns:
             continue
         lines = [
@@ -207,21 +210,18 @@ def metrics_table(
     title: str = "",
     links: Mapping[str, str] | None = None,
 ) -> Table:
-    """Return a table with a row per scene and a row of means with intervals from ``scores``.
+    """Return a table with a row per scene and a row of unweighted means over scenes.
 
-    The mean is unweighted over the scenes that have the metric. ``metrics`` are by scene and name,
-    ``scores`` rows of the spec ``scores`` in their protocol; other metrics have no interval.
-    ``links`` are ids of parts of the page by scene.
+    ``metrics`` are by scene and name. Metrics in ``scores``, rows of the spec ``scores``, have
+    intervals. ``links`` are ids of parts of the page by scene.
     """
     columns = [m for m in METRICS if any(m.metric in values for values in metrics.values())]
-    lines = [
-        [Cell(scene, link=(links or {}).get(scene, "")),
-         *(number(values.get(m.metric), m.digits) for m in columns)]
-        for scene, values in metrics.items()
-    ]  # fmt: skip
-    means = ["mean", *mean_cells(metrics, scores, columns)]
-    heads = ["Scene", *(m.column for m in columns)]
-    return Table(heads, [*lines, means], title, has_total=True)
+    lines: list[list[Any]] = []
+    for scene, values in metrics.items():
+        numbers = (number(values.get(m.metric), m.digits) for m in columns)
+        lines.append([Cell(scene, link=(links or {}).get(scene, "")), *numbers])
+    lines.append(["mean", *mean_cells(metrics, scores, columns)])
+    return Table(["Scene", *(m.column for m in columns)], lines, title, has_total=True)
 
 
 def mean_cells(

@@ -2,52 +2,17 @@
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from statistics import fmean
 from typing import Any
 
-import matplotlib
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
-
 from slgaussian.benchmark.baselines import is_swept
 from slgaussian.benchmark.costs import Cost, Times
-from slgaussian.benchmark.reports.model import (
-    Block,
-    Column,
-    Gallery,
-    Picture,
-    Prose,
-    Table,
-    data_uri,
-    number,
-    values_table,
-)
+from slgaussian.benchmark.reports.model import Block, Column, Prose, Table, number, values_table
 from slgaussian.benchmark.reports.score_tables import score_cell
 from slgaussian.benchmark.scores import of_first_protocol, score_table
 
 Row = Mapping[str, Any]
-
-METADATA = ("Date", "Creator", "Format", "Type")
-"""Metadata keys of Matplotlib that are removed from a picture."""
-
-SOFT, ACCENT = "#667085", "#0072B2"
-
-STYLE = {
-    "svg.hashsalt": "slgaussian",
-    "svg.fonttype": "path",
-    "font.size": 9.5,
-    "axes.edgecolor": "#d5dae2",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "grid.color": "#eef0f4",
-}
-
-MARKERS = "osD^v<>pPXhd8"
-"""Marker shapes of the methods, in their order."""
 
 COSTS = (
     "**Pareto front**: no other method has at least the same score in at most the same time. Times "
@@ -85,7 +50,13 @@ def speed_blocks(
         )
         title = f"{dataset}, evaluated at {', '.join(sizes)} pixels (height x width)"
         costs = [cost for cost in times.costs if cost.dataset == dataset]
-        blocks += _scores_by_cost(title, costs, ious, novel)
+        scores = {cost.method: ious.get((dataset, cost.method)) for cost in costs}
+        decibels = {
+            cost.method: fmean(values)
+            for cost in costs
+            if (values := [v for *names, v in novel if names == [dataset, cost.method]])
+        }
+        blocks.append(_scores_by_cost(title, costs, scores, decibels))
     if len(blocks) > 1:
         blocks.append(Prose(COSTS))
     blocks += [_paper_costs(cost, times) for cost in times.costs if cost.method == times.paper]
@@ -97,44 +68,32 @@ def speed_blocks(
 def _scores_by_cost(
     title: str,
     costs: Sequence[Cost],
-    ious: Mapping[tuple[str, str], Row],
-    novel: Sequence[tuple[str, str, float]],
-) -> list[Block]:
+    ious: Mapping[str, Row | None],
+    decibels: Mapping[str, float],
+) -> Table:
     """Compare scores and costs of the methods of a data set, best first."""
-    psnr = {
-        cost.method: fmean(decibels)
-        for cost in costs
-        if (decibels := [v for *name, v in novel if name == [cost.dataset, cost.method]])
-    }
-    by_method = {c.method: row for c in costs if (row := ious.get((c.dataset, c.method)))}
-    values = {method: row["value"] for method, row in by_method.items()} or psnr
+    values = {method: row["value"] for method, row in ious.items() if row} or decibels
     has_fields = any(is_swept(cost.method) for cost in costs)
-    label = "seconds to build and query" if has_fields else "seconds per query in a new view"
-    seconds = {c.method: s for c in costs if (s := c.total if has_fields else c.view_query)}
-    ranked = sorted(costs, key=lambda cost: -values.get(cost.method, 0))
     points = {
-        c.method: (seconds[c.method], values[c.method])
-        for c in ranked
-        if c.method in values and c.method in seconds
+        c.method: (seconds, values[c.method])
+        for c in costs
+        if c.method in values and (seconds := c.total if has_fields else c.view_query)
     }
     front = pareto_front(list(points.values()))
     rows = [
         [
             cost.method,
-            score_cell(by_method.get(cost.method), 3),
-            number(psnr.get(cost.method), 1),
+            score_cell(ious[cost.method], 3),
+            number(decibels.get(cost.method), 1),
             number(cost.build, 2),
             number(cost.prepare, 3),
             number(cost.view_query, 4),
             "yes" if points.get(cost.method) in front else "",
         ]
-        for cost in ranked
+        for cost in sorted(costs, key=lambda cost: -values.get(cost.method, 0))
     ]
-    heads = ["Method", "IoU", "PSNR, dB", "Build, s", "Prepare, s", "Query in a new view, s",
-             "Pareto front"]  # fmt: skip
-    score = "IoU" if by_method else "PSNR, dB"
-    plots = [plot_pareto(points, front, label, score)] if len(points) > 1 else []
-    return [Table(heads, rows, title), Gallery(plots, "grid plots")]
+    heads = ["Method", "IoU", "PSNR, dB", "Build, s", "Prepare, s", "Query in a new view, s"]
+    return Table([*heads, "Pareto front"], rows, title)
 
 
 def _paper_costs(cost: Cost, times: Times) -> Table:
@@ -169,53 +128,13 @@ def pareto_front(points: Sequence[tuple[float, float]]) -> list[tuple[float, flo
 
 def _stages_table(times: Times) -> Table:
     total = sum(cost.seconds for cost in times.stages.values()) or 1.0
-    rows = [
-        [
-            stage,
-            number(cost.middle, 2),
-            number(cost.seconds, 2),
-            f"{100 * cost.seconds / total:.0f} %",
-            number(cost.peak, 0, 1e6),
-        ]
-        for stage, cost in times.stages.items()
-    ]
+    rows = []
+    for stage, cost in times.stages.items():
+        seconds = number(cost.middle, 2), number(cost.seconds, 2)
+        share = f"{100 * cost.seconds / total:.0f} %"
+        rows.append([stage, *seconds, share, number(cost.peak, 0, 1e6)])
     note = STAGES
     if times.compiling >= 0.5:
         note += f" Compiling kernels, once per installation, took {times.compiling:.0f} s more."
     heads = ["Stage", "Per scene, s", "Total, s", "Share", "Memory, MB"]
     return Table(heads, rows, "Time by stage", [note])
-
-
-def plot(draw: Callable[[], Figure], caption: str) -> Picture:
-    """Return the figure that ``draw`` makes as an SVG picture."""
-    out = io.StringIO()
-    with matplotlib.rc_context(STYLE):
-        draw().savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
-    text = re.sub(r"<!DOCTYPE[^>]*>\s*", "", out.getvalue(), flags=re.DOTALL)
-    return Picture(data_uri(text.encode(), "svg+xml"), caption, caption)
-
-
-def plot_pareto(
-    points: Mapping[str, tuple[float, float]],
-    front: Sequence[tuple[float, float]],
-    label: str,
-    score: str,
-) -> Picture:
-    """Plot (cost, score) by method; a line connects the Pareto front."""
-
-    def draw() -> Figure:
-        figure = Figure((6.6, 3.4 + 0.1 * len(points)), layout="constrained")
-        axes = figure.subplots()
-        axes.plot(*zip(*sorted(front), strict=True), color=SOFT, lw=0.8, drawstyle="steps-post")
-        for place, (method, point) in enumerate(points.items()):
-            axes.plot(*point, MARKERS[place % len(MARKERS)], ms=8, mec="white", label=method)
-        axes.set(xscale="log", xlabel=label, ylabel=score)
-        axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-        axes.xaxis.set_major_formatter("{x:g}")
-        axes.xaxis.set_minor_formatter(NullFormatter())
-        axes.margins(0.08, 0.1)
-        axes.grid()
-        figure.legend(loc="outside lower center", ncols=2, frameon=False)
-        return figure
-
-    return plot(draw, f"{score} against {label}; the line is the Pareto front")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Mapping
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
@@ -12,14 +15,15 @@ from matplotlib.figure import Figure
 from slgaussian.benchmark.reports.model import (
     Column,
     Gallery,
+    Picture,
     Prose,
     Report,
     Section,
     Table,
+    data_uri,
     values_table,
 )
 from slgaussian.benchmark.reports.score_tables import comparison_cell
-from slgaussian.benchmark.reports.speed import ACCENT, SOFT, plot
 from slgaussian.benchmark.significance import clip_scores, gain
 from slgaussian.benchmark.statistics import LEAST, LEVEL
 
@@ -30,6 +34,22 @@ ABOUT = {
     "before": "the initial weights, or the weights in use",
 }
 """Descriptions of the liftings."""
+
+METADATA = ("Date", "Creator", "Format", "Type")
+"""Metadata keys of Matplotlib that are removed from a picture."""
+
+SOFT, ACCENT = "#667085", "#0072B2"
+
+STYLE = {
+    "svg.hashsalt": "slgaussian",
+    "svg.fonttype": "path",
+    "font.size": 9.5,
+    "axes.edgecolor": "#d5dae2",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": "#eef0f4",
+}
 
 SMOOTH = 0.02
 """Fraction of the steps over which the loss curve is averaged."""
@@ -52,8 +72,12 @@ def training_report(metrics: pa.Table, judgements: pa.Table, manifest: Mapping[s
     ]
     heads = ["Lifting", "IoU", "Branch minus lifting", Column("", is_text=True)]
     note = f"Intervals: {LEVEL:.0%} paired bootstrap over clips; unreliable below {LEAST} clips."
+    out = io.StringIO()
+    with matplotlib.rc_context(STYLE):
+        _loss_curve(metrics).savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
+    svg = re.sub(r"<!DOCTYPE[^>]*>\s*", "", out.getvalue(), flags=re.DOTALL)
     caption = "Loss of every step and its running mean; grey: learning rate"
-    curve = plot(lambda: _loss_curve(metrics), caption)
+    curve = Picture(data_uri(svg.encode(), "svg+xml"), caption, caption)
     sections = [
         Section("Scores", [Table(heads, rows, notes=[note])]),
         Section("Loss", [Gallery([curve], "grid plots")]),
