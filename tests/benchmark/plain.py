@@ -61,67 +61,28 @@ def langsplat(relevancy, side):
 def scores(protocol, frame, k):
     """What ``protocol`` says of query ``k`` of a frame."""
     answer, truth, boxes = frame.answers[k], frame.masks[k], frame.boxes[k]
-    region = frame.labels == k + 1
-    if protocol == "slgaussian":
-        point = answer.point
-        return {
-            "iou": iou(answer.mask, truth),
-            "boundary_iou": boundary_iou(answer.mask, truth),
-            "class_iou": iou(region, truth),
-            "hit_mask": point is not None and bool(truth[point[1], point[0]]),
-            "hit_box": point is not None and inside_boxes([point], boxes),
-        }
-    if protocol.startswith("langsplat"):
-        width = truth.shape[1]
-        side = 30 if protocol == "langsplat" else round(30 * width / 988)
-        mask, peak, point = langsplat(answer.relevancy, side)
-        return {
-            "iou": iou(mask, truth),
-            "boundary_iou": boundary_iou(mask, truth),
-            "hit_peak": inside_boxes(peak, boxes),
-            "hit_box": point is not None and inside_boxes([point], boxes),
-        }
+    region, point, mask = frame.labels == k + 1, answer.point, answer.mask
     if protocol == "3d-ovs":
         bits = np.stack(frame.masks)
         told = np.stack([frame.labels == j + 1 for j in range(len(bits))])
         right = (bits == told).all(0) & told.any(0)
-        return {
-            "class_iou": iou(region, truth),
-            "boundary_iou": boundary_iou(region, truth),
-            "accuracy": right.mean(),
-        }
-    relevancy = answer.relevancy
+        overlap = {"class_iou": iou(region, truth), "boundary_iou": boundary_iou(region, truth)}
+        return {**overlap, "accuracy": right.mean()}
+    found = {}
     if protocol == "highest-pixel":
-        best = relevancy.max()
-        h, w = relevancy.shape
-        peak = [(x, y) for y in range(h) for x in range(w) if 0 < relevancy[y, x] == best]
-        return {
-            "hit_box": bool(peak) and inside_boxes(peak[:1], boxes),
-            "hit_mask": bool(peak) and bool(truth[peak[0][1], peak[0][0]]),
-            "hit_peak": inside_boxes(peak, boxes),
-        }
-    raise ValueError(protocol)
-
-
-def filled(polygon, height, width):
-    """Even-odd: the pixels whose middle an odd number of edges lies to the left of."""
-    ys, xs = np.mgrid[:height, :width].astype(np.float64)
-    odd = np.zeros((height, width), bool)
-    for (x0, y0), (x1, y1) in zip(polygon, np.roll(polygon, -1, 0), strict=True):
-        crosses = (ys >= min(y0, y1)) & (ys < max(y0, y1))
-        if y0 != y1:
-            odd ^= crosses & (xs > x0 + (ys - y0) * (x1 - x0) / (y1 - y0))
-    return odd
-
-
-def near_edges(polygon, height, width, distance):
-    """The pixels whose middle is within a distance of an edge."""
-    ys, xs = np.mgrid[:height, :width].astype(np.float64)
-    near = np.zeros((height, width), bool)
-    for a, b in zip(polygon, np.roll(polygon, -1, 0), strict=True):
-        along = np.asarray(b, float) - a
-        length = (along**2).sum()
-        t = ((xs - a[0]) * along[0] + (ys - a[1]) * along[1]) / length if length else 0.0
-        t = np.clip(t, 0, 1)
-        near |= np.hypot(xs - a[0] - t * along[0], ys - a[1] - t * along[1]) <= distance
-    return near
+        best, (h, w) = answer.relevancy.max(), truth.shape
+        pixels = [(x, y) for y in range(h) for x in range(w)]
+        peak = [(x, y) for x, y in pixels if 0 < answer.relevancy[y, x] == best]
+        point = peak[0] if peak else None
+    elif protocol.startswith("langsplat"):
+        side = 30 if protocol == "langsplat" else round(30 * truth.shape[1] / 988)
+        mask, peak, point = langsplat(answer.relevancy, side)
+    if protocol == "slgaussian":
+        found["class_iou"] = iou(region, truth)
+    else:
+        found["hit_peak"] = inside_boxes(peak, boxes)
+    if protocol != "highest-pixel":
+        found |= {"iou": iou(mask, truth), "boundary_iou": boundary_iou(mask, truth)}
+    if not protocol.startswith("langsplat"):
+        found["hit_mask"] = point is not None and bool(truth[point[1], point[0]])
+    return found | {"hit_box": point is not None and inside_boxes([point], boxes)}

@@ -1,3 +1,5 @@
+"""Files of a benchmark: masks that any tool reads, and which of an earlier run are deleted."""
+
 import re
 
 import numpy as np
@@ -39,16 +41,15 @@ def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
         write_predictions(rows, masks_of(result), tmp_path / "predictions")
     write_samples([*result.rows, *other], tmp_path)
     before = set(tmp_path.rglob("*.png"))
-    kept = tmp_path / "predictions" / "other" / "notes.txt"
-    kept.write_text("mine")
+    notes = tmp_path / "predictions" / "other" / "notes.txt"
     foreign = tmp_path / "predictions" / "yet another" / "a.png"
     foreign.parent.mkdir()
-    foreign.write_bytes(b"")
+    for file in (notes, foreign):
+        file.write_text("mine")
     few = [row for row in result.rows if row["query"] == result.rows[0]["query"]]
     clear_predictions(few, tmp_path)
-    left = set(tmp_path.rglob("*.png")) - {foreign}
-    assert left == {tmp_path / "predictions" / mask_path(row) for row in few} & before
-    assert left and kept.read_text() == "mine" and foreign.exists()
+    left = {tmp_path / "predictions" / mask_path(row) for row in few} & before
+    assert left and set(tmp_path.rglob("*.png")) == left | {foreign} and notes.exists()
     assert not (tmp_path / "predictions" / "other" / "slgaussian").exists()
     # Again, or without a table of samples, nothing happens.
     clear_predictions(few, tmp_path)
@@ -56,7 +57,7 @@ def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
         samples = tmp_path / "samples.parquet"
         samples.unlink() if table is None else samples.write_bytes(table)
         clear_predictions([], tmp_path)
-    assert set(tmp_path.rglob("*.png")) - {foreign} == left
+    assert set(tmp_path.rglob("*.png")) == left | {foreign}
 
 
 def test_file_names_are_safe_and_differ():
@@ -75,8 +76,9 @@ def test_file_names_are_safe_and_differ():
         "x",
         "l" * 300,
     ]
+    odd += ["con", "con.txt"]
     names = [file_name(text) for text in odd]
-    assert len(set(names)) == len(odd)
+    assert len(set(names)) == len(odd) and not {"con", "con.txt"} & set(names)
     for name in names:
         assert re.fullmatch(r"[A-Za-z0-9_-][A-Za-z0-9._ -]{0,99}", name)
 
