@@ -264,8 +264,8 @@ def _stored_images(file: Path) -> Iterator[tuple[list[float], int, str]]:
             # COLMAP writes a line of points, triples of numbers, after each image. Files written
             # from known poses often lack these lines.
             if not _are_points(line):
-                _, *numbers, name = line.split(None, 9)
-                yield list(map(float, numbers[:7])), int(numbers[7]), name
+                _, *words, name = line.split(None, 9)
+                yield list(map(float, words[:7])), int(words[7]), name
         return
     data = _Bytes(file)
     for _ in data.entries():

@@ -169,9 +169,9 @@ def surround(
             continue
         values = scores * cover * (1 - 0.5 * aside / max(rule.max_aside, 1e-9))
         k = int(np.where(good, values, -1).argmax())
-        measures = {"score": values[k], "cover": cover[k], "aside": aside[k]}
-        numbers = {name: float(value) for name, value in measures.items()}
-        chosen.append(replace(pairs[k], targets=(target,), **numbers))
+        score, covered, apart = (float(measure[k]) for measure in (values, cover, aside))
+        pair = replace(pairs[k], targets=(target,), score=score, cover=covered, aside=apart)
+        chosen.append(pair)
     return chosen
 
 

@@ -109,20 +109,15 @@ class LiveField:
         areas = np.zeros(len(all_gaps), int)
         areas[self._rows[present]] = LEAST_PIXELS
         selected = reader.chosen([text], all_gaps[None], areas, Rules())[0, self._rows] & present
-        answerable = np.isfinite(gaps) & present
+        fields = ("kind", "measurements", "named", "alone", "untold", "unknown")
         return {
             "text": text,
-            "kind": understood.kind,
             "gaps": [
-                round(gap, 6) if present else None
-                for gap, present in zip(gaps.tolist(), answerable, strict=True)
+                round(gap, 6) if known else None
+                for gap, known in zip(gaps.tolist(), np.isfinite(gaps) & present, strict=True)
             ],
             "taken": selected.tolist(),
-            "measurements": understood.measurements,
-            "named": understood.named,
-            "alone": understood.alone,
-            "untold": understood.untold,
-            "unknown": list(understood.unknown),
+            **{name: getattr(understood, name) for name in fields},
         }
 
     def change(self, changed: SemanticField) -> dict[str, Any]:
@@ -144,22 +139,6 @@ class LiveField:
         return self.state()
 
 
-def app(page: str, access: Access, live: LiveField) -> Starlette:
-    """Build the application that serves ``page`` at ``/`` and its calls at ``POST /api/...``.
-
-    Bodies and answers are JSON; a call that fails has status 400 and ``{"error": sentence}``.
-    """
-
-    async def show(request: Request) -> Response:
-        return HTMLResponse(page, headers=HEADERS)
-
-    lock = threading.Lock()
-    calls = [_route(name, call, lock) for name, call in _calls(live).items()]
-    return Starlette(
-        routes=[Route("/", show), *calls], middleware=[Middleware(Guard, access=access)]
-    )
-
-
 class Body(Config, title="request"):
     """Body of a call; each call reads what it needs."""
 
@@ -168,25 +147,27 @@ class Body(Config, title="request"):
     object: StrictInt = 0
 
 
-Call = Callable[[Body], dict[str, Any]]
+CALLS: dict[str, Callable[[LiveField, Body], dict[str, Any]]] = {
+    "state": lambda live, body: live.state(),
+    "query": lambda live, body: live.query(body.texts),
+    "teach": lambda live, body: live.change(live.field.teach(body.word, body.object)),
+    "name": lambda live, body: live.change(live.field.named(body.object, body.word)),
+    "remove": lambda live, body: live.change(live.field.without([body.object])),
+    "restore": lambda live, body: live.change(live.field.restored([body.object])),
+    "undo": lambda live, body: live.undo(),
+    "save": lambda live, body: live.save(),
+}
+"""The functions behind ``POST /api/NAME``, by name."""
 
 
-def _calls(live: LiveField) -> dict[str, Call]:
-    """Return the functions behind ``POST /api/NAME``, by name."""
-    return {
-        "state": lambda body: live.state(),
-        "query": lambda body: live.query(body.texts),
-        "teach": lambda body: live.change(live.field.teach(body.word, body.object)),
-        "name": lambda body: live.change(live.field.named(body.object, body.word)),
-        "remove": lambda body: live.change(live.field.without([body.object])),
-        "restore": lambda body: live.change(live.field.restored([body.object])),
-        "undo": lambda body: live.undo(),
-        "save": lambda body: live.save(),
-    }
+def app(page: str, access: Access, live: LiveField) -> Starlette:
+    """Build the application that serves ``page`` at ``/`` and :data:`CALLS` at ``POST /api/NAME``.
 
+    Bodies and answers are JSON; a call that fails has status 400 and ``{"error": sentence}``.
+    """
+    lock = threading.Lock()
 
-def _route(name: str, call: Call, lock: threading.Lock) -> Route:
-    def locked(data: bytes) -> dict[str, Any]:
+    def locked(name: str, data: bytes) -> dict[str, Any]:
         try:
             values = strict_json.parse(data)
         except ValueError:
@@ -195,20 +176,26 @@ def _route(name: str, call: Call, lock: threading.Lock) -> Route:
             raise InputError("the body of the request is not a JSON object, expected one")
         body = Body(**values)
         with lock:
-            return call(body)
+            return CALLS[name](live, body)
+
+    async def show(request: Request) -> Response:
+        return HTMLResponse(page, headers=HEADERS)
 
     async def respond(request: Request) -> Response:
-        body = b""
+        body, name = b"", request.url.path.rpartition("/")[2]
         async for chunk in request.stream():
             body += chunk
             if len(body) > MOST_BYTES:
                 return JSONResponse({"error": f"found more than {MOST_BYTES} bytes"}, 413, HEADERS)
         try:
-            return JSONResponse(await run_in_threadpool(locked, body), headers=HEADERS)
+            return JSONResponse(await run_in_threadpool(locked, name, body), headers=HEADERS)
         except SLGaussianError as error:
             return JSONResponse({"error": str(error)}, 400, HEADERS)
 
-    return Route(f"/api/{name}", respond, methods=["POST"])
+    calls = [Route(f"/api/{name}", respond, methods=["POST"]) for name in CALLS]
+    return Starlette(
+        routes=[Route("/", show), *calls], middleware=[Middleware(Guard, access=access)]
+    )
 
 
 def serve(application: Starlette, access: Access) -> None:

@@ -279,6 +279,7 @@ def _object(
     x, y, place = spot
     angle, top = float(rng.uniform(0, 2 * math.pi)), None
     turn = _turned(angle)
+    size: Sequence[float]
     if shape == "ball":
         size, lift, turn = (scale,), scale, np.eye(3)
     elif shape == "box":

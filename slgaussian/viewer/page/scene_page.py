@@ -240,7 +240,7 @@ def _base64(data: bytes) -> str:
 
 
 def _digest(text: str) -> str:
-    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    return f"sha256-{_base64(hashlib.sha256(text.encode()).digest())}"
 
 
 def _colour_maps() -> bytes:
