@@ -10,8 +10,6 @@ from slgaussian.datasets import colmap, load
 from slgaussian.datasets.recognise import posed_scene
 from slgaussian.errors import InputError
 
-KINDS = ("cameras", "images")
-
 SHOTS = {
     "b.png": Shot(3, place=(0.1, 0.2, -0.3), turn=20),
     "a.png": Shot(11, place=(1, 0, 0), turn=-35),
@@ -40,49 +38,36 @@ def scene(tmp_path):
     return tmp_path
 
 
-class TestPoses:
-    @pytest.mark.parametrize("text", [False, True])
-    def test_are_those_that_pycolmap_reads(self, tmp_path, text):
-        write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS, text)
-        pycolmap = pytest.importorskip("pycolmap")
-        theirs = pycolmap.Reconstruction(tmp_path / "sparse/0")
+@pytest.mark.parametrize(
+    ("place", "text"),
+    [("sparse/0", False), ("sparse", True), ("colmap/sparse/0", False), (".", True)],
+)
+def test_cameras_are_those_that_pycolmap_reads(tmp_path, place, text):
+    write_model(tmp_path / place, SHOTS, CAMERAS, POINTS, text)
+    theirs = pytest.importorskip("pycolmap").Reconstruction(tmp_path / place)
+    cameras = colmap.read(tmp_path).cameras
+    assert list(cameras) == ["a.png", "b.png", "deep/a.png"]  # whatever the ids
+    for image in theirs.images.values():
+        own = cameras[image.name]
+        # 17 digits in text and 8 bytes in binary files leave no more than this.
+        assert own.w2c[:3] == pytest.approx(image.cam_from_world().matrix(), abs=1e-14)
+        assert pytest.approx(image.camera.calibration_matrix()) == own.K
+
+
+def test_text_files_need_no_lines_of_points(tmp_path):
+    # As written from known poses, and with points below some images only.
+    write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS[:2], text=True)
+    file = tmp_path / "sparse/0/images.txt"
+    poses = [line for line in file.read_text().splitlines() if line.endswith(".png")]
+    points = "0.5 1 7 20 1e1 -1"
+    for lines in (
+        poses, [poses[0], points, *poses[1:]], [*poses, points], [*poses[:2], "", poses[2]],
+    ):  # fmt: skip
+        file.write_text("\n".join(lines))
         cameras = colmap.read(tmp_path).cameras
-        assert list(cameras) == ["a.png", "b.png", "deep/a.png"]  # whatever the ids
-        for image in theirs.images.values():
-            own = cameras[image.name]
-            # 17 digits in text and 8 bytes in binary files leave no more than this.
-            assert own.w2c[:3] == pytest.approx(image.cam_from_world().matrix(), abs=1e-14)
-            assert pytest.approx(image.camera.calibration_matrix()) == own.K
-            seen, depth = own.project(POINTS)
-            expected = [image.project_point(point) for point in POINTS]
-            for pixel, z, there in zip(seen, depth, expected, strict=True):
-                assert (there is None) == (z <= 0)
-                assert there is None or pixel == pytest.approx(there, abs=1e-9)
-
-    @pytest.mark.parametrize("place", ["sparse/0", "sparse", "colmap/sparse/0", "."])
-    def test_the_model_may_lie_in_several_places(self, tmp_path, place):
-        write_model(tmp_path / place, SHOTS, CAMERAS)
-        assert len(colmap.read(tmp_path).cameras) == 3
-
-
-class TestTextFiles:
-    def test_need_no_lines_of_points(self, tmp_path):
-        # As written from known poses, and with points below some images only.
-        write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS[:2], text=True)
-        file = tmp_path / "sparse/0/images.txt"
-        lines = file.read_text().splitlines()
-        poses = [line for line in lines if line.endswith(".png")]
-        points = "0.5 1 7 20 1e1 -1"
-        for texts in (
-            poses,
-            [poses[0], points, *poses[1:]],
-            [*poses, points],
-            [*poses[:2], "", poses[2]],
-        ):
-            file.write_text("\n".join(texts))
-            for name, camera in colmap.read(tmp_path).cameras.items():
-                assert camera.w2c[:3] == pytest.approx(SHOTS[name].w2c(), abs=1e-12)
-            assert len(colmap.read(tmp_path).cameras) == 3
+        assert len(cameras) == 3
+        for name, camera in cameras.items():
+            assert camera.w2c[:3] == pytest.approx(SHOTS[name].w2c(), abs=1e-12)
 
 
 class TestSeveralModels:
@@ -110,97 +95,88 @@ class TestSeveralModels:
         assert (scene.read("01.png").image == picture(1)).all()
 
 
-class TestLenses:
-    def test_beyond_the_fold_of_a_polynomial_there_is_nothing(self, tmp_path):
-        # Beyond r = 1 / sqrt(3 * 0.9) of the image plane this lens turns back towards the middle.
-        lens = {1: ("SIMPLE_RADIAL", (60.0, 48.0, 32.0, -0.9))}
-        write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, lens)
-        (tmp_path / "images").mkdir()
-        Image.new("RGB", (WIDTH, HEIGHT), "white").save(tmp_path / "images/a.png")
-        image = colmap.read(tmp_path).read("a.png").image
-        rows, cols = np.indices((HEIGHT, WIDTH)) + 0.5
-        radius = np.hypot(cols - 48, rows - 32) / 60
-        fold = 1 / np.sqrt(2.7)
-        assert (image[radius < fold - 0.03] == 255).all()
-        assert (image[radius > fold + 0.03] == 0).all()
-
-    @pytest.mark.parametrize(
-        ("model", "params"),
-        [("EQUIRECTANGULAR", (WIDTH, HEIGHT)), ("FOV", (80, 80, 48, 32, 0.6))],
-    )
-    def test_that_opencv_does_not_have_are_refused(self, tmp_path, model, params):
-        write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: (model, params)})
-        with pytest.raises(InputError, match=r"camera 1 is of model \w+, expected one"):
-            colmap.read(tmp_path)
+def test_beyond_the_fold_of_a_polynomial_there_is_nothing(tmp_path):
+    # Beyond r = 1 / sqrt(3 * 0.9) of the image plane this lens turns back towards the middle.
+    lens = {1: ("SIMPLE_RADIAL", (60.0, 48.0, 32.0, -0.9))}
+    write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, lens)
+    (tmp_path / "images").mkdir()
+    Image.new("RGB", (WIDTH, HEIGHT), "white").save(tmp_path / "images/a.png")
+    image = colmap.read(tmp_path).read("a.png").image
+    rows, cols = np.indices((HEIGHT, WIDTH)) + 0.5
+    radius = np.hypot(cols - 48, rows - 32) / 60
+    fold = 1 / np.sqrt(2.7)
+    assert (image[radius < fold - 0.03] == 255).all()
+    assert (image[radius > fold + 0.03] == 0).all()
 
 
-class TestPhotographs:
-    def test_are_found_below_folders_and_by_their_own_names(self, scene):
-        read = colmap.read(scene)
-        assert (read.read("deep/a.png").image == picture(2)).all()
-        assert read.find("b") == "b.png"
-        with pytest.raises(InputError, match="is ambiguous"):
-            read.find("a")
-
-    def test_that_were_shrunk_get_shrunk_cameras(self, scene):
-        shutil.rmtree(scene / "images")
-        write_pictures(scene / "images_4", list(SHOTS), WIDTH // 4, HEIGHT // 4)
-        write_pictures(scene / "images_2", list(SHOTS), WIDTH // 2, HEIGHT // 2)
-        half, quarter = colmap.read(scene), colmap.read(scene, images="images_4")
-        for read, factor in ((half, 2), (quarter, 4)):
-            camera = read.read("a.png").camera
-            assert (camera.width, camera.height) == (WIDTH // factor, HEIGHT // factor)
-            assert np.allclose(camera.K[:2] * factor, [[80, 0, 47.3], [0, 82, 33.1]])
+@pytest.mark.parametrize(
+    ("model", "params"), [("EQUIRECTANGULAR", (WIDTH, HEIGHT)), ("FOV", (80, 80, 48, 32, 0.6))]
+)
+def test_lenses_that_opencv_does_not_have_are_refused(tmp_path, model, params):
+    write_model(tmp_path / "sparse/0", {"a.png": Shot(1)}, {1: (model, params)})
+    with pytest.raises(InputError, match=r"camera 1 is of model \w+, expected one"):
+        colmap.read(tmp_path)
 
 
-class TestDamage:
-    def test_a_binary_file_that_is_cut_anywhere_is_named(self, scene):
-        for kind in KINDS:
-            file = scene / f"sparse/0/{kind}.bin"
-            data = file.read_bytes()
-            for end in range(0, len(data), max(1, len(data) // 60)):
-                file.write_bytes(data[:end])
-                with pytest.raises(InputError, match=rf"{kind}\.bin: .*damaged or cut short"):
-                    colmap.read(scene)
-            file.write_bytes(data + b"\0")
-            with pytest.raises(InputError, match=rf"{kind}\.bin: .*its last entry ends at byte"):
-                colmap.read(scene)
-            file.write_bytes(data)
+def test_photographs_are_found_below_folders_and_shrunk_ones_get_shrunk_cameras(scene):
+    read = colmap.read(scene)
+    assert (read.read("deep/a.png").image == picture(2)).all()
+    assert read.find("b") == "b.png"
+    with pytest.raises(InputError, match="is ambiguous"):
+        read.find("a")
+    shutil.rmtree(scene / "images")
+    for factor in (2, 4):
+        write_pictures(scene / f"images_{factor}", list(SHOTS), WIDTH // factor, HEIGHT // factor)
+    half, quarter = colmap.read(scene), colmap.read(scene, images="images_4")
+    for read, factor in ((half, 2), (quarter, 4)):
+        camera = read.read("a.png").camera
+        assert (camera.width, camera.height) == (WIDTH // factor, HEIGHT // factor)
+        assert np.allclose(camera.K[:2] * factor, [[80, 0, 47.3], [0, 82, 33.1]])
+
+
+@pytest.mark.parametrize("kind", ["cameras", "images"])
+def test_a_damaged_binary_file_is_named(scene, kind):
+    file = scene / f"sparse/0/{kind}.bin"
+    data = file.read_bytes()
+    for end in range(0, len(data), max(1, len(data) // 60)):
+        file.write_bytes(data[:end])
+        with pytest.raises(InputError, match=rf"{kind}\.bin: .*damaged or cut short"):
+            colmap.read(scene)
+    file.write_bytes(data + b"\0")
+    with pytest.raises(InputError, match=rf"{kind}\.bin: .*its last entry ends at byte"):
+        colmap.read(scene)
+    file.write_bytes(struct.pack("<Q", 2**61) + bytes(100))  # takes no memory
+    with pytest.raises(InputError, match=rf"{kind}\.bin: is damaged"):
         colmap.read(scene)
 
-    @pytest.mark.parametrize("kind", KINDS)
-    def test_a_count_that_no_file_can_hold_takes_no_memory(self, scene, kind):
-        (scene / f"sparse/0/{kind}.bin").write_bytes(struct.pack("<Q", 2**61) + bytes(100))
-        with pytest.raises(InputError, match=rf"{kind}\.bin: is damaged"):
-            colmap.read(scene)
 
-    @pytest.mark.parametrize(
-        ("kind", "old", "new", "sentence"),
-        [
-            ("cameras", "2 SIMPLE_PINHOLE", "2 MAGIC", "is of model MAGIC"),
-            ("cameras", "2 SIMPLE_PINHOLE", "2 OPENCV", "camera 2: OPENCV with parameters"),
-            ("cameras", "2 SIMPLE_PINHOLE", "1 SIMPLE_PINHOLE", "it has two cameras 1"),
-            ("cameras", "75", "0.8", "focal length x is 0.8, for 96x64 pixels a field"),
-            ("cameras", "2 SIMPLE_PINHOLE", "7 SIMPLE_PINHOLE", "taken with camera 2"),
-            ("images", " deep/a.png", " b.png", "two images are called 'b.png'"),
-            ("images", "2 1 0 -0 0", "2 1 0", "is damaged"),
-            ("images", "2 1 0 -0 0", "2 1 1 0 0", "is no unit quaternion"),
-        ],
-    )
-    def test_what_cannot_be_is_said(self, tmp_path, kind, old, new, sentence):
-        write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS, text=True)
-        file = tmp_path / f"sparse/0/{kind}.txt"
-        text = file.read_text()
-        assert old in text
-        file.write_text(text.replace(old, new))
-        with pytest.raises(InputError) as caught:
-            colmap.read(tmp_path)
-        assert sentence in str(caught.value)
-        assert str(tmp_path / "sparse/0") in str(caught.value)
+@pytest.mark.parametrize(
+    ("kind", "old", "new", "sentence"),
+    [
+        ("cameras", "2 SIMPLE_PINHOLE", "2 MAGIC", "is of model MAGIC"),
+        ("cameras", "2 SIMPLE_PINHOLE", "2 OPENCV", "camera 2: OPENCV with parameters"),
+        ("cameras", "2 SIMPLE_PINHOLE", "1 SIMPLE_PINHOLE", "it has two cameras 1"),
+        ("cameras", "75", "0.8", "focal length x is 0.8, for 96x64 pixels a field"),
+        ("cameras", "2 SIMPLE_PINHOLE", "7 SIMPLE_PINHOLE", "taken with camera 2"),
+        ("images", " deep/a.png", " b.png", "two images are called 'b.png'"),
+        ("images", "2 1 0 -0 0", "2 1 0", "is damaged"),
+        ("images", "2 1 0 -0 0", "2 1 1 0 0", "is no unit quaternion"),
+    ],
+)
+def test_what_cannot_be_is_said(tmp_path, kind, old, new, sentence):
+    write_model(tmp_path / "sparse/0", SHOTS, CAMERAS, POINTS, text=True)
+    file = tmp_path / f"sparse/0/{kind}.txt"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+    with pytest.raises(InputError) as caught:
+        colmap.read(tmp_path)
+    assert sentence in str(caught.value) and str(tmp_path / "sparse/0") in str(caught.value)
 
-    def test_no_model_and_no_pose_are_said(self, tmp_path):
-        with pytest.raises(InputError, match="has no COLMAP model; expected cameras and images"):
-            load("colmap", tmp_path)
-        write_model(tmp_path / "sparse/0", {}, CAMERAS)
-        with pytest.raises(InputError, match="has no posed image"):
-            load("colmap", tmp_path)
+
+def test_no_model_and_no_pose_are_said(tmp_path):
+    with pytest.raises(InputError, match="has no COLMAP model; expected cameras and images"):
+        load("colmap", tmp_path)
+    write_model(tmp_path / "sparse/0", {}, CAMERAS)
+    with pytest.raises(InputError, match="has no posed image"):
+        load("colmap", tmp_path)

@@ -22,7 +22,6 @@ from slgaussian.scene import Scene
 WIDTH, HEIGHT = 250, 200
 SIGMA, HALF = 3.0, 13
 MIDDLE = (WIDTH / 2, HEIGHT / 2)
-TIMES = (33_366, 66_733)
 NAMES = ("a.png", "b.png")
 POINTS = np.array(
     [(0.1, 0, 4), (-1.2, -0.9, 4.2), (1.4, -0.8, 3.8), (-1.1, 0.9, 4.1), (1.3, 1, 4.4)]
@@ -75,45 +74,35 @@ def with_mark(text: str) -> bytes:
     return codecs.BOM_UTF8 + text.encode()
 
 
+PINHOLE = "PINHOLE", (150, 153, 121.4, 104.7)
+FISHEYE = "OPENCV_FISHEYE", LENSES["OPENCV_FISHEYE"]
 NERF = {  # what a file says, and the model and parameters of pycolmap's that it means
-    "pinhole": ({"top": focal(150, 153)}, "PINHOLE", (150, 153, 121.4, 104.7)),
+    "pinhole": ({"top": focal(150, 153)}, *PINHOLE),
     "opencv": (
         {"top": focal(160, 163, k1=-0.2, k2=0.05, p1=0.004, p2=-0.006, k3=0.01)},
-        "FULL_OPENCV",
-        (160, 163, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006, 0.01, 0, 0, 0),
+        *("FULL_OPENCV", (160, 163, 121.4, 104.7, -0.2, 0.05, 0.004, -0.006, 0.01, 0, 0, 0)),
     ),
     "fisheye": (
         {
             "top": focal(160, 163, k1=0.05, k2=-0.02, k3=0.004, k4=-0.001),
             "frame": {"camera_model": "OPENCV_FISHEYE"},
         },
-        "OPENCV_FISHEYE",
-        LENSES["OPENCV_FISHEYE"],
+        *FISHEYE,
     ),
     "is_fisheye": (
-        {"top": focal(160, 163, k1=0.05, k2=-0.02, k3=0.004, k4=-0.001, is_fisheye=True)},
-        "OPENCV_FISHEYE",
-        LENSES["OPENCV_FISHEYE"],
+        {"top": focal(160, 163, k1=0.05, k2=-0.02, k3=0.004, k4=-0.001, is_fisheye=True)}, *FISHEYE,
     ),
     "radians": (
         {"top": {"camera_angle_x": angle(150, WIDTH), "camera_angle_y": angle(130, HEIGHT)}},
-        "PINHOLE",
-        (150, 130, *MIDDLE),
+        *("PINHOLE", (150, 130, *MIDDLE)),
     ),
     "degrees": (
-        {
-            "top": {
-                "x_fov": np.degrees(angle(150, WIDTH)),
-                "y_fov": np.degrees(angle(130, HEIGHT)),
-            }
-        },
-        "PINHOLE",
-        (150, 130, *MIDDLE),
+        {"top": {"x_fov": np.degrees(angle(150, WIDTH)), "y_fov": np.degrees(angle(130, HEIGHT))}},
+        *("PINHOLE", (150, 130, *MIDDLE)),
     ),
     "a frame's angle": (
         {"top": {"fl_x": 300.0}, "frame": {"camera_angle_x": angle(150, WIDTH)}},
-        "PINHOLE",
-        (150, 150, *MIDDLE),
+        *("PINHOLE", (150, 150, *MIDDLE)),
     ),
     "neutral keys": (
         {
@@ -123,13 +112,10 @@ NERF = {  # what a file says, and the model and parameters of pycolmap's that it
                 distortion_model="none",
             )
         },
-        "PINHOLE",
-        (150, 153, 121.4, 104.7),
+        *PINHOLE,
     ),
     "of Windows": (
-        {"top": focal(150, 153), "encode": with_mark, "name": "images\\{}"},
-        "PINHOLE",
-        (150, 153, 121.4, 104.7),
+        {"top": focal(150, 153), "encode": with_mark, "name": "images\\{}"}, *PINHOLE,
     ),
 }  # fmt: skip
 
@@ -144,22 +130,20 @@ def read_llff(folder: Path) -> Scene:
     return load("llff", folder)
 
 
-def camera_rows(fx, fy, cx, cy) -> list[list[float]]:
-    fractions = (fx / WIDTH, fy / HEIGHT, cx / WIDTH, cy / HEIGHT)
-    return [[*fractions, 0, 0, *pose.w2c().ravel()] for pose in POSES]
-
-
 def read_re10k(folder: Path) -> Scene:
-    rows = np.array(camera_rows(150, 153, 121.4, 104.7), np.float32)
+    fractions = (150 / WIDTH, 153 / HEIGHT, 121.4 / WIDTH, 104.7 / HEIGHT)
+    rows = np.array([[*fractions, 0, 0, *pose.w2c().ravel()] for pose in POSES], np.float32)
     images = tuple((folder / "images" / name).read_bytes() for name in NAMES)
-    re10k.write(folder / "test", [re10k.Clip("clip", "", np.array(TIMES), rows, images)])
+    re10k.write(folder / "test", [re10k.Clip("clip", "", np.arange(2), rows, images)])
     return load("re10k", folder / "test", "clip")
 
 
 def read_colmap(model, params, text):
     def read(folder: Path) -> Scene:
         shots = dict(zip(NAMES, POSES, strict=True))
-        write_model(folder / "sparse/0", shots, {1: (model, params)}, text=text, size=SIZE)
+        write_model(
+            folder / "sparse/0", shots, {1: (model, params)}, text=text, size=(WIDTH, HEIGHT)
+        )
         if text:  # as written from known poses, and on Windows
             images = folder / "sparse/0/images.txt"
             kept = [line for line in images.read_text().splitlines() if line.strip()]
@@ -169,25 +153,21 @@ def read_colmap(model, params, text):
     return read
 
 
-SIZE = (WIDTH, HEIGHT)
-PINHOLES = {"PINHOLE": (150, 153, 121.4, 104.7), "SIMPLE_PINHOLE": (150, 121.4, 104.7)}
 READERS = {
     "llff": (read_llff, "SIMPLE_PINHOLE", (150, *MIDDLE)),
-    "re10k": (read_re10k, "PINHOLE", PINHOLES["PINHOLE"]),
+    "re10k": (read_re10k, *PINHOLE),
     **{
-        f"nerfstudio {name}": (lambda folder, keys=keys: transforms(folder, **keys), model, params)
-        for name, (keys, model, params) in NERF.items()
+        f"nerfstudio {name}": (lambda folder, keys=keys: transforms(folder, **keys), *lens)
+        for name, (keys, *lens) in NERF.items()
     },
     **{
-        f"colmap {model}{' text' if text else ''}": (
-            read_colmap(model, params, text),
-            model,
-            params,
-        )
-        for model, params in {**LENSES, **PINHOLES}.items()
+        f"colmap {model}{' text' * text}": (read_colmap(model, params, text), model, params)
+        for model, params in {
+            **LENSES, **dict([PINHOLE]), "SIMPLE_PINHOLE": (150, 121.4, 104.7)
+        }.items()
         for text in ((False, True) if model == "OPENCV" else (False,))
     },
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("reader", READERS)
