@@ -30,93 +30,80 @@ def write(root: Path, frames: list, images=("a.png",), **top) -> Path:
     return file
 
 
-class TestCameras:
-    def test_a_frame_overrides_the_file(self, tmp_path):
-        frames = [frame("a.png"), frame("b.png", fl_x=200.0, cx=10.0)]
-        cameras = nerfstudio.read(write(tmp_path, frames, ("a.png", "b.png"))).cameras
-        assert cameras["a.png"].K[0].tolist() == [80, 0, 47.3]
-        assert cameras["b.png"].K[0].tolist() == [200, 0, 10]
-        assert cameras["b.png"].K[1].tolist() == [0, 82, 33.1]
+def test_a_frame_overrides_the_file_and_blender_files_need_only_an_angle(tmp_path):
+    frames = [frame("a.png"), frame("b.png", fl_x=200.0, cx=10.0)]
+    cameras = nerfstudio.read(write(tmp_path, frames, ("a.png", "b.png"))).cameras
+    assert cameras["a.png"].K[0].tolist() == [80, 0, 47.3]
+    assert cameras["b.png"].K[0].tolist() == [200, 0, 10]
+    assert cameras["b.png"].K[1].tolist() == [0, 82, 33.1]
 
-    def test_blender_files_need_only_an_angle(self, tmp_path):
-        Image.fromarray(picture()).save(tmp_path / "r_0.png")
-        file = tmp_path / "transforms_train.json"
-        file.write_text(json.dumps({"camera_angle_x": np.pi / 2, "frames": [frame("./r_0")]}))
-        scene = nerfstudio.read(file)
-        expected = np.array([[48, 0, 48], [0, 48, 32], [0, 0, 1]])
-        assert pytest.approx(expected) == scene.cameras["./r_0"].K
-        assert (scene.read(scene.find("r_0")).image == picture()).all()
+    file = tmp_path / "transforms_train.json"
+    file.write_text(json.dumps({"camera_angle_x": np.pi / 2, "frames": [frame("./a")]}))
+    scene = nerfstudio.read(file)
+    assert pytest.approx(np.array([[48, 0, 48], [0, 48, 32], [0, 0, 1]])) == scene.cameras["./a"].K
+    assert (scene.read(scene.find("a")).image == picture()).all()
 
 
-class TestDepth:
-    def read(self, tmp_path, values, **top) -> np.ndarray | None:
-        name = {"u2": "d.png", "f4": "d.tiff"}.get(values.dtype.str[1:], "d.npy")
-        if name == "d.npy":
-            np.save(tmp_path / name, values)
-        else:
-            Image.fromarray(values).save(tmp_path / name)
-        file = write(tmp_path, [frame("a.png", depth_file_path=name)], **top)
-        return nerfstudio.read(file).read("a.png").depth
-
-    def test_is_millimetres_unless_the_file_says_otherwise(self, tmp_path):
-        raw = np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)
-        metres = self.read(tmp_path, raw)
-        assert metres.dtype == np.float32
-        assert metres == pytest.approx(raw / 1000)
-        for top, factor in (
-            ({"depth_unit_scale_factor": 0.25}, 0.25),
-            ({"applied_scale": 0.5}, 0.0005),
-        ):
-            for values in (raw, *map(raw.astype, (float, np.float32, np.int32))):
-                assert self.read(tmp_path, values, **top) == pytest.approx(raw * factor)
-
-    def test_unknown_values_become_zero(self, tmp_path):
-        raw = np.full((HEIGHT, WIDTH), 1500.0)
-        raw[0, :4] = (np.nan, np.inf, -3, 0)
-        assert self.read(tmp_path, raw)[0, :5].tolist() == [0, 0, 0, 0, 1.5]
-
-    def test_of_another_size_is_that_at_the_pixel_centres(self, tmp_path):
-        """Of a slanted plane, whose inverse depth is affine over the photograph."""
-
-        def plane(height, width):
-            y, x = np.mgrid[:height, :width] + 0.5
-            return 1 / (0.3 + 0.2 * x / width + 0.1 * y / height)
-
-        small = plane(HEIGHT // 2, WIDTH // 2)
-        depth = self.read(tmp_path, small, depth_unit_scale_factor=1)
-        np.testing.assert_allclose(depth, plane(HEIGHT, WIDTH), rtol=1e-6)
-
-    def test_is_undistorted_without_inventing_values(self, tmp_path):
-        depth = np.full((HEIGHT, WIDTH), 2000, np.uint16)
-        depth[:, WIDTH // 2 :] = 5000
-        found = self.read(tmp_path, depth, k1=0.3)
-        assert set(np.unique(found)) == {np.float32(v) for v in (0, 2, 5)}
-
-    @pytest.mark.parametrize(
-        ("values", "sentence"),
-        [
-            (np.ones((WIDTH, HEIGHT)), r"d\.npy: is 64x96, of another shape than its"),
-            (np.ones((HEIGHT, WIDTH, 3)), r"d\.npy: is float64 \(64, 96, 3\), expected one"),
-        ],
-    )
-    def test_that_does_not_fit_is_refused(self, tmp_path, values, sentence):
-        with pytest.raises(InputError, match=sentence):
-            self.read(tmp_path, values)
+def read_depth(tmp_path, values, **top) -> np.ndarray | None:
+    name = {"u2": "d.png", "f4": "d.tiff"}.get(values.dtype.str[1:], "d.npy")
+    if name == "d.npy":
+        np.save(tmp_path / name, values)
+    else:
+        Image.fromarray(values).save(tmp_path / name)
+    file = write(tmp_path, [frame("a.png", depth_file_path=name)], **top)
+    return nerfstudio.read(file).read("a.png").depth
 
 
-class TestImages:
-    def test_another_size_than_the_file_says_is_refused(self, tmp_path):
-        Image.new("RGB", (50, 40)).save(tmp_path / "a.png")
-        with pytest.raises(InputError, match=r"a\.png: is 50x40, but transforms.json says 96x64"):
-            nerfstudio.read(write(tmp_path, [frame("a.png")], ())).read("a.png")
+def test_depth_is_millimetres_unless_the_file_says_otherwise(tmp_path):
+    raw = np.arange(HEIGHT * WIDTH, dtype=np.uint16).reshape(HEIGHT, WIDTH)
+    for top, factor in (
+        ({}, 0.001),
+        ({"depth_unit_scale_factor": 0.25}, 0.25),
+        ({"applied_scale": 0.5}, 0.0005),
+    ):
+        for values in (raw, *map(raw.astype, (float, np.float32, np.int32))):
+            depth = read_depth(tmp_path, values, **top)
+            assert depth.dtype == np.float32 and depth == pytest.approx(raw * factor)
+    unknown = np.full((HEIGHT, WIDTH), 1500.0)
+    unknown[0, :4] = (np.nan, np.inf, -3, 0)
+    assert read_depth(tmp_path, unknown)[0, :5].tolist() == [0, 0, 0, 0, 1.5]
 
-    @pytest.mark.parametrize("name", ["a.png", "a.jpg"])
-    def test_a_truncated_file_is_named(self, tmp_path, name):
-        file = write(tmp_path, [frame(name)], (name,))
-        data = (tmp_path / name).read_bytes()
-        (tmp_path / name).write_bytes(data[: len(data) // 2])
-        with pytest.raises(InputError, match=rf"{name}: cannot be read"):
-            nerfstudio.read(file).read(name)
+
+def test_depth_is_that_at_the_pixel_centres_and_undistorted_without_inventing_values(tmp_path):
+    def plane(height, width):
+        """Its inverse depth is affine over the photograph."""
+        y, x = np.mgrid[:height, :width] + 0.5
+        return 1 / (0.3 + 0.2 * x / width + 0.1 * y / height)
+
+    depth = read_depth(tmp_path, plane(HEIGHT // 2, WIDTH // 2), depth_unit_scale_factor=1)
+    np.testing.assert_allclose(depth, plane(HEIGHT, WIDTH), rtol=1e-6)
+    step = np.full((HEIGHT, WIDTH), 2000, np.uint16)
+    step[:, WIDTH // 2 :] = 5000
+    assert set(np.unique(read_depth(tmp_path, step, k1=0.3))) == {0, 2, 5}
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        (np.ones((WIDTH, HEIGHT)), r"d\.npy: is 64x96, of another shape than its"),
+        (np.ones((HEIGHT, WIDTH, 3)), r"d\.npy: is float64 \(64, 96, 3\), expected one"),
+    ],
+)
+def test_depth_that_does_not_fit_is_refused(tmp_path, values, sentence):
+    with pytest.raises(InputError, match=sentence):
+        read_depth(tmp_path, values)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg"])
+def test_a_photograph_that_is_cut_or_of_another_size_is_named(tmp_path, name):
+    scene = nerfstudio.read(write(tmp_path, [frame(name)], (name,)))
+    data = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match=rf"{name}: cannot be read"):
+        scene.read(name)
+    Image.new("RGB", (50, 40)).save(tmp_path / name)
+    with pytest.raises(InputError, match=rf"{name}: is 50x40, but transforms.json says 96x64"):
+        scene.read(name)
 
 
 @pytest.mark.parametrize(
@@ -189,35 +176,27 @@ def test_a_key_that_changes_the_picture_and_is_not_read_is_refused(tmp_path, key
         nerfstudio.read_cameras(tmp_path / "one.json")
 
 
-class TestMasks:
-    def mask(self) -> np.ndarray:
-        levels = np.zeros((HEIGHT, WIDTH), np.uint8)
-        levels[10:50, 20:70] = 255
-        levels[10, 20:70] = 100
-        levels[11, 20:70] = 200
-        return levels
-
-    @pytest.mark.parametrize("lens", [{}, {"k1": 0.2}])
-    def test_count_as_the_same_alpha_channel_does(self, tmp_path, lens):
-        Image.fromarray(np.dstack([picture(), self.mask()])).save(tmp_path / "rgba.png")
-        Image.fromarray(self.mask()).save(tmp_path / "m.png")
-        frames = [frame("a.png", mask_path="m.png"), frame("rgba.png")]
-        scene = nerfstudio.read(write(tmp_path, frames, **lens))
-        masked, with_alpha = scene.read("a.png"), scene.read("rgba.png")
-        assert np.array_equal(masked.image, with_alpha.image)
-        assert np.array_equal(masked.opaque, with_alpha.opaque)
-        if not lens:
-            assert np.array_equal(masked.opaque, self.mask() >= 128)
-            shown = np.round(picture() * (self.mask()[..., None] / 255))
-            assert np.array_equal(masked.image, shown)
-
-    def test_that_are_missing_or_of_another_size_are_refused(self, tmp_path):
-        scene = nerfstudio.read(write(tmp_path, [frame("a.png", mask_path="m.png")]))
-        with pytest.raises(InputError, match=r"m\.png: cannot be read"):
-            scene.read("a.png")
-        Image.fromarray(self.mask()[:30]).save(tmp_path / "m.png")
-        with pytest.raises(InputError, match=r"m\.png: has \(30, 96\) pixels"):
-            scene.read("a.png")
+@pytest.mark.parametrize("lens", [{}, {"k1": 0.2}])
+def test_masks_count_as_the_same_alpha_channel_does(tmp_path, lens):
+    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
+    mask[10:50, 20:70] = 255
+    mask[10, 20:70] = 100
+    mask[11, 20:70] = 200
+    Image.fromarray(np.dstack([picture(), mask])).save(tmp_path / "rgba.png")
+    frames = [frame("a.png", mask_path="m.png"), frame("rgba.png")]
+    scene = nerfstudio.read(write(tmp_path, frames, **lens))
+    with pytest.raises(InputError, match=r"m\.png: cannot be read"):
+        scene.read("a.png")
+    Image.fromarray(mask[:30]).save(tmp_path / "m.png")
+    with pytest.raises(InputError, match=r"m\.png: has \(30, 96\) pixels"):
+        scene.read("a.png")
+    Image.fromarray(mask).save(tmp_path / "m.png")
+    masked, with_alpha = scene.read("a.png"), scene.read("rgba.png")
+    assert np.array_equal(masked.image, with_alpha.image)
+    assert np.array_equal(masked.opaque, with_alpha.opaque)
+    if not lens:
+        assert np.array_equal(masked.opaque, mask >= 128)
+        assert np.array_equal(masked.image, np.round(picture() * (mask[..., None] / 255)))
 
 
 @pytest.mark.parametrize(

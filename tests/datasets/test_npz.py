@@ -51,35 +51,28 @@ def stacked(room: list[View], name: str) -> np.ndarray:
     return np.array([getattr(view.camera, name) for view in room])
 
 
-@pytest.fixture(scope="module")
-def layouts(room: list[View]) -> dict[str, dict[str, np.ndarray]]:
-    """Files by name, each with the sentence about how it is read, "" if as its names say."""
+def layouts(room: list[View], name: str) -> tuple[str, dict[str, np.ndarray]]:
+    """The sentence about how a file is read, "" if as its names say; and its arrays."""
     seen = seen_by_network(room, 504, 378)
     w2c, c2w = stacked(room, "w2c"), stacked(room, "c2w")
+    vggt = {"depth": seen["depth"][None, ..., None], "intrinsic": seen["intrinsics"][None]}
+    boxed = seen_by_network(room, 518, 518, cover=False)
     return {
-        "vggt": {
-            "said": "", "depth": seen["depth"][None, ..., None], "extrinsic": w2c[None, :, :3],
-            "intrinsic": seen["intrinsics"][None],
-        },
-        "dust3r": {"said": "", **seen_by_network(room, 512, 288, cover=True), "poses": c2w},
-        "letter-boxed": {
-            "said": "of padded", **seen_by_network(room, 518, 518, cover=False), "extrinsics": w2c,
-        },
-        "inverted": {"said": "camera-to-world in OpenCV's", **seen, "extrinsics": c2w},
-        "opengl": {"said": "in OpenGL's axes", **seen, "poses": c2w @ FLIP},
-        "stored": {
-            "said": "as of stored", **seen, "extrinsics": w2c, "intrinsics": stacked(room, "K"),
-        },
-    }  # fmt: skip
+        "vggt": ("", {**vggt, "extrinsic": w2c[None, :, :3]}),
+        "dust3r": ("", {**seen_by_network(room, 512, 288, cover=True), "poses": c2w}),
+        "letter-boxed": ("of padded", {**boxed, "extrinsics": w2c}),
+        "inverted": ("camera-to-world in OpenCV's", {**seen, "extrinsics": c2w}),
+        "opengl": ("in OpenGL's axes", {**seen, "poses": c2w @ FLIP}),
+        "stored": ("as of stored", {**seen, "extrinsics": w2c, "intrinsics": stacked(room, "K")}),
+    }[name]
 
 
 LAYOUTS = "vggt", "dust3r", "letter-boxed", "inverted", "opengl", "stored"
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_cameras_are_those_of_the_photographs(layouts, layout, folder, room, tmp_path):
-    arrays = dict(layouts[layout])
-    said = arrays.pop("said")
+def test_cameras_are_those_of_the_photographs(layout, folder, room, tmp_path):
+    said, arrays = layouts(room, layout)
     np.savez(tmp_path / "results.npz", **arrays)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
