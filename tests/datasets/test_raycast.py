@@ -87,15 +87,13 @@ def test_normals_are_unit_and_along_the_gradient_of_the_implicit_function(kind, 
     assert normal @ (ray @ solid.rotation) < 1e-6 * np.linalg.norm(ray)  # faces the ray
     level = Solid(solid.kind, solid.size, (0.0, 0.0, 0.0))
     steps = 1e-6 * np.eye(3)
-    rise = inside_below_zero(level, local + steps) - inside_below_zero(level, local - steps)
-    if np.abs(np.linalg.norm(rise) - np.linalg.norm(normal_rise(level, local, normal))) > 1e-9:
+    rise, along = (
+        inside_below_zero(level, local + step) - inside_below_zero(level, local - step)
+        for step in (steps, 1e-6 * normal)
+    )
+    if abs(np.linalg.norm(rise) - abs(along)) > 1e-9:
         return  # at an edge, where the gradient is not defined
     assert rise / np.linalg.norm(rise) @ normal == pytest.approx(1, abs=1e-6)
-
-
-def normal_rise(solid: Solid, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    step = 1e-6 * normal
-    return inside_below_zero(solid, point + step) - inside_below_zero(solid, point - step)
 
 
 def test_a_cone_is_met_by_a_ray_parallel_to_its_side():

@@ -1,6 +1,7 @@
 """Clips of one place are known by what was said, by their video and by shared photographs."""
 
 import hashlib
+import itertools
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -36,7 +37,6 @@ def test_the_order_of_arrival_plays_no_part(order, photographs):
 
     expected = found(range(6))
     assert found(order) == expected
-    for a in range(6):
-        for b in range(6):
-            if photographs[a] & photographs[b]:
-                assert expected[f"clip {a}"] == expected[f"clip {b}"]
+    for a, b in itertools.combinations(range(6), 2):
+        if photographs[a] & photographs[b]:
+            assert expected[f"clip {a}"] == expected[f"clip {b}"]

@@ -20,17 +20,13 @@ def colour(material: Material, kind: int, size: tuple[float, ...], point) -> np.
 
 def on_round(kind: int, angle: float, up: float) -> tuple[tuple[float, ...], np.ndarray]:
     """A size, and the surface point of a round solid of that size at a longitude and a height."""
-    c, s = math.cos(angle), math.sin(angle)
-    if kind == BALL:
-        rho = math.sqrt(0.25 - (0.5 * up) ** 2)
-        return (0.5,), np.array((rho * c, rho * s, 0.5 * up))
-    if kind == CYLINDER:
-        return (0.4, 0.5), np.array((0.4 * c, 0.4 * s, 0.5 * up))
-    if kind == CONE:
-        rho = 0.4 * (1 - up) / 2
-        return (0.4, 0.5), np.array((rho * c, rho * s, 0.5 * up))
-    rho = 0.5 + 0.15 * math.cos(up * math.pi)
-    return (0.5, 0.15), np.array((rho * c, rho * s, 0.15 * math.sin(up * math.pi)))
+    size, rho, z = {
+        BALL: ((0.5,), math.sqrt(0.25 - (0.5 * up) ** 2), 0.5 * up),
+        CYLINDER: ((0.4, 0.5), 0.4, 0.5 * up),
+        CONE: ((0.4, 0.5), 0.4 * (1 - up) / 2, 0.5 * up),
+        RING: ((0.5, 0.15), 0.5 + 0.15 * math.cos(up * math.pi), 0.15 * math.sin(up * math.pi)),
+    }[kind]
+    return size, np.array((rho * math.cos(angle), rho * math.sin(angle), z))
 
 
 @given(
@@ -54,9 +50,8 @@ def test_patterns_close_around_round_things_without_a_seam(kind, pattern, cell, 
 
 def test_a_picture_hangs_the_right_way_up_and_round():
     material = Material(textures.PICTURE, (0, 0, 0), photo="astronaut")
-    photo = textures.pack([material], np.random.default_rng(0)).photos[
-        textures.PHOTOS.index("astronaut")
-    ]
+    photos = textures.pack([material], np.random.default_rng(0)).photos
+    photo = photos[textures.PHOTOS.index("astronaut")]
     # Seen from -y with z up, x runs to the right.
     for u, v in ((0.3, 0.25), (0.7, 0.25), (0.3, 0.75), (0.55, 0.6)):
         seen = colour(material, BOX, (1.0, 0.01, 1.0), (2 * u - 1, -0.01, 2 * v - 1))
