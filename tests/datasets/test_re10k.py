@@ -1,5 +1,6 @@
 """RealEstate10K: what is written comes back, and what is damaged costs itself alone."""
 
+import io
 import json
 import pickle
 from dataclasses import replace
@@ -46,8 +47,6 @@ def test_a_scene_comes_back_as_written(rooms, split):
         np.testing.assert_allclose(other.camera.K, one.camera.K, rtol=1e-6)
         np.testing.assert_allclose(other.camera.c2w, one.camera.c2w, atol=2e-6)
         assert np.abs(other.image.astype(int) - one.image).mean() < 3  # of 255: JPEG of noise
-    sample = back.sample(["0", "2"], ["1"])
-    assert sample.context[0].image.shape == (36, 64, 3)
 
 
 def test_the_format_is_the_published_one(split):
@@ -59,9 +58,7 @@ def test_the_format_is_the_published_one(split):
     assert entry["timestamps"].dtype == torch.int64
     assert all(image.dtype == torch.uint8 and image.ndim == 1 for image in entry["images"])
     assert bytes(entry["images"][0][:2].tolist()) == b"\xff\xd8"
-    fx, fy, cx, cy = entry["cameras"][0, :4].tolist()
-    assert fx == pytest.approx(0.9, abs=1e-6) and fy == pytest.approx(0.9 * 64 / 36, abs=1e-6)
-    assert (cx, cy) == (0.5, 0.5)
+    assert entry["cameras"][0, :4].tolist() == pytest.approx([0.9, 0.9 * 64 / 36, 0.5, 0.5])
 
 
 def test_more_clips_are_new_chunks_and_the_same_clips_the_same_bytes(rooms, split, tmp_path):
@@ -92,24 +89,18 @@ def test_cameras_survive_the_row(turn, place, focal, middle):
     np.testing.assert_allclose(back.c2w, c2w, atol=1e-5)  # float32 of places up to 10
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-def test_a_chunk_that_is_cut_short_is_one_sentence(split, tmp_path, share):
-    data = (split / "000000.torch").read_bytes()
-    file = tmp_path / "cut.torch"
-    file.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(InputError, match=r"cut\.torch: cannot be read as a chunk"):
-        re10k.read_chunk(file)
-
-
-def test_a_chunk_cannot_run_code(tmp_path):
+def test_a_chunk_that_is_cut_short_or_runs_code_is_one_sentence(split, tmp_path):
     class Evil:
         def __reduce__(self):
             return (tmp_path.joinpath("ran").touch, ())
 
-    for name, save in (("a", torch.save), ("b", lambda x, f: f.write_bytes(pickle.dumps(x)))):
-        save([{"key": Evil()}], tmp_path / name)
-        with pytest.raises(InputError, match="cannot be read as a chunk"):
-            re10k.read_chunk(tmp_path / name)
+    data, packed = (split / "000000.torch").read_bytes(), io.BytesIO()
+    torch.save([{"key": Evil()}], packed)
+    bad = [data[: int(share * len(data))] for share in (0.0, 0.3, 0.99)]
+    for content in (*bad, packed.getvalue(), pickle.dumps([{"key": Evil()}])):
+        (tmp_path / "x.torch").write_bytes(content)
+        with pytest.raises(InputError, match=r"x\.torch: cannot be read as a chunk"):
+            re10k.read_chunk(tmp_path / "x.torch")
     assert not (tmp_path / "ran").exists()
 
 
@@ -147,7 +138,6 @@ def test_a_damaged_image_costs_its_own_view(split):
 @pytest.mark.parametrize(("at", "value"), [(6, 3.0), (9, np.nan), (0, -1.0)])
 def test_a_camera_that_is_none_is_named(split, at, value):
     clip = re10k.read_chunk(split / "000001.torch")[0]
-    cameras = clip.cameras.copy()
-    cameras[1, at] = value
+    clip.cameras[1, at] = value
     with pytest.raises(InputError, match="clip 'room2', frame 1: "):
-        replace(clip, cameras=cameras).scene()
+        clip.scene()
