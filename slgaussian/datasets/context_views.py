@@ -21,8 +21,7 @@ WITHIN = 0.1
 """Smallest distance between a view added between the two and all selected views, as a fraction of
 the distance of the two; nearer views are redundant."""
 
-BEYOND = 0.25
-"""The same for views that are not between the two."""
+BEYOND = 0.25  # the same for views that are not between the two
 
 APART = 0.1
 """Smallest distance of an added view from each target, as the same fraction: a target is held out,
@@ -38,16 +37,7 @@ def context_of(
     """Choose ``count`` context views for the targets, starting from those of an index.
 
     Fewer than listed: the first, the last and some evenly between them in the list. More: all
-    listed views, and further views of the scene by the rule ``further``, version 1. Its distances
-    are fractions of the distance between the first and the last listed view, "the two":
-
-    1. Excluded are targets, views within :data:`APART` of a target, and views whose optical axis
-       deviates by more than :data:`TURNED` degrees from both of the two.
-    2. First, among the views in the sphere with the two as poles: repeatedly the view farthest from
-       all selected ones, while that distance is at least :data:`WITHIN`.
-    3. Then, among views at least :data:`BEYOND` from all selected ones: repeatedly the view nearest
-       to the midpoint of the two.
-    4. Ties go to the first view in the scene. Photographs that cannot be read are skipped.
+    listed views, and further views by the rule of docs/guides/datasets.md, "More context views".
 
     Args:
         context, targets: sequence of str. Names as accepted by :meth:`slgaussian.scene.Scene.find`;

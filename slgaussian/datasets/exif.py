@@ -6,23 +6,17 @@ cameras", and of ExifTool's tables (https://exiftool.org/TagNames/EXIF.html).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from PIL import ExifTags, Image
 
-FILM_DIAGONAL = 43.27
-"""Diagonal of 35 mm film, 36 x 24, in millimetres."""
-
-WIDEST, LONGEST_FOCAL = 0.3, 20.0
-"""Range of plausible focal lengths, in units of the longer side."""
-
-UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
-"""Units of the focal-plane resolution, in millimetres."""
-
-SIDEWAYS = (5, 6, 7, 8)
-"""EXIF orientations that exchange width and height."""
+FILM_DIAGONAL = 43.27  # diagonal of 35 mm film, 36 x 24, in millimetres
+WIDEST, LONGEST_FOCAL = 0.3, 20.0  # range of plausible focal lengths, in units of the longer side
+UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # units of the focal-plane resolution, in millimetres
+SIDEWAYS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 TRANSPOSED = dict(zip(range(2, 9), map(Image.Transpose, (0, 3, 1, 5, 4, 6, 2)), strict=True))
 """Operation that turns a stored photograph upright, by EXIF orientation."""
@@ -62,9 +56,9 @@ def _lens_name(base: Mapping[int, Any], exif_ifd: Mapping[int, Any]) -> str:
     tags = ExifTags.Base
     named = [base.get(tags.Make), base.get(tags.Model), exif_ifd.get(tags.LensModel)]
     words = [" ".join(name.replace("\0", " ").split()) for name in named if isinstance(name, str)]
-    lengths = {"mm": tags.FocalLength, "mm of 35": tags.FocalLengthIn35mmFilm}
-    numbers = {unit: _number(exif_ifd.get(tag)) for unit, tag in lengths.items()}
-    words += [f"{number:.4g} {unit}" for unit, number in numbers.items() if number]
+    for tag, unit in ((tags.FocalLength, "mm"), (tags.FocalLengthIn35mmFilm, "mm of 35")):
+        if number := _number(exif_ifd.get(tag)):
+            words.append(f"{number:.4g} {unit}")
     return ", ".join(filter(None, words))
 
 
@@ -85,9 +79,7 @@ def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None
     # Another aspect ratio than captured means a crop, whose position and scale are unknown.
     if abs(np.log(max(captured) / min(captured) / (longest / min(width, height)))) > 0.01:
         return None
-    focals = []
-    if film := number(tags.FocalLengthIn35mmFilm):
-        focals.append(film * float(np.hypot(width, height)) / FILM_DIAGONAL)
+    focals = [(number(tags.FocalLengthIn35mmFilm) or 0) * math.hypot(width, height) / FILM_DIAGONAL]
     focal = number(tags.FocalLength)
     x, y = number(tags.FocalPlaneXResolution), number(tags.FocalPlaneYResolution)
     unit = UNITS.get(exif_ifd.get(tags.FocalPlaneResolutionUnit, 2))

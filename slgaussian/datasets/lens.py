@@ -17,11 +17,8 @@ from slgaussian.errors import InputError
 from slgaussian.formats.resampling import sample_depth
 from slgaussian.scene import Camera, View
 
-OUTSIDE = -1e4
-"""Column and row of pixels outside the lens's image, which makes them black."""
-
-NARROWEST, WIDEST = 3.0, 175.0
-"""Range of plausible fields of view, degrees."""
+OUTSIDE = -1e4  # column and row of pixels outside the lens's image, which makes them black
+NARROWEST, WIDEST = 3.0, 175.0  # range of plausible fields of view, degrees
 
 Maps = tuple[np.ndarray, np.ndarray]
 
@@ -65,21 +62,15 @@ def straightened(view: View, maps: Maps) -> View:
 def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
     """Return the maps without the invalid region where the distortion polynomial folds back.
 
-    A distortion polynomial is valid where it was fitted. Farther out it may fold back and show the
-    image a second time, mirrored. At a fold the Jacobian determinant of the map is not positive;
-    pixels not connected with the centre by a positive determinant are marked as outside.
+    Beyond the fold it would show the image a second time, mirrored. The Jacobian determinant is not
+    positive there; only pixels connected with the centre by a positive determinant are valid.
     """
     (dx_dv, dx_du), (dy_dv, dy_du) = np.gradient(columns), np.gradient(rows)
     upright = (dx_du * dy_dv > dx_dv * dy_du).astype(np.uint8)  # False for NaN
-    if upright.all():
-        return columns, rows
     parts = cv2.connectedComponents(upright, connectivity=4)[1]
     middle = parts[columns.shape[0] // 2, columns.shape[1] // 2]
-    visible = (parts == middle) & (upright > 0)
-    return (
-        np.where(visible, columns, np.float32(OUTSIDE)),
-        np.where(visible, rows, np.float32(OUTSIDE)),
-    )
+    visible, outside = (parts == middle) & (upright > 0), np.float32(OUTSIDE)
+    return np.where(visible, columns, outside), np.where(visible, rows, outside)
 
 
 def checked_camera(camera: Camera, fractions: bool = False) -> Camera:

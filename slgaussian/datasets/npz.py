@@ -33,8 +33,7 @@ from slgaussian.scene import Camera, Scene
 JUDGED = 6
 """Number of photographs, the first, by which the interpretation is selected."""
 
-LONGEST = 640
-"""Longer side of these photographs, pixels."""
+LONGEST = 640  # longer side of these photographs, pixels
 
 POSES = {
     "camera-to-world in OpenCV's axes": (False, False),

@@ -20,8 +20,7 @@ from slgaussian.scene import Camera, Scene, View
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".heic", ".HEIC")
 """Suffixes of photographs, tried in this order if a name has none."""
 
-OPAQUE = 128
-"""Smallest alpha, of 255, of an opaque pixel."""
+OPAQUE = 128  # smallest alpha, of 255, of an opaque pixel
 
 
 def rgb(image: Image.Image) -> np.ndarray:

@@ -37,8 +37,7 @@ CHUNK_BYTES = 100_000_000
 """A new chunk is begun when the images of the current one reach this size, as in the original."""
 JPEG_QUALITY = 95
 ROW = 18
-FRAME_TIME = 33_333
-"""Interval between the frames of a scene without timestamps, microseconds."""
+FRAME_TIME = 33_333  # interval between the frames of a scene without timestamps, microseconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +73,13 @@ class Clip:
         ``source`` is the name of its file, for messages.
 
         Raises:
-            InputError: If it has no frame, no image can be decoded, or a camera is invalid. A
-                single damaged image is an error only when its view is read.
+            InputError: If no image can be decoded, or a camera is invalid. A single damaged image
+                is an error only when its view is read.
         """
         prefix = f"{source}: " if source else ""
         label = f"{prefix}clip {self.key!r}"
-        if not self.images:
-            raise InputError(f"{label}: has no frame")
         sizes = [_size(data) for data in self.images]
-        usual = next((size for size in sizes if size is not None), None)
+        usual = next(filter(None, sizes), None)
         if usual is None:
             raise InputError(f"{label}: none of its {len(sizes)} images can be decoded")
         cameras = {
@@ -191,29 +188,29 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
     left = len(data)
     clips = []
     for number, entry in enumerate(content):
-        clips.append(_clip(file, number, entry, left))
+        try:
+            clips.append(_clip(entry, left))
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise InputError(
+                f"{file}: clip {number}: expected key, url, N images of uint8, N timestamps of "
+                f"int64 and cameras float32 [N, {ROW}] ({error})"
+            ) from None
         left -= sum(map(len, clips[-1].images))
     return clips
 
 
-def _clip(file: str | Path, number: int, entry: Any, max_bytes: int) -> Clip:
+def _clip(entry: Any, max_bytes: int) -> Clip:
     """Parse an entry as a clip, whose images may have ``max_bytes`` bytes in total."""
-    try:
-        key, url, images = entry["key"], entry["url"], entry["images"]
-        times, cameras = (_array(entry[name]) for name in ("timestamps", "cameras"))
-        fits = isinstance(key, str) and isinstance(url, str) and isinstance(images, list)
-        fits = fits and times.shape == (len(images),) and times.dtype.kind == "i"
-        fits = fits and cameras.shape == (len(images), ROW) and cameras.dtype.kind == "f"
-        arrays = [_array(image) for image in images]
-        if not fits or any(array.dtype != np.uint8 for array in arrays):
-            raise ValueError("its values have other types or lengths")
-        if sum(array.size for array in arrays) > max_bytes:
-            raise ValueError("it has more bytes of images than the file")
-    except (KeyError, TypeError, ValueError, RuntimeError) as error:
-        raise InputError(
-            f"{file}: clip {number}: expected key, url, N images of uint8, N timestamps of int64 "
-            f"and cameras float32 [N, {ROW}] ({error})"
-        ) from None
+    key, url, images = entry["key"], entry["url"], entry["images"]
+    times, cameras = (_array(entry[name]) for name in ("timestamps", "cameras"))
+    fits = isinstance(key, str) and isinstance(url, str) and isinstance(images, list)
+    fits = fits and times.shape == (len(images),) and times.dtype.kind == "i"
+    fits = fits and cameras.shape == (len(images), ROW) and cameras.dtype.kind == "f"
+    arrays = [_array(image) for image in images]
+    if not fits or any(array.dtype != np.uint8 for array in arrays):
+        raise ValueError("its values have other types or lengths")
+    if sum(array.size for array in arrays) > max_bytes:
+        raise ValueError("it has more bytes of images than the file")
     encoded_images = tuple(array.tobytes() for array in arrays)
     return Clip(key, url, times.astype(np.int64), cameras.astype(np.float32), encoded_images)
 
@@ -287,13 +284,10 @@ def clip_of(scene: Scene, passed_over: Callable[[InputError], None] | None = Non
 
 
 def write(path: str | Path, clips: Iterable[Clip], chunk_bytes: int = CHUNK_BYTES) -> list[str]:
-    """Add clips to the folder of a split, one chunk in memory at a time.
+    """Add clips to the folder of a split, one chunk in memory at a time; return the new chunks.
 
     New chunks are numbered consecutively; ``index.json`` is written after each of them, so that a
     reader never sees an incomplete chunk.
-
-    Returns:
-        list of str: Names of the new chunks.
 
     Raises:
         InputError: If a clip's key exists already, or the folder cannot be written.

@@ -6,8 +6,7 @@ from collections.abc import Iterable
 
 from scipy.cluster.hierarchy import DisjointSet
 
-NAMED, VIDEO, CLIP = range(3)
-"""Sources of the name of a place, in order of priority."""
+NAMED, VIDEO, CLIP = range(3)  # sources of the name of a place, in order of priority
 
 
 class Places:

@@ -13,11 +13,8 @@ import re
 import tarfile
 from collections.abc import Mapping
 
-END = bytes(2 * tarfile.BLOCKSIZE)
-"""The end of a tar file."""
-
-LONGEST = 48
-"""Largest number of characters of the clip's name in a key."""
+END = bytes(2 * tarfile.BLOCKSIZE)  # the end of a tar file
+LONGEST = 48  # largest number of characters of the clip's name in a key
 
 
 def key_of(clip: str) -> str:

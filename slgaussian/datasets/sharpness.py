@@ -24,7 +24,7 @@ CLIPPED = 4
 
 
 def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
-    """Decode a photograph in grey, uint8 [h, w], its shorter side :data:`SIDE` pixels or fewer.
+    """Decode a photograph in grey, its shorter side :data:`SIDE` pixels or fewer.
 
     Returns:
         uint8 [h, w], (width, height): The small image, and the full size of the photograph.

@@ -18,8 +18,7 @@ from slgaussian.scene import Camera, Scene, View
 FOCAL = 994.978
 PRINCIPAL = (311.193 + 0.125, 254.877 + 0.125)
 DOFFS = 31.086
-BASELINE = 0.193001
-"""Metres, the unit of the scene."""
+BASELINE = 0.193001  # metres, the unit of the scene
 
 
 def read() -> Scene:

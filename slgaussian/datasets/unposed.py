@@ -113,10 +113,7 @@ def named(places: Sequence[Place]) -> dict[str, Path]:
     """
     listed: list[Path] = []
     for place in map(Path, places):
-        if not place.is_dir():
-            listed.append(place)
-            continue
-        inside = photographs_of(place)
+        inside = photographs_of(place) if place.is_dir() else [place]
         if not inside:
             raise InputError(
                 f"{place}: holds no photographs; expected files such as .jpg or .png there, or "
@@ -142,11 +139,7 @@ def folder_of(files: Mapping[Any, Path]) -> Path:
 
 
 def find(files: Mapping[str, Path]) -> EstimatedCameras:
-    """Estimate the cameras of photographs by name, cached by the files and their order.
-
-    Raises:
-        InputError: As :func:`photographs`.
-    """
+    """Estimate the cameras of photographs by name, cached by the files and their order."""
     try:
         stamped = [(name, str(file), file_sha256(file)) for name, file in files.items()]
     except OSError as bad:
@@ -162,11 +155,7 @@ def _find(files: tuple[tuple[str, str, str], ...]) -> EstimatedCameras:
 
 
 def photograph(file: Path, name: str) -> Photograph:
-    """Read a photograph for the estimation of cameras: upright, downscaled, with its EXIF lens.
-
-    Raises:
-        InputError: If it cannot be read.
-    """
+    """Read a photograph for the estimation of cameras: upright, downscaled, with its EXIF lens."""
     try:
         with opened(file) as image:
             if image.format == "TIFF":

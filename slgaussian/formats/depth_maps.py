@@ -32,14 +32,9 @@ KEYS = {
 """Names of arrays in an NPZ of Depth Anything 3 and of users of VGGT, MapAnything and DUSt3R. The
 first name that exists is read."""
 
-MILLIMETRE = 1e-3
-"""Scene units in one unit of an integer map."""
-
-MOST_BYTES = 48 * MOST_PIXELS
-"""Largest decompressed size of an NPZ, bytes: 4 GiB."""
-
-WRITTEN = (".npy", ".png")
-"""Suffixes that :func:`write_map` supports."""
+MILLIMETRE = 1e-3  # scene units in one unit of an integer map
+MOST_BYTES = 48 * MOST_PIXELS  # largest decompressed size of an NPZ, bytes: 4 GiB
+WRITTEN = (".npy", ".png")  # suffixes that `write_map` supports
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +52,6 @@ class DepthMap:
     depth: np.ndarray
     confidence: np.ndarray | None = None
     K: np.ndarray | None = None
-
     __repr__ = short_repr
 
 
@@ -77,16 +71,12 @@ class GeometryFile:
     poses: np.ndarray | None
     inverted: bool
     names: Sequence[str] | None
-
     __repr__ = short_repr
 
     def numbers(self, views: Sequence[str]) -> dict[str, int]:
         """Return the index of the map of each view that has one, by the names of photographs.
 
-        Without names, map i belongs to view i.
-
-        Raises:
-            InputError: If there are no names and the numbers of maps and views differ.
+        Without names, map i belongs to view i; InputError if their numbers differ.
         """
         if self.names is None:
             if len(self.maps) != len(views):

@@ -44,9 +44,9 @@ def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Itera
     """Open an image and read its header only; load the pixels inside the ``with`` block.
 
     Raises:
-        OSError: If the file is missing or cannot be read.
-        ValueError: If it has another format, is damaged, empty or above :data:`MOST_PIXELS`; also
-            while the pixels are loaded. :func:`unreadable` converts both errors to a message.
+        OSError, ValueError: If the file cannot be read; or if it has another format, is damaged,
+            empty or above :data:`MOST_PIXELS`, also while the pixels are loaded.
+            :func:`unreadable` converts both errors to a message.
     """
     if Path(str(source)).suffix.lower() in (".heic", ".heif") and _reads_heic():
         kinds = (*kinds, "HEIF")

@@ -30,11 +30,8 @@ LOWEST = -104.0
 """Written for the logit and the logarithm of 0: the largest integer whose sigmoid and exponential
 are 0 in float32. Infinity would break viewers and compressors that compute value ranges."""
 
-HIGHEST = 18.0
-"""Written for the logit of 1: the smallest integer whose sigmoid is 1 in float32."""
-
-REST = (0, 9, 24, 45)
-"""Number of ``f_rest_*`` columns for degree 0 to 3."""
+HIGHEST = 18.0  # written for the logit of 1: the smallest integer whose sigmoid is 1 in float32
+REST = (0, 9, 24, 45)  # number of `f_rest_*` columns for degree 0 to 3
 
 _MEANS = ["x", "y", "z"]
 _NORMALS = ["nx", "ny", "nz"]

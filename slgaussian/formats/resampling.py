@@ -18,8 +18,7 @@ from slgaussian.errors import InputError
 if TYPE_CHECKING:  # queries must not wait for the import of SciPy
     from scipy.sparse import csr_array
 
-MOST_ASPECT = 0.01
-"""Largest relative difference in aspect ratio of two images of one photograph."""
+MOST_ASPECT = 0.01  # largest relative difference in aspect ratio of two images of one photograph
 
 LEAST_STEP = 0.01
 """Relative difference of inverse depths up to which neighbours are on one surface; a larger one

@@ -24,8 +24,7 @@ from slgaussian.io import write_file
 MAGIC, VERSION = 0x5053474E, 3
 COLOUR = 0.15
 
-MOST_BITS = 20
-"""Largest number of fractional bits of the means."""
+MOST_BITS = 20  # largest number of fractional bits of the means
 
 TURN = np.array([1, -1, -1], np.float32)
 """Signs between x right, y down, z forward and x right, y up, z backward."""

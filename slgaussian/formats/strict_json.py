@@ -7,8 +7,7 @@ import math
 import re
 from typing import Any
 
-LONGEST = 18
-"""Largest number of digits of an integer that fits into 64 bits."""
+LONGEST = 18  # largest number of digits of an integer that fits into 64 bits
 
 _HALF = re.compile(r"\\u[dD][89a-fA-F]")
 

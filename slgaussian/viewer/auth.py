@@ -16,8 +16,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from slgaussian.errors import InputError
 
-PORT = 8080
-"""Default port; if it is in use, a free one is chosen."""
+PORT = 8080  # default port; if it is in use, a free one is chosen
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 

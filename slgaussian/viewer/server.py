@@ -32,8 +32,7 @@ from slgaussian.language.wholes import LEAST_PIXELS
 from slgaussian.viewer.auth import Access, Guard
 from slgaussian.viewer.page.packed import morton_order
 
-MOST_BYTES = 2**16
-"""Largest body of a request."""
+MOST_BYTES = 2**16  # largest body of a request
 
 HEADERS = {
     "Cache-Control": "no-store",

@@ -14,8 +14,7 @@ from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import rng_for
 from slgaussian.scene import Camera, Scene, View
 
-FOCAL = 0.9
-"""Focal length as a fraction of the longer image side, as of a phone's main camera."""
+FOCAL = 0.9  # focal length as a fraction of the longer image side, as of a phone's main camera
 
 
 def read(

@@ -27,8 +27,7 @@ _GAP = 0.04
 _THICK = 0.012  # of a carpet
 _SEEN = 0.0035  # smallest fraction of each end view that an object must fill
 
-FOCUS = np.array([0.0, 0.15, 0.45])
-"""The point at which the cameras look."""
+FOCUS = np.array([0.0, 0.15, 0.45])  # the point at which the cameras look
 
 
 @dataclass(frozen=True, eq=False)

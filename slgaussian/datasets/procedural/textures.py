@@ -26,12 +26,10 @@ PHOTOS = ("gravel", "grass", "coffee", "chelsea", "astronaut", "rocket")
 close-ups of a material, tinted by the colour of the object."""
 
 PHOTO_SIZE = 256
-FRAME = 0.06
-"""Width of a picture's frame, as a fraction of the picture."""
+FRAME = 0.06  # width of a picture's frame, as a fraction of the picture
 
 
-RGB = tuple[float, float, float]
-"""Red, green and blue."""
+RGB = tuple[float, float, float]  # red, green and blue
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from slgaussian.errors import InputError
 from slgaussian.formats.spz import pack_quats
 from slgaussian.gaussians import SH_C0, Gaussians
 
-BLOCK = 256
-"""Number of Gaussians whose means share a bounding box."""
+BLOCK = 256  # number of Gaussians whose means share a bounding box
 
 MOST_THINGS = 2**16 - 1
 SMALLEST_SCALE = 1e-7

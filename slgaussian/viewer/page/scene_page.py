@@ -39,8 +39,7 @@ from slgaussian.viewer.page.packed import BLOCK, pack_gaussians
 SCRIPTS = ("data.js", "order.js", "draw.js", "eye.js", "pick.js", "words.js", "panel.js")
 """Files that are joined, in this order, to one script; ``live.js`` comes first in a live page."""
 
-THUMB = 360
-"""Width of the thumbnails of views, in pixels."""
+THUMB = 360  # width of the thumbnails of views, in pixels
 
 SEVERAL_TEXTS = "Separate several texts with commas: each object gets the text that fits it best."
 
