@@ -237,7 +237,7 @@ def truth(run: RunContext, sample: ArtifactRef, labels: Labels) -> ArtifactRef:
     return run.store.put("truth", truth_to_arrays(scene_truth, views))
 
 
-@stage("geometry", version=15)
+@stage("geometry", version=16)
 def geometry(
     run: RunContext,
     sample: ArtifactRef,

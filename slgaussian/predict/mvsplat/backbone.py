@@ -6,11 +6,16 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from slgaussian.predict.mvsplat.config import Config
 from slgaussian.predict.mvsplat.transformer import MultiViewTransformer, position_code
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
+
+WIDTH = 128
+"""Channels of the features at a quarter of the resolution."""
+
+WINDOWS = 2
+"""The transformer attends within this many parts of the feature map along each side."""
 
 
 class ResidualBlock(nn.Module):
@@ -36,16 +41,16 @@ class ResidualBlock(nn.Module):
 class FeatureCnn(nn.Module):
     """Images to features at a quarter of the resolution (GMFlow's encoder, Xu et al. 2022)."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 64, 7, 2, padding=3, bias=False)
         self.layer1 = nn.Sequential(ResidualBlock(64, 64, 1), ResidualBlock(64, 64, 1))
         self.layer2 = nn.Sequential(ResidualBlock(64, 96, 2), ResidualBlock(96, 96, 1))
         self.layer3 = nn.Sequential(ResidualBlock(96, 128, 1), ResidualBlock(128, 128, 1))
-        self.conv2 = nn.Conv2d(128, width, 1)
+        self.conv2 = nn.Conv2d(128, WIDTH, 1)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """[V, 3, H, W] in [0, 1] to [V, width, H/4, W/4]."""
+        """[V, 3, H, W] in [0, 1] to [V, WIDTH, H/4, W/4]."""
         mean = images.new_tensor(IMAGENET_MEAN)[:, None, None]
         std = images.new_tensor(IMAGENET_STD)[:, None, None]
         x = instance_norm(self.conv1((images - mean) / std)).relu_()
@@ -55,22 +60,21 @@ class FeatureCnn(nn.Module):
 class Backbone(nn.Module):
     """The CNN and the transformer, ``backbone`` in the checkpoint."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.windows = config.windows
-        self.backbone = FeatureCnn(config.width)
-        self.transformer = MultiViewTransformer(config.width, config.windows)
+        self.backbone = FeatureCnn()
+        self.transformer = MultiViewTransformer(WIDTH, WINDOWS)
 
     def forward(self, images: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Features of V images [V, 3, H, W], H and W multiples of 16.
 
         Returns:
-            local, matched: float [V, width, H/4, W/4]. Before positions and attention, and after.
+            local, matched: float [V, WIDTH, H/4, W/4]. Before positions and attention, and after.
         """
         local = self.backbone(images)
-        _, width, h, w = local.shape
-        code = position_code(h // self.windows, w // self.windows, width, local.device)
-        positioned = local.permute(0, 2, 3, 1) + code.tile(self.windows, self.windows, 1)
+        h, w = local.shape[2:]
+        code = position_code(h // WINDOWS, w // WINDOWS, WIDTH, local.device)
+        positioned = local.permute(0, 2, 3, 1) + code.tile(WINDOWS, WINDOWS, 1)
         return local, self.transformer(positioned).permute(0, 3, 1, 2)
 
 

@@ -9,20 +9,39 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
-from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.network import Network
 
 PREFIX = "encoder."
 
 
-def load_network(path: str | Path, config: Config = PUBLISHED) -> Network:
+def load_network(path: str | Path) -> Network:
     """Load the network with the weights of ``path``, float32 on the CPU, in evaluation mode.
 
     Raises:
-        InputError: If the file cannot be read, holds no named tensors, or its names or shapes
-            differ from the network's.
+        InputError: If the file cannot be read, or the names or shapes of its tensors differ from
+            the network's.
     """
-    return with_weights(read_state(path), config, str(path))
+    state = read_state(path)
+    with torch.device("meta"):
+        network = Network()
+    expected = network.state_dict()
+    common = expected.keys() & state.keys()
+    problems = {
+        "missing": expected.keys() - state.keys(),
+        "unexpected": state.keys() - expected.keys(),
+        "of another shape": {n for n in common if state[n].shape != expected[n].shape},
+    }
+    if any(problems.values()):
+        summary = "; ".join(f"{len(p)} {kind}: {min(p)}" for kind, p in problems.items() if p)
+        raise InputError(
+            f"checkpoint {path}: does not fit the network of {len(expected)} tensors "
+            f"({summary}, ...); expected re10k.ckpt or acid.ckpt of MVSplat, or one of the same "
+            "shape"
+        )
+    state = {name: state[name].to(torch.float32, copy=True) for name in expected}
+    network.load_state_dict(state, assign=True)
+    network.eval().requires_grad_(False)
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def read_state(path: str | Path) -> dict[str, torch.Tensor]:
@@ -53,44 +72,9 @@ def read_state(path: str | Path) -> dict[str, torch.Tensor]:
             f"checkpoint {path}: is damaged or no PyTorch file ({problem}); download it again"
         ) from None
     state = stored.get("state_dict", stored) if isinstance(stored, Mapping) else {}
-    state = state if isinstance(state, Mapping) else {}
-    state = {
-        str(name): value
-        for name, value in state.items()
-        if torch.is_tensor(value) and value.layout == torch.strided
-    }
+    items = state.items() if isinstance(state, Mapping) else ()
+    state = {str(n): t for n, t in items if torch.is_tensor(t) and t.layout == torch.strided}
     if any(name.startswith(PREFIX) for name in state):
         # Beside the encoder, a checkpoint may hold buffers of the training losses.
         state = {n.removeprefix(PREFIX): t for n, t in state.items() if n.startswith(PREFIX)}
     return state
-
-
-def with_weights(state: Mapping[str, torch.Tensor], config: Config, origin: str) -> Network:
-    """Make a network with exactly the tensors of ``state``; ``origin`` names them in errors.
-
-    Raises:
-        InputError: If a name is missing or unexpected, or a shape differs.
-    """
-    with torch.device("meta"):
-        network = Network(config)
-    expected = network.state_dict()
-    problems = {
-        "missing": expected.keys() - state.keys(),
-        "unexpected": state.keys() - expected.keys(),
-        "of another shape": {
-            name
-            for name in expected.keys() & state.keys()
-            if state[name].shape != expected[name].shape
-        },
-    }
-    if any(problems.values()):
-        summary = "; ".join(f"{len(p)} {kind}: {min(p)}" for kind, p in problems.items() if p)
-        raise InputError(
-            f"checkpoint {origin}: does not fit the network of {len(expected)} tensors "
-            f"({summary}, ...); expected re10k.ckpt or acid.ckpt of MVSplat, or one of the same "
-            "shape"
-        )
-    state = {name: state[name].to(torch.float32, copy=True) for name in expected}
-    network.load_state_dict(state, assign=True)
-    network.eval().requires_grad_(False)
-    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from itertools import permutations
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 
-from slgaussian.kernels.work_sharing import share
-from slgaussian.predict.mvsplat.cost_volume_cpu import add_products
+from slgaussian.kernels.jit import kernel
+from slgaussian.kernels.work_sharing import share, take
 from slgaussian.scene import Camera
 
-CHUNK = 1024
-"""Pixels warped at a time: their samples at all depths take 64 MB; those of a full image would take
-a gigabyte."""
-
-MIN_DEPTH = 1e-3
+MIN_DEPTH = np.float32(1e-3)
 """Lower bound of depth in the target view, against division by zero."""
+
+REORDERED = {"reassoc", "contract", "nsz"}
+"""Fast-math flags for sums, without those that assume away NaN and infinity."""
 
 
 def spread(near: float, far: float, count: int) -> torch.Tensor:
@@ -32,7 +32,7 @@ def correlate(
 
     A pixel of the reference is unprojected to each depth and projected into the other view, whose
     features are sampled bilinearly with zero padding. Pixel centres have integer coordinates, as
-    in the training of the published networks.
+    in the training of the published networks. Computed on the CPU, whatever the device.
 
     Args:
         features: float [V, C, h, w]
@@ -43,27 +43,20 @@ def correlate(
         float32 [V, h, w, D]: Inner products over sqrt(C).
     """
     views, channels, h, w = features.shape
-    maps = features.permute(0, 2, 3, 1).float().contiguous()
-    volume = maps.new_zeros(views, h, w, len(disparities))
-    for i in range(views):
-        for j in (j for j in range(views) if j != i):
-            lines = path(cameras[i], cameras[j], (h, w))
-            if volume.is_cpu:
-                arrays = (t.numpy() for t in (maps[i], maps[j], disparities, volume[i]))
-                share(add_products, h, *lines, np.float32(MIN_DEPTH), *arrays)
-            else:
-                add_warped(*lines, maps[i], maps[j], disparities, volume[i])
-    volume *= 1 / (channels**0.5 * (views - 1))
-    return volume
+    maps = features.permute(0, 2, 3, 1).float().contiguous().cpu().numpy()
+    volume = np.zeros((views, h, w, len(disparities)), np.float32)
+    for i, j in permutations(range(views), 2):
+        lines = _paths(cameras[i], cameras[j], (h, w))
+        share(_add_products, h, *lines, maps[i], maps[j], disparities.cpu().numpy(), volume[i])
+    return torch.from_numpy(volume).to(features.device).mul_(1 / (channels**0.5 * (views - 1)))
 
 
-def path(reference: Camera, target: Camera, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the epipolar paths of pixels of ``reference`` in ``target``, maps of ``size`` (h, w).
+def _paths(
+    reference: Camera, target: Camera, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return start float32 [3, h * w] and offset [3] of the epipolar paths in ``target``.
 
-    Returns:
-        start, offset: float32 [3, h * w], [3]. At disparity ``q`` the homogeneous position is
-            ``start + q offset``; its third component is the depth in ``target`` over that in
-            ``reference``.
+    At disparity ``q`` the homogeneous position of a pixel of ``reference`` is ``start + q offset``.
     """
     h, w = size
     K_reference, K_target = reference.resized(w, h).K, target.resized(w, h).K
@@ -74,36 +67,46 @@ def path(reference: Camera, target: Camera, size: tuple[int, int]) -> tuple[np.n
     return start.astype(np.float32), (K_target @ motion[:3, 3]).astype(np.float32)
 
 
-def positions(
-    start: np.ndarray, offset: np.ndarray, disparities: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the pixels x and y of P paths at D disparities, float32 [P, D] each."""
-    columns = torch.from_numpy(np.ascontiguousarray(start)).to(disparities.device)[..., None]
-    x, y, z = (c + disparities * s for c, s in zip(columns, offset.tolist(), strict=True))
-    z = torch.maximum(z, MIN_DEPTH * disparities)
-    return x.div_(z), y.div_(z)
+@kernel(fastmath=REORDERED)
+def _add_products(counter, start, offset, reference, target, disparities, out):
+    """Add to ``out`` [h, w, D] the inner products of a view [h, w, C] with another.
 
-
-def add_warped(
-    start: np.ndarray,
-    offset: np.ndarray,
-    reference: torch.Tensor,
-    target: torch.Tensor,
-    disparities: torch.Tensor,
-    out: torch.Tensor,
-) -> None:
-    """Add to ``out`` [h, w, D] the products of ``reference`` and ``target`` [h, w, C].
-
-    The definition of ``cost_volume_cpu.add_products``, on any device.
+    The inner product with a bilinear sample is the bilinear interpolation of four inner products,
+    and neighbouring depths mostly share the same four pixels.
     """
-    h, w, channels = reference.shape
-    x, y = positions(start, offset, disparities)
-    # ``grid_sample`` has the outermost pixel centres at -1 and 1. It gives 0 beyond one pixel
-    # outside, and NaN for infinite positions, which are therefore clamped.
-    grid = torch.stack([x / (w - 1), y / (h - 1)], -1).mul_(2).sub_(1).clamp_(-3, 3)
-    maps, references = target.permute(2, 0, 1)[None], reference.view(h * w, channels)
-    products = out.view(h * w, -1)
-    for first in range(0, h * w, CHUNK):
-        part = slice(first, first + CHUNK)
-        warped = F.grid_sample(maps, grid[None, part], align_corners=True)[0]
-        products[part] += torch.einsum("pc,cpd->pd", references[part], warped)
+    h, w, _ = reference.shape
+    row = take(counter)
+    while row < h:
+        for column in range(w):
+            feature = reference[row, column]
+            pixel = row * w + column
+            top = left = -2
+            p00 = p01 = p10 = p11 = np.float32(0)
+            for d in range(len(disparities)):
+                q = disparities[d]
+                z = max(start[2, pixel] + q * offset[2], MIN_DEPTH * q)
+                x = (start[0, pixel] + q * offset[0]) / z
+                y = (start[1, pixel] + q * offset[1]) / z
+                if not (-1 < x < w and -1 < y < h):
+                    continue
+                column_there, row_there = math.floor(x), math.floor(y)
+                if column_there != left or row_there != top:
+                    left, top = column_there, row_there
+                    p00 = _product(feature, target, top, left)
+                    p01 = _product(feature, target, top, left + 1)
+                    p10 = _product(feature, target, top + 1, left)
+                    p11 = _product(feature, target, top + 1, left + 1)
+                a, b = x - left, y - top
+                above, below = (1 - a) * p00 + a * p01, (1 - a) * p10 + a * p11
+                out[row, column, d] += (1 - b) * above + b * below
+        row = take(counter)
+
+
+@kernel(inline="always", fastmath=REORDERED)
+def _product(feature, target, row, column):
+    """Return the inner product with a pixel of ``target``; 0 outside."""
+    total = np.float32(0)
+    if 0 <= row < target.shape[0] and 0 <= column < target.shape[1]:
+        for c in range(len(feature)):
+            total += feature[c] * target[row, column, c]
+    return total

@@ -8,28 +8,21 @@ import torch
 from torch import nn
 
 from slgaussian.predict.mvsplat.backbone import Backbone
-from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.cost_volume import correlate, spread
-from slgaussian.predict.mvsplat.depth import DepthPredictor, Pixelwise
-from slgaussian.rasterize.harmonics import MAX_DEGREE
+from slgaussian.predict.mvsplat.depth import CANDIDATES, DepthPredictor, Pixelwise
 from slgaussian.scene import Camera
 
 
 class Network(nn.Module):
     """The encoder, with parameter names of the published checkpoints without ``encoder.``."""
 
-    def __init__(self, config: Config = PUBLISHED) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.config = config
-        self.backbone = Backbone(config)
-        self.depth_predictor = DepthPredictor(config, (MAX_DEGREE + 1) ** 2)
+        self.backbone = Backbone()
+        self.depth_predictor = DepthPredictor()
 
     def forward(
-        self,
-        images: torch.Tensor,
-        cameras: Sequence[Camera],
-        near: float,
-        far: float,
+        self, images: torch.Tensor, cameras: Sequence[Camera], near: float, far: float
     ) -> Pixelwise:
         """Predict disparity, opacity and raw Gaussian parameters of every pixel.
 
@@ -38,8 +31,7 @@ class Network(nn.Module):
             cameras: V Camera. Poses in the units of ``near`` and ``far``.
             near, far: Depth range of the search.
         """
-        disparities = spread(near, far, self.config.candidates).to(images.device)
+        disparities = spread(near, far, CANDIDATES).to(images.device)
         local, matched = self.backbone(images)
-        with torch.autocast(images.device.type, enabled=False):
-            correlation = correlate(matched, cameras, disparities).permute(0, 3, 1, 2)
+        correlation = correlate(matched, cameras, disparities).permute(0, 3, 1, 2)
         return self.depth_predictor(images, local, matched, correlation, disparities)

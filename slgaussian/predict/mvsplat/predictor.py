@@ -20,10 +20,12 @@ from slgaussian.predict.configs import MVSplatConfig
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
 from slgaussian.predict.mvsplat.adapter import gaussians_of
 from slgaussian.predict.mvsplat.checkpoint import load_network
-from slgaussian.predict.mvsplat.config import PUBLISHED, Config
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.predict.view_graph import link_views
 from slgaussian.scene import Camera, Sample, View
+
+NEAR, FAR = 1.0, 100.0
+"""Range of depths, in the units of the training scenes."""
 
 MULTIPLE = 16
 """Image sides are cropped to multiples of this, for downsampling and two windows on each side."""
@@ -57,7 +59,6 @@ class MVSplat(MVSplatConfig):
     """
 
     device: str = "auto"
-    config: Config = PUBLISHED
     _network: Network = PrivateAttr()
 
     def __init__(self, **values: Any) -> None:
@@ -68,7 +69,7 @@ class MVSplat(MVSplatConfig):
                 "says, and give its path, as in --set mvsplat.checkpoint=re10k.ckpt"
             )
         device = resolve_device(self.device)
-        network = load_network(self.checkpoint, self.config)
+        network = load_network(self.checkpoint)
         try:
             self._network = network.to(device)
         except (RuntimeError, AssertionError) as problem:
@@ -83,54 +84,37 @@ class MVSplat(MVSplatConfig):
         Raises:
             InputError: If near is not below far, or images are smaller than 16 pixels a side.
         """
-        near, far = self._range(sample, graph)
+        near, far = _range(sample, graph)
         views = [_crop(sample.scene, view) for view in sample.context]
-        unit = self.config.near / near
-        cameras = [_scale(view.camera, unit) for view in views]
-        gaussians = self._predict(views, cameras, near * unit, far * unit)
-        return replace(
-            gaussians,
-            means=gaussians.means.div_(unit),
-            scales=gaussians.scales.div_(unit),
-            source=_source_indices(sample.context[0].camera, cameras),
-        )
-
-    def _range(self, sample: Sample, graph: MatchGraph | None) -> tuple[float, float]:
-        """Return near and far in scene units; without a far it is 100 times near."""
-        cameras = [view.camera for view in sample.context]
-        near = min((c.near for c in cameras if c.near is not None), default=None)
-        if near is None:
-            near = estimate_near(sample.context, graph)
-        far = max((c.far for c in cameras if c.far is not None), default=None)
-        if far is None:
-            far = near * self.config.far / self.config.near
-        if near >= far:
-            raise InputError(
-                f"scene {sample.scene!r}: near {near:.3g} is not below far {far:.3g}; give both"
-            )
-        return near, far
-
-    def _predict(
-        self, views: Sequence[View], cameras: Sequence[Camera], near: float, far: float
-    ) -> Gaussians:
-        """Predict in the units of ``cameras``; ``source`` counts the cropped pixels."""
-        stacked = np.stack([view.image for view in views])
+        cameras = [_scale(view.camera, NEAR / near) for view in views]
         device = next(self._network.parameters()).device
-        images = torch.from_numpy(stacked).permute(0, 3, 1, 2).to(device)
-        bfloat16 = self.precision == "bfloat16"
+        pixels = torch.from_numpy(np.stack([view.image for view in views])).to(device)
+        images = pixels.permute(0, 3, 1, 2).float().div_(255)
+        half = self.precision == "bfloat16"
         with torch.no_grad(), inside(self._network):
-            with torch.autocast(device.type, torch.bfloat16, enabled=bfloat16):
-                output = self._network(images.float().div_(255), cameras, near, far)
-            lifted = [
-                gaussians_of(disparity, raw, camera, self.config)
-                for disparity, raw, camera in zip(
-                    output.disparity, output.raw, cameras, strict=True
-                )
-            ]
-            fields = {name: torch.cat([part[name] for part in lifted]).cpu() for name in lifted[0]}
-            opacities = output.opacity.flatten().cpu()
-        source = torch.arange(len(opacities), dtype=torch.int32)
-        return Gaussians(**fields, opacities=opacities, source=source)
+            with torch.autocast(device.type, torch.bfloat16, enabled=half):
+                output = self._network(images, cameras, NEAR, far * (NEAR / near))
+            of_views = zip(output.disparity, output.raw, cameras, strict=True)
+            parts = [gaussians_of(*of_view) for of_view in of_views]
+            fields = {name: torch.cat([part[name] for part in parts]).cpu() for name in parts[0]}
+        for name in ("means", "scales"):
+            fields[name].div_(NEAR / near)
+        source = _source_indices(sample.context[0].camera, cameras)
+        return Gaussians(**fields, opacities=output.opacity.flatten().cpu(), source=source)
+
+
+def _range(sample: Sample, graph: MatchGraph | None) -> tuple[float, float]:
+    """Return near and far in scene units; without a far it is 100 times near."""
+    cameras = [view.camera for view in sample.context]
+    near = min((c.near for c in cameras if c.near is not None), default=None)
+    if near is None:
+        near = estimate_near(sample.context, graph)
+    far = max((c.far for c in cameras if c.far is not None), default=near * FAR / NEAR)
+    if near >= far:
+        raise InputError(
+            f"scene {sample.scene!r}: near {near:.3g} is not below far {far:.3g}; give both"
+        )
+    return near, far
 
 
 def estimate_near(views: Sequence[View], graph: MatchGraph | None = None) -> float:
@@ -172,7 +156,7 @@ def _scale(camera: Camera, unit: float) -> Camera:
 def _source_indices(original: Camera, cropped: Sequence[Camera]) -> torch.Tensor:
     """Return flat indices of cropped pixels in the originals, all of one size, int32 [N]."""
     height, width = cropped[0].height, cropped[0].width
-    index = torch.arange(len(cropped) * original.height * original.width, dtype=torch.int32)
-    index = index.view(len(cropped), original.height, original.width)
+    size = len(cropped), original.height, original.width
+    index = torch.arange(len(cropped) * size[1] * size[2], dtype=torch.int32).view(size)
     top, left = (original.height - height) // 2, (original.width - width) // 2
     return index[:, top : top + height, left : left + width].flatten()

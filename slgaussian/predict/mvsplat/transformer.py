@@ -9,7 +9,6 @@ products.
 
 from __future__ import annotations
 
-import itertools
 import math
 
 import torch
@@ -20,10 +19,6 @@ from slgaussian.predict.mvsplat.unet import Gelu
 
 BLOCKS = 6
 TEMPERATURE = 10_000.0
-
-TOKENS = 4096
-"""Tokens that the feed-forward net processes at a time. Its inner layer is then small enough for
-the allocator to reuse memory: fresh memory costs six times as much as the activation."""
 
 Part = tuple[torch.Tensor, torch.Tensor]
 
@@ -43,11 +38,9 @@ class Attention(nn.Module):
         self.norm1 = nn.LayerNorm(width)
         self.mlp = None
         if feed_forward:
-            self.mlp = nn.Sequential(
-                nn.Linear(2 * width, 8 * width, bias=False),
-                Gelu(),
-                nn.Linear(8 * width, width, bias=False),
-            )
+            widen = nn.Linear(2 * width, 8 * width, bias=False)
+            narrow = nn.Linear(8 * width, width, bias=False)
+            self.mlp = nn.Sequential(widen, Gelu(), narrow)
             self.norm2 = nn.LayerNorm(width)
 
     def forward(
@@ -62,26 +55,15 @@ class Attention(nn.Module):
                 among the n h w attended ones that they attend to.
         """
         q = self.q_proj(x).flatten(1, 2)
-        k, v = (
-            self.k_proj(memory)[attended].flatten(1, 3),
-            self.v_proj(memory)[attended].flatten(1, 3),
-        )
+        k, v = (proj(memory)[attended].flatten(1, 3) for proj in (self.k_proj, self.v_proj))
         message = torch.empty_like(q)
         for tokens, keys in parts:
-            values = F.scaled_dot_product_attention(
-                q[:, None, tokens], k[:, None, keys], v[:, None, keys]
-            )
-            message[:, tokens] = values[:, 0]
+            part = q[:, None, tokens], k[:, None, keys], v[:, None, keys]
+            message[:, tokens] = F.scaled_dot_product_attention(*part)[:, 0]
         message = self.norm1(self.merge(message)).view_as(x)
         if self.mlp is not None:
-            message = self._feed_forward(self.mlp, x, message)
+            message = self.norm2(self.mlp(torch.cat([x, message], -1)))
         return x + message
-
-    def _feed_forward(self, mlp: nn.Module, x: torch.Tensor, message: torch.Tensor) -> torch.Tensor:
-        """Return the new message [V, h, w, C], computed in chunks of tokens."""
-        rows = (t.flatten(0, -2).to(message.dtype).split(TOKENS) for t in (x, message))
-        pairs = (torch.cat(pair, -1) for pair in zip(*rows, strict=True))
-        return torch.cat([self.norm2(mlp(pair)) for pair in pairs]).view_as(x)
 
 
 class Block(nn.Module):
@@ -96,9 +78,8 @@ class Block(nn.Module):
         """Update features [V, h, w, C] in ``count`` x ``count`` windows."""
         views, h, w, _ = x.shape
         itself = torch.arange(views, device=x.device)[:, None]
-        attended = torch.tensor(
-            [[j for j in range(views) if j != i] for i in range(views)], device=x.device
-        )
+        others = [[j for j in range(views) if j != i] for i in range(views)]
+        attended = torch.tensor(others, device=x.device)
         within = parts(h, w, count, shifted, 1, x.device)
         between = parts(h, w, count, shifted, views - 1, x.device)
         return self.cross_attn_ffn(self.self_attn(x, x, itself, within), x, attended, between)
@@ -135,11 +116,8 @@ def parts(h: int, w: int, count: int, shifted: bool, maps: int, device: torch.de
     wraps[:, : shift[1]] += 2
     order = [-s for s in shift]
     pairs = []
-    for row, column in itertools.product(range(count), repeat=2):
-        rows, columns = (
-            slice(i * side, (i + 1) * side) for i, side in zip((row, column), sides, strict=True)
-        )
-        window = tokens.roll(order, (0, 1))[rows, columns].flatten()
+    rolled = tokens.roll(order, (0, 1)).view(count, sides[0], count, sides[1]).transpose(1, 2)
+    for window in rolled.reshape(count * count, -1):
         kind = wraps.flatten()[window]
         for value in kind.unique():
             places = (kind == value).nonzero()[:, 0]

@@ -6,6 +6,8 @@ with the normalisation after the convolution, and attention across all views at 
 
 from __future__ import annotations
 
+from collections import OrderedDict
+
 import torch
 import torch.nn.functional as F
 from torch import nn
@@ -21,9 +23,8 @@ def conv(inputs: int, outputs: int, stride: int = 1) -> nn.Conv2d:
 
 def normed(inputs: int, outputs: int) -> nn.Sequential:
     """Convolution, group normalisation, SiLU."""
-    return nn.Sequential(
-        conv(inputs, outputs), nn.GroupNorm(GROUPS, outputs), nn.SiLU(inplace=True)
-    )
+    norm = nn.GroupNorm(GROUPS, outputs)
+    return nn.Sequential(conv(inputs, outputs), norm, nn.SiLU(inplace=True))
 
 
 class Gelu(nn.Module):
@@ -69,30 +70,6 @@ class ViewAttention(nn.Module):
         return self.norm(values.view(views, h, w, width).permute(0, 3, 1, 2)) + x
 
 
-class Downsample(nn.Module):
-    """Half the resolution."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.op = conv(width, width, stride=2)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """[V, C, H, W] to [V, C, H/2, W/2]."""
-        return self.op(x)
-
-
-class Upsample(nn.Module):
-    """Twice the resolution."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.conv = conv(width, width)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """[V, C, H, W] to [V, C, 2H, 2W]."""
-        return self.conv(F.interpolate(x, scale_factor=2, mode="nearest"))
-
-
 class UNet(nn.Module):
     """The whole U-Net; the names of its parts are the checkpoint's.
 
@@ -110,10 +87,14 @@ class UNet(nn.Module):
 
         down = [nn.Sequential(conv(width, width)), stage(width, 0)]
         for level in range(1, levels):
-            down += [nn.Sequential(Downsample(width)), stage(width, level)]
+            halve = nn.Sequential(OrderedDict(op=conv(width, width, stride=2)))
+            down += [nn.Sequential(halve), stage(width, level)]
         up = []
         for level in reversed(range(levels)):
-            leave = [Upsample(width)] if level else []
+            double = nn.Sequential(
+                OrderedDict(up=nn.Upsample(scale_factor=2), conv=conv(width, width))
+            )
+            leave = [double] if level else []
             up += [stage(2 * width, level), stage(2 * width, level, *leave)]
         self.input_blocks = nn.ModuleList(down)
         middle = ResBlock(width, width), nn.Identity(), ResBlock(width, width)

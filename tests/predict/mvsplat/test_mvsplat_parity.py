@@ -8,30 +8,12 @@ import torch
 
 from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.predict.mvsplat import adapter
-from slgaussian.predict.mvsplat.config import PUBLISHED
 from slgaussian.rasterize import harmonics
-from tests.predict.mvsplat.make_reference import digest, places
+from tests.predict.mvsplat.make_reference import FILE, digest, places
 from tests.predict.textured_planes import camera
 from tests.rasterize.test_harmonics import scipy_basis
 
-STAGES = (
-    "cnn_features",
-    "trans_features",
-    "cost_volume_in",
-    "cost_volume_refined",
-    "depth_logits",
-    "proj_feature",
-    "refine_in",
-    "refine_out",
-    "depths",
-    "densities",
-    "raw_gaussians",
-    "scales_local",
-    "means",
-    "covariances",
-    "harmonics",
-    "opacities",
-)
+STAGES = [name.removeprefix("floor/") for name in np.load(FILE).files if name.startswith("floor/")]
 
 NOISE = 5
 """Allowed error over the reference's own, between two ways to compute it. Measured on one machine:
@@ -67,8 +49,8 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     with torch.no_grad():
         message = network(images, cameras, near=1.0, far=100.0)
         lifted = [
-            adapter.gaussians_of(disparity, raw, camera, PUBLISHED)
-            for disparity, raw, camera in zip(message.disparity, message.raw, cameras, strict=True)
+            adapter.gaussians_of(*view)
+            for view in zip(message.disparity, message.raw, cameras, strict=True)
         ]
     for hook in hooks:
         hook.remove()
@@ -79,10 +61,7 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
         opacities=message.opacity.flatten(),
         source=torch.arange(count, dtype=torch.int32),
     )
-    # Of 84 and 25 numbers ours leaves out those that nothing draws.
-    raw = torch.full((count, 84), torch.nan)
-    raw[:, depth.kept] = message.raw.reshape(count, -1)
-    # And ours are coefficients of another basis.
+    # Ours are coefficients of another basis, and without those that nothing draws.
     cycled = torch.from_numpy(harmonics.rotation_matrix(adapter.CYCLE)).float()
     sh = torch.full((count, 3, 25), torch.nan)
     sh[..., :16] = gaussians.sh.mT @ cycled.T
@@ -90,7 +69,7 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     observed |= {
         "depths": 1 / message.disparity,
         "densities": message.opacity,
-        "raw_gaussians": raw,
+        "raw_gaussians": message.raw,
         "scales_local": gaussians.scales,
         "means": gaussians.means,
         "covariances": factor @ factor.mT,
@@ -136,8 +115,8 @@ def test_lifted_gaussians_have_these_colours():
     """As the renderer sees them, in float32: positions, order of channels and 0.5 included."""
     first = camera(size=(8, 8), focal=10.0, x=0.4, y=-0.2, turn=0.5)
     generator = torch.Generator().manual_seed(0)
-    raw = torch.randn(8, 8, 9 + 48, generator=generator)
-    fields = adapter.gaussians_of(torch.full((8, 8), 0.5), raw, first, PUBLISHED)
+    raw = torch.randn(8, 8, 84, generator=generator)
+    fields = adapter.gaussians_of(torch.full((8, 8), 0.5), raw, first)
     rest = {"opacities": torch.ones(64), "source": torch.arange(64, dtype=torch.int32)}
     gaussians, eye = Gaussians(**fields, **rest), np.array([0.3, 1.0, -0.7])
     window = replace(first, c2w=np.block([[np.eye(3), eye[:, None]], [0, 0, 0, 1]]))
@@ -145,7 +124,7 @@ def test_lifted_gaussians_have_these_colours():
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     Y = e3nn_basis(d * [-1, 1, -1] @ first.c2w[:3, :3])
     Y *= np.repeat([1, 0.025, 0.00625, 0.0015625], [1, 3, 5, 7])
-    predicted = raw.double().numpy().reshape(64, 57)[:, 9:].reshape(64, 16, 3)
-    published = np.maximum(0, 0.5 + np.einsum("nk,nkc->nc", Y, predicted))
+    predicted = raw.double().numpy().reshape(64, 84)[:, 9:].reshape(64, 3, 25)[..., :16]
+    published = np.maximum(0, 0.5 + np.einsum("nk,nck->nc", Y, predicted))
     # Measured 2e-7.
     np.testing.assert_allclose(harmonics.colors(gaussians, window), published, atol=1e-6)

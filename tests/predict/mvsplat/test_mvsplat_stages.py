@@ -1,4 +1,4 @@
-"""Fast ways against obvious ones: windows, correlation, strips."""
+"""Fast ways against obvious ones: windows, correlation."""
 
 import pytest
 import torch
@@ -44,7 +44,7 @@ def plain_correlation(features, cameras, disparities):
             for d, disparity in enumerate(disparities.double()):
                 points = pixels @ K_i.inverse().T / disparity @ motion[:3, :3].T + motion[:3, 3]
                 view = points @ K_j.T
-                grid = view[..., :2] / view[..., 2:].clamp(min=cost_volume.MIN_DEPTH)
+                grid = view[..., :2] / view[..., 2:].clamp(min=1e-3)
                 warped = F.grid_sample(
                     features[j : j + 1].double(), (grid / size * 2 - 1)[None], align_corners=True
                 )[0]
@@ -60,29 +60,6 @@ def test_correlation_is_that_of_warped_features(rig):
     disparities = cost_volume.spread(1.0, 100.0, 24)
     plain = plain_correlation(features, cameras, disparities)
     fast = cost_volume.correlate(features, cameras, disparities)
-    anywhere = torch.zeros_like(fast)
-    for i in range(len(cameras)):
-        for j in set(range(len(cameras))) - {i}:
-            lines = cost_volume.path(cameras[i], cameras[j], (15, 20))
-            maps = (features[n].permute(1, 2, 0).contiguous() for n in (i, j))
-            cost_volume.add_warped(*lines, *maps, disparities, anywhere[i])
-    anywhere /= 32**0.5 * (len(cameras) - 1)
     # Values are up to 5. float32 positions are 2e-6 pixels off, and 2e-5 where a point is beside
     # the other camera and flies through its image.
     assert (fast - plain).abs().max() < 2e-4
-    assert (anywhere - plain).abs().max() < 2e-4
-
-
-def test_strips_leave_no_seams(network, monkeypatch):
-    generator = torch.Generator().manual_seed(0)
-    images, features, detail, coarse = (
-        torch.rand(1, channels, 48, 32, generator=generator) for channels in (3, 128, 32, 1)
-    )
-    disparities = cost_volume.spread(1.0, 100.0, 128)
-    heads = network.depth_predictor.heads
-    with torch.no_grad():
-        full = heads(images, features, detail, coarse[:, 0], disparities)
-        monkeypatch.setattr("slgaussian.predict.mvsplat.depth.STRIP", 20)
-        strips = heads(images, features, detail, coarse[:, 0], disparities)
-    for first, second in zip(full, strips, strict=True):
-        torch.testing.assert_close(first, second, rtol=0, atol=5e-6)
