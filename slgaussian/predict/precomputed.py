@@ -21,13 +21,7 @@ from slgaussian.cameras.check import COARSE, agree
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
-from slgaussian.formats.depth_maps import (
-    DepthMap,
-    known_depth,
-    name_keys,
-    read_geometry,
-    read_map,
-)
+from slgaussian.formats.depth_maps import DepthMap, known_depth, name_keys, read_geometry, read_map
 from slgaussian.formats.resampling import Window, sample_depth
 from slgaussian.gaussians import Gaussians
 from slgaussian.masks.configs import DEPTHS
@@ -115,13 +109,14 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
 
 def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
     """Find and read the map of every context view; InputError as :class:`PrecomputedGeometry`."""
+    names = [view.name for view in sample.context]
     if place.is_file() and place.suffix == ".npz":
-        return _of_views(place, [view.name for view in sample.context])
+        return _of_views(place, names)
     if not place.is_dir():
         raise InputError(f"{place}: is no folder and no .npz; give one of both")
     folders = (place / name for name in (sample.scene, FRAMES.sub("", sample.scene)))
     place = next((folder for folder in folders if folder.is_dir()), place)
-    return [_find_map(place, view.name) for view in sample.context]
+    return [_find_map(place, name) for name in names]
 
 
 def _of_views(file: Path, views: Sequence[str]) -> list[DepthMap]:
@@ -136,15 +131,17 @@ def _of_views(file: Path, views: Sequence[str]) -> list[DepthMap]:
 
 def _find_map(folder: Path, view: str) -> DepthMap:
     for key in dict.fromkeys(name_keys(view)):
-        files = [f for f in (folder / f"{key}{suffix}" for suffix in DEPTHS) if f.is_file()]
+        files, beside = (
+            [file for suffix in DEPTHS if (file := folder / f"{name}{suffix}").is_file()]
+            for name in (key, f"{key}_conf")
+        )
         if len(files) > 1:
             raise InputError(f"{files[0]}: {files[1].name} is there too; remove one of them")
-        beside = [folder / f"{key}_conf{suffix}" for suffix in DEPTHS]
-        for file in files:
-            if file.suffix == ".npz":
-                return _of_views(file, [view])[0]
-            sure = next((read_map(conf, byte=True) for conf in beside if conf.is_file()), None)
-            return DepthMap(str(file), known_depth(read_map(file)), sure)
+        if files and files[0].suffix == ".npz":
+            return _of_views(files[0], [view])[0]
+        if files:
+            sure = read_map(beside[0], byte=True) if beside else None
+            return DepthMap(str(files[0]), known_depth(read_map(files[0])), sure)
     raise InputError(
         f"{folder}: has no depth of view {view!r}; expected {Path(view).stem} with one of "
         f"{', '.join(DEPTHS)}"
@@ -184,15 +181,6 @@ def along_z(depth: np.ndarray, K: np.ndarray) -> np.ndarray:
     rows, columns = np.indices(depth.shape) + 0.5
     rays = np.stack([columns, rows, np.ones(depth.shape)], -1) @ np.linalg.inv(K).T
     return depth / np.linalg.norm(rays, axis=-1)
-
-
-def to_view(values: np.ndarray, at: np.ndarray, camera: Camera) -> np.ndarray:
-    """Resample depth [h, w] to a view, whose pixels ``at`` [3, 3] takes to those of the map."""
-    if values.shape == (camera.height, camera.width) and np.allclose(at, np.eye(3), atol=1e-9):
-        return values
-    x = at[0, 0] * (np.arange(camera.width) + 0.5) + at[0, 2]
-    y = at[1, 1] * (np.arange(camera.height) + 0.5) + at[1, 2]
-    return sample_depth(values.astype(np.float32), x[None], y[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,19 +243,17 @@ def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) ->
         tries.append((f"times {common:.4g}", ones * common))
         own = np.array([np.median(r) if len(r) >= MIN_MATCHES else common for r in each])
         tries.append((f"times {own.min():.4g} to {own.max():.4g}, by view", own))
-    best = None
+    best = Fitted(1.0, 0.0, 0, ones, "")
     for scaling, scales in tries:
         off = [np.zeros(0)]
         for a, relative, here, there, z in seen:
             at, ratio = relative.project(here, 1 / (scales[a] * z))
             off.append(np.where(ratio > 0, np.linalg.norm(at - there, axis=-1), np.inf) / bound)
         errors = np.concatenate(off)
-        count = len(errors)
-        error = float(np.minimum(errors, 1).mean()) if count else 1.0
-        if best is None or error < MUCH_BETTER * best.error:
-            share = float((errors < 1).mean()) if count else 0.0
-            best = Fitted(error, share, count, scales, scaling)
-    assert best is not None
+        if len(errors):
+            error, share = float(np.minimum(errors, 1).mean()), float((errors < 1).mean())
+            if not best.count or error < MUCH_BETTER * best.error:
+                best = Fitted(error, share, len(errors), scales, scaling)
     return best
 
 
@@ -321,10 +307,8 @@ def _read(
             f"{place}: too few matches to check how depth is meant; taken along z, as it is",
             stacklevel=4,
         )
-    notes = ["along the ray"] if ray else []
-    notes += [f"of {way} photographs"] if len(ways[0]) > 1 else []
-    notes += [fitted.scaling] if fitted.scaling else []
-    if notes:
+    notes = {"along the ray": ray, f"of {way} photographs": len(ways[0]) > 1, fitted.scaling: True}
+    if notes := [note for note, holds in notes.items() if note and holds]:
         warnings.warn(
             f"{place}: depth is read {', '.join(notes)}: so it takes {fitted.share:.0%} of the "
             "matches to where the other view shows them",
@@ -332,8 +316,18 @@ def _read(
         )
     views_depth, sure = [], []
     for one, z, to_map, camera, scale in zip(maps, zs, at, cameras, fitted.scales, strict=True):
-        views_depth.append(scale * to_view(z, to_map, camera))
-        sure.append(None if one.confidence is None else _nearest(one.confidence, to_map, camera))
+        same = z.shape == (camera.height, camera.width) and np.allclose(
+            to_map, np.eye(3), atol=1e-9
+        )
+        x = to_map[0, 0] * (np.arange(camera.width) + 0.5) + to_map[0, 2]
+        y = to_map[1, 1] * (np.arange(camera.height) + 0.5) + to_map[1, 2]
+        z = z if same else sample_depth(z.astype(np.float32), x[None], y[:, None])
+        views_depth.append(scale * z)
+        row, column = (
+            axis.astype(np.int64).clip(0, size - 1)
+            for axis, size in zip((y, x), one.depth.shape, strict=True)
+        )
+        sure.append(None if one.confidence is None else one.confidence[np.ix_(row, column)])
     return views_depth, sure
 
 
@@ -345,16 +339,10 @@ def _ways(view: View, one: DepthMap) -> dict[str, np.ndarray]:
     height, width = one.depth.shape
     ways = placements(width, height, (part.photo_width, part.photo_height))
     ways = {way: at @ to_photo for way, at in ways.items()}
-    if one.K is None:
-        return ways
     K = one.K
-    return dict(sorted(ways.items(), key=lambda way: float(np.abs(way[1] @ camera.K - K).sum())))
-
-
-def _nearest(values: np.ndarray, at: np.ndarray, camera: Camera) -> np.ndarray:
-    x = (at[0, 0] * (np.arange(camera.width) + 0.5) + at[0, 2]).astype(np.int64)
-    y = (at[1, 1] * (np.arange(camera.height) + 0.5) + at[1, 2]).astype(np.int64)
-    return values[np.ix_(y.clip(0, values.shape[0] - 1), x.clip(0, values.shape[1] - 1))]
+    if K is not None:
+        ways = dict(sorted(ways.items(), key=lambda way: np.abs(way[1] @ camera.K - K).sum()))
+    return ways
 
 
 def _swept(
@@ -363,8 +351,7 @@ def _swept(
     depths: Sequence[np.ndarray],
     confidences: Sequence[np.ndarray | None],
 ) -> tuple[list[SweptView], np.ndarray]:
-    """Cross-check the depths of all views, as after a sweep; also return a mask of low confidence,
-    bool [V, H, W]."""
+    """Cross-check all depths, as after a sweep; also return a mask of low confidence [V, H, W]."""
     links, settings = linked.links, PlaneSweep()
     given = np.array([depth > 0 for depth in depths])
     inverse = [
@@ -397,18 +384,14 @@ def _swept(
             judged[i] |= given[i] & (far != UNSEEN) & ~open_
             agrees[i] |= given[i] & ((far == AGREES) | open_)
     low_confidence = _low(confidences, agrees, judged)
-    swept = [
-        SweptView(steps[i], inverse[i], agrees[i] & ~low_confidence[i], given[i])
-        for i in range(len(steps))
-    ]
-    return swept, low_confidence
+    views = zip(steps, inverse, agrees & ~low_confidence, given, strict=True)
+    return [SweptView(*view) for view in views], low_confidence
 
 
 def _low(
     confidences: Sequence[np.ndarray | None], agrees: np.ndarray, judged: np.ndarray
 ) -> np.ndarray:
-    """Return a mask of the lowest confidence levels, of which other views contradict more than
-    half, bool [V, H, W]."""
+    """Mask the lowest levels of confidence, of which other views contradict more than half."""
     low = np.zeros_like(agrees)
     if any(one is None for one in confidences) or not judged.any():
         return low

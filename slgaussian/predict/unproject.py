@@ -61,15 +61,55 @@ def unproject(
 
 
 def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Means [H * W, 3], scales [H * W, 3] and quaternions wxyz [H * W, 4], float32, world space."""
-    return _discs(
-        inverse_depth,
-        normals(inverse_depth, camera.K),
-        np.linalg.inv(camera.K),
-        np.ascontiguousarray(camera.c2w[:3, :3]),
-        np.ascontiguousarray(camera.center),
-        FOOTPRINT / np.sqrt(camera.K[0, 0] * camera.K[1, 1]),
+    """Means [H * W, 3], scales [H * W, 3] and quaternions wxyz [H * W, 4], float32, world space.
+
+    Local axes of a disc: across the line of sight, along the slope, and the normal.
+    """
+    depth = 1 / inverse_depth.ravel().astype(np.float64)
+    n = normals(inverse_depth, camera.K).reshape(-1, 3)
+    row, column = np.indices(inverse_depth.shape).reshape(2, -1) + 0.5
+    sight = _turned(np.linalg.inv(camera.K), np.stack([column, row, np.ones(len(depth))], 1))
+    means = camera.center + depth[:, None] * _turned(camera.c2w[:3, :3], sight)
+    sight /= _length(sight)
+    across = np.cross(n, sight)
+    # Where the surface faces the camera any axis in its plane will do.
+    facing = _length(across) < 1e-6
+    across = np.where(facing, np.cross(n, [0.0, 1.0, 0.0]), across)
+    across /= _length(across)
+    axes = np.stack(
+        [_turned(camera.c2w[:3, :3], axis) for axis in (across, np.cross(n, across), n)], 2
     )
+    cosine = np.where(facing[:, 0], 1.0, np.abs((n * sight).sum(1)))
+    width = FOOTPRINT / np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * depth
+    scales = np.stack([width, width / np.maximum(cosine, MIN_COSINE), width * THICKNESS], 1)
+    quats = _quaternions(axes)
+    parts = means, scales, quats / _length(quats)
+    return tuple(part.astype(np.float32) for part in parts)
+
+
+def _turned(R: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Multiply vectors [N, 3] by a matrix, without BLAS: bitwise equal on any CPU."""
+    x, y, z = vectors.T[..., None]
+    return x * R[:, 0] + y * R[:, 1] + z * R[:, 2]
+
+
+def _length(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt((vectors * vectors).sum(1, keepdims=True))
+
+
+def _quaternions(R: np.ndarray) -> np.ndarray:
+    """Return quaternions wxyz of rotations [N, 3, 3], times 4 times the largest component (Shepperd
+    1978)."""
+    trace = R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2]
+    table = np.empty((len(R), 4, 4))
+    table[:, 0, 0] = 1 + trace
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        table[:, 0, 1 + i] = table[:, 1 + i, 0] = R[:, k, j] - R[:, j, k]
+        table[:, 1 + i, 1 + i] = 1 + 2 * R[:, i, i] - trace
+        table[:, 1 + j, 1 + i] = table[:, 1 + i, 1 + j] = R[:, j, i] + R[:, i, j]
+    largest = np.argmax([R[:, 0, 0], R[:, 1, 1], R[:, 2, 2], trace], 0)
+    return table[np.arange(len(R)), (largest + 1) % 4]
 
 
 def normals(inverse_depth: np.ndarray, K: np.ndarray) -> np.ndarray:
@@ -120,80 +160,3 @@ def _normals(values, K, radius, same):
             out[y, x, 1] = -down / length
             out[y, x, 2] = -away / length
     return out
-
-
-# Scalars instead of slices: assignments to slices take seconds to compile, for their shape errors.
-
-
-@kernel
-def _discs(inverse_depth, normal, K_inverse, R, center, footprint):
-    """Compute discs with the local axes (across the line of sight, along the slope, normal)."""
-    H, W = inverse_depth.shape
-    means = np.empty((H * W, 3), np.float32)
-    scales = np.empty((H * W, 3), np.float32)
-    quats = np.empty((H * W, 4), np.float32)
-    for y in range(H):
-        turned = np.empty((3, 3))
-        q = np.empty(4)
-        for x in range(W):
-            k = y * W + x
-            depth = 1 / float(inverse_depth[y, x])
-            s0 = K_inverse[0, 0] * (x + 0.5) + K_inverse[0, 1] * (y + 0.5) + K_inverse[0, 2]
-            s1 = K_inverse[1, 0] * (x + 0.5) + K_inverse[1, 1] * (y + 0.5) + K_inverse[1, 2]
-            s2 = K_inverse[2, 0] * (x + 0.5) + K_inverse[2, 1] * (y + 0.5) + K_inverse[2, 2]
-            for i in range(3):
-                means[k, i] = center[i] + depth * (R[i, 0] * s0 + R[i, 1] * s1 + R[i, 2] * s2)
-            length = math.sqrt(s0 * s0 + s1 * s1 + s2 * s2)
-            s0, s1, s2 = s0 / length, s1 / length, s2 / length
-            n0, n1, n2 = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
-            a0, a1, a2, tilt = _cross(n0, n1, n2, s0, s1, s2)
-            if tilt < 1e-6:
-                # The surface faces the camera: any axis in the plane will do.
-                a0, a1, a2, tilt = _cross(n0, n1, n2, 0.0, 1.0, 0.0)
-                s0, s1, s2 = -n0, -n1, -n2
-            a0, a1, a2 = a0 / tilt, a1 / tilt, a2 / tilt
-            b0, b1, b2, _ = _cross(n0, n1, n2, a0, a1, a2)
-            for i in range(3):
-                turned[i, 0] = R[i, 0] * a0 + R[i, 1] * a1 + R[i, 2] * a2
-                turned[i, 1] = R[i, 0] * b0 + R[i, 1] * b1 + R[i, 2] * b2
-                turned[i, 2] = R[i, 0] * n0 + R[i, 1] * n1 + R[i, 2] * n2
-            cosine = abs(n0 * s0 + n1 * s1 + n2 * s2)
-            width = footprint * depth
-            scales[k, 0] = width
-            scales[k, 1] = width / max(cosine, MIN_COSINE)
-            scales[k, 2] = width * THICKNESS
-            _quaternion(turned, q)
-            length = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
-            for i in range(4):
-                quats[k, i] = q[i] / length
-    return means, scales, quats
-
-
-@kernel
-def _cross(a0, a1, a2, b0, b1, b2):
-    """Return ``a x b`` and its length."""
-    x, y, z = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
-    return x, y, z, math.sqrt(x * x + y * y + z * z)
-
-
-@kernel
-def _quaternion(R, q):
-    """Write an unnormalised quaternion wxyz of a rotation, by its largest component (Shepperd
-    1978)."""
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    if trace > max(R[0, 0], R[1, 1], R[2, 2]):
-        q[0] = 1 + trace
-        q[1] = R[2, 1] - R[1, 2]
-        q[2] = R[0, 2] - R[2, 0]
-        q[3] = R[1, 0] - R[0, 1]
-    else:
-        i = 0
-        if R[1, 1] > R[0, 0]:
-            i = 1
-        if R[2, 2] > R[i, i]:
-            i = 2
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[0] = R[k, j] - R[j, k]
-        q[1 + i] = 1 + 2 * R[i, i] - trace
-        q[1 + j] = R[j, i] + R[i, j]
-        q[1 + k] = R[k, i] + R[i, k]

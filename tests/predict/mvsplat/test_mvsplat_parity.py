@@ -13,7 +13,8 @@ from tests.predict.mvsplat.make_reference import FILE, digest, places
 from tests.predict.textured_planes import camera
 from tests.rasterize.test_harmonics import scipy_basis
 
-STAGES = [name.removeprefix("floor/") for name in np.load(FILE).files if name.startswith("floor/")]
+LEFT_OUT = {"floor/disparity_head", "floor/rotations_xyzw_local"}
+STAGES = [name[6:] for name in np.load(FILE).files if "floor/" in name and name not in LEFT_OUT]
 
 NOISE = 5
 """Allowed error over the reference's own, between two ways to compute it. Measured on one machine:
