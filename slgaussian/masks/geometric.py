@@ -125,9 +125,9 @@ class GeometricTracker:
         keys = leaves.astype(np.int64) * bins + _color_bins(lab)
         leaf_colors = np.bincount(keys.ravel(), minlength=len(of_leaf) * bins)
         leaf_colors = leaf_colors.reshape(len(of_leaf), bins)
-        edges, length, _ = adjacency(leaves, np.zeros(leaves.shape, np.float32))
+        edges, borders = adjacency(leaves, np.zeros(leaves.shape, np.float32))
         edges = np.concatenate([edges, edges[:, ::-1]])
-        length = np.concatenate([length, length])
+        length = np.tile(borders[:, 0], 2)
         while True:
             front = (of_leaf[edges[:, 0]] == 0) & (of_leaf[edges[:, 1]] > 0)
             leaf, label = edges[front, 0], of_leaf[edges[front, 1]]

@@ -84,12 +84,12 @@ def _wholes(joint: LeafSums, trees: Sequence[MergeTree], at_edge: np.ndarray) ->
     # In order of the trees: the first nodes of the first one are the objects.
     order = np.argsort(first)
     first, standing = first[order], standing[order]
-    use = (np.arange(len(first)) < count) | (nodes[first] @ joint.size >= LEAST_SHARE)
+    use = (np.arange(len(first)) < count) | (nodes[first] @ joint.means[:, 0] >= LEAST_SHARE)
     return Wholes(
         nodes[first[use]][count:],
         standing[use].astype(np.float32),
-        joint.sizes.astype(np.float32),
+        joint.views[..., 0].astype(np.float32),
         at_edge,
         joint.edges.astype(np.int32),
-        np.stack([joint.length, joint.strength], 1).astype(np.float32),
+        joint.borders.astype(np.float32),
     )

@@ -53,8 +53,7 @@ class MergeTree:
         parent: int32 [M]. Parent of every node, -1 for a root. Nodes 0 .. N-1 are leaves; parents
             follow children.
         height: float64 [M]. Cost of the merge that created a node, 0 for leaves, at least that of
-            its children: the weighted sum of the cues, each 0 to about 1, times the size term of
-            :class:`Cues`.
+            its children.
     """
 
     leaves: np.ndarray
@@ -103,27 +102,20 @@ class LeafSums:
 
     Attributes:
         leaves: int32 [H, W] or [V, H, W]. Leaf of every pixel, 0 .. N-1, or -1.
-        edges: int64 [E, 2]
-        length, strength: float64 [E]. Leaves that touch, the length of their border and its summed
-            strength: :func:`adjacency`.
-        size: float64 [N]. Share of the image, the mean over views.
-        color: float64 [N, 3]. Mean CIELAB times size.
-        histogram: float64 [N, TEXTURE_CODES]. Texture histogram that sums to size.
-        sizes: float64 [N, V]. Share of each view, 0 where it does not show the leaf.
-        planes: float64 [N, V, 10]. :func:`plane_sums`.
+        edges, borders: int64 [E, 2], float64 [E, 2]. As :func:`adjacency`.
+        means: float64 [N, 31]. Mean over the views of: the share of the image; CIELAB and the
+            texture histogram, summed over the leaf and divided by the pixels of the image.
+        views: float64 [N, V, 11]. Share of each view, 0 where it does not show the leaf, and
+            :func:`plane_sums`.
         boxes: float64 [N, V, 4]. Left, top, right and bottom, with an image of area 1; inside out
             where a leaf is not shown.
     """
 
     leaves: np.ndarray
     edges: np.ndarray
-    length: np.ndarray
-    strength: np.ndarray
-    size: np.ndarray
-    color: np.ndarray
-    histogram: np.ndarray
-    sizes: np.ndarray
-    planes: np.ndarray
+    borders: np.ndarray
+    means: np.ndarray
+    views: np.ndarray
     boxes: np.ndarray
 
 
@@ -148,115 +140,82 @@ def leaf_sums(
     n = int(leaves.max(initial=-1)) + 1 if count is None else count
     inside = leaves >= 0
     index = leaves[inside]
-    size = np.bincount(index, minlength=n).astype(np.float64)
-    color = np.stack([np.bincount(index, lab[inside, c], n) for c in range(3)], 1)
+    size = np.bincount(index, minlength=n)
+    color = [np.bincount(index, lab[inside, c], n) for c in range(3)]
     codes = (texture_codes(lab[..., 0]) if texture is None else texture)[inside]
     histogram = np.bincount(index * TEXTURE_CODES + codes, minlength=n * TEXTURE_CODES)
-    edges, length, strength = adjacency(leaves, boundary)
-    return LeafSums(
-        leaves,
-        edges,
-        length,
-        strength,
-        size / leaves.size,
-        color / leaves.size,
-        histogram.reshape(n, TEXTURE_CODES) / leaves.size,
-        size[:, None] / leaves.size,
-        plane_sums(leaves, depth, n)[:, None],
-        _boxes(leaves, n)[:, None],
-    )
+    means = np.column_stack([size, *color, histogram.reshape(n, TEXTURE_CODES)]) / leaves.size
+    views = np.column_stack([means[:, 0], plane_sums(leaves, depth, n)])
+    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (n, 1))
+    for leaf, window in enumerate(find_objects(leaves + 1, n)):
+        if window is not None:
+            y, x = window
+            boxes[leaf] = x.start, y.start, x.stop, y.stop
+    boxes /= np.sqrt(leaves.size)
+    return LeafSums(leaves, *adjacency(leaves, boundary), means, views[:, None], boxes[:, None])
 
 
 def joint_sums(views: Sequence[LeafSums]) -> LeafSums:
     """Combine the statistics of the same N leaves in several views of one size."""
     leaves = np.stack([view.leaves for view in views])
-    count = len(views[0].size)
-    edges = np.concatenate([view.edges for view in views])
-    keys, inverse = np.unique(edges[:, 0] * count + edges[:, 1], return_inverse=True)
-    length, strength = (
-        np.bincount(inverse, np.concatenate([getattr(view, name) for view in views]), len(keys))
-        for name in ("length", "strength")
-    )
-    means = (
-        np.mean([getattr(view, name) for view in views], 0)
-        for name in ("size", "color", "histogram")
-    )
-    beside = (
-        np.concatenate([getattr(view, name) for view in views], 1)
-        for name in ("sizes", "planes", "boxes")
-    )
-    edges = np.stack([keys // max(count, 1), keys % max(count, 1)], 1)
-    return LeafSums(leaves, edges, length, strength, *means, *beside)
+    edges, borders = (np.concatenate([getattr(v, n) for v in views]) for n in ("edges", "borders"))
+    means = np.mean([view.means for view in views], 0)
+    beside = (np.concatenate([getattr(v, n) for v in views], 1) for n in ("views", "boxes"))
+    return LeafSums(leaves, *_summed(edges, borders, len(means)), means, *beside)
 
 
 def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:
     """Merge greedily until no two regions are adjacent; by default with ``Cues()``."""
     cues = cues or Cues()
-    n = len(sums.size)
+    n = len(sums.means)
     parent, height = np.full(2 * n, -1, np.int32), np.zeros(2 * n)
-    count = _merge(
-        parent,
-        height,
-        np.arange(n),
-        np.full(n, -1, np.int64),
-        np.empty(len(sums.edges)),
-        sums.edges.copy(),
-        sums.length.copy(),
-        sums.strength.copy(),
-        sums.size.copy(),
-        sums.color.copy(),
-        sums.histogram.copy(),
-        sums.sizes.copy(),
-        sums.planes.copy(),
-        sums.boxes.copy(),
-        np.array([1.0, cues.color, cues.texture, cues.plane, cues.fill]),
-        cues.size_power,
-    )
+    scratch = np.arange(n), np.full(n, -1, np.int64), np.empty(len(sums.edges))
+    tables = sums.edges, sums.borders, sums.means, sums.views, sums.boxes
+    weights = np.array([cues.color, cues.texture, cues.plane, cues.fill])
+    copies = [table.copy() for table in tables]
+    count = _merge(parent, height, *scratch, *copies, weights, cues.size_power)
     return MergeTree(sums.leaves, parent[:count], height[:count])
 
 
-def adjacency(leaves, boundary):
-    """Return edges int64 [E, 2] (u < v, sorted), and length and summed strength of each border."""
-    n = int(leaves.max(initial=-1)) + 1
-    keys, strengths = [], []
+def adjacency(leaves: np.ndarray, boundary: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the leaves that touch.
+
+    Returns:
+        edges: int64 [E, 2]. Pairs of leaves, u < v, sorted.
+        borders: float64 [E, 2]. Length of their common border, and its summed strength.
+    """
+    edges, strengths = [], []
     for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        p, q = leaves[a].astype(np.int64), leaves[b].astype(np.int64)
-        touch = (p != q) & (p >= 0) & (q >= 0)
-        keys.append(np.minimum(p, q)[touch] * n + np.maximum(p, q)[touch])
+        pairs = np.stack([leaves[a], leaves[b]], -1)
+        touch = (pairs[..., 0] != pairs[..., 1]) & (pairs >= 0).all(-1)
+        edges.append(np.sort(pairs[touch], 1))
         strengths.append(np.maximum(boundary[a], boundary[b])[touch])
-    unique, inverse = np.unique(np.concatenate(keys), return_inverse=True)
-    edges = np.stack([unique // max(n, 1), unique % max(n, 1)], 1)
-    length = np.bincount(inverse, minlength=len(unique)).astype(np.float64)
-    return edges, length, np.bincount(inverse, np.concatenate(strengths), len(unique))
+    strength = np.concatenate(strengths)
+    borders = np.stack([np.ones_like(strength), strength], 1)
+    return _summed(np.concatenate(edges), borders, int(leaves.max(initial=-1)) + 1)
 
 
-def plane_sums(leaves, depth, n):
-    """Sum 1, u, v, uu, uv, vv, d, du, dv, dd over each leaf, for fits of planes d(u, v).
+def _summed(edges: np.ndarray, borders: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sum the borders of equal edges between ``count`` leaves."""
+    keys, inverse = np.unique(
+        edges[:, 0].astype(np.int64) * count + edges[:, 1], return_inverse=True
+    )
+    sums = [np.bincount(inverse, border, len(keys)) for border in borders.T]
+    return np.stack(np.divmod(keys, max(count, 1)), 1), np.stack(sums, 1)
+
+
+def plane_sums(leaves: np.ndarray, depth: np.ndarray | None, n: int) -> np.ndarray:
+    """Sum 1, u, v, uu, uv, vv, d, du, dv, dd over each leaf, float64 [n, 10], for planes d(u, v).
 
     ``d`` is inverse depth relative to its median; ``u`` and ``v`` are in units of the width.
     """
-    sums = np.zeros((n, 10))
     if depth is None or not (depth > 0).any():
-        return sums
+        return np.zeros((n, 10))
     use = (leaves >= 0) & (depth > 0)
-    index = leaves[use]
     d = np.median(depth[use]) / depth[use].astype(np.float64)
     v, u = (axis / leaves.shape[1] for axis in np.nonzero(use))
     terms = (np.ones_like(d), u, v, u * u, u * v, v * v, d, d * u, d * v, d * d)
-    for column, term in enumerate(terms):
-        sums[:, column] = np.bincount(index, term, n)
-    return sums
-
-
-def _boxes(leaves, n):
-    """Return left, top, right, bottom of every leaf, float64 [n, 4], for an image area of 1."""
-    unit = np.sqrt(leaves.size)
-    corners = np.tile([np.inf, np.inf, -np.inf, -np.inf], (n, 1))
-    for leaf, window in enumerate(find_objects(leaves + 1, n)):
-        if window is not None:
-            y, x = window
-            corners[leaf] = x.start, y.start, x.stop, y.stop
-    return corners / unit
+    return np.stack([np.bincount(leaves[use], term, n) for term in terms], 1)
 
 
 @kernel
@@ -291,50 +250,50 @@ def plane_gap(a, b):
 
 
 @kernel
-def _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, power):
-    """Return the cost of merging regions a and b; ``weights`` are border, color, texture, plane
-    and fill."""
-    cost = weights[0] * border
-    color_gap = 0.0
-    for c in range(3):
-        step = color[a, c] / size[a] - color[b, c] / size[b]
+def _cost(a, b, border, means, views, boxes, weights, power):
+    """Return the cost of merging regions a and b, whose common border has strength ``border``.
+
+    ``weights`` are those of color, texture, plane and fill.
+    """
+    size_a, size_b = means[a, 0], means[b, 0]
+    color_gap = texture_gap = 0.0
+    for c in range(1, 4):
+        step = means[a, c] / size_a - means[b, c] / size_b
         color_gap += step * step
-    cost += weights[1] * min(np.sqrt(color_gap) / COLOR_STEP, 1.0)
-    texture_gap = 0.0
-    for k in range(histogram.shape[1]):
-        p, q = histogram[a, k] / size[a], histogram[b, k] / size[b]
+    for k in range(4, means.shape[1]):
+        p, q = means[a, k] / size_a, means[b, k] / size_b
         if p + q > 0:
             texture_gap += (p - q) * (p - q) / (p + q)
-    cost += weights[2] * texture_gap
     misfit, empty, both, some = 0.0, 0.0, 0, 0
-    for v in range(sizes.shape[1]):
-        if sizes[a, v] > 0 and sizes[b, v] > 0:
-            misfit += min(plane_gap(planes[a, v], planes[b, v]) / PLANE_STEP, 1.0)
+    for v in range(views.shape[1]):
+        share_a, share_b = views[a, v, 0], views[b, v, 0]
+        if share_a > 0 and share_b > 0:
+            misfit += min(plane_gap(views[a, v, 1:], views[b, v, 1:]) / PLANE_STEP, 1.0)
             both += 1
-        if sizes[a, v] > 0 or sizes[b, v] > 0:
+        if share_a > 0 or share_b > 0:
             wide = max(boxes[a, v, 2], boxes[b, v, 2]) - min(boxes[a, v, 0], boxes[b, v, 0])
             high = max(boxes[a, v, 3], boxes[b, v, 3]) - min(boxes[a, v, 1], boxes[b, v, 1])
-            empty += 1 - (sizes[a, v] + sizes[b, v]) / (wide * high)
+            empty += 1 - (share_a + share_b) / (wide * high)
             some += 1
-    cost += weights[3] * misfit / max(both, 1)
-    cost += weights[4] * empty / some
-    return cost * (size[a] * size[b] / (size[a] + size[b])) ** power
+    cost = border + weights[0] * min(np.sqrt(color_gap) / COLOR_STEP, 1.0)
+    cost += weights[1] * texture_gap
+    cost += weights[2] * misfit / max(both, 1)
+    cost += weights[3] * empty / some
+    return cost * (size_a * size_b / (size_a + size_b)) ** power
 
 
 @kernel
 def _merge(
-    parent, height, node, edge_to, cost, edges, length, strength, size, color, histogram, sizes,
-    planes, boxes, weights, power,
-):  # fmt: skip
+    parent, height, node, edge_to, cost, edges, borders, means, views, boxes, weights, power
+):
     """Fill ``parent`` and ``height`` and return the number of nodes; modifies all other arrays.
 
     ``node`` [N] is the node of each region, ``edge_to`` [N] is -1, and ``cost`` [E] is scratch.
     """
-    live, count = edges.shape[0], size.shape[0]
+    live, count = len(edges), len(means)
     for e in range(live):
-        a, b = edges[e, 0], edges[e, 1]
-        border = strength[e] / length[e]
-        cost[e] = _cost(a, b, border, size, color, histogram, sizes, planes, boxes, weights, power)
+        border = borders[e, 1] / borders[e, 0]
+        cost[e] = _cost(edges[e, 0], edges[e, 1], border, means, views, boxes, weights, power)
     while live > 0:
         best = 0
         for e in range(1, live):
@@ -342,21 +301,16 @@ def _merge(
                 best = e
         keep, gone = edges[best, 0], edges[best, 1]
         # Scalar loops: row operations take Numba seconds to compile.
-        size[keep] += size[gone]
-        for c in range(color.shape[1]):
-            color[keep, c] += color[gone, c]
-        for k in range(histogram.shape[1]):
-            histogram[keep, k] += histogram[gone, k]
-        for v in range(sizes.shape[1]):
-            sizes[keep, v] += sizes[gone, v]
-            for k in range(planes.shape[2]):
-                planes[keep, v, k] += planes[gone, v, k]
+        for k in range(means.shape[1]):
+            means[keep, k] += means[gone, k]
+        for v in range(views.shape[1]):
+            for k in range(views.shape[2]):
+                views[keep, v, k] += views[gone, v, k]
             for k in range(2):
                 boxes[keep, v, k] = min(boxes[keep, v, k], boxes[gone, v, k])
                 boxes[keep, v, k + 2] = max(boxes[keep, v, k + 2], boxes[gone, v, k + 2])
         height[count] = max(cost[best], height[node[keep]], height[node[gone]])
-        parent[node[keep]] = count
-        parent[node[gone]] = count
+        parent[node[keep]] = parent[node[gone]] = count
         node[keep] = count
         count += 1
         # Rewrite the edges in place: edges of `gone` move to `keep`, and parallel edges merge.
@@ -368,23 +322,21 @@ def _merge(
             starts, ends = a in (keep, gone), b in (keep, gone)
             if starts or ends:
                 neighbour = b if starts else a
-                if edge_to[neighbour] >= 0:
-                    twin = edge_to[neighbour]
-                    length[twin] += length[e]
-                    strength[twin] += strength[e]
+                twin = edge_to[neighbour]
+                if twin >= 0:
+                    borders[twin, 0] += borders[e, 0]
+                    borders[twin, 1] += borders[e, 1]
                     continue
                 edge_to[neighbour] = write
                 a, b = min(keep, neighbour), max(keep, neighbour)
-            edges[write, 0], edges[write, 1] = a, b
-            length[write], strength[write], cost[write] = length[e], strength[e], cost[e]
+            edges[write, 0], edges[write, 1], cost[write] = a, b, cost[e]
+            borders[write, 0], borders[write, 1] = borders[e, 0], borders[e, 1]
             write += 1
         live = write
         for e in range(live):
             a, b = edges[e, 0], edges[e, 1]
             if a == keep or b == keep:
                 edge_to[b if a == keep else a] = -1
-                border = strength[e] / length[e]
-                cost[e] = _cost(
-                    a, b, border, size, color, histogram, sizes, planes, boxes, weights, power
-                )
+                border = borders[e, 1] / borders[e, 0]
+                cost[e] = _cost(a, b, border, means, views, boxes, weights, power)
     return count

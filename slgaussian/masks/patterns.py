@@ -53,7 +53,7 @@ def join_patterns(
     contrast = np.linalg.norm(color[:, None] - color[None], axis=-1)
     similar = contrast < ALIKE
 
-    edges, length, _ = adjacency(regions, np.zeros(regions.shape, np.float32))
+    edges, borders = adjacency(regions, np.zeros(regions.shape, np.float32))
     planes = plane_sums(regions, depth, count)
     a, b = edges.T
     usable = (np.maximum(size[a], size[b]) < LARGEST * regions.size) & ~similar[a, b]
@@ -61,7 +61,7 @@ def join_patterns(
     even = np.maximum(size[a], size[b]) < SIZE_RATIO * np.minimum(size[a], size[b])
 
     core = usable & even
-    group = _chains(edges[core], (length * contrast[a, b])[core], similar)
+    group = _chains(edges[core], (borders[:, 0] * contrast[a, b])[core], similar)
     _take_ends(group, edges[usable], similar, size)
     joined = np.unique(group, return_inverse=True)[1].astype(np.int32)
     return np.where(inside, joined[regions], -1)

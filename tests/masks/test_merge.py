@@ -84,22 +84,22 @@ def plain_cost(a, b, sums, cues):
     between = [(u in a and v in b) or (u in b and v in a) for u, v in sums.edges]
     if not any(between):
         return np.inf
-    sizes = [sums.size[leaves].sum() for leaves in (a, b)]
-    color = [sums.color[leaves].sum(0) / sums.size[leaves].sum() for leaves in (a, b)]
-    p, q = (sums.histogram[leaves].sum(0) / sums.size[leaves].sum() for leaves in (a, b))
+    sizes = [sums.means[leaves, 0].sum() for leaves in (a, b)]
+    means = [sums.means[leaves].sum(0) for leaves in (a, b)]
+    color, (p, q) = ([mean[part] / mean[0] for mean in means] for part in (np.s_[1:4], np.s_[4:]))
     used = p + q > 0
     misfits, empty = [], []
-    for view in range(sums.sizes.shape[1]):
-        visible = [sums.sizes[leaves, view].sum() for leaves in (a, b)]
+    for view in range(sums.views.shape[1]):
+        visible = [sums.views[leaves, view, 0].sum() for leaves in (a, b)]
         if all(visible):
-            gap = plane_gap(sums.planes[a, view].sum(0), sums.planes[b, view].sum(0))
+            gap = plane_gap(*(sums.views[leaves, view, 1:].sum(0) for leaves in (a, b)))
             misfits.append(min(gap / PLANE_STEP, 1))
         if any(visible):
             corners = sums.boxes[a + b, view]
             extent = corners[:, 2:].max(0) - corners[:, :2].min(0)
             empty.append(1 - sum(visible) / extent.prod())
     terms = [
-        (1.0, sums.strength[between].sum() / sums.length[between].sum()),
+        (1.0, np.divide(*sums.borders[between].sum(0)[::-1])),
         (cues.color, min(np.linalg.norm(color[0] - color[1]) / COLOR_STEP, 1)),
         (cues.texture, ((p - q)[used] ** 2 / (p + q)[used]).sum()),
         (cues.plane, np.mean(misfits) if misfits else 0),
@@ -131,7 +131,7 @@ def test_merging_in_several_views_equals_its_plain_reference(noise, cues):
         leaf_sums(image[:, ::-1].copy(), bare, boundary[::-1], None, 6),
     ]
     joint = joint_sums(views)
-    assert joint.sizes.shape == (6, 3) and joint.sizes[4, 1] == joint.sizes[0, 2] == 0
+    assert joint.views.shape == (6, 3, 11) and joint.views[4, 1, 0] == joint.views[0, 2, 0] == 0
     check_merging(joint, cues)
 
 
