@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
+import cv2
 import numpy as np
 import torch
 from pydantic import PrivateAttr
@@ -60,7 +61,8 @@ def all_masks(
     see :class:`AutomaticProposer`.
     """
     height, width = size = image.shape[:2]
-    points = point_grid(height, width, settings.points)
+    centres = (np.arange(settings.points) + 0.5) / settings.points
+    points = np.stack(np.meshgrid(centres * width, centres * height), -1).reshape(-1, 2)
     if region is not None:
         column, row = points.astype(int).T
         points = points[region[row, column]]
@@ -74,8 +76,8 @@ def all_masks(
     if not parts:
         return Proposals(np.zeros((0, *size), bool), np.zeros(0, np.float32))
     packed, boxes, predicted_iou, stability = map(np.concatenate, zip(*parts, strict=True))
-    rows = box_nms(boxes, predicted_iou, settings.box_iou)
-    masks = np.unpackbits(packed[rows], axis=1, count=size[0] * size[1])
+    rows = list(cv2.dnn.NMSBoxes(boxes, predicted_iou, 0.0, settings.box_iou))
+    masks = np.unpackbits(packed[rows], axis=1, count=height * width)
     masks = masks.view(bool).reshape(-1, *size)
     scores = (predicted_iou * stability)[rows]
     if settings.visible is not None:
@@ -85,14 +87,6 @@ def all_masks(
     return Proposals(masks[best], scores[best].astype(np.float32))
 
 
-def point_grid(height: int, width: int, count: int) -> np.ndarray:
-    """Return the centres of a grid of ``count`` x ``count`` cells, x and y in pixels, float64
-    [N, 2]."""
-    at = (np.arange(count) + 0.5) / count
-    y, x = np.meshgrid(at * height, at * width, indexing="ij")
-    return np.stack([x.ravel(), y.ravel()], 1)
-
-
 def _mask_prompts(
     prompted: PromptedImage,
     points: np.ndarray,
@@ -100,9 +94,9 @@ def _mask_prompts(
     settings: Automatic,
     level_indices: Sequence[int],
 ) -> Iterator[tuple[np.ndarray, ...]]:
-    """Yield the masks of a batch of points that pass the thresholds, one in each row.
+    """Yield masks that pass the thresholds, with boxes, predicted IoU and stability.
 
-    Bit-packed, since there may be thousands, with their boxes, predicted IoU and stability.
+    Bit-packed, one in each row, since there may be thousands.
     """
     logits, predicted = prompted.segment(points)
     allowed = torch.zeros_like(predicted, dtype=torch.bool)
@@ -116,9 +110,11 @@ def _mask_prompts(
         stability = (inner / outer.clamp(min=1)).cpu().numpy()
         inside = (large > 0).cpu().numpy()
         good = (stability >= settings.stability) & inside.any((1, 2))
+        if not good.any():
+            continue
         yield (
             np.packbits(inside[good].reshape(-1, size[0] * size[1]), axis=1),
-            mask_boxes(inside[good]),
+            np.array([cv2.boundingRect(mask.view(np.uint8)) for mask in inside[good]]),
             predicted[chosen].cpu().numpy()[good],
             stability[good],
         )
@@ -172,7 +168,6 @@ class AutomaticProposer(AutomaticConfig, ABC):
         if self.points is not None:
             settings = replace(settings, points=self.points)
         levels = LEVELS if self.level == "all" else (self.level,)
-
         with torch.inference_mode(), inside(self.network):
             return all_masks(self._encode_once, frame.image, settings, region, levels, self.batch)
 
@@ -182,44 +177,6 @@ class AutomaticProposer(AutomaticConfig, ABC):
             self._encoded = None
             self._encoded = content, self.encode(image)
         return self._encoded[1]
-
-
-def mask_boxes(masks: np.ndarray) -> np.ndarray:
-    """Compute bounding boxes int32 [M, 4] of masks bool [M, H, W]: left, top, right, bottom.
-
-    In pixels, with exclusive right and bottom. The box of an empty mask is four zeros.
-    """
-    sides = []
-    for axis in (1, 2):
-        hit = np.any(masks, axis=axis)
-        first, last = hit.argmax(1), hit.shape[1] - hit[:, ::-1].argmax(1)
-        sides.append(np.where(hit.any(1), (first, last), 0))
-    (left, right), (top, bottom) = sides
-    return np.stack([left, top, right, bottom], 1).astype(np.int32)
-
-
-def box_nms(boxes: np.ndarray, scores: np.ndarray, iou: float) -> np.ndarray:
-    """Greedy non-maximum suppression: return indices int64 [K] of the selected boxes, best first.
-
-    A box is suppressed if its IoU with a better selected box is above ``iou``; of equal scores the
-    earlier box is better. Boxes [M, 4] are those of :func:`mask_boxes`; the IoU of two boxes
-    without area is 0.
-    """
-    order = np.argsort(-scores, kind="stable")
-    left, top, right, bottom = boxes[order].astype(np.float64).T
-    area = (right - left) * (bottom - top)
-    alive = np.ones(len(order), bool)
-    kept_ranks = []
-    for rank in range(len(order)):
-        if not alive[rank]:
-            continue
-        kept_ranks.append(rank)
-        rest = rank + 1 + np.flatnonzero(alive[rank + 1 :])
-        width = np.minimum(right[rank], right[rest]) - np.maximum(left[rank], left[rest])
-        height = np.minimum(bottom[rank], bottom[rest]) - np.maximum(top[rank], top[rest])
-        shared = np.maximum(width, 0) * np.maximum(height, 0)
-        alive[rest[shared > iou * (area[rank] + area[rest] - shared)]] = False
-    return order[kept_ranks]
 
 
 def mostly_visible(masks: np.ndarray, share: float) -> np.ndarray:

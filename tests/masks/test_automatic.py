@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from slgaussian.masks.automatic import all_masks
+from slgaussian.masks.automatic import all_masks, mostly_visible
 from slgaussian.masks.configs import PRESETS, Automatic
 
 SIZE = (96, 128)
@@ -80,6 +80,9 @@ PLAIN = Automatic(points=8, predicted_iou=0.8, stability=0.9)
 def test_nested_boxes_are_found_once_each():
     result = all_masks(Drawn(), picture(), PLAIN)
     assert sorted(names(result)) == ["group", "object", "part"]
+    # The box of the object covers .4 of that of the group.
+    apart = all_masks(Drawn(), picture(), replace(PLAIN, box_iou=0.3))
+    assert sorted(names(apart)) == ["group", "part"]
     assert result.scores.dtype == np.float32 and (np.diff(result.scores) <= 0).all()
 
 
@@ -116,3 +119,39 @@ def test_presets_are_those_of_the_programs():
         assert len(all_masks(Drawn(), picture(), replace(settings, points=8)).masks) >= 1
     # Gaussian Grouping: parts go.
     assert names(all_masks(Drawn(), picture(), replace(PRESETS["grouping"], points=8))) == ["group"]
+
+
+def ellipses(count, seed):
+    rng = np.random.default_rng(seed)
+    at = np.stack(np.mgrid[:40, :56], -1)
+    centre = rng.uniform(0, 1, (count, 1, 1, 2)) * (40, 56)
+    radius = np.exp(rng.uniform(np.log(1.5), np.log(30), (count, 1, 1, 2)))
+    return (((at - centre) / radius) ** 2).sum(-1) < 1
+
+
+def hard():
+    """Identical, nested, full, empty and one-pixel masks."""
+    masks = ellipses(24, 5)
+    masks[3] = masks[11] = masks[0]
+    masks[4] = masks[5] = False
+    masks[5, 7, 9] = masks[7] = True
+    masks[8] = masks[0]
+    masks[8, :20] = False
+    return masks
+
+
+@pytest.mark.parametrize("share", [0.5, 0.8, 1.0])
+@pytest.mark.parametrize(
+    "masks",
+    [ellipses(60, 1), hard(), np.zeros((9, 40, 56), bool), np.zeros((0, 40, 56), bool)],
+    ids=["ellipses", "hard", "empty", "none"],
+)
+def test_visible_as_pixel_by_pixel(masks, share):
+    areas = masks.sum((1, 2))
+    won = np.zeros(len(masks), int)
+    for row, column in np.ndindex(masks.shape[1:]):
+        holders = np.flatnonzero(masks[:, row, column])
+        if len(holders):
+            won[min(holders, key=lambda i: (-areas[i], i))] += 1
+    expected = [i for i in range(len(masks)) if areas[i] and won[i] >= share * areas[i]]
+    assert mostly_visible(masks, share).tolist() == expected
