@@ -74,27 +74,21 @@ def _cross_check(counter, inverse_depth, source_depth, A, e, least_tolerance, ou
     y = take(counter)
     while y < H:
         for x in range(W):
-            w = float(inverse_depth[y, x])
-            out[y, x] = compare_depth(x, y, w, source_depth, A, e, least_tolerance)
+            out[y, x] = UNSEEN
+            u, v, w = x + 0.5, y + 0.5, float(inverse_depth[y, x])
+            z = A[2, 0] * u + A[2, 1] * v + A[2, 2] + w * e[2]
+            if z <= 1e-9:
+                continue
+            i = math.floor((A[1, 0] * u + A[1, 1] * v + A[1, 2] + w * e[1]) / z)
+            j = math.floor((A[0, 0] * u + A[0, 1] * v + A[0, 2] + w * e[0]) / z)
+            if not (0 <= i < source_depth.shape[0] and 0 <= j < source_depth.shape[1]):
+                continue
+            here, observed = w / z, float(source_depth[i, j])
+            if abs(here - observed) <= max(RELATIVE_TOLERANCE * here, least_tolerance):
+                out[y, x] = AGREES
+            else:
+                out[y, x] = IN_FRONT if here > observed else BEHIND
         y = take(counter)
-
-
-@kernel
-def compare_depth(x, y, w, source_depth, A, e, least_tolerance):
-    """Compare inverse depth ``w`` at column ``x`` and row ``y`` with the source's depth map."""
-    H, W = source_depth.shape
-    u, v = x + 0.5, y + 0.5
-    z = A[2, 0] * u + A[2, 1] * v + A[2, 2] + w * e[2]
-    if z <= 1e-9:
-        return UNSEEN
-    i = math.floor((A[1, 0] * u + A[1, 1] * v + A[1, 2] + w * e[1]) / z)
-    j = math.floor((A[0, 0] * u + A[0, 1] * v + A[0, 2] + w * e[0]) / z)
-    if not (0 <= i < H and 0 <= j < W):
-        return UNSEEN
-    here, observed = w / z, float(source_depth[i, j])
-    if abs(here - observed) <= max(RELATIVE_TOLERANCE * here, least_tolerance):
-        return AGREES
-    return IN_FRONT if here > observed else BEHIND
 
 
 def remove_speckles(index: np.ndarray, keep: np.ndarray, size: int) -> np.ndarray:
@@ -254,43 +248,19 @@ def fill_depth(
         level = np.median(inverse_depth[keep]) if keep.any() else steps[[0, -1]].mean()
         return np.where(keep, inverse_depth, np.float32(level))
     step = steps[1] - steps[0]
-    votes = np.zeros((*keep.shape, len(planes)), np.uint8)
-    levels = np.empty(votes.shape, np.float32)
-    _vote(planes, inverse_depth, keep, steps[0], steps[-1], VOTE_STEPS * step, votes, levels)
+    y, x = np.indices(keep.shape)
+    levels = np.stack([(a * x + b * y + c).clip(steps[0], steps[-1]) for a, b, c in planes])
+    levels = levels.astype(np.float32)
+    off = np.minimum(np.abs(levels - inverse_depth) / (VOTE_STEPS * step), 1)
+    votes = np.where(keep, 100 * off, 0).astype(np.uint8)
     for relative, source_depth in witnesses:
-        A, e = relative.infinity, relative.epipole
-        _vote_unseen(levels, keep, source_depth, A, e, STEP_TOLERANCE * step, votes)
+        for level, vote in zip(levels, votes, strict=True):
+            verdict = cross_check(level, source_depth, relative, step)
+            vote[~keep & (verdict == IN_FRONT)] = FREE_SPACE
+    votes = np.ascontiguousarray(votes.transpose(1, 2, 0))
     label, _, _ = select_winners(aggregate(votes, guide, p1=POTTS, p2=POTTS))
-    chosen = np.take_along_axis(levels, label[..., None].astype(np.int64), -1)[..., 0]
+    chosen = np.take_along_axis(levels, label[None].astype(np.int64), 0)[0]
     return np.where(keep, inverse_depth, chosen)
-
-
-@kernel
-def _vote(planes, inverse_depth, keep, low, high, far, votes, levels):
-    """Compute the inverse depth of each plane at each pixel and the costs of answered pixels."""
-    H, W, P = votes.shape
-    for y in range(H):
-        for x in range(W):
-            for k in range(P):
-                a, b, c = planes[k]
-                level = np.float32(min(max(a * x + b * y + c, low), high))
-                levels[y, x, k] = level
-                if keep[y, x]:
-                    off = abs(level - inverse_depth[y, x]) / far
-                    votes[y, x, k] = np.uint8(100 * min(off, 1.0))
-
-
-@kernel
-def _vote_unseen(levels, keep, source_depth, A, e, least_tolerance, votes):
-    """Set the costs of unanswered pixels on planes in the free space of the source view."""
-    H, W, P = votes.shape
-    for y in range(H):
-        for x in range(W):
-            if not keep[y, x]:
-                for k in range(P):
-                    w = float(levels[y, x, k])
-                    if compare_depth(x, y, w, source_depth, A, e, least_tolerance) == IN_FRONT:
-                        votes[y, x, k] = FREE_SPACE
 
 
 def weighted_median(
@@ -319,47 +289,39 @@ def weighted_median(
 
 @kernel
 def _weighted_median(counter, values, bins, count, image, weights, radius, out):
-    y = take(counter)
-    while y < len(values):
-        _median_row(values, bins, image, weights, radius, y, count, out[y])
-        y = take(counter)
-
-
-@kernel
-def _median_row(values, bins, image, weights, radius, y, count, out):
     H, W = values.shape
     mass = np.zeros(count, np.float32)
     moment = np.zeros(count, np.float32)
-    for x in range(W):
-        r, g, b = np.int32(image[y, x, 0]), np.int32(image[y, x, 1]), np.int32(image[y, x, 2])
-        centre = values[y, x]
-        total = np.float32(0)
-        first_bin, last_bin = count, 0
-        # Every other pixel: half the time, and the same errors on real scenes.
-        for j in range(max(y - radius, 0), min(y + radius + 1, H)):
-            left = max(x - radius, 0)
-            left += (left + x + j + y) % 2
-            for i in range(left, min(x + radius + 1, W), 2):
-                weight = weights[
-                    abs(image[j, i, 0] - r) + abs(image[j, i, 1] - g) + abs(image[j, i, 2] - b)
-                ]
-                k = bins[j, i]
-                mass[k] += weight
-                # Relative to the centre: keeps float32 exact enough.
-                moment[k] += weight * (values[j, i] - centre)
-                total += weight
-                first_bin, last_bin = min(first_bin, k), max(last_bin, k)
-        below = np.float32(0)
-        median = first_bin
-        for k in range(first_bin, last_bin + 1):
-            below += mass[k]
-            if 2 * below >= total:
-                median = k
-                break
-        near, lever = np.float32(0), np.float32(0)
-        for k in range(max(median - 3, first_bin), min(median + 3, last_bin) + 1):
-            near += mass[k]
-            lever += moment[k]
-        out[x] = centre + lever / near
-        mass[first_bin : last_bin + 1] = 0
-        moment[first_bin : last_bin + 1] = 0
+    y = take(counter)
+    while y < H:
+        for x in range(W):
+            r, g, b = np.int32(image[y, x, 0]), np.int32(image[y, x, 1]), np.int32(image[y, x, 2])
+            centre = values[y, x]
+            total = np.float32(0)
+            first_bin, last_bin = count, 0
+            # Every other pixel: half the time, and the same errors on real scenes.
+            for j in range(max(y - radius, 0), min(y + radius + 1, H)):
+                left = max(x - radius, 0)
+                left += (left + x + j + y) % 2
+                for i in range(left, min(x + radius + 1, W), 2):
+                    weight = weights[
+                        abs(image[j, i, 0] - r) + abs(image[j, i, 1] - g) + abs(image[j, i, 2] - b)
+                    ]
+                    k = bins[j, i]
+                    mass[k] += weight
+                    # Relative to the centre: keeps float32 exact enough.
+                    moment[k] += weight * (values[j, i] - centre)
+                    total += weight
+                    first_bin, last_bin = min(first_bin, k), max(last_bin, k)
+            below, median = np.float32(0), first_bin - 1
+            while 2 * below < total and median < last_bin:
+                median += 1
+                below += mass[median]
+            near, lever = np.float32(0), np.float32(0)
+            for k in range(max(median - 3, first_bin), min(median + 3, last_bin) + 1):
+                near += mass[k]
+                lever += moment[k]
+            out[y, x] = centre + lever / near
+            mass[first_bin : last_bin + 1] = 0
+            moment[first_bin : last_bin + 1] = 0
+        y = take(counter)

@@ -6,14 +6,12 @@ better angle. So the depth of neighbouring views is used before planes are fitte
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from slgaussian.kernels.jit import kernel
 from slgaussian.predict.depth_completion import remove_speckles
 from slgaussian.predict.view_graph import Link
 
@@ -80,12 +78,16 @@ def propagate_depth(
     for i, view in enumerate(swept):
         landed = np.zeros(view.answered.shape, np.float32)
         for link in links[i]:
-            back = link.relative.reversed()
             source = swept[link.source]
-            _splat_depth(
-                source.inverse_depth, source.answered, smooth[link.source], smooth[i],
-                back.infinity, back.epipole, ALIKE, landed,
-            )  # fmt: skip
+            y, x = np.nonzero(source.answered)
+            w = source.inverse_depth[y, x].astype(np.float64)
+            at, ratio = link.relative.reversed().project(np.stack([x, y], 1) + 0.5, w)
+            inside = (ratio > 1e-9) & (at >= 0).all(1) & (at < landed.shape[::-1]).all(1)
+            column, row = at[inside].astype(np.int64).T
+            off = smooth[link.source][y[inside], x[inside]] - smooth[i][row, column]
+            alike = np.abs(off).max(1) < np.float64(ALIKE)
+            lent = (w[inside] / ratio[inside]).astype(np.float32)
+            np.maximum.at(landed, (row[alike], column[alike]), lent[alike])
         landed = np.where(landed >= view.steps[0], landed, 0)
         around = cv2.boxFilter((landed > 0).astype(np.float32), -1, (3, 3), normalize=False)
         between = (landed == 0) & (around >= AROUND - 0.5)
@@ -98,26 +100,3 @@ def propagate_depth(
         answered = remove_speckles(index, answered_or_lent, int(SPECKLE * answered_or_lent.size))
         result.append(replace(view, inverse_depth=inverse_depth, answered=answered))
     return result
-
-
-@kernel
-def _splat_depth(inverse_depth, answered, image, target, A, e, max_difference, landed):
-    """Forward-warp answered pixels into the target; the greatest inverse depth wins."""
-    H, W = inverse_depth.shape
-    for y in range(H):
-        for x in range(W):
-            if not answered[y, x]:
-                continue
-            u, v, w = x + 0.5, y + 0.5, float(inverse_depth[y, x])
-            z = A[2, 0] * u + A[2, 1] * v + A[2, 2] + w * e[2]
-            if z <= 1e-9:
-                continue
-            i = math.floor((A[1, 0] * u + A[1, 1] * v + A[1, 2] + w * e[1]) / z)
-            j = math.floor((A[0, 0] * u + A[0, 1] * v + A[0, 2] + w * e[0]) / z)
-            if not (0 <= i < H and 0 <= j < W):
-                continue
-            off = 0.0
-            for c in range(3):
-                off = max(off, abs(image[y, x, c] - target[i, j, c]))
-            if off < max_difference:
-                landed[i, j] = max(landed[i, j], np.float32(w / z))

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from slgaussian.cameras.relative import Relative
-from slgaussian.kernels.jit import kernel
-from slgaussian.predict.depth_completion import (
-    AGREES,
-    IN_FRONT,
-    cross_check,
-)
+from slgaussian.predict.depth_completion import AGREES, IN_FRONT, cross_check
 from slgaussian.predict.view_graph import Link, ViewGraph
 
 COPIES = 2
@@ -102,11 +96,12 @@ def blend(
         for link, share in zip(sources, nearness, strict=True):
             source_depth = inverse_depths[link.source]
             agrees = cross_check(inverse_depths[i], source_depth, link.relative, steps[i]) == AGREES
-            relative = link.relative
-            _add_source(
-                total, weight, agrees, inverse_depths[i], images[link.source],
-                relative.infinity, relative.epipole, FEATHER, share,
-            )  # fmt: skip
+            y, x = np.nonzero(agrees)
+            at, _ = link.relative.project(np.stack([x, y], 1) + 0.5, inverse_depths[i][y, x])
+            source = images[link.source]
+            gain = share * _border_weight(*at.T, source.shape[1], source.shape[0])
+            weight[y, x] += gain
+            total[y, x] = total[y, x] + gain[:, None] * _sampled(source, at - 0.5)
         mixed.append(total / weight[..., None])
     return mixed
 
@@ -117,27 +112,12 @@ def _border_weight(u: np.ndarray, v: np.ndarray, width: int, height: int) -> np.
     return np.minimum(inwards / FEATHER, 1).astype(np.float32)
 
 
-@kernel
-def _add_source(total, weight, agrees, inverse_depth, image, A, e, feather, share):
-    """Add the weighted bilinear samples of a source view where its depth agrees."""
-    H, W = inverse_depth.shape
+def _sampled(image: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Sample an image float32 [H, W, 3] bilinearly at ``at`` [N, 2], float64 [N, 3]."""
+    left, top = np.floor(at).astype(np.int64).T
+    p, q = (at - np.floor(at)).astype(np.float32).T[..., None]
     rows, columns, _ = image.shape
-    for y in range(H):
-        for x in range(W):
-            if not agrees[y, x]:
-                continue
-            a, b, w = x + 0.5, y + 0.5, float(inverse_depth[y, x])
-            z = A[2, 0] * a + A[2, 1] * b + A[2, 2] + w * e[2]
-            u = (A[0, 0] * a + A[0, 1] * b + A[0, 2] + w * e[0]) / z
-            v = (A[1, 0] * a + A[1, 1] * b + A[1, 2] + w * e[1]) / z
-            gain = min(min(u, columns - u), min(v, rows - v)) / feather
-            gain = share * np.float32(min(gain, 1.0))
-            left, top = math.floor(u - 0.5), math.floor(v - 0.5)
-            p, q = np.float32(u - 0.5 - left), np.float32(v - 0.5 - top)
-            i0, i1 = max(left, 0), min(left + 1, columns - 1)
-            j0, j1 = max(top, 0), min(top + 1, rows - 1)
-            weight[y, x] += gain
-            for c in range(3):
-                upper = (1 - p) * image[j0, i0, c] + p * image[j0, i1, c]
-                lower = (1 - p) * image[j1, i0, c] + p * image[j1, i1, c]
-                total[y, x, c] += gain * ((1 - q) * upper + q * lower)
+    i0, i1 = left.clip(0), (left + 1).clip(max=columns - 1)
+    j0, j1 = top.clip(0), (top + 1).clip(max=rows - 1)
+    upper, lower = ((1 - p.astype(np.float64)) * image[j, i0] + p * image[j, i1] for j in (j0, j1))
+    return (1 - q.astype(np.float64)) * upper + q * lower
