@@ -126,8 +126,7 @@ def refine_cameras(
         tolerance=TOLERANCE,
     ).bundle
     rotations = bundle.R.transpose(0, 2, 1)
-    new_centers = -(rotations @ bundle.t[:, :, None])[..., 0]
-    return [with_pose(*parts) for parts in zip(cameras, rotations, new_centers, strict=True)]
+    return _posed(cameras, rotations, -(rotations @ bundle.t[:, :, None])[..., 0])
 
 
 def anchor_cameras(
@@ -149,12 +148,11 @@ def anchor_cameras(
     moves = np.array([b.center - a.center for a, b in zip(cameras, refined, strict=True)])
     turns, moves = turns - closeness @ turns, moves - closeness @ moves
     rotations = Rotation.from_rotvec(turns).as_matrix() @ R
-    centers = np.array([camera.center for camera in cameras]) + moves
-    return [with_pose(*parts) for parts in zip(cameras, rotations, centers, strict=True)]
+    return _posed(cameras, rotations, np.array([camera.center for camera in cameras]) + moves)
 
 
-def with_pose(camera: Camera, R: np.ndarray, center: np.ndarray) -> Camera:
-    """Return the camera with rotation ``R`` [3, 3] (camera to world) and centre [3]."""
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = R, center
-    return replace(camera, c2w=pose)
+def _posed(cameras: Sequence[Camera], R: np.ndarray, centers: np.ndarray) -> list[Camera]:
+    """Return the cameras with rotations ``R`` [V, 3, 3] (camera to world) and centres [V, 3]."""
+    poses = np.tile(np.eye(4), (len(cameras), 1, 1))
+    poses[:, :3, :3], poses[:, :3, 3] = R, centers
+    return [replace(camera, c2w=pose) for camera, pose in zip(cameras, poses, strict=True)]

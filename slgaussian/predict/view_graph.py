@@ -101,15 +101,17 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     points = graph.keypoints
     cameras = [view.camera for view in views]
     dense = {pair: indices for pair, indices in matches.items() if len(indices[0]) >= MIN_REFINE}
-    if _median_epipolar_distance(cameras, points, dense) > WELL_POSED * np.hypot(
-        *views[0].grey.shape
-    ):
+    off = [np.zeros(0)]
+    for (i, j), (p, q) in dense.items():
+        relative = Relative.between(cameras[i], cameras[j])
+        off.append(np.abs(relative.epipolar_distance(points[i][p], points[j][q])))
+    if dense and np.median(np.concatenate(off)) > WELL_POSED * np.hypot(*views[0].grey.shape):
         cameras = refine_cameras(cameras, points, dense)
     scored_links: list[list[tuple[float, Link]]] = [[] for _ in views]
     for (i, j), (p, q) in matches.items():
         _link(scored_links, cameras, (i, j), points[i][p], points[j][q])
+    alone = {i for i, sources in enumerate(scored_links) if not sources}
     if ranged or matches:
-        alone = {i for i, sources in enumerate(scored_links) if not sources}
         if alone and len(views) > 2:
             names = listed([[views[i].name for i in sorted(alone)]])
             warnings.warn(
@@ -121,7 +123,7 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
         for i, j in neighbours(views, BELIEVED):
             if (i, j) not in rejected and alone & {i, j}:
                 _link(scored_links, cameras, (i, j), np.zeros((0, 2)), np.zeros((0, 2)))
-    alone = {i for i, sources in enumerate(scored_links) if not sources}
+        alone = {i for i, sources in enumerate(scored_links) if not sources}
     for pair, reason in rejected.items():
         if alone & {*pair}:
             raise InputError(reason)
@@ -132,11 +134,8 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
             "matches with any other; leave out what shows something else, choose views that "
             "overlap, or give near and far"
         )
-    links = []
-    for sources in scored_links:
-        best = sorted(sources, key=lambda scored: -scored[0])[:SOURCES]
-        links.append([link for _, link in best])
-    return ViewGraph(cameras, links)
+    best = [sorted(sources, key=lambda scored: -scored[0]) for sources in scored_links]
+    return ViewGraph(cameras, [[link for _, link in sources[:SOURCES]] for sources in best])
 
 
 def select_usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
@@ -173,27 +172,18 @@ def _same(a: View, b: View) -> bool:
     return bool(same_camera and np.array_equal(a.image, b.image))
 
 
-Matches = dict[tuple[int, int], tuple[np.ndarray, np.ndarray]]
-
-
 def _verified_matches(
     views: Sequence[View], graph: MatchGraph
-) -> tuple[Matches, dict[tuple[int, int], str]]:
-    """Filter the matches of neighbouring views by their refined epipolar geometry.
-
-    Returns the feature indices (int [M], int [M]) of every pair with parallax, and the reason of
-    rejection of every pair without.
-    """
-    matches: Matches = {}
-    rejected = {}
+) -> tuple[dict[tuple[int, int], tuple[np.ndarray, np.ndarray]], dict[tuple[int, int], str]]:
+    """Return the feature indices of every pair with parallax, and why others have none."""
+    matches, rejected = {}, {}
     for i, j in neighbours(views):
         initial = Relative.between(views[i].camera, views[j].camera)
         p, q = graph.matches[i, j]
         a, b = graph.points(i, j)
         possible = np.abs(initial.epipolar_distance(a, b)) < GATE * np.hypot(*views[i].grey.shape)
-        p, q, a, b = (array[possible] for array in (p, q, a, b))
-        relative = refine(initial, a, b)
-        fits = np.abs(relative.epipolar_distance(a, b)) < INLIER
+        relative = refine(initial, a[possible], b[possible])
+        fits = possible & (np.abs(relative.epipolar_distance(a, b)) < INLIER)
         p, q, a, b = (array[fits] for array in (p, q, a, b))
         front = (relative.triangulate(a, b) > 0) & (relative.reversed().triangulate(b, a) > 0)
         if len(a) < MIN_MATCHES:
@@ -206,23 +196,10 @@ def _verified_matches(
     return matches, rejected
 
 
-def _median_epipolar_distance(
-    cameras: Sequence[Camera], points: Sequence[np.ndarray], matches: Matches
-) -> float:
-    """Median distance of the matches to their epipolar lines, pixels; 0 without any."""
-    off = [
-        np.abs(
-            Relative.between(cameras[i], cameras[j]).epipolar_distance(points[i][p], points[j][q])
-        )
-        for (i, j), (p, q) in matches.items()
-    ]
-    return float(np.median(np.concatenate(off))) if off else 0.0
-
-
 def _rejection_reason(
     a: View, b: View, relative: Relative, at_a: np.ndarray, at_b: np.ndarray, front: np.ndarray
 ) -> str | None:
-    """Return the reason why the matches of two views determine no depth, None if they do."""
+    """Return why the matches of two views determine no depth, None if they do."""
     both = f"{a.name!r} and {b.name!r}"
     motion = np.abs(relative.triangulate(at_a, at_b)) * relative.parallax(at_a)
     if np.percentile(motion, 90) < MIN_PARALLAX:

@@ -117,9 +117,3 @@ def test_without_a_floor_nothing_is_said_of_heights(room):
     result = find_room(cameras, walls)
     assert np.isnan(result.floor) and result.unit > 0
     assert np.isnan(result.place(cameras[0], walls[0]).height).all()
-
-
-def test_same_bytes_again(room):
-    cameras, depths = room
-    first, second = (find_room(cameras, depths).place(cameras[1], depths[1]) for _ in range(2))
-    assert first.height.tobytes() == second.height.tobytes()

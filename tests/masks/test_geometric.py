@@ -1,6 +1,5 @@
 from functools import cache
 
-import cv2
 import numpy as np
 import pytest
 from drawn_views import canvas, paste, with_depths
@@ -108,18 +107,6 @@ def test_equals_the_plain_rule():
         checked += 1
     assert checked > 0.99 * SIZE[0] * SIZE[1]
     assert 0.3 < (place >= 0).mean() < 0.9
-
-
-def test_same_bytes_again_and_whatever_the_number_of_threads():
-    old, new = room()
-    threads, results = cv2.getNumThreads(), []
-    try:
-        for count in (1, 2, 2):
-            cv2.setNumThreads(count)
-            results.append(carried(old, new, [old.depth, new.depth]).tobytes())
-    finally:
-        cv2.setNumThreads(threads)
-    assert len(set(results)) == 1
 
 
 def test_a_view_without_depth_is_refused():

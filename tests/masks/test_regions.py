@@ -5,7 +5,6 @@ from drawn_views import SIZE, canvas, main_label, paste, view
 from slgaussian.geometry import SeenView
 from slgaussian.masks.flatten import flatten
 from slgaussian.masks.regions import Regions
-from tests.kernel_threads import kernels_on
 
 BALL = (30, 70, 20, 60)
 BOX = (50, 100, 90, 140)
@@ -58,11 +57,3 @@ def test_depth_parts_what_colour_cannot():
     assert main_label(flat, (45, 85, 55, 105)) == main_label(flat, (0, 30, 0, 160))
     deep = Regions().propose(SeenView.alone(image, depth))
     assert max(iou(mask, (40, 90, 50, 110)) for mask in deep.masks) > 0.85
-
-
-def test_same_bytes_whatever_the_number_of_threads(scene):
-    expected = Regions().propose(SeenView.alone(scene))
-    with kernels_on(1):
-        alone = Regions().propose(SeenView.alone(scene))
-    assert alone.masks.tobytes() == expected.masks.tobytes()
-    assert alone.scores.tobytes() == expected.scores.tobytes()

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -35,28 +34,6 @@ def test_equals_the_plain_rule(stack):
     np.testing.assert_array_equal(labels, expected_labels)
     np.testing.assert_allclose(margin, expected_margin, atol=1e-7)  # one float32 rounding of [0, 1]
     assert labels.dtype == np.int32 and margin.dtype == np.float32
-
-
-def column(*ballots):
-    return np.array(ballots, np.int32).reshape(-1, 1, 1)
-
-
-@pytest.mark.parametrize(
-    ("ballots", "winner", "margin"),
-    [
-        ((7, 3, 3, 7), 7, 0.0),  # a tie: the first replica's label, though it is the higher id
-        ((3, 7, 7, 3), 3, 0.0),
-        ((9, 4, 2, 4, 2), 4, 0.0),  # the tied labels' first appearances count, not the loser's
-        ((1, 2, 3, 4, 5), 1, 0.0),
-        ((0, 0, 0, 6, 6), 0, 0.2),  # "no object here" is a vote like any other
-        ((0, 6, 6, 6, 6), 6, 0.6),
-        ((5,), 5, 1.0),
-    ],
-)
-def test_named_ballots(ballots, winner, margin):
-    labels, won_by = vote(column(*ballots))
-    assert labels[0, 0] == winner
-    assert won_by[0, 0] == pytest.approx(margin)
 
 
 @given(stacks, st.lists(st.integers(1, 4), min_size=7, max_size=7))

@@ -21,6 +21,7 @@ from slgaussian.predict.view_graph import link_views, select_usable
 
 A = camera(x=0.1, y=0.2, turn=-0.1)
 B = camera(x=0.5, y=0.1, z=0.15, turn=0.1, focal=180, principal=(70, 66))
+ELSEWHERE = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
 
 
 def matches(count=200, noise=0.0, seed=0):
@@ -86,15 +87,6 @@ def test_candidates_move_a_pixel_by_about_a_pixel():
     assert np.percentile(motion, 90) == pytest.approx(1.0, abs=0.1)
 
 
-def test_range_is_wider_than_the_matches_and_bounded_far_away():
-    w = np.linspace(0.2, 1.0, 101)
-    low, high = inverse_depth_range(w, baseline=0.3)
-    assert low < 0.12
-    assert 1.2 < high <= 1.25
-    low, _ = inverse_depth_range(np.full(50, 1e-6), baseline=0.3)
-    assert low == pytest.approx(1 / 3000)
-
-
 def test_three_views_link_to_each_other_the_best_angle_first():
     """The lines of sight of the first two meet at 10 degrees, those of the others at 4 and 6."""
     views = sample(camera(), camera(x=0.5), camera(x=0.2)).context
@@ -119,24 +111,22 @@ def test_good_poses_stay_and_others_are_settled():
 
 def test_a_view_that_matches_no_other_is_linked_by_its_pose():
     near = sample(camera(), camera(x=0.3)).context
-    second = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
-    links = linked([*near, second]).links
+    with pytest.warns(UserWarning, match=r"'elsewhere': fewer than 12 matches .* leave out"):
+        links = linked([*near, ELSEWHERE]).links
     assert [[link.source for link in local] for local in links] == [[1, 2], [0, 2], [0, 1]]
     assert [len(link.sparse) for link in links[2]] == [0, 0]
 
 
 def test_two_views_without_matches_are_named():
     near = Plane(NORMAL, 3.0).view("here", camera())
-    second = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
     with pytest.raises(InputError, match="'here'; 'elsewhere' has fewer than 12 matches"):
-        linked([near, second])
-    assert linked([near, second], ranged=True).links[0][0].source == 1
+        linked([near, ELSEWHERE])
+    assert linked([near, ELSEWHERE], ranged=True).links[0][0].source == 1
 
 
 def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
     initial = sample(camera(), camera(x=0.3), camera(x=0.5))
-    second = Plane(np.array([0.0, 0.0, 1.0]), 3.0, seed=7).view("elsewhere", camera(x=0.6))
-    among = replace(initial, context=(initial.context[0], second, *initial.context[1:]))
+    among = replace(initial, context=(initial.context[0], ELSEWHERE, *initial.context[1:]))
     stored, _, left_out = select_usable(among)
     assert [view.name for view in stored.context] == [view.name for view in initial.context]
     assert list(left_out) == ["elsewhere"] and "fewer than 12 matches" in left_out["elsewhere"]
@@ -144,7 +134,13 @@ def test_a_stranger_among_three_and_more_is_left_out_with_the_reason():
     assert stored is initial and not left_out
 
 
-def test_range_reaches_to_what_three_matches_share():
+def test_range_is_wider_than_the_matches_and_bounded_far_away():
+    low, high = inverse_depth_range(np.linspace(0.2, 1.0, 101), baseline=0.3)
+    assert low < 0.12
+    assert 1.2 < high <= 1.25
+    low, _ = inverse_depth_range(np.full(50, 1e-6), baseline=0.3)
+    assert low == pytest.approx(1 / 3000)
+    # It reaches to what three matches share.
     many = np.linspace(0.2, 0.5, 300)
     false = [0.8, 2.0]
     _, high = inverse_depth_range(np.append(many, false), baseline=0.3)

@@ -123,15 +123,10 @@ def test_bfloat16_is_near(predict, checkpoint):
 
 
 @pytest.mark.parametrize(
-    ("settings", "expected"),
-    [
-        ({"checkpoint": None}, "checkpoint"),
-        ({"precision": "float16"}, "precision"),
-        ({"device": "abacus"}, "device"),
-    ],
+    "settings", [{"checkpoint": None}, {"precision": "float16"}, {"device": "abacus"}]
 )
-def test_bad_settings(settings, expected, checkpoint):
-    with pytest.raises(InputError, match=f"mvsplat {expected}"):
+def test_bad_settings(settings, checkpoint):
+    with pytest.raises(InputError, match=f"mvsplat {next(iter(settings))}"):
         load_predictor("mvsplat", **{"checkpoint": checkpoint} | settings)
 
 
@@ -140,9 +135,3 @@ def test_near_must_be_below_far(predict):
     views = (replace(v, camera=replace(v.camera, far=1e-6)) for v in scene.context)
     with pytest.raises(InputError, match="is not below far 1e-06"):
         predict(replace(scene, context=tuple(views)))
-
-
-def test_the_same_twice(predict):
-    scene = pair(near=1.0)
-    for (name, first), (_, two) in zip(predict(scene).items(), predict(scene).items(), strict=True):
-        assert torch.equal(first, two), name
