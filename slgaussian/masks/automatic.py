@@ -76,7 +76,7 @@ def all_masks(
     if not parts:
         return Proposals(np.zeros((0, *size), bool), np.zeros(0, np.float32))
     packed, boxes, predicted_iou, stability = map(np.concatenate, zip(*parts, strict=True))
-    rows = list(cv2.dnn.NMSBoxes(boxes, predicted_iou, 0.0, settings.box_iou))
+    rows = np.array(cv2.dnn.NMSBoxes(boxes, predicted_iou, 0.0, settings.box_iou))
     masks = np.unpackbits(packed[rows], axis=1, count=height * width)
     masks = masks.view(bool).reshape(-1, *size)
     scores = (predicted_iou * stability)[rows]

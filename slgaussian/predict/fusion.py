@@ -99,7 +99,8 @@ def blend(
             y, x = np.nonzero(agrees)
             at, _ = link.relative.project(np.stack([x, y], 1) + 0.5, inverse_depths[i][y, x])
             source = images[link.source]
-            gain = share * _border_weight(*at.T, source.shape[1], source.shape[0])
+            u, v = at.T
+            gain = share * _border_weight(u, v, source.shape[1], source.shape[0])
             weight[y, x] += gain
             total[y, x] = total[y, x] + gain[:, None] * _sampled(source, at - 0.5)
         mixed.append(total / weight[..., None])

@@ -307,8 +307,9 @@ def _read(
             f"{place}: too few matches to check how depth is meant; taken along z, as it is",
             stacklevel=4,
         )
-    notes = {"along the ray": ray, f"of {way} photographs": len(ways[0]) > 1, fitted.scaling: True}
-    if notes := [note for note, holds in notes.items() if note and holds]:
+    applies = ray, len(ways[0]) > 1, bool(fitted.scaling)
+    possible = "along the ray", f"of {way} photographs", fitted.scaling
+    if notes := [note for note, holds in zip(possible, applies, strict=True) if holds]:
         warnings.warn(
             f"{place}: depth is read {', '.join(notes)}: so it takes {fitted.share:.0%} of the "
             "matches to where the other view shows them",
