@@ -167,41 +167,40 @@ def build_bank(
     present = label_maps.areas() > 0
     members, levels = _members(np.zeros((0, len(ids))) if groups is None else groups)
     arounds: Sequence[Surroundings | None] = surroundings or [None] * len(views)
-    columns, boxes, unions = [], np.zeros((*present.shape, 4), np.int32), []
-    classify, classes, photographs = getattr(encoder, "class_scores", None), [], []
+    boxes = np.zeros((*present.shape, 4), np.int32)
+    features, classes, photographs = [], [], []
+    classify = getattr(encoder, "class_scores", None)
     of_views = zip(views, label_maps.labels, present.T, arounds, strict=True)
     for v, (view, labels, visible, around) in enumerate(of_views):
         masks = labels == ids[visible][:, None, None]
-        x, y, w, h = (
-            np.array([cv2.boundingRect(mask.view(np.uint8)) for mask in masks]).reshape(-1, 4).T
-        )
-        boxes[visible, v] = np.stack([x, y, x + w, y + h], 1)
+        for row, mask in zip(np.flatnonzero(visible), masks, strict=True):
+            x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+            boxes[row, v] = x, y, x + w, y + h
         visible_groups = (members & visible).any(1)
-        groups_here = np.zeros((visible_groups.sum(), *labels.shape), bool)
+        unions = np.zeros((visible_groups.sum(), *labels.shape), bool)
         rows = np.searchsorted(ids, labels[labels > 0])
-        groups_here[:, labels > 0] = members[visible_groups][:, rows]
+        unions[:, labels > 0] = members[visible_groups][:, rows]
         # One call for both, so that the encoder processes the photograph once.
-        regions = np.concatenate([masks, groups_here])
+        regions = np.concatenate([masks, unions])
+        here = np.concatenate([visible, visible_groups])
         tasks = [partial(encoder.encode_regions, view.image, regions, around)]
         if classify is not None:
             tasks.append(partial(classify, view.image, regions))
         encoded, *scores = share_items(lambda task: task(), tasks)
-        columns.append(_half_rounded(encoded[: len(masks)], visible))
-        unions.append(_half_rounded(encoded[len(masks) :], visible_groups))
+        features.append(_scattered(encoded.astype(np.float16), here))
         if scores and scores[0] is not None:
             of_regions, of_photograph = scores[0]
-            column = np.zeros((len(ids) + len(visible_groups), of_regions.shape[1]), np.uint8)
-            column[np.concatenate([visible, visible_groups])] = of_regions
-            classes.append(column)
+            classes.append(_scattered(of_regions, here))
             photographs.append(of_photograph)
+    nodes = np.stack(features, 1).astype(np.float32)
     return MemoryBank(
         ids,
         np.asarray(codes, np.float32),
-        np.stack(columns, 1),
+        nodes[: len(ids)],
         present,
         boxes,
         None if groups is None else levels,
-        None if groups is None else np.stack(unions, 1),
+        None if groups is None else nodes[len(ids) :],
         np.stack(classes, 1) if classes else None,
         np.stack(photographs) if classes else None,
         wholes,
@@ -212,24 +211,20 @@ def _members(groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the groups of several objects, bool [G, N], and ``levels`` of :class:`MemoryBank`."""
     count = groups.shape[1]
     levels = np.tile(np.arange(count, dtype=np.int32), (len(groups), 1))
-    group_of_members: dict[bytes, int] = {}
-    members: list[np.ndarray] = []
+    rows: dict[tuple[bool, ...], int] = {}
     for level, numbers in enumerate(groups):
         for number in np.unique(numbers):
             member = numbers == number
             if member.sum() > 1:
-                group = group_of_members.setdefault(member.tobytes(), len(group_of_members))
-                if group == len(members):
-                    members.append(member)
-                levels[level, member] = count + group
-    return np.array(members, bool).reshape(-1, count), levels
+                levels[level, member] = count + rows.setdefault(tuple(member), len(rows))
+    return np.array(list(rows), bool).reshape(-1, count), levels
 
 
-def _half_rounded(encoded: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Scatter half-rounded vectors [M, C] to rows ``present`` bool [N]: float32 [N, C]."""
-    column = np.zeros((len(present), encoded.shape[1]), np.float16)
-    column[present] = encoded
-    return column.astype(np.float32)
+def _scattered(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """Scatter values [M, C] to the rows ``present`` bool [N] of zeros [N, C]."""
+    column = np.zeros((len(present), values.shape[1]), values.dtype)
+    column[present] = values
+    return column
 
 
 def _check_lengths(

@@ -125,12 +125,11 @@ class Lexicon:
             float32 [M, C]
         """
         vectors = np.zeros((len(masks), self.width))
-        if len(masks) == 0:
-            return vectors.astype(np.float32)
-        evidence = self._descriptors.measure(image, masks, around)
-        axes = len(self._axis)
-        vectors[:, :axes] = np.where(evidence > 0, POSITIVE * evidence, evidence) / np.sqrt(axes)
-        vectors[:, axes] = np.sqrt(1 - (vectors**2).sum(1))
+        if len(masks):
+            evidence, axes = self._descriptors.measure(image, masks, around), len(self._axis)
+            weighted = np.where(evidence > 0, POSITIVE * evidence, evidence)
+            vectors[:, :axes] = weighted / np.sqrt(axes)
+            vectors[:, axes] = np.sqrt(1 - (vectors**2).sum(1))
         return vectors.astype(np.float32)
 
     def class_scores(
@@ -138,9 +137,12 @@ class Lexicon:
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """Classify regions bool [M, H, W] and the whole uint8 photograph.
 
-        Returns uint8 [M, 1000] and [1000], from
-        :func:`~slgaussian.language.classifier.quantised`; None without a classifier. InputError
-        if its weights are missing or have another SHA-256 than expected.
+        Returns:
+            uint8 [M, 1000] and [1000], from :func:`~slgaussian.language.classifier.quantised`;
+            None without a classifier.
+
+        Raises:
+            InputError: If the weights are missing or have another SHA-256 than expected.
         """
         if self.classifier == "none":
             return None
@@ -150,8 +152,7 @@ class Lexicon:
         if loaded is None:
             raise InputError(f"lexicon: its classifier is not installed; {INSTALL}")
         scores = loaded.class_map(image)
-        pooled = classifier.pool(scores, masks)
-        return quantised(pooled), quantised(scores.mean((0, 1)))
+        return quantised(classifier.pool(scores, masks)), quantised(scores.mean((0, 1)))
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
         """Encode texts as unit vectors float32 [Q, C].
@@ -181,7 +182,9 @@ class Lexicon:
         :meth:`encode_text`.
         """
         reading = self._read(text)
-        question = self._question(reading.unknown)
+        near = map(self._vocabulary.nearest, reading.unknown[:MAX_LISTED])
+        suggestion = " and ".join(repr(word) for word in near if word is not None)
+        question = f"; did you mean {suggestion}?" if suggestion else ""
         return Understood(
             read_as=" ".join(word.name for word in reading.words),
             unknown=reading.unknown,
@@ -193,12 +196,6 @@ class Lexicon:
             untold=_untold(reading, question, by_class),
             question=question,
         )
-
-    def _question(self, unknown: Sequence[str]) -> str:
-        """Suggest known words with a spelling similar to the unknown ones."""
-        near = map(self._vocabulary.nearest, unknown[:MAX_LISTED])
-        words = " and ".join(repr(word) for word in near if word is not None)
-        return f"; did you mean {words}?" if words else ""
 
 
 def _untold(reading: Reading, question: str, by_class: bool) -> str:

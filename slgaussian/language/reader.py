@@ -38,10 +38,7 @@ CACHE_SIZE = 4096
 
 
 class TextReader:
-    """An encoder with a cache of texts.
-
-    Texts are encoded one by one, so that a vector does not depend on the other texts.
-    """
+    """An encoder with a cache of texts, which are encoded one by one."""
 
     by_class = False
     """True if a classifier has classified the objects."""
@@ -56,9 +53,7 @@ class TextReader:
         Raises:
             InputError: If there is no text, or the encoder cannot use one.
         """
-        if isinstance(texts, str) or not len(texts):
-            problem = "one text" if isinstance(texts, str) else "no text"
-            raise InputError(f"query: found {problem}, expected a list of at least one")
+        _check_list(texts)
         return np.stack([self._read(text)[0] for text in texts])
 
     def phrases(self, rules: Rules) -> tuple[str, ...]:
@@ -99,7 +94,7 @@ class BankReader(TextReader):
         self.bank = bank
         self.by_class = bank.class_scores is not None
         self._present = bank.nodes[1]
-        self.taught = TaughtWords() if taught is None else taught
+        self.taught = taught or TaughtWords()
         self._called: dict[str, list[int]] = {}
         for id_, name in (names or {}).items():
             self._called.setdefault(spelled(name), []).append(id_)
@@ -111,23 +106,19 @@ class BankReader(TextReader):
         Raises:
             InputError: If there is no text, or the encoder cannot use one.
         """
+        _check_list(texts)
         scorer = self._scorer(self.phrases(rules), rules.absent)
-        if isinstance(texts, str) or not len(texts):
-            self.vectors(texts)  # raises
         gaps = np.empty((len(texts), len(self.bank)))
-        rows: dict[str, list[int]] = {"named": [], "taught": [], "known": []}
         for k, text in enumerate(texts):
-            rows[self._who(text)].append(k)
-        if rows["known"]:
-            encoded = [texts[k] for k in rows["known"]]
-            class_leads = np.stack([self.class_leads(text)[self._present] for text in encoded])
-            gaps[rows["known"]] = scorer.gaps(self.vectors(encoded), class_leads)
-        if rows["taught"]:
-            leads = [self.taught.leads(texts[k], scorer.looks) for k in rows["taught"]]
-            gaps[rows["taught"]] = scorer.combined(np.stack(leads))
-        for k in rows["named"]:
-            has_name = np.isin(self.bank.ids, self._called[spelled(texts[k])])
-            gaps[k] = np.where(has_name, NAMED, -NAMED)
+            who = self._who(text)
+            if who == "named":
+                has_name = np.isin(self.bank.ids, self._called[spelled(text)])
+                gaps[k] = np.where(has_name, NAMED, -NAMED)
+            elif who == "taught":
+                gaps[k] = scorer.combined(self.taught.leads(text, scorer.looks)[None])[0]
+            else:
+                class_leads = self.class_leads(text)[self._present]
+                gaps[k] = scorer.gaps(self.vectors([text]), class_leads)[0]
         return gaps
 
     def class_leads(self, text: str) -> np.ndarray:
@@ -141,17 +132,11 @@ class BankReader(TextReader):
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         vector, read = super()._encode(text)
-        likeliest = self._likeliest(read.classes)
-        return vector, read if likeliest is None else replace(
-            read, named=likeliest - NEUTRAL_LOG_PROBABILITY
-        )
-
-    def _likeliest(self, classes: tuple[int, ...]) -> float | None:
-        """Compute the highest log-probability of the noun's classes in any object, or None."""
-        if not classes or self.bank.class_scores is None or not self.bank.present.any():
-            return None
-        objects = self.bank.class_scores[: len(self.bank)][self.bank.present]
-        return float(log_probability(objects, classes).max())
+        if read.classes and self.bank.class_scores is not None and self.bank.present.any():
+            objects = self.bank.class_scores[: len(self.bank)][self.bank.present]
+            likeliest = float(log_probability(objects, read.classes).max())
+            read = replace(read, named=likeliest - NEUTRAL_LOG_PROBABILITY)
+        return vector, read
 
     def class_evidence(self, text: str) -> np.ndarray:
         """Compute the evidence for the noun's classes in ``bank.nodes``, float64 [M, V], in nats.
@@ -167,8 +152,7 @@ class BankReader(TextReader):
 
     def relevancies(self, texts: Sequence[str], rules: Rules) -> np.ndarray:
         """Compute the relevancies float64 [Q, N] in [0, 1] of texts; errors as :meth:`gaps`."""
-        relevancies: np.ndarray = sigmoid(rules.temperature * self.gaps(texts, rules))
-        return relevancies
+        return sigmoid(rules.temperature * self.gaps(texts, rules))
 
     def chosen(
         self, texts: Sequence[str], gaps: np.ndarray, areas: np.ndarray, rules: Rules
@@ -229,3 +213,9 @@ class BankReader(TextReader):
         canonical = self.vectors(phrases)
         soft = getattr(self.encoder, "soft", SOFT)
         return Scorer(*self.bank.nodes, canonical, absent, self.bank.levels, soft)
+
+
+def _check_list(texts: Sequence[str]) -> None:
+    if isinstance(texts, str) or not len(texts):
+        problem = "one text" if isinstance(texts, str) else "no text"
+        raise InputError(f"query: found {problem}, expected a list of at least one")

@@ -119,8 +119,8 @@ class TaughtWords:
         """Return the words without ``word`` and its examples; InputError if it is not taught."""
         word = normal(word)
         if word not in self.lessons:
-            taught_words = ", ".join(map(repr, self)) or "none"
-            raise InputError(f"{word!r}: is no taught word; those there are: {taught_words}")
+            words = ", ".join(map(repr, self)) or "none"
+            raise InputError(f"{word!r}: is no taught word; those there are: {words}")
         left = {other: lesson for other, lesson in self.lessons.items() if other != word}
         return replace(self, lessons=left) if left else TaughtWords()
 
@@ -218,7 +218,7 @@ def encoder_identity(settings: Mapping[str, Any]) -> str:
 
 
 def _half(vectors: np.ndarray) -> np.ndarray:
-    """Round vectors to half precision, so that saved words give the same answers."""
+    """Round to half precision, so that saved words give the same answers."""
     return vectors.astype(np.float16).astype(np.float32)
 
 

@@ -15,7 +15,7 @@ import tomllib
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from importlib.resources import files
 
 from slgaussian.errors import InputError
@@ -55,12 +55,12 @@ class Reading:
     """The parse of a text.
 
     Attributes:
-        words: tuple of Word. Words that count, in reading order.
-        unknown: tuple of str. Spellings that are not in the vocabulary.
-        unused: {spelling: reason}. Other ignored spellings.
+        words: Words that count, in reading order.
+        unknown: Spellings that are not in the vocabulary.
+        unused: Other ignored spellings, with the reason.
         noun: Spelling of the word that names the object; empty if there is none, or if it may be an
             unknown word.
-        classes: tuple of int. ImageNet classes of the noun; see :func:`noun_classes`.
+        classes: ImageNet classes of the noun; see :func:`noun_classes`.
     """
 
     words: tuple[Word, ...]
@@ -75,16 +75,13 @@ class Vocabulary:
     """Everything in ``vocabulary.toml`` and ``nouns.toml``.
 
     Attributes:
-        canonical: tuple of str. Phrases that every query competes with.
-        colours: mapping name -> (swatches "#rrggbb", smallest factor of linear RGB)
-        groups: mapping name -> (colour -> weight). Groups of colours.
-        words: mapping str -> Word. Words by spelling, synonyms included; neutral words have no
-            weights.
-        phrases: mapping tuple of str -> Word. Sequences of spellings that form one word; they may
-            contain stop words.
-        naming: tuple of str. Nouns for naming objects without a query.
-        unseen: mapping str -> str. Known words for invisible properties, with the reason.
-        stop, relations, negations: frozenset of str
+        canonical: Phrases that every query competes with.
+        colours: {name: (swatches "#rrggbb", smallest factor of linear RGB)}
+        groups: {name: {colour: weight}}. Groups of colours.
+        words: Words by spelling, synonyms included; neutral words have no weights.
+        phrases: Sequences of spellings, stop words included, that form one word.
+        naming: Nouns for naming objects without a query.
+        unseen: Known words for invisible properties, with the reason.
     """
 
     canonical: tuple[str, ...]
@@ -97,11 +94,6 @@ class Vocabulary:
     stop: frozenset[str]
     relations: frozenset[str]
     negations: frozenset[str]
-
-    @cached_property
-    def _lengths(self) -> list[int]:
-        """Numbers of spellings of phrases, the largest first."""
-        return sorted({len(phrase) for phrase in self.phrases}, reverse=True)
 
     def read(self, text: str) -> Reading:
         """Parse a text as one noun and the words that describe it.
@@ -122,68 +114,53 @@ class Vocabulary:
         for spelling in spelled:
             if spelling in self.negations:
                 raise InputError(
-                    f"query {_short(text)!r}: {spelling!r} cannot be understood, because objects "
+                    f"query {excerpt(text)!r}: {spelling!r} cannot be understood, because objects "
                     "are found by what they are, not by what they are not; leave that part out"
                 )
         self._check_one_thing(text, spelled)
         spelled, places = self._take_phrases(spelled)
-        end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
+        end = self._end(spelled)
         content = [s for s in spelled[:end] if s not in self.stop]
         looked_up = [(s, self._look_up(s)) for s in _join_names(content)]
         nouns = [i for i, (_, word) in enumerate(looked_up) if word and word.family in NOUNS]
         # The head of "a picture of a plant" is the first noun, that of "a plant pot" the last.
-        head_limit = len(looked_up)
+        limit = len(looked_up)
         if "of" in spelled[:end]:
-            head_limit = sum(s not in self.stop for s in spelled[: spelled.index("of")])
-        head = next((i for i in reversed(nouns) if i < head_limit), nouns[-1] if nouns else None)
-        words = {
-            word.name: word
-            for i, (_, word) in enumerate(looked_up)
-            if word is not None and (i == head or i not in nouns)
-        }
-        words |= {word.name: word for word in places}
-        left_out = [(s, word) for s, word in looked_up if word is None or word.name not in words]
+            limit = sum(s not in self.stop for s in spelled[: spelled.index("of")])
+        head = max((i for i in nouns if i < limit), default=max(nouns, default=None))
+        noun, head_word = ("", None) if head is None else looked_up[head]
+        describing = [word for i, (_, word) in enumerate(looked_up) if i == head or i not in nouns]
+        words = {word.name: word for word in [*describing, *places] if word}
         elsewhere = [s for s in spelled[end:] if s not in self.stop]
-        if not words and all(word is not None or s in self.unseen for s, word in looked_up):
-            raise unusable(text, [s for s, _ in left_out] + elsewhere)
+        if not words and all(s in self.unseen for s, _ in looked_up):
+            raise unusable(text, [s for s, _ in looked_up] + elsewhere)
+        left_out = [(s, word) for s, word in looked_up if word is None or word.name not in words]
         unseen = {s: self.unseen[s] for s, _ in left_out if s in self.unseen}
-        unknown = [s for s, word in left_out if word is None and s not in unseen]
-        sought = "" if head is None else looked_up[head][0]
-        unused = {
-            s: f"another thing, while {sought!r} is looked for"
-            for s, _ in left_out
-            if s not in unknown and s not in unseen
-        }
-        unused |= unseen
-        after = f"said of another thing, after {spelled[end]!r}" if elsewhere else ""
-        unused |= dict.fromkeys(elsewhere, after)
-        head_word = None if head is None else looked_up[head][1]
-        classes = () if head_word is None else classes_of(sought) or classes_of(head_word.name)
+        unknown = tuple(dict.fromkeys(s for s, word in left_out if not word and s not in unseen))
+        other = f"another thing, while {noun!r} is looked for"
+        unused = {s: other for s, word in left_out if word and s not in unseen} | unseen
+        if elsewhere:
+            unused |= dict.fromkeys(elsewhere, f"said of another thing, after {spelled[end]!r}")
         # An unknown word after a noun may be the head, which the noun describes.
-        last = [s for s, _ in looked_up[:head_limit] if s not in unseen][-1:]
-        if head is None or set(last) & set(unknown):
-            sought, classes = "", ()
-        return Reading(
-            tuple(words.values()), tuple(dict.fromkeys(unknown)), unused, sought, classes
-        )
+        last = [s for s, _ in looked_up[:limit] if s not in unseen][-1:]
+        if head_word is None or set(last) & set(unknown):
+            return Reading(tuple(words.values()), unknown, unused)
+        classes = classes_of(noun) or classes_of(head_word.name)
+        return Reading(tuple(words.values()), unknown, unused, noun, classes)
 
     def _check_one_thing(self, text: str, spelled: Sequence[str]) -> None:
         """Raise InputError if "and" joins two objects."""
-        end = next((i for i in range(len(spelled)) if self._relates(spelled, i)), len(spelled))
+        end, idle = self._end(spelled), self.stop.union(self.unseen)
         for middle in (i for i in range(end) if spelled[i] == "and"):
             sides = spelled[:middle], spelled[middle + 1 : end]
-            side_words = [[self._look_up(w) for w in side if self._names(w)] for side in sides]
-            nouns = [any(word and word.family in NOUNS for word in side) for side in side_words]
-            unknown = bool(side_words[1]) and all(word is None for word in side_words[1])
-            if nouns[0] and (nouns[1] or unknown):
-                left, right = map(" ".join, sides)
+            before, after = ([self._look_up(s) for s in side if s not in idle] for side in sides)
+            unknown = after and not any(after)
+            if _has_noun(before) and (_has_noun(after) or unknown):
+                left, right = (excerpt(" ".join(side)) for side in sides)
                 raise InputError(
-                    f"query {_short(text)!r}: asks for two things; ask for {_short(left)!r} and "
-                    f"for {_short(right)!r} one at a time"
+                    f"query {excerpt(text)!r}: asks for two things; ask for {left!r} and "
+                    f"for {right!r} one at a time"
                 )
-
-    def _names(self, spelling: str) -> bool:
-        return spelling not in self.stop and spelling not in self.unseen
 
     def explain(self, text: str) -> tuple[bool, str]:
         """Return whether all words of ``text`` are known, and a line on how each is measured."""
@@ -208,20 +185,21 @@ class Vocabulary:
         """Return the known word with the most similar spelling, None if there is none."""
         if len(spelling) > LONGEST:
             return None
-        describing = [*self.words, *self.unseen]
-        for spellings in (describing, noun_classes()):
-            near = difflib.get_close_matches(spelling, spellings, n=1, cutoff=NEAR)
-            if near:
+        for spellings in ([*self.words, *self.unseen], noun_classes()):
+            if near := difflib.get_close_matches(spelling, spellings, n=1, cutoff=NEAR):
                 return near[0]
         return None
 
-    def _relates(self, spelled: Sequence[str], i: int) -> bool:
-        """Test whether word ``i`` starts the description of another object: "on", or "left of"."""
-        if spelled[i] in self.relations:
-            return True
-        word = self._look_up(spelled[i])
-        of_another = spelled[i + 1 : i + 2] == ["of"] and any(map(self._look_up, spelled[:i]))
-        return word is not None and word.family == "place" and of_another
+    def _end(self, spelled: Sequence[str]) -> int:
+        """Find the first word that describes another object: "on", or "left" before "of"."""
+        for i, spelling in enumerate(spelled):
+            if spelling in self.relations:
+                return i
+            word = self._look_up(spelling)
+            place = word is not None and word.family == "place"
+            if place and spelled[i + 1 : i + 2] == ["of"] and any(map(self._look_up, spelled[:i])):
+                return i
+        return len(spelled)
 
     def families(self) -> dict[str, dict[str, tuple[str, ...]]]:
         """Return all words with weights and their synonyms, by family."""
@@ -241,25 +219,25 @@ class Vocabulary:
         left of the door") it is a relation itself.
         """
         left: list[str] = []
-        phrase_words: list[Word] = []
+        places: list[Word] = []
         start = 0
         while start < len(spelled):
-            word, length = self.phrase_at(spelled, start)
+            word, length = self._phrase_at(spelled, start)
             then = spelled[start + length : start + length + 1]
-            place = word is not None and word.family not in NOUNS
-            if word is None or (place and then == ["of"]) or not self.relations.isdisjoint(left):
+            noun = word is not None and word.family in NOUNS
+            if word is None or not self.relations.isdisjoint(left) or (not noun and then == ["of"]):
                 left.append(spelled[start])
                 length = 1
-            elif word.family in NOUNS:
+            elif noun:
                 left.append(word.name)
             else:
-                phrase_words.append(word)
+                places.append(word)
             start += length
-        return left, phrase_words
+        return left, places
 
-    def phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
+    def _phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
         """Find the longest phrase, singular or plural, that begins at ``start``, and its length."""
-        for length in self._lengths:
+        for length in range(max(map(len, self.phrases)), 1, -1):
             *first, last = spelled[start : start + length]
             for form in _singulars(last):
                 if (*first, form) in self.phrases:
@@ -355,12 +333,17 @@ def _singulars(word: str) -> list[str]:
 
 def unusable(text: str, words: Sequence[str]) -> InputError:
     """Make the error for a text without a usable word."""
-    idle = _short(", ".join(words)) or "they carry no meaning here"
+    idle = excerpt(", ".join(words)) or "they carry no meaning here"
     return InputError(
-        f"query {_short(text)!r}: none of its words can be used ({idle}); use the lexicon's words, "
-        "which `slgaussian words` lists"
+        f"query {excerpt(text)!r}: none of its words can be used ({idle}); use the lexicon's "
+        "words, which `slgaussian words` lists"
     )
 
 
-def _short(text: str) -> str:
+def excerpt(text: str) -> str:
+    """Return a text for messages, shortened to 60 letters."""
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _has_noun(words: Sequence[Word | None]) -> bool:
+    return any(word is not None and word.family in NOUNS for word in words)

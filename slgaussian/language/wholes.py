@@ -130,11 +130,7 @@ class Wholes:
         return Wholes(**{f.name: arrays.pop(f"whole_{f.name}") for f in fields(Wholes)})
 
     def candidates(
-        self,
-        gaps: np.ndarray,
-        evidence: np.ndarray,
-        areas: np.ndarray,
-        share: float = NEAR_BEST,
+        self, gaps: np.ndarray, evidence: np.ndarray, areas: np.ndarray, share: float = NEAR_BEST
     ) -> Candidates:
         """Compute the candidate answers to Q texts.
 
@@ -156,43 +152,40 @@ class Wholes:
         evidence = np.nan_to_num(evidence * self.shares).mean(2) / np.maximum(self._area, 1e-12)
         evidence = np.clip(evidence, *EVIDENCE)
 
-        def describe(
-            sets: np.ndarray, numbers: np.ndarray, around: np.ndarray, standing: np.ndarray | float
-        ) -> np.ndarray:
+        def recall(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
+            fits = self._area * np.maximum(values, 0) * visible
+            return _times(sets, fits) / np.maximum(fits.sum(1, keepdims=True), 1e-12)
+
+        def describe(sets: np.ndarray, numbers: np.ndarray, around: np.ndarray) -> np.ndarray:
             """Compute the features [Q, G, 13] of sets [1 or Q, G, N]."""
-
-            def recall(values: np.ndarray) -> np.ndarray:
-                fits = self._area * np.maximum(values, 0) * visible
-                return _times(sets, fits) / np.maximum(fits.sum(1, keepdims=True), 1e-12)
-
-            size, outline, edge, agreement = np.moveaxis(numbers, 2, 0)
+            size, outline, edge, agreement, standing = np.moveaxis(numbers, 2, 0)
             mean = _times(sets, self._area * finite_gaps) / np.exp(size)
             shared = _times(sets, near_visible)
-            features: dict[str, np.ndarray | float] = {
-                "fit": np.maximum(mean / top, -2),
-                "around": np.maximum(_times(around, finite_gaps) / top, -2),
-                "lead": mean,
-                "recall": recall(finite_gaps),
-                "best": _times(sets, best),
-                "near_best": (shared == near_visible.sum(1, keepdims=True))
-                & (shared == _times(sets, visible)),
-                "evidence": _times(sets, self._area * evidence) / np.exp(size),
-                "evidence_recall": recall(evidence),
-                "size": size,
-                "outline": outline,
-                "edge": edge,
-                "standing": standing,
-                "agreement": agreement,
-            }
-            columns = (np.broadcast_to(features[name], mean.shape) for name in Ranking._fields)
-            return np.stack([*columns], 2)
+            all_near = shared == near_visible.sum(1, keepdims=True)
+            ranked = Ranking(
+                fit=np.maximum(mean / top, -2),
+                around=np.maximum(_times(around, finite_gaps) / top, -2),
+                lead=mean,
+                recall=recall(sets, finite_gaps),
+                best=_times(sets, best),
+                near_best=all_near & (shared == _times(sets, visible)),
+                evidence=_times(sets, self._area * evidence) / np.exp(size),
+                evidence_recall=recall(sets, evidence),
+                size=size,
+                outline=outline,
+                edge=edge,
+                standing=standing,
+                agreement=agreement,
+            )
+            return np.stack(np.broadcast_arrays(*ranked), 2)
 
-        sets, numbers, around, places = self._candidates
+        sets, numbers, around = self._candidates
         near_sets = near.astype(np.float64)
-        near_numbers, near_around = self._numbers(near_sets), self._around(near_sets)
+        near_numbers = self._numbers(near_sets, np.zeros(len(near)))
+        near_around = self._around(near_sets)
         features = [
-            describe(sets[None], numbers[None], around[None], self.standing[places]),
-            describe(near_sets[:, None], near_numbers[:, None], near_around[:, None], 0.0),
+            describe(sets[None], numbers[None], around[None]),
+            describe(near_sets[:, None], near_numbers[:, None], near_around[:, None]),
         ]
         possible = _times(sets[None], np.where(visible, areas, 0)) >= LEAST_PIXELS
         objects = np.broadcast_to(sets > 0, (len(gaps), *sets.shape))
@@ -216,33 +209,25 @@ class Wholes:
         return tables[0], tables[1]
 
     @cached_property
-    def _candidates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Objects and wholes that are large enough.
-
-        As sets float64 [G, N], with their :meth:`_numbers`, :meth:`_around` and rows.
-        """
+    def _candidates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Objects and wholes that are large enough: sets float64 [G, N], numbers and around."""
         sets = np.concatenate([np.eye(len(self.at_edge)), self.members])
-        places = np.flatnonzero(sets @ self._area >= LEAST_SHARE)
-        sets = sets[places]
-        return sets, self._numbers(sets), self._around(sets), places
+        large = sets @ self._area >= LEAST_SHARE
+        sets = sets[large]
+        return sets, self._numbers(sets, self.standing[large]), self._around(sets)
 
-    def _numbers(self, sets: np.ndarray) -> np.ndarray:
-        """Compute ``size``, ``outline``, ``edge``, ``agreement`` of sets [G, N]: float64 [G, 4]."""
+    def _numbers(self, sets: np.ndarray, standing: np.ndarray) -> np.ndarray:
+        """Compute size, outline, edge, agreement and standing of sets [G, N]: float64 [G, 5]."""
         length, strength = self._beside
         around, strong = (
             np.einsum("gn,gn->g", table.sum(1) - _beside(sets, table), sets)
             for table in (length, strength)
         )
         at_edge, in_views = sets @ self.at_edge, sets @ self.shares
-        return np.stack(
-            [
-                np.log(np.maximum(sets @ self._area, 1e-6)),
-                strong / np.maximum(around, 1),
-                at_edge / np.maximum(around + at_edge, 1),
-                in_views.min(1) / np.maximum(in_views.max(1), 1e-12),
-            ],
-            1,
-        )
+        size = np.log(np.maximum(sets @ self._area, 1e-6))
+        outline, edge = strong / np.maximum(around, 1), at_edge / np.maximum(around + at_edge, 1)
+        agreement = in_views.min(1) / np.maximum(in_views.max(1), 1e-12)
+        return np.stack([size, outline, edge, agreement, standing], 1)
 
     def _around(self, sets: np.ndarray) -> np.ndarray:
         """Weight the objects adjacent to sets by common border, normalised to sum 1: [G, N]."""
@@ -257,10 +242,7 @@ def near_best(gaps: np.ndarray, best: np.ndarray | float, share: float = NEAR_BE
 
 
 def _times(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Sum ``values`` [Q, N] over ``sets`` [1 or Q, G, N]: [Q, G].
-
-    Not BLAS, whose results vary with threads.
-    """
+    """Sum ``values`` [Q, N] over sets [1 or Q, G, N]; not by BLAS, which varies with threads."""
     sums: np.ndarray = np.einsum("qgn,qn->qg", sets, values)
     return sums
 
