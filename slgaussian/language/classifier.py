@@ -66,19 +66,14 @@ class Classifier:
         maps = []
         for long_side in SIZES:
             scale = long_side / max(image.shape[:2])
-            width, height = (
-                max(1, round(side * scale / STRIDE)) * STRIDE for side in image.shape[1::-1]
-            )
+            size = [max(1, round(side * scale / STRIDE)) * STRIDE for side in image.shape[1::-1]]
             how = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-            pixels = cv2.resize(image, (width, height), interpolation=how)
+            pixels = cv2.resize(image, size, interpolation=how)
             maps.append(self.cell_scores((pixels.astype(np.float32) - 127) / 128))
-        height, width = maps[-1].shape[:2]
-        finest = [
-            np.stack([cv2.resize(plane, (width, height)) for plane in np.moveaxis(scores, 2, 0)], 2)
-            for scores in maps
-        ]
-        mean: np.ndarray = np.stack(finest).mean(0)
-        return mean
+        finest = maps[-1].shape[1::-1]
+        planes = [[cv2.resize(p, finest) for p in np.moveaxis(scores, 2, 0)] for scores in maps]
+        mean: np.ndarray = np.array(planes).mean(0)
+        return np.ascontiguousarray(np.moveaxis(mean, 0, 2))
 
     def cell_scores(self, pixels: np.ndarray) -> np.ndarray:
         """Compute log-probabilities of cells, float32 [h, w, 1000], at one size.

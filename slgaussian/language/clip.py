@@ -36,6 +36,7 @@ from slgaussian.errors import InputError
 from slgaussian.kernels.threads import inside
 from slgaussian.language import Understood
 from slgaussian.language.configs import CLIP, ClipConfig
+from slgaussian.language.vocabulary import excerpt
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
@@ -111,10 +112,8 @@ class Clip(ClipConfig):
         Returns:
             float32 [M, C]
         """
-        vectors = [
-            self._pictures(image, masks[start : start + self.batch])
-            for start in range(0, len(masks), self.batch)
-        ]
+        starts = range(0, len(masks), self.batch)
+        vectors = [self._pictures(image, masks[i : i + self.batch]) for i in starts]
         return np.concatenate([np.zeros((0, self._width), np.float32), *vectors])
 
     def encode_text(self, texts: Sequence[str]) -> np.ndarray:
@@ -137,39 +136,37 @@ class Clip(ClipConfig):
     def _pictures(self, image: np.ndarray, masks: np.ndarray) -> np.ndarray:
         """Encode at most ``batch`` regions as unit vectors."""
         side = self.network.config.vision_config.image_size
-        kinds = (False,) if self.crops == "masked" else (False, True)
+        device, (mean, std) = self.network.device, self._colours
+        reduced = device.type != "cpu" or self.precision == "bfloat16"
         total = np.zeros((len(masks), self._width))
-        for context in kinds:
+        for context in (False,) if self.crops == "masked" else (False, True):
             pixels = np.zeros((self.batch, side, side, 3), np.uint8)
             for picture, mask in zip(pixels, masks, strict=False):
                 picture[:] = region_crop(image, mask, side, context)
-            mean, std = self._colours
             values = (torch.from_numpy(pixels).permute(0, 3, 1, 2) / 255 - mean) / std
-            kind = self.network.device.type
-            reduced = kind != "cpu" or self.precision == "bfloat16"
-            precision = torch.autocast(kind, torch.bfloat16, enabled=reduced)
+            precision = torch.autocast(device.type, torch.bfloat16, enabled=reduced)
             with torch.inference_mode(), precision, inside(self.network):
-                features = self.network.get_image_features(values.to(self.network.device))
+                features = self.network.get_image_features(values.to(device))
             total += _unit(features)[: len(masks)]
         return (total / np.linalg.norm(total, axis=1, keepdims=True)).astype(np.float32)
 
     def _text(self, text: str) -> np.ndarray:
-        excerpt = text if len(text) <= 60 else text[:57] + "..."
+        query = f"query {excerpt(text)!r}"
         if not text.strip():
-            raise InputError(f"query {excerpt!r}: is empty; describe an object, as in 'red ball'")
+            raise InputError(f"{query}: is empty; describe an object, as in 'red ball'")
         try:
             tokens = self._words(text)["input_ids"]
         except (TypeError, ValueError):  # lone surrogates
-            raise InputError(f"query {excerpt!r}: is not valid text; write it anew") from None
+            raise InputError(f"{query}: is not valid text; write it anew") from None
         limit = self.network.config.text_config.max_position_embeddings
         if len(tokens) > limit:
             raise InputError(
-                f"query {excerpt!r}: has {len(tokens)} tokens, but the model reads at most "
-                f"{limit}; say it in fewer words"
+                f"{query}: has {len(tokens)} tokens, but the model reads at most {limit}; say it "
+                "in fewer words"
             )
-        token_batch = torch.tensor([tokens], device=self.network.device)
         with torch.inference_mode(), inside(self.network):
-            features = self.network.get_text_features(token_batch)
+            batch = torch.tensor([tokens], device=self.network.device)
+            features = self.network.get_text_features(batch)
         return _unit(features).astype(np.float32)
 
     def _load_words(self) -> Any:
@@ -208,10 +205,11 @@ def _colours(files: ModelFiles) -> list[torch.Tensor]:
     """Read the mean and standard deviation by which a model normalises colours, each [3, 1, 1]."""
     if files.checkpoint is None:
         file, keys = files.folder / PREPROCESSOR, ("image_mean", "image_std")
-        config: Mapping[str, Any] = read_json(file) if file.is_file() else {}
     else:
         file, keys = files.folder / OPEN_CLIP_CONFIG, ("mean", "std")
-        config = table_in(read_json(file), "preprocess_cfg", file) if file.is_file() else {}
+    config: Mapping[str, Any] = read_json(file) if file.is_file() else {}
+    if files.checkpoint is not None:
+        config = table_in(config, "preprocess_cfg", file)
     values = [config.get(key, default) for key, default in zip(keys, (MEAN, STD), strict=True)]
     try:
         return [torch.tensor(value, dtype=torch.float32).reshape(3, 1, 1) for value in values]
@@ -229,7 +227,7 @@ def region_crop(image: np.ndarray, mask: np.ndarray, side: int, context: bool) -
         image: uint8 [H, W, 3]
         mask: bool [H, W]. Not empty.
         side: Side of the crop, pixels.
-        context: If true, the rest of the bounding box is kept instead of being black.
+        context: If true, the rest of the bounding box is not blackened.
 
     Returns:
         uint8 [side, side, 3]: Of an odd number of padding pixels, the smaller half is above or on

@@ -115,20 +115,18 @@ def neighbours(label_maps: LabelMaps) -> Pairs:
     ids = label_maps.ids
     rows = np.searchsorted(ids, label_maps.labels)
     rows[label_maps.labels == 0] = -1
-    keys, weights = [np.empty(0, np.int64)], [np.empty(0)]
+    base, keys, weights = max(len(ids), 1), [], []
     for gap in GAPS:
         for a, b in ((rows[..., gap:], rows[..., :-gap]), (rows[:, gap:], rows[:, :-gap])):
             border = (a != b) & (a >= 0) & (b >= 0)
-            a, b = a[border], b[border]
             pair_keys, counts = np.unique(
-                np.minimum(a, b) * len(ids) + np.maximum(a, b), return_counts=True
+                np.minimum(a, b)[border] * base + np.maximum(a, b)[border], return_counts=True
             )
             keys.append(pair_keys)
             weights.append(counts / gap**2)
     pair_keys, place_of = np.unique(np.concatenate(keys), return_inverse=True)
     total = np.bincount(place_of, np.concatenate(weights), len(pair_keys))
-    pairs = np.stack([pair_keys // max(len(ids), 1), pair_keys % max(len(ids), 1)], 1)
-    return Pairs(pairs, total / max(total.sum(), 1e-300))
+    return Pairs(np.stack(np.divmod(pair_keys, base), 1), total / max(total.sum(), 1e-300))
 
 
 def place(n: int, pairs: Pairs, rng: np.random.Generator) -> np.ndarray:

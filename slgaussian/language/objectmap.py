@@ -61,29 +61,22 @@ class ObjectMap:
 
         The lower row comes first.
         """
-        base = len(self.areas) + 1
-        neighbours = [self.rows[:, :-1], self.rows[:, 1:]], [self.rows[:-1], self.rows[1:]]
+        base, rows = len(self.areas) + 1, self.rows
         borders = []
-        for first, second in neighbours:
+        for first, second in ((rows[:, :-1], rows[:, 1:]), (rows[:-1], rows[1:])):
             border = (first != second) & (first > 0) & (second > 0)
             a, b = first[border].astype(np.int64), second[border].astype(np.int64)
             borders.append(np.minimum(a, b) * base + np.maximum(a, b))
-        pairs = np.unique(np.concatenate(borders))
-        return np.stack([pairs // base, pairs % base], 1) - 1
+        return np.stack(np.divmod(np.unique(np.concatenate(borders)), base), 1) - 1
 
     def parts(self, selected: np.ndarray) -> int:
         """Count the connected groups of the visible objects among ``selected`` bool [N]."""
-        visible = selected & (self.areas > 0)
-        group = {place: place for place in np.flatnonzero(visible).tolist()}
-
-        def first(place: int) -> int:
-            while group[place] != place:
-                place = group[place]
-            return place
-
-        for a, b in self.touching[visible[self.touching].all(1)].tolist():
-            group[first(a)] = first(b)
-        return sum(place == under for place, under in group.items())
+        group = {row: {row} for row in np.flatnonzero(selected & (self.areas > 0)).tolist()}
+        for a, b in self.touching.tolist():
+            if a in group and b in group and group[a] is not group[b]:
+                group[a] |= group[b]
+                group |= dict.fromkeys(group[b], group[a])
+        return len({id(members) for members in group.values()})
 
     def point(self, place: int) -> tuple[int, int]:
         """Return the :func:`central_point` (x, y) of the visible object in row ``place``."""

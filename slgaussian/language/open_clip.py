@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors.torch import load_file
 
 from slgaussian.components.pretrained import (
     OPEN_CLIP_CONFIG,
@@ -161,26 +162,23 @@ def _sizes(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any]) -> di
     head = config.get("vision_cfg", {}).get("head_width", HEAD_WIDTHS.get(width, 64))
     text_heads = config.get("text_cfg", {}).get("heads", max(1, text_width // 64))
     joint = tensors["visual.proj"].shape[1]
-    towers = []
-    for tower, channels, heads in (
-        ("visual.transformer", width, max(1, width // head)),
-        ("transformer", text_width, text_heads),
-    ):
-        layers = [name for name in tensors if re.match(rf"{tower}\.resblocks\.\d+\.ln_1\.w", name)]
-        towers.append(
-            {
-                "hidden_size": channels,
-                "num_hidden_layers": len(layers),
-                "num_attention_heads": heads,
-                "intermediate_size": len(tensors[f"{tower}.resblocks.0.mlp.c_fc.weight"]),
-                "hidden_act": "quick_gelu" if config.get("quick_gelu") else "gelu",
-                "projection_dim": joint,
-            }
-        )
-    vision, text = towers
-    vision["patch_size"] = patch
-    vision["image_size"] = patch * math.isqrt(len(tensors["visual.positional_embedding"]) - 1)
-    text |= {
+
+    def tower(prefix: str, channels: int, heads: int) -> dict[str, Any]:
+        layer = re.compile(rf"{prefix}\.resblocks\.\d+\.ln_1\.weight")
+        return {
+            "hidden_size": channels,
+            "num_hidden_layers": sum(layer.fullmatch(name) is not None for name in tensors),
+            "num_attention_heads": heads,
+            "intermediate_size": len(tensors[f"{prefix}.resblocks.0.mlp.c_fc.weight"]),
+            "hidden_act": "quick_gelu" if config.get("quick_gelu") else "gelu",
+            "projection_dim": joint,
+        }
+
+    vision = tower("visual.transformer", width, max(1, width // head)) | {
+        "patch_size": patch,
+        "image_size": patch * math.isqrt(len(tensors["visual.positional_embedding"]) - 1),
+    }
+    text = tower("transformer", text_width, text_heads) | {
         "vocab_size": vocabulary,
         "max_position_embeddings": len(tensors["positional_embedding"]),
         "bos_token_id": vocabulary - 2,
@@ -192,15 +190,10 @@ def _sizes(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any]) -> di
 def _read_tensors(file: Path) -> dict[str, torch.Tensor]:
     """Read the tensors of a checkpoint by name, without running code of the file."""
     try:
-        if file.suffix == ".safetensors":
-            from safetensors.torch import load_file
-
-            content: Any = load_file(file)
-        else:
-            content = tensorfile.load(file)
-        content = content.get("state_dict", content)
+        weights: Any = load_file(file) if file.suffix == ".safetensors" else tensorfile.load(file)
+        weights = weights.get("state_dict", weights)
         # DistributedDataParallel prefixes all names.
-        return {name.removeprefix("module."): tensor.detach() for name, tensor in content.items()}
+        return {name.removeprefix("module."): tensor.detach() for name, tensor in weights.items()}
     except Exception as problem:  # a damaged file raises almost anything
         reason = f"{type(problem).__name__}: {problem}".splitlines()[0]
         raise InputError(

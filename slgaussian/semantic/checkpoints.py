@@ -80,10 +80,8 @@ def load_checkpoint(
             f"checkpoint {file}: is of another training ({actual}); choose an empty folder, or go "
             "on with what it was begun with"
         )
-    rows: list[dict[str, Any]] = decode_table(
-        metrics, load_spec("metrics"), str(file), otherwise
-    ).to_pylist()
-    return rows
+    table = decode_table(metrics, load_spec("metrics"), str(file), otherwise)
+    return list(table.to_pylist())
 
 
 def table_of(rows: list[dict[str, Any]]) -> pa.Table:

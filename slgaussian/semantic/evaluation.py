@@ -27,8 +27,7 @@ def label_iou(
         {name: float}: In [0, 1]: the mean over target views and the objects in each. NaN without
             objects.
     """
-    object_ids = np.unique(lesson.labels)
-    object_ids = object_ids[object_ids > 0]
+    object_ids = np.unique(lesson.labels[lesson.labels > 0])
     scores = {}
     for name, views in novel_labels(lesson, liftings, codes, seed).items():
         ious: list[float] = []
@@ -54,18 +53,13 @@ def novel_labels(
         {name: int32 [T, H, W]}: Ids, 0 for none.
     """
     maps = LabelMaps(lesson.labels, np.ones(lesson.labels.shape, np.float32))
-    ids = maps.ids
     drawn = load_codes(codes)(maps, rng_for(seed, lesson.content, "judge"))
-    nothing = np.zeros((len(ids), len(lesson.labels), 1), np.float32)
-    bank = MemoryBank(ids, drawn, nothing, np.zeros(nothing.shape[:2], bool))
+    nothing = np.zeros((len(maps.ids), len(lesson.labels), 1), np.float32)
+    bank = MemoryBank(maps.ids, drawn, nothing, np.zeros(nothing.shape[:2], bool))
     decode = Decoder(bank)
-    lifted = {
-        name: lift(lesson.gaussians, maps, bank).require_features()
-        for name, lift in liftings.items()
-    }
-    predicted: dict[str, list[np.ndarray]] = {name: [] for name in liftings}
-    for camera in lesson.cameras:
-        for name, features in lifted.items():
-            rendered = rasterize(lesson.gaussians, features, camera).values
-            predicted[name].append(decode(rendered.numpy())[0])
-    return {name: np.stack(views) for name, views in predicted.items()}
+    predicted = {}
+    for name, lift in liftings.items():
+        features = lift(lesson.gaussians, maps, bank).require_features()
+        rendered = [rasterize(lesson.gaussians, features, c).values for c in lesson.cameras]
+        predicted[name] = np.stack([decode(values.numpy())[0] for values in rendered])
+    return predicted

@@ -50,22 +50,24 @@ class Lesson:
     __repr__ = short_repr
 
     def __post_init__(self) -> None:
-        H, W = self.labels.shape[1:]
+        size = self.labels.shape[1:]
         sizes = [(camera.height, camera.width) for camera in self.cameras]
-        if self.targets.shape != (len(sizes), H, W) or sizes != [(H, W)] * len(sizes):
-            raise self._wrong(
+        source, problem = self.gaussians.source, ""
+        if self.targets.shape != (len(sizes), *size) or sizes != [size] * len(sizes):
+            problem = (
                 f"targets {self.targets.shape} and cameras of {sizes} for labels "
-                f"{self.labels.shape}",
-                "a target map for each camera, all of the size of the labels",
+                f"{self.labels.shape}, expected a target map for each camera, all of the size of "
+                "the labels"
             )
-        if not self.cameras:
-            raise self._wrong("no target view", "at least one")
-        source = self.gaussians.source
-        if len(source) and not 0 <= int(source.min()) <= int(source.max()) < self.labels.size:
-            raise self._wrong(
-                f"a Gaussian from pixel {int(source.min())} or {int(source.max())}",
-                f"pixels 0 to {self.labels.size - 1} of the context views",
+        elif not self.cameras:
+            problem = "no target view, expected at least one"
+        elif len(source) and not 0 <= int(source.min()) <= int(source.max()) < self.labels.size:
+            problem = (
+                f"a Gaussian from pixel {int(source.min())} or {int(source.max())}, expected "
+                f"pixels 0 to {self.labels.size - 1} of the context views"
             )
+        if problem:
+            raise InputError(f"lesson {self.sample!r}: found {problem}")
 
     @cached_property
     def content(self) -> str:
@@ -91,21 +93,12 @@ class Lesson:
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> Lesson:
         """Inverse of :meth:`to_arrays`; the Gaussians have no colours, sh [N, 0, 3]."""
         geometry = {name: torch.from_numpy(np.array(arrays[name])) for name in GEOMETRY}
-        sh = torch.zeros(len(geometry["means"]), 0, 3)
-        H, W = arrays["targets"].shape[1:]
+        gaussians = Gaussians(**geometry, sh=torch.zeros(len(geometry["means"]), 0, 3))
+        height, width = arrays["targets"].shape[1:]
+        views = zip(arrays["K"], arrays["c2w"], arrays["near_far"].tolist(), strict=True)
         cameras = tuple(
-            Camera(K, c2w, W, H, near or None, far or None)
-            for K, c2w, (near, far) in zip(
-                arrays["K"], arrays["c2w"], arrays["near_far"].tolist(), strict=True
-            )
+            Camera(K, c2w, width, height, near or None, far or None)
+            for K, c2w, (near, far) in views
         )
-        return Lesson(
-            str(arrays["sample"]),
-            Gaussians(**geometry, sh=sh),
-            arrays["labels"],
-            cameras,
-            arrays["targets"],
-        )
-
-    def _wrong(self, actual: str, expected: str) -> InputError:
-        return InputError(f"lesson {self.sample!r}: found {actual}, expected {expected}")
+        name, labels = str(arrays["sample"]), arrays["labels"]
+        return Lesson(name, gaussians, labels, cameras, arrays["targets"])

@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -93,14 +93,13 @@ class Trained:
     metrics: pa.Table
 
 
-@dataclass(frozen=True, eq=False)
-class Draw:
+class Draw(NamedTuple):
     """One lesson of a batch.
 
     Attributes:
-        views: list of int. Indices of the target views.
+        views: Indices of the target views.
         epoch: Number of completed passes over all lessons.
-        rng: numpy Generator. Draws the codes.
+        rng: Draws the codes.
     """
 
     lesson: Lesson
@@ -145,14 +144,13 @@ def train(
     """
     if len(lessons) == 0:
         raise InputError("training: found no lessons, expected at least one")
-    device = find_device(settings.device)
-    architecture = settings.architecture
+    device, architecture = find_device(settings.device), settings.architecture
     branch = make_branch(architecture, seed_for(settings.seed, "", "branch") % 2**63)
     if start is not None:
-        if start.architecture != settings.architecture:
+        if start.architecture != architecture:
             raise InputError(
                 f"training: the weights to begin from are of {start.architecture}, expected "
-                f"{settings.architecture}; choose that architecture, or begin without"
+                f"{architecture}; choose that architecture, or begin without"
             )
         branch.load_state_dict(start.state_dict())
     run = dict(settings) | {
@@ -200,24 +198,19 @@ def find_device(name: str) -> torch.device:
 
 
 def loss_of(
-    branch: Branch,
-    lesson: Lesson,
-    views: Sequence[int],
-    codes: str,
-    rng: Any,
+    branch: Branch, lesson: Lesson, views: Sequence[int], codes: str, rng: np.random.Generator
 ) -> torch.Tensor:
     """Compute the mean squared error over all pixels of the chosen target views of a lesson.
 
     Rendered codes are compared with those of the targets, (0, 0, 0) where they have no object.
 
     Args:
-        views: sequence of int. Indices of the target views.
+        views: Indices of the target views.
         codes: Name of the code strategy.
-        rng: numpy Generator. Draws the codes.
+        rng: Draws the codes.
 
     Returns:
-        scalar tensor: Zero, without gradient, if there is no object; NaN if a feature is not
-            finite.
+        Zero, without gradient, if there is no object; NaN if a feature is not finite.
     """
     labels = np.concatenate([lesson.labels, lesson.targets])
     maps = LabelMaps(labels, np.ones(labels.shape, np.float32))
@@ -229,9 +222,8 @@ def loss_of(
     if not features.isfinite().all():
         return torch.tensor(torch.nan)
     targets = input_images(lesson.targets[list(views)], maps.ids, drawn)
-    rendered = [
-        rasterize(lesson.gaussians, features, lesson.cameras[view]).values for view in views
-    ]
+    cameras = [lesson.cameras[view] for view in views]
+    rendered = [rasterize(lesson.gaussians, features, camera).values for camera in cameras]
     return F.mse_loss(torch.stack(rendered), targets)
 
 
