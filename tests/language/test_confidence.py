@@ -18,41 +18,31 @@ from slgaussian.language.confidence import (
 from slgaussian.language.lexicon import Lexicon
 
 CALIBRATION = Lexicon.calibration
-gap = st.floats(-0.5, 0.5)
 small = st.floats(-0.1, 0.1)
 
 
-def test_signs_are_evidence_deviations_above_the_rest_and_parts():
-    gaps = np.array([0.3, 0.2, 0.02, 0.0, -0.02])
-    taken = np.array([True, True, False, False, False])
-    deviation = np.sqrt(2 * 0.02**2 / 3)
-    at = signs(gaps, taken, 4, 2)
-    assert at.evidence == pytest.approx(4 * 0.3)
-    assert at.stands_out == pytest.approx(0.25 / (deviation + STD_OFFSET))
-    assert at.parts == pytest.approx(np.log(2))
+APART = np.sqrt(2 * 0.02**2 / 3) + STD_OFFSET  # deviation of 0.02, 0, -0.02
 
 
-def test_an_answer_of_nearly_all_objects_stands_out_less():
-    gaps, taken = np.append(np.full(90, 0.2), [0.02, 0.0, -0.02]), np.arange(93) < 90
-    deviation = np.sqrt(2 * 0.02**2 / 3)
-    whole = signs(gaps, taken, 4, 1).stands_out
-    assert whole == pytest.approx(0.2 / (deviation + STD_OFFSET) * 4 / 90)
-    few = signs(gaps[87:], taken[87:], 4, 1).stands_out  # 3 of 6: no less
-    assert few == pytest.approx(0.2 / (deviation + STD_OFFSET))
-
-
-def test_without_an_answer_the_best_one_is_looked_at():
-    gaps = np.array([-0.3, -0.1, -0.3, -0.3])
-    at = signs(gaps, np.zeros(4, bool), 3, 0)
-    assert at.evidence == pytest.approx(-0.3)
-    assert at.stands_out == pytest.approx(0.2 / STD_OFFSET)
-    assert at.parts == 0
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_with_nothing_to_compare_with_it_stands_out_as_most_do(count):
-    at = signs(np.linspace(0.1, 0.0, count), np.arange(count) == 0, 1, 1)
-    assert at.stands_out == TYPICAL_STAND_OUT
+@pytest.mark.parametrize(
+    ("gaps", "selected", "measurements", "parts", "expected"),
+    [
+        ([0.3, 0.2, 0.02, 0, -0.02], 2, 4, 2, Signs(4 * 0.3, 0.25 / APART, np.log(2))),
+        # An answer of nearly all objects stands out less.
+        ([0.2] * 90 + [0.02, 0, -0.02], 90, 4, 1, Signs(0.8, 0.2 / APART * 4 / 90, 0)),
+        ([0.2] * 3 + [0.02, 0, -0.02], 3, 4, 1, Signs(0.8, 0.2 / APART, 0)),
+        # Without an answer the best one is looked at.
+        ([-0.1, -0.3, -0.3, -0.3], 0, 3, 0, Signs(-0.3, 0.2 / STD_OFFSET, 0)),
+        # With nothing to compare with it stands out as most do.
+        ([0.1], 1, 1, 1, Signs(0.1, TYPICAL_STAND_OUT, 0)),
+        ([0.1, 0], 1, 1, 1, Signs(0.1, TYPICAL_STAND_OUT, 0)),
+    ],
+)
+def test_signs_are_evidence_deviations_above_the_rest_and_parts(
+    gaps, selected, measurements, parts, expected
+):
+    taken = np.arange(len(gaps)) < selected
+    assert signs(np.array(gaps), taken, measurements, parts) == pytest.approx(expected)
 
 
 @given(small, small, st.floats(-5, 5), st.integers(1, 20), st.integers(1, 30), st.integers(0, 30))
