@@ -1,3 +1,5 @@
+"""Dense classification: the network against PyTorch in float64, and what is read of its scores."""
+
 import pickle
 
 import cv2
@@ -121,11 +123,7 @@ def test_network_agrees_with_float64_whatever_the_size_and_the_threads():
     noise = np.random.default_rng(0).uniform(-1, 1, (320, 64, 3)).astype(np.float32)
     before = cv2.getNumThreads()
     try:
-        for pixels in (
-            photograph() / np.float32(128) - 1,
-            noise,
-            np.zeros((32, 32, 3), np.float32),
-        ):
+        for pixels in (photograph() / np.float32(128) - 1, noise, 0 * noise[:32, :32]):
             results = []
             for threads in (1, 2, 3):
                 cv2.setNumThreads(threads)

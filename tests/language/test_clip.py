@@ -1,7 +1,4 @@
-"""CLIP with random weights: what goes in and out is right, what it means is not.
-
-The models are made here and saved to a folder (``small_clip``); nothing is downloaded.
-"""
+"""CLIP with random weights: what goes in and out is right, what it means is not."""
 
 import json
 import shutil
@@ -87,12 +84,6 @@ def test_a_region_is_shown_on_a_black_square(i):
     assert np.abs(double[1:-1:2, 1:-1:2] - mixed).max() <= 1
 
 
-def test_looks_count_by_the_temperature_that_the_model_learnt(clip):
-    """0.07, with which CLIP begins; the published ones end at 0.01."""
-    assert clip.soft == pytest.approx(np.exp(-float(clip.network.logit_scale)))
-    assert clip.soft == pytest.approx(0.07, abs=0.001)
-
-
 def reference_regions(network, image, masks, context=False):
     vectors = []
     for mask in masks:
@@ -104,22 +95,20 @@ def reference_regions(network, image, masks, context=False):
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def test_regions_are_what_transformers_says_in_float64(clip, in_float64):
+def test_regions_are_what_transformers_says_in_float64(folder, clip, in_float64):
     image, masks = picture(), regions()
     found = clip.encode_regions(image, masks)
     assert found.dtype == np.float32 and found.shape == (6, WIDTH)
     expected = reference_regions(in_float64, image, masks)
     assert np.abs(found - expected).max() < NOISE
     assert (found @ found.T).min() < 0.9  # not all alike
-
-
-def test_context_is_the_mean_of_two_pictures(folder, in_float64):
-    image, masks = picture(), regions()
+    # With context, the mean of two pictures.
     found = load_encoder("clip", model=folder, crops="context").encode_regions(image, masks)
-    alone = reference_regions(in_float64, image, masks)
-    both = alone + reference_regions(in_float64, image, masks, context=True)
+    both = expected + reference_regions(in_float64, image, masks, context=True)
     assert np.abs(found - both / np.linalg.norm(both, axis=1, keepdims=True)).max() < NOISE
-    assert np.abs(found - alone).max() > 0.01
+    assert np.abs(found - expected).max() > 0.01
+    # The temperature with which CLIP begins; the published ones end at 0.01.
+    assert clip.soft == pytest.approx(0.07, abs=0.001)
 
 
 TEXTS = ["red basket", "Red  BASKET", "things", "Pokémon 球 🎈", "it's 23.5% wool!"]
@@ -153,21 +142,20 @@ def test_same_bytes_in_any_company(clip):
     assert np.array_equal(clip.encode_text(TEXTS[2:3]), texts[2:3])
 
 
-@pytest.mark.parametrize("batch", [1, 64])
-def test_the_batch_changes_rounding_alone(folder, clip, batch):
-    other = load_encoder("clip", model=folder, batch=batch)
+@pytest.mark.parametrize(
+    ("settings", "least", "most"),
+    [
+        ({"batch": 1}, -1, NOISE),
+        ({"batch": 64}, -1, NOISE),
+        ({"precision": "bfloat16"}, 1e-5, 0.03),  # 8 bits in each of a few dozen sums
+    ],
+)
+def test_batch_and_precision_change_rounding_alone(folder, clip, settings, least, most):
+    other = load_encoder("clip", model=folder, **settings)
     assert other.network is clip.network  # loaded once
-    difference = other.encode_regions(picture(), regions()) - clip.encode_regions(
-        picture(), regions()
-    )
-    assert np.abs(difference).max() < NOISE
-
-
-def test_bfloat16_is_near(folder, clip):
-    rough = load_encoder("clip", model=folder, precision="bfloat16")
-    found, fine = (e.encode_regions(picture(), regions()) for e in (rough, clip))
-    assert 1e-5 < np.abs(found - fine).max() < 0.03  # 8 bits in each of a few dozen sums
-    assert np.array_equal(rough.encode_text(TEXTS), clip.encode_text(TEXTS))
+    found, fine = (encoder.encode_regions(picture(), regions()) for encoder in (other, clip))
+    assert least < np.abs(found - fine).max() < most
+    assert np.array_equal(other.encode_text(TEXTS), clip.encode_text(TEXTS))
 
 
 @hypothesis_settings(max_examples=60, deadline=None)
@@ -221,15 +209,10 @@ def test_another_kind_of_model_is_named(folder, tmp_path):
         load_encoder("clip", model=tmp_path / "model")
 
 
-def without_tokenizer(folder, target):
-    shutil.copytree(folder, target)
-    for name in ("vocab.json", "merges.txt"):
-        (target / name).unlink()
-    return target
-
-
 def test_a_tokenizer_is_beside_the_model_or_named(folder, clip, tmp_path):
-    alone = without_tokenizer(folder, tmp_path / "model")
+    alone = shutil.copytree(folder, tmp_path / "model")
+    for name in ("vocab.json", "merges.txt"):
+        (alone / name).unlink()
     with pytest.raises(InputError, match=r"no tokenizer beside it.*--set clip.tokenizer") as error:
         load_encoder("clip", model=alone)
     assert "\n" not in str(error.value)
@@ -238,22 +221,15 @@ def test_a_tokenizer_is_beside_the_model_or_named(folder, clip, tmp_path):
     assert np.array_equal(named.encode_text(TEXTS), clip.encode_text(TEXTS))
     with pytest.raises(InputError, match=r"tokenizer .* holds none; expected tokenizer\.json"):
         load_encoder("clip", model=alone, tokenizer=alone)
-
-
-def test_one_file_may_hold_the_tokenizer(folder, clip, tmp_path):
+    # One file may hold it.
     words = transformers.CLIPTokenizer.from_pretrained(folder, local_files_only=True)
-    alone = without_tokenizer(folder, tmp_path / "model")
     words.save_pretrained(alone)
     assert (alone / "tokenizer.json").is_file() and not (alone / "merges.txt").exists()
     found = load_encoder("clip", model=alone).encode_text(TEXTS)
     assert np.array_equal(found, clip.encode_text(TEXTS))
-
-
-@pytest.mark.parametrize("tokens", [400])
-def test_the_tokenizer_of_another_model_is_refused(folder, tmp_path, tokens):
-    clip_model(tokens).save_pretrained(tmp_path)
+    clip_model(400).save_pretrained(tmp_path / "other")
     with pytest.raises(InputError, match="give the tokenizer of this model"):
-        load_encoder("clip", model=tmp_path, tokenizer=folder)
+        load_encoder("clip", model=tmp_path / "other", tokenizer=folder)
 
 
 def test_colours_are_normalised_as_the_model_says(folder, clip, tmp_path):

@@ -10,12 +10,12 @@ from scipy.special import expit
 from slgaussian.language.relevancy import Scorer, sigmoid
 
 
-def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    return unit_of(rng.normal(size=shape))
-
-
 def unit_of(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    return unit_of(rng.normal(size=shape))
 
 
 def literal(features, present, queries, canonical, temperature):
@@ -82,7 +82,8 @@ def test_an_object_in_no_view_scores_zero_and_an_absent_view_never_helps(case):
 
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(1, 1000))
-def test_order_does_not_depend_on_temperature_and_bounds_hold(seed, temperature):
+def test_invariants(seed, temperature):
+    """Order and sign do not depend on temperature; phrases never raise, views never lower it."""
     rng = np.random.default_rng(seed)
     features, queries, canonical = unit(rng, 12, 2, 8), unit(rng, 3, 8), unit(rng, 2, 8)
     present = rng.random((12, 2)) < 0.8
@@ -93,17 +94,9 @@ def test_order_does_not_depend_on_temperature_and_bounds_hold(seed, temperature)
     assert (np.diff(np.take_along_axis(scores, order, 1), axis=1) >= 0).all()
     seen = np.isfinite(gaps)
     np.testing.assert_array_equal(scores[seen] > 0.5, gaps[seen] > 0)
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_more_canonical_phrases_never_raise_and_more_views_never_lower_relevancy(seed):
-    rng = np.random.default_rng(seed)
-    features, queries, canonical = unit(rng, 6, 3, 8), unit(rng, 2, 8), unit(rng, 4, 8)
-    present = np.ones((6, 3), bool)
-    full = relevancy(features, present, queries, canonical)
-    assert (relevancy(features, present, queries, canonical[:2]) >= full).all()
-    assert (relevancy(features[:, :2], present[:, :2], queries, canonical) <= full).all()
+    fewer = relevancy(features, present, queries, canonical[:1], temperature)
+    one_view = relevancy(features, present & [True, False], queries, canonical, temperature)
+    assert (fewer >= scores).all() and (one_view <= scores).all()
 
 
 def test_a_zero_vector_lifts_an_object_with_an_absent_view_to_even(case):
@@ -117,15 +110,11 @@ def test_a_zero_vector_lifts_an_object_with_an_absent_view_to_even(case):
     # The paper's bank, literally: a zero vector has cosine 0 with everything.
     literal_zero = literal(features * present[..., None], np.ones_like(present), *case[2:], 10)
     np.testing.assert_allclose(zero, literal_zero, rtol=1e-14)
-
-
-def test_vectors_are_made_unit(case):
-    features, present, queries, canonical = case
-    plain = relevancy(*case)
+    # Vectors are made unit.
     lengths = 1 + np.random.default_rng(0).uniform(-9e-4, 9e-4, present.shape)[..., None]
     np.testing.assert_allclose(
         relevancy(features * lengths, present, queries * 1.0009, canonical * 0.9991),
-        plain,
+        skip,
         atol=1e-15,
     )
 

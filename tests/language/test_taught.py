@@ -14,17 +14,7 @@ from slgaussian.language.rules import Rules
 from slgaussian.language.taught import EVEN, SCALE, TaughtWords, encoder_identity
 from slgaussian.storage.encoding import encode_arrays
 from slgaussian.storage.specs import load_spec
-from tests.language.drawn import (
-    BLUE,
-    GREEN,
-    GREY,
-    RED,
-    ball,
-    bank_of,
-    box,
-    cone,
-    photograph,
-)
+from tests.language.drawn import BLUE, GREEN, GREY, RED, ball, bank_of, box, cone, photograph
 
 THIS = encoder_identity({"encoder": "lexicon"})
 OTHER = encoder_identity({"encoder": "clip", "clip": {"model": "1f2e"}})
@@ -46,20 +36,14 @@ def taught(word: str = "fox", seed: int = 0, before: TaughtWords | None = None) 
 @pytest.fixture(scope="module")
 def scene():
     """Two views of a red ball, a blue box, a green cone and a grey ball."""
-    drawn = [
-        photograph(
-            [
-                (ball(60 + x, 80, 35), RED),
-                (box(170 + x, 70, 30), BLUE, "striped"),
-                (cone(250 + x, 160, 35), GREEN),
-                (ball(90 + x, 180, 30), GREY),
-            ],
-            seed=x,
-        )
-        for x in (0, 6)
-    ]
+    images, ids = [], []
+    for x in (0, 6):
+        objects = [(ball(60 + x, 80, 35), RED), (box(170 + x, 70, 30), BLUE, "striped")]
+        objects += [(cone(250 + x, 160, 35), GREEN), (ball(90 + x, 180, 30), GREY)]
+        image, shown = photograph(objects, seed=x)
+        images.append(image)
+        ids.append(shown)
     encoder = Lexicon()
-    images, ids = ([one[k] for one in drawn] for k in (0, 1))
     return ids[0], bank_of(images, ids, encoder), encoder
 
 
@@ -150,22 +134,16 @@ def test_a_file_gives_the_same_words_and_the_same_bytes():
     assert again.to_bytes() == words.to_bytes()
 
 
-def test_words_of_another_encoder_are_refused():
+def test_words_of_another_encoder_or_length_are_refused():
     says = r'are of the encoder {"encoder": "lexicon"}, but this field.s is {"encoder": "clip"'
     with pytest.raises(SpecError, match=r"words\.npz: .*" + says):
         TaughtWords.from_bytes(taught().to_bytes(), "words.npz", OTHER)
     with pytest.raises(InputError, match=says):
         taught().with_example("owl", unit(1)[0], unit(2, 2), OTHER)
-
-
-def test_vectors_of_another_length_are_one_sentence():
     arrays = {**taught().to_arrays(), "rivals": np.ones((6, WIDTH), np.float16)}
     data = encode_arrays(arrays, load_spec("words"))
     with pytest.raises(SpecError, match=r"words\.npz: .*no unit vector"):
         TaughtWords.from_bytes(data, "words.npz", THIS)
-
-
-@pytest.mark.parametrize("word", ["", "  ", "a" * 81])
-def test_no_word_is_refused(word):
-    with pytest.raises(InputError, match="expected 1 to 80 letters"):
-        taught(word)
+    for word in ("", "  ", "a" * 81):
+        with pytest.raises(InputError, match="expected 1 to 80 letters"):
+            taught(word)

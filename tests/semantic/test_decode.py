@@ -28,10 +28,6 @@ def image(codes: np.ndarray, weight: float | np.ndarray = 1.0) -> np.ndarray:
     return np.concatenate([codes * full, full], -1).astype(np.float32)
 
 
-def ids_of(features: np.ndarray, bank: MemoryBank) -> np.ndarray:
-    return Decoder(bank)(features)[0]
-
-
 def plain(features: np.ndarray, bank: MemoryBank) -> tuple[np.ndarray, np.ndarray]:
     """What the decoder promises, pixel by pixel in float64, every code compared."""
     codes = bank.codes.astype(np.float64)
@@ -114,6 +110,8 @@ def test_a_mixture_of_two_objects_is_not_taken_for_a_third():
 
 @pytest.mark.parametrize("decoder", [Decoder, NearestCode])
 def test_what_is_no_number_and_another_dimension_are_refused(decoder):
+    nothing = decoder(bank(np.zeros((0, 3), np.float32)))
+    assert not any(array.any() for array in nothing(image(np.zeros((2, 2, 3)))))
     features = image(CODES[np.zeros((70, 5), int)])
     with pytest.raises(InputError, match=r"expected \[H, W, 4\]"):
         decoder(bank())(features[..., :3])
@@ -145,10 +143,3 @@ def test_a_field_is_decoded_as_its_codes_say():
     assert isinstance(decoder_of(bank(), {"codes": "grid", "grid": {}}), Decoder)
     paper = {"codes": "grid", "grid": {"decode": "nearest"}}
     assert isinstance(decoder_of(bank(), paper), NearestCode)
-
-
-def test_a_bank_without_objects_decodes_to_none():
-    nothing = bank(np.zeros((0, 3), np.float32))
-    ids, confidence = Decoder(nothing)(image(np.zeros((2, 2, 3))))
-    assert not ids.any()
-    assert not confidence.any()

@@ -14,11 +14,7 @@ from drawn_lessons import lesson
 from train_and_die import LESSONS, SETTINGS
 
 from slgaussian.errors import InputError
-from slgaussian.semantic.branch import (
-    Architecture,
-    make_branch,
-    save_branch,
-)
+from slgaussian.semantic.branch import Architecture, make_branch, save_branch
 from slgaussian.semantic.checkpoints import CHECKPOINT
 from slgaussian.semantic.training import draw_batch, loss_of, train
 from slgaussian.storage.specs import load_spec
@@ -101,14 +97,6 @@ def test_a_batch_is_the_mean_of_its_lessons(tmp_path):
     assert sorted(row["sample"].split(", ")) == [f"wall {k}" for k in range(3)]
 
 
-@pytest.mark.parametrize("device", ["gpu0", "cuda:99", ""])
-def test_a_device_that_is_not_there_is_one_sentence(tmp_path, device):
-    with pytest.raises(InputError, match="training device: found") as refused:
-        train(LESSONS, SETTINGS.model_copy(update={"device": device}), tmp_path / "none")
-    assert str(refused.value).startswith(f"training device: found {device!r}")
-    assert not (tmp_path / "none").exists()
-
-
 def test_it_begins_from_given_weights(tmp_path):
     start = make_branch(SETTINGS.architecture, 9)
     settings = SETTINGS.model_copy(update={"steps": 1, "rate": 1e-12})
@@ -120,18 +108,26 @@ def test_it_begins_from_given_weights(tmp_path):
         train(LESSONS, settings, tmp_path / "b", other)
 
 
-def test_another_training_in_the_folder_is_refused(tmp_path, uninterrupted):
+@pytest.mark.parametrize(
+    ("lessons", "change", "start", "sentence"),
+    [
+        (LESSONS, {"rate": 0.1}, None, r"another training \(rate 0.003 instead of 0.1\)"),
+        (LESSONS, {"architecture": Architecture((4,), 8)}, None, "architecture .* instead of"),
+        (LESSONS[:2], {}, None, "lessons 3 instead of 2"),
+        (LESSONS, {}, make_branch(SETTINGS.architecture, 9), "start"),
+        ([], {}, None, "found no lessons"),
+        (LESSONS, {"device": "gpu0"}, None, "training device: found 'gpu0'"),
+        (LESSONS, {"device": "cuda:99"}, None, "training device: found 'cuda:99'"),
+        (LESSONS, {"device": ""}, None, "training device: found ''"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused(uninterrupted, lessons, change, start, sentence):
     before = bytes_in(uninterrupted)
-    with pytest.raises(InputError, match=r"another training \(rate 0.003 instead of 0.1\)"):
-        train(LESSONS, SETTINGS.model_copy(update={"rate": 0.1}), uninterrupted)
-    with pytest.raises(InputError, match=r"architecture .* instead of"):
-        other = Architecture(widths=(4,), hidden=8)
-        train(LESSONS, SETTINGS.model_copy(update={"architecture": other}), uninterrupted)
-    with pytest.raises(InputError, match="lessons 3 instead of 2"):
-        train(LESSONS[:2], SETTINGS, uninterrupted)
-    with pytest.raises(InputError, match="start"):
-        train(LESSONS, SETTINGS, uninterrupted, make_branch(SETTINGS.architecture, 9))
+    with pytest.raises(InputError, match=sentence):
+        train(lessons, SETTINGS.model_copy(update=change), uninterrupted, start)
     assert bytes_in(uninterrupted) == before
+    with pytest.raises(InputError, match="cannot be made"):
+        train(LESSONS, SETTINGS, uninterrupted / CHECKPOINT / "under")
 
 
 def test_damaged_checkpoints_are_refused(tmp_path, uninterrupted):
@@ -153,14 +149,6 @@ def test_a_loss_that_is_no_number_stops_with_the_sample_named(tmp_path):
     with pytest.raises(InputError, match=r"step 1: sample 'wall \d' gives a loss of nan"):
         train([bad], SETTINGS, tmp_path, start)
     assert not list(tmp_path.iterdir())
-
-
-def test_without_lessons_or_a_folder_nothing_is_trained(tmp_path):
-    with pytest.raises(InputError, match="found no lessons"):
-        train([], SETTINGS, tmp_path)
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be made"):
-        train(LESSONS, SETTINGS, tmp_path / "file" / "under")
 
 
 def test_a_lesson_without_objects_has_no_loss(tmp_path):

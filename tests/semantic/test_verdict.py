@@ -61,19 +61,20 @@ def with_means(**means: float) -> pa.Table:
     return judged(scores, list("abcdefgh"))
 
 
-def test_the_gate_asks_for_more_than_the_best_of_all():
-    """What once went through: better than the version in use, which was worse than no network."""
-    table = with_means(branch=0.58, before=0.55, hard=0.55, filled=0.60)
-    assert gate(table, {"before": "version 1"}).better
-    found = gate(table, RIVALS)
-    assert not found.better and found.why.startswith("worse than filled: -0.02")
-    found = gate(with_means(branch=0.58, before=0.55, hard=0.55, filled=0.579), RIVALS)
-    assert not found.better and found.why.startswith("no gain over filled beyond noise: +0.001")
-    found = gate(with_means(branch=0.58, before=0.6, hard=0.5, filled=0.5), RIVALS)
-    assert not found.better and found.why.startswith("worse than version 1: ")
-    found = gate(with_means(branch=0.58, before=0.54, hard=0.5, filled=0.51), RIVALS)
-    assert found.better and found.why.startswith("better than version 1: +0.04")
-    assert found.why.endswith("; and than hard and filled")
+@pytest.mark.parametrize(
+    ("before", "hard", "filled", "better", "why"),
+    [
+        # Better than the version in use, which was worse than no network.
+        (0.55, 0.55, 0.6, False, "worse than filled: -0.02"),
+        (0.55, 0.55, 0.579, False, "no gain over filled beyond noise: +0.001"),
+        (0.6, 0.5, 0.5, False, "worse than version 1: "),
+        (0.54, 0.5, 0.51, True, "better than version 1: +0.04"),
+    ],
+)
+def test_the_gate_asks_for_more_than_the_best_of_all(before, hard, filled, better, why):
+    found = gate(with_means(branch=0.58, before=before, hard=hard, filled=filled), RIVALS)
+    assert found.better == better and found.why.startswith(why)
+    assert found.why.endswith("; and than hard and filled") == better
 
 
 def test_what_is_in_use_is_worse_than_no_network_only_beyond_noise():

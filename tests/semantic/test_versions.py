@@ -17,11 +17,8 @@ def versions(tmp_path):
     return Versions(tmp_path / "models")
 
 
-def test_nothing_yet(versions):
-    assert versions.current() is None and versions.all() == []
-
-
 def test_the_way_of_three_versions(versions):
+    assert versions.current() is None and versions.all() == []
     first = versions.add(b"one", {"iou": 0.5}, True, "the first")
     second = versions.add(b"two", {"iou": 0.6}, True, "better by 0.1", first)
     third = versions.add(b"three", {"iou": 0.6}, False, "no gain beyond noise", second)
@@ -86,12 +83,8 @@ def test_damage_is_one_sentence(versions):
             versions.current()
     versions.use(second)
     assert versions.current() == second
-
-
-def test_a_version_is_not_its_own_ancestor(versions):
-    first = versions.add(b"one", {}, True, "the first")
-    file = versions.folder / "versions" / "000001.parquet"
-    spec = load_spec("versions")
+    # A version is not its own ancestor.
+    file, spec = versions.folder / "versions" / "000001.parquet", load_spec("versions")
     row = {**vars(first), "facts": "{}", "parent": 1}
     file.write_bytes(encode_table(pa.Table.from_pylist([row], schema=spec.schema), spec))
     with pytest.raises(SpecError, match="version 1 of parent 1"):
