@@ -43,8 +43,8 @@ def nearest_code(values: np.ndarray, codes: np.ndarray) -> np.ndarray:
 @kernel
 def find(x, y, z, codes):
     """Find the row of the code nearest to (x, y, z), and its distance, float64."""
-    best, row = np.inf, np.uint32(0)
-    for candidate in range(np.uint32(len(codes))):
+    best, row = np.inf, 0
+    for candidate in range(len(codes)):
         d = distance(x, y, z, codes, candidate)
         if d < best:
             best, row = d, candidate

@@ -162,22 +162,23 @@ class Wholes:
             mean = _times(sets, self._area * finite_gaps) / np.exp(size)
             shared = _times(sets, near_visible)
             all_near = shared == near_visible.sum(1, keepdims=True)
-            ranked = Ranking(
-                fit=np.maximum(mean / top, -2),
-                around=np.maximum(_times(around, finite_gaps) / top, -2),
-                lead=mean,
-                recall=recall(sets, finite_gaps),
-                best=_times(sets, best),
-                near_best=all_near & (shared == _times(sets, visible)),
-                evidence=_times(sets, self._area * evidence) / np.exp(size),
-                evidence_recall=recall(sets, evidence),
-                size=size,
-                outline=outline,
-                edge=edge,
-                standing=standing,
-                agreement=agreement,
-            )
-            return np.stack(np.broadcast_arrays(*ranked), 2)
+            features: dict[str, np.ndarray] = {
+                "fit": np.maximum(mean / top, -2),
+                "around": np.maximum(_times(around, finite_gaps) / top, -2),
+                "lead": mean,
+                "recall": recall(sets, finite_gaps),
+                "best": _times(sets, best),
+                "near_best": all_near & (shared == _times(sets, visible)),
+                "evidence": _times(sets, self._area * evidence) / np.exp(size),
+                "evidence_recall": recall(sets, evidence),
+                "size": size,
+                "outline": outline,
+                "edge": edge,
+                "standing": standing,
+                "agreement": agreement,
+            }
+            ordered = [features[name] for name in Ranking._fields]
+            return np.stack(np.broadcast_arrays(*ordered), 2)
 
         sets, numbers, around = self._candidates
         near_sets = near.astype(np.float64)

@@ -149,7 +149,7 @@ def _nearest(features, codes, gaps, rows, close, lead):
 
     ``close`` gets the code, one pixel to the right, where it is within :data:`CLOSE`.
     """
-    row, near = np.uint32(0), -1.0
+    row, near = 0, -1.0
     at_x, at_y, at_z, per_gap = 0.0, 0.0, 0.0, 0.0
     for u in range(len(rows)):
         weight = features[u, 3]
