@@ -60,7 +60,7 @@ def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of results.")],
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder for the pages.")] = None,
 ) -> None:
-    """Compare the settings, scores and costs of runs, and rank their methods.
+    """Compare the settings and scores of runs, and rank their methods.
 
     Prints each run minus the first, for each method, on the queries of both runs, with bootstrap
     intervals over scenes. Methods are ranked in a table for each data set, protocol and size; a

@@ -1,21 +1,18 @@
 """Reading of hand-labelled ground truth: JSON files of LERF-OVS, or the class masks of 3D-OVS.
 
-There is one file per frame, ``<labels>/<frame>.json``; if frames in several folders have the same
-name, the label files are in the same folders::
+There is one file per frame, ``<labels>/<frame>.json``, also in subfolders as the frames::
 
     {"info": {"name": "frame_00041.jpg", "width": 988, "height": 731},
      "objects": [{"category": "red toaster", "segmentation": [[x, y], ...],
                   "bbox": [x0, y0, x1, y1]}, ...]}
 
-A segmentation is one polygon in pixels. Several objects may share a category; a benchmark sample
-is a (frame, category), never an instance, so their masks are united and their boxes are listed. An
-object may have ``"holes": [[[x, y], ...], ...]``, polygons inside its own; this key is not part of
-LERF-OVS, whose programs see the object filled. Other keys are ignored.
+A segmentation is one polygon in pixels. Masks of objects of one category are united, and their
+boxes are listed. An object may have ``"holes": [[[x, y], ...], ...]``, polygons inside its own,
+which LERF-OVS does not have. Other keys are ignored.
 
 A folder with ``classes.txt`` contains class masks, ``<frame>/<class>.png`` for every class; a line
-of the file is a class and its query text. 3D-OVS uses the folder's number as an index into the
-sorted photographs. In the published scenes it equals the photograph's name; this reader uses the
-name.
+of the file is a class and its query text. Folders have the names of photographs, as in the
+published scenes; 3D-OVS uses them as indices into the sorted photographs.
 """
 
 from __future__ import annotations
@@ -44,13 +41,13 @@ INSIDE = 255
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Labels of the target views of one scene.
+    """Labels of the target views of one scene, by view name and category.
 
     Attributes:
-        masks: {view name: {category: bool [H, W]}}. A queried category without a pixel in the frame
-            (not labelled there, or cropped away) has an empty mask, so that it is reported.
-        boxes: {view name: {category: float64 [n, 4]}}. x0, y0, x1, y1 in pixels, one row per
-            object. Empty if the labels have no boxes, which are then computed from the masks.
+        masks: bool [H, W]; empty masks of categories that are not labelled in the frame, or cropped
+            away, so that they are reported.
+        boxes: float64 [n, 4], x0, y0, x1, y1 in pixels, a row per object. Empty if the labels have
+            no boxes, which are then computed from the masks.
     """
 
     masks: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
@@ -65,13 +62,9 @@ def read_labels(
     """Read the class masks of one view, bool [height, width] by category.
 
     Polygons are drawn at the labelled size as LangSplat's evaluation does (points truncated to
-    int32, then ``cv2.fillPoly``), and masks are resampled once to ``width`` x ``height`` by
-    :meth:`slgaussian.formats.resampling.Window.mask`; a category that is cropped away has an empty
-    mask.
-
-    Args:
-        window: Part of the photograph that the view shows; by default the labelled frame is scaled
-            to cover the view and cropped about the centre.
+    int32, then ``cv2.fillPoly``), then resampled. ``window`` is the part of the photograph that the
+    view shows; by default the labelled frame is scaled to cover the view and cropped about the
+    centre.
 
     Raises:
         InputError: If the labels of the view are missing, damaged, belong to another frame or have
@@ -112,8 +105,7 @@ def boxes_of(mask: np.ndarray, annotated: np.ndarray | None) -> np.ndarray:
 def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
     """List the labelled categories of each frame in a folder, in the order of the frames.
 
-    Frames are named by the path of their labels below the folder, without an extension. Categories
-    of class masks are those of ``classes.txt``, also if a frame does not show them.
+    Frames are named by the path of their labels below the folder, without an extension.
 
     Raises:
         InputError: If a label file is damaged.
@@ -130,17 +122,11 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
 
 def label_files(folder: str | Path, view_name: str) -> list[Path]:
     """Return the files from which the labels of a frame are read; they may be missing."""
-    folder = Path(folder)
+    folder, name = Path(folder), Path(view_name)
     if (folder / CLASSES).is_file():
-        masks = (folder / Path(view_name).stem / f"{name}.png" for name in _classes(folder))
-        return [folder / CLASSES, *masks]
-    return [_label_file(folder, view_name)]
-
-
-def _label_file(folder: Path, view_name: str) -> Path:
-    # Frames in subfolders have their labels in subfolders of the same names.
-    nested = folder / Path(view_name).with_suffix(".json")
-    return nested if nested.is_file() else folder / f"{Path(view_name).stem}.json"
+        return [folder / CLASSES, *(folder / name.stem / f"{of}.png" for of in _classes(folder))]
+    nested = folder / name.with_suffix(".json")
+    return [nested if nested.is_file() else folder / f"{name.stem}.json"]
 
 
 def _read_frame(
@@ -149,7 +135,7 @@ def _read_frame(
     """Read masks and boxes of a frame; class masks have no boxes."""
     if (folder / CLASSES).is_file():
         return _read_class_masks(folder, view_name, width, height, window), None
-    path = _label_file(folder, view_name)
+    (path,) = label_files(folder, view_name)
     record = _read_record(path)
     name, full_w, full_h = record.info.name, record.info.width, record.info.height
     if Path(name).stem != Path(view_name).stem:

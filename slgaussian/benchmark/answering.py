@@ -43,10 +43,9 @@ class Result(Protocol):
         mask: bool [H, W]. Pixels that the rules select.
         relevancy: float32 [H, W]. In [0, 1]; 0.5 means as good as the canonical phrases; 0 where
             unknown.
-        point: (int, int) or None. Column and row (x, y) of the predicted location; None if no pixel
-            is known.
+        point: Column and row (x, y) of the predicted location; None if no pixel is known.
         score: Largest relevancy; 0 if no pixel is known.
-        unknown: tuple of str. Ignored words of the text.
+        unknown: Ignored words of the text.
     """
 
     @property
@@ -100,7 +99,4 @@ class Answering(Protocol):
     """A scene that answers texts from any camera."""
 
     def render(self, camera: Camera) -> AnsweringView:
-        """Render the view of ``camera``.
-
-        Other work may be deferred to the first query.
-        """
+        """Render the view of ``camera``; other work may be deferred to the first query."""

@@ -1,8 +1,7 @@
 """Attribution of misses: stages are replaced by ground truth one after the other, from the last.
 
-Replacements are cumulative. The first replacement that turns the miss into a hit names the
-responsible stage: with ground truth after that stage it was still a miss, with ground truth for the
-stage it is a hit. `docs/reference/failures.md` describes the method and its limits.
+Replacements are cumulative; the first that turns the miss into a hit names the responsible stage.
+`docs/reference/failures.md` describes the method and its limits.
 """
 
 from __future__ import annotations
@@ -40,14 +39,13 @@ STAND_INS = {
     ),
     "masks_iou": ("masks", "labels of the target, projected into the context views"),
 }
-"""Columns of the spec ``attribution``: which stages are replaced by ground truth; short title and
-description. The titles after the first are the stages in the order of replacement."""
+"""Title and description of the replaced stages by column of the spec ``attribution``, in order."""
 
 STAGES = tuple(title for title, _ in STAND_INS.values())[1:]
 
 BEYOND = "nothing mends it"
-"""Cause reported if no replacement fixes the miss: the photographs do not show the object, its
-depth is wrong, or the ground truth is inexact."""
+"""Cause if no replacement fixes the miss: the object is not in the photographs, its depth is wrong,
+or the ground truth is inexact."""
 
 CRUMB = 0.05
 """Fraction of a mask below which a connected component is ignored."""
@@ -56,8 +54,7 @@ BEHIND = 0.05
 """Relative depth difference from which on a point behind a surface is occluded."""
 
 SPECK = 7
-"""Side of the window, pixels, in which one pixel of known position suffices to fill holes of
-ground truth that is projected into the context views."""
+"""Side of the window, pixels, in which one known pixel fills holes of projected labels."""
 
 
 def attribute_errors(
@@ -77,7 +74,7 @@ def attribute_errors(
         settings: Columns of the rows, and rules for answers.
 
     Returns:
-        list of dict: A row per frame and query, with the columns of the data spec ``attribution``.
+        A row per frame and query, with the columns of the data spec ``attribution``.
     """
     settings = settings or EvaluationSettings()
     rules = settings.rules
@@ -99,13 +96,10 @@ def attribute_errors(
             predicted, point = (np.zeros_like(mask), None) if hit is None else (hit.mask, hit.point)
             row: dict[str, Any] = common | {"frame": target.name, "query": query}
             row |= {"iou": metrics.iou(predicted, mask), "hit": metrics.point_in_mask(point, mask)}
-            judged = {
-                "threshold": _cut(hit, objects, mask),
-                "language": _judge(objects.spread(best_objects(objects, field.bank, mask)), mask),
-                "masks": _judge(drawn[..., column], mask),
-            }
-            for stage in STAGES:
-                row[f"{stage}_iou"], row[f"{stage}_hit"] = judged[stage]
+            whole = objects.spread(best_objects(objects, field.bank, mask))
+            judged = _cut(hit, objects, mask), _judge(whole, mask), _judge(drawn[..., column], mask)
+            for stage, (iou, inside) in zip(STAGES, judged, strict=True):
+                row |= {f"{stage}_iou": iou, f"{stage}_hit": inside}
             row["lost"] = verdict(row)
             rows.append({name: row[name] for name in load_spec("attribution").columns})
     return rows
@@ -128,11 +122,7 @@ def _judge(mask: np.ndarray, truth: np.ndarray) -> tuple[float, bool]:
 
 
 def _cut(hit: QueryResult | None, objects: ObjectMap, truth: np.ndarray) -> tuple[float, bool]:
-    """Return the IoU with the best threshold, and whether the point, or that of the best object, is
-    right.
-
-    A threshold cannot change which object has the highest score.
-    """
+    """Return the IoU with the best threshold, and whether its point or the best object's hits."""
     if hit is None or not hit.score:
         return 0.0, False
     total = int(np.count_nonzero(truth))
@@ -149,8 +139,7 @@ def best_prefix(
 
     Args:
         scores: float [N]. Objects of equal score are chosen together.
-        inside, areas: int [N]. Pixels of each object inside the mask, and in total. Objects do not
-            overlap; those without a pixel are never chosen.
+        inside, areas: int [N]. Pixels of each object inside the mask, and in total.
         total: Pixels of the mask.
 
     Returns:
@@ -204,13 +193,11 @@ def context_truth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Project masks bool [H, W] of a target, one per query, into the context views.
 
-    Each context pixel is projected into the target with its true depth, or with ``predicted`` float
-    [V, H, W] where unknown, and gets the label there, unless it is occluded.
+    Depths of context pixels are the true ones, or ``predicted`` float [V, H, W] where unknown.
 
     Returns:
-        labels: int32 [V, H, W]. Label 1 means no query applies; each other label stands for one set
-            of queries.
-        members: bool [L + 1, Q]. Whether query q belongs to label l.
+        int32 [V, H, W] and bool [L + 1, Q]: the label of each pixel, 0 if it is occluded in the
+        target, and whether query q belongs to label l; label 1 belongs to none.
     """
     sets = np.zeros(masks[0].shape, np.int64)
     for mask in masks:
@@ -221,7 +208,8 @@ def context_truth(
     members = np.zeros((int(sets.max()) + 1, len(masks)), bool)
     for column, mask in enumerate(masks):
         members[np.unique(sets[mask]), column] = True
-    true = true_depths(sample)
+    nothing = np.zeros(sample.context[0].image.shape[:2], np.float32)
+    true = np.stack([nothing if v.depth is None else v.depth for v in sample.context])
     place = carried_back(sample, target, np.where(true > 0, true, predicted))
     for pixels in place:
         # A small depth error occludes single pixels of a surface.
@@ -232,21 +220,11 @@ def context_truth(
     return np.where(place >= 0, sets.ravel()[place], 1).astype(np.int32), members
 
 
-def true_depths(sample: Sample) -> np.ndarray:
-    """Return the true z-depth of the context views, float32 [V, H, W], 0 where unknown."""
-    nothing = np.zeros(sample.context[0].image.shape[:2], np.float32)
-    return np.stack([nothing if v.depth is None else v.depth for v in sample.context])
-
-
 def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray:
-    """Return the flat index of the target pixel that shows the point of a context pixel, or -1.
+    """Return the flat index int64 [V, H, W] of the target pixel that shows a context pixel, or -1.
 
-    Args:
-        depths: float [V, H, W]. z-depth of the context views, 0 unknown. Occlusion in the target
-            view is tested with its true depth, or with these where it is unknown.
-
-    Returns:
-        int64 [V, H, W]
+    ``depths`` float [V, H, W] are z-depths of the context views, 0 unknown. Occlusion in the target
+    is tested with its true depth, or with these where it is unknown.
     """
     height, width = target.image.shape[:2]
     nearest = np.full(height * width, np.inf)
@@ -260,11 +238,8 @@ def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray
         landed.append((place, z))
     # Forward-projected pixels leave holes if the target view is closer or has higher resolution.
     side = 1 + 2 * max(1, math.ceil(height / sample.context[0].image.shape[0]))
-    front = cv2.erode(
-        nearest.reshape(height, width),
-        np.ones((side, side), np.uint8),
-        borderType=cv2.BORDER_REPLICATE,
-    )
+    square = np.ones((side, side), np.uint8)
+    front = cv2.erode(nearest.reshape(height, width), square, borderType=cv2.BORDER_REPLICATE)
     if target.depth is not None:
         front = np.where(target.depth > 0, target.depth, front)
     limit = (1 + BEHIND) * front.ravel()

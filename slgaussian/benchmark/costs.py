@@ -18,11 +18,10 @@ class Cost:
     """Cost of a method on a data set; None if not measured.
 
     Attributes:
-        view_query, further_query: Seconds of the first query in a view, with its rendering, and of
-            a further query in it, both without what is computed once per scene: medians over views
-            and queries.
-        prepare, build: Seconds per scene for the method, and for the field that all methods share:
-            medians over scenes.
+        view_query, further_query: Median seconds of the first query in a view, with its rendering,
+            and of a further query in it, both without what is computed once per scene.
+        prepare, build: Median seconds per scene for the method, and for the field that all methods
+            share.
         peak: Largest memory of the process, bytes.
     """
 
@@ -43,10 +42,7 @@ class Cost:
 
 
 def costs_of(rows: Iterable[Row]) -> list[Cost]:
-    """Return one cost per data set and method from rows of the spec ``times``, in their order.
-
-    Rows may lack unknown columns.
-    """
+    """Return one cost per data set and method from rows of the spec ``times``, in their order."""
     costs = []
     for (dataset, method), answers in grouped(rows, "dataset", "method").items():
         frames = {(row["scene"], row["frame"]): row for row in answers}.values()
@@ -78,8 +74,7 @@ class StageCost:
     """Cost of a stage, measured when its artifacts were computed.
 
     Attributes:
-        seconds: Total of all artifacts, without compiling kernels.
-        middle: Median over artifacts.
+        seconds, middle: Total of all artifacts, and their median, without compiling kernels.
         peak: Largest memory of the process until their end, bytes; None if unknown.
         compiling: Additional seconds for compiling kernels, once per installation.
     """
@@ -106,11 +101,8 @@ class StageCost:
 class Times:
     """Seconds of a run.
 
-    Attributes:
-        stages: {stage: StageCost}
-        host: {name: text}. Description of the machine.
-        costs: sequence of Cost. Costs of each method on each data set.
-        paper: Name of the method that is compared with the paper's costs; "" for none.
+    ``host`` describes the machine; ``paper`` is the name of the method that is compared with the
+    paper's costs, "" for none.
     """
 
     stages: Mapping[str, StageCost]

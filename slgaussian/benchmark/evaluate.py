@@ -132,8 +132,6 @@ def evaluate(
 ) -> SceneResult:
     """Query a method with all labelled texts in every target view, and score its answers.
 
-    Each query is answered once for all protocols.
-
     Args:
         field: A field of ``sample``, or the scene of another method.
         sample: Its targets have the photographs for comparison.
@@ -142,9 +140,6 @@ def evaluate(
             and reported, not scored. Missing boxes are computed from the masks.
         settings: Further queries, and columns of the rows.
         gaussians: Gaussians of the context views' pixels, whose depths are scored and drawn.
-
-    Returns:
-        SceneResult: A query that is not understood has a row with score 0.
 
     Raises:
         InputError: If a protocol is unknown, or a relevancy has another size than its view, NaN, or
@@ -209,13 +204,8 @@ def score_frame(
 ) -> Iterator[tuple[dict[str, Any], Scored]]:
     """Score the answers of a frame; yield rows of the spec ``samples``, and what was scored.
 
-    A text without ground truth in the frame has one row, of the first protocol.
-
-    Args:
-        texts: sequence of str. One per answer.
-        rules: Rules of the answers, None for external masks.
-        common: Columns of all rows.
-        columns: {text: columns}. Columns of a text's rows.
+    A text without ground truth in the frame has one row, of the first protocol. ``rules`` are None
+    for external masks; ``common`` are the columns of all rows, ``columns`` those of a text's rows.
     """
     for protocol in protocols:
         mask_settings = MaskSettings("given")
@@ -294,13 +284,15 @@ class _Recorder:
             "absent": rules.absent,
             "frame": frame,
         }
-        columns = {
-            text: {
-                "score": float(hits[text].score) if text in hits else None,
-                "note": _note(hits.get(text), absent=has_truth and not mask.any()),
-            }
-            for text, mask in masks.items()
-        }
+        columns: dict[str, dict[str, Any]] = {}
+        for text, mask in masks.items():
+            hit = hits.get(text)
+            notes = [] if hit else [NOT_UNDERSTOOD]
+            if hit and hit.unknown:
+                notes.append(f"unknown: {', '.join(hit.unknown)}")
+            if has_truth and not mask.any():
+                notes.append(ABSENT)
+            columns[text] = {"score": float(hit.score) if hit else None, "note": "; ".join(notes)}
         for row, scored in score_frame(
             queried, list(masks), self.protocols, rules, common, columns
         ):
@@ -390,11 +382,6 @@ def _answer(hit: Result | None, truth: np.ndarray, where: str) -> Answer:
             f"{where}: relevancy goes from {low} to {high}, expected numbers from 0 to 1"
         )
     return Answer(hit.relevancy, hit.mask, hit.point)
-
-
-def _note(hit: Result | None, absent: bool) -> str:
-    unknown = f"unknown: {', '.join(hit.unknown)}" if hit and hit.unknown else ""
-    return "; ".join(filter(None, (unknown if hit else NOT_UNDERSTOOD, ABSENT if absent else "")))
 
 
 def _disparity_scale(sample: Sample) -> float | None:

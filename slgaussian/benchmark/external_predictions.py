@@ -55,8 +55,8 @@ class Prediction:
 
     Attributes:
         place: Name in messages.
-        read: function (height, width) -> bool [height, width]. Raises InputError if the mask cannot
-            be read, or has another size.
+        read: Function of height and width. Raises InputError if the mask cannot be read, or has
+            another size.
         point: (x, y) or None
     """
 
@@ -71,10 +71,8 @@ class Predictions:
 
     Attributes:
         place: The folder or file.
-        masks: {key: Prediction}. Scene, frame and query as written in the file or in the folder
-            names.
-        samples: Number of scored samples with ground truth, of which those in ``missing`` have no
-            mask.
+        masks: Scene, frame and query are as in the file or in the folder names.
+        samples: Number of scored samples with ground truth, of which ``missing`` have no mask.
         used: Keys of the scored masks.
     """
 
@@ -118,12 +116,7 @@ class Predictions:
 
 @dataclass(frozen=True, eq=False)
 class JudgedScene:
-    """A scene and its ground truth.
-
-    Attributes:
-        place: See :class:`slgaussian.benchmark.evaluate.EvaluationSettings`.
-        truth: Its frames and queries are evaluated.
-    """
+    """A scene and its ground truth; ``place`` as in the evaluation's settings."""
 
     scene: str
     dataset: str

@@ -35,8 +35,7 @@ def boundary_iou(predicted: np.ndarray, truth: np.ndarray) -> float:
 def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float | None]:
     """Compute the IoU of each class of a closed-set segmentation (3D-OVS, arXiv:2305.14093).
 
-    Each class region of the arg-max map is compared with the class mask over the *whole* image, so
-    a pixel without a label counts against the class predicted there. The mean over classes, frames
+    A pixel without a label counts against the class predicted there. The mean over classes, frames
     and scenes is mIoU (:mod:`slgaussian.benchmark.scores`).
 
     Args:
@@ -44,7 +43,7 @@ def class_ious(labels: np.ndarray, truths: Sequence[np.ndarray]) -> list[float |
         truths: sequence of bool [H, W]. The mask of each class; masks may overlap.
 
     Returns:
-        list of float or None: None for a class with an empty true mask, which is not a sample.
+        One per class; None for a class with an empty true mask, which is not a sample.
     """
     return [iou(labels == k + 1, truth) if truth.any() else None for k, truth in enumerate(truths)]
 
@@ -53,10 +52,7 @@ def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
     """Compute the fraction of pixels with all classes correct (3D-OVS, arXiv:2305.14093).
 
     This is scikit-learn's multilabel accuracy: the pixel must belong to exactly one true class, and
-    that class must win. A pixel without a label, or with two, is always wrong; so is a pixel
-    without a winning class, to which 3D-OVS assigns some class.
-
-    Parameters are those of :func:`class_ious`.
+    that class must win. Arguments are those of :func:`class_ious`.
     """
     stack = np.array(truths)
     wins = labels == np.arange(1, len(stack) + 1)[:, None, None]
@@ -73,20 +69,16 @@ def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:
 
 
 def point_in_boxes(point: tuple[float, float] | None, boxes: np.ndarray) -> bool:
-    """Tell whether ``point`` lies in any box [n, 4] (x0, y0, x1, y1), bounds included (LERF).
-
-    False for no point.
-    """
+    """Tell whether ``point``, if any, is in a box [n, 4] (x0, y0, x1, y1), bounds included."""
     if point is None:
         return False
     return bool(((boxes[:, :2] <= point) & (point <= boxes[:, 2:])).all(1).any())
 
 
 def any_in_boxes(mask: np.ndarray, boxes: np.ndarray) -> bool:
-    """Tell whether any set pixel of a bool mask [H, W] lies in any box [n, 4] (LangSplat).
+    """Tell whether any set pixel of a bool mask [H, W] is in a box [n, 4], bounds included.
 
-    One pixel of maximal relevancy suffices, which is lenient: they may cover a whole wall. Bounds
-    are included.
+    LangSplat calls one pixel of maximal relevancy a hit, though they may cover a whole wall.
     """
     points = np.argwhere(mask)[:, None, ::-1]
     return bool(((boxes[:, :2] <= points) & (points <= boxes[:, 2:])).all(2).any())
@@ -97,18 +89,16 @@ def depth_errors(
 ) -> dict[str, float]:
     """Compute depth errors over all pixels with known true depth (above 0).
 
-    A pixel without a prediction (0) has an error of its full depth, so that a method does not gain
-    by leaving pixels empty.
+    A pixel without a prediction (0) has an error of its full depth.
 
     Args:
         predicted, truth: float [H, W]. z-depth in one unit, 0 = none.
-        disparity_scale: Focal length in pixels times baseline of a rectified pair: disparity =
-            scale / depth.
+        disparity_scale: Focal length in pixels times baseline of a rectified pair.
 
     Returns:
-        dict: ``abs_rel`` mean of ``|d - t| / t``; ``delta125`` fraction with ``max(d/t, t/d) <
-            1.25``; with a disparity scale, ``bad2`` fraction with a disparity error above 2 px, as
-            in the Middlebury stereo benchmark. Empty if no true depth is known.
+        ``abs_rel`` mean of ``|d - t| / t``; ``delta125`` fraction with ``max(d/t, t/d) < 1.25``;
+        with a disparity scale, ``bad2`` fraction with a disparity error above 2 px, as in the
+        Middlebury stereo benchmark. Empty if no true depth is known.
     """
     is_known = truth > 0
     if not is_known.any():
@@ -134,10 +124,7 @@ def psnr(image: np.ndarray, reference: np.ndarray) -> float:
 
 
 def ssim(image: np.ndarray, reference: np.ndarray) -> float:
-    """Compute the structural similarity of two uint8 RGB images (Wang et al. 2004).
-
-    Gaussian window of sigma 1.5 and 11 pixels, mean over pixels and channels.
-    """
+    """Compute the structural similarity of two uint8 RGB images (Wang et al. 2004), sigma 1.5."""
     images = image.astype(np.float64), reference.astype(np.float64)
     window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
     return float(structural_similarity(*images, data_range=255.0, channel_axis=2, **window))

@@ -1,7 +1,7 @@
 """Output files of a benchmark: tables and masks, which `slgaussian score` can read.
 
-All files depend only on the arguments: same results, same bytes. Costs of answers, which are not
-reproducible, are in a separate table.
+Same results give the same bytes. Costs of answers, which are not reproducible, are in a table of
+their own.
 """
 
 from __future__ import annotations
@@ -57,8 +57,7 @@ def write_predictions(
 ) -> None:
     """Write every mask into folder ``out``, at the path of its row (:func:`mask_path`).
 
-    ``predictions`` are PNG files by the protocol, frame and query of ``rows``, white inside the
-    mask. A protocol without masks has no folder.
+    ``predictions`` are PNG files by the protocol, frame and query of ``rows``.
     """
     for row in rows:
         png = predictions.get((row["protocol"], row["frame"], row["query"]))
@@ -69,8 +68,7 @@ def write_predictions(
 def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
     """Delete the masks of an earlier run in folder ``out`` that are not in ``rows`` of this run.
 
-    They are listed in the earlier ``samples.parquet``; no other file is deleted. Call this before
-    :func:`write_samples`. Without a valid table of samples nothing is deleted.
+    They are those of the earlier ``samples.parquet``, so call this before :func:`write_samples`.
     """
     out = Path(out)
     columns = "method", "protocol", "scene", "frame", "query"
@@ -89,8 +87,7 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
 def mask_path(row: Row) -> Path:
     """Return the path ``<method>/<protocol>/<scene>/<frame>/<query>.png`` of a row's mask.
 
-    The protocol has no version, and the frame is named like its label file, without folder and
-    suffix; all names are made safe for any file system by :func:`file_name`.
+    The protocol has no version, the frame no folder and suffix; names are :func:`file_name`.
     """
     protocol, frame = row["protocol"].partition("@")[0], Path(row["frame"]).stem
     folder = map(file_name, (row["method"], protocol, row["scene"], frame))
@@ -100,8 +97,7 @@ def mask_path(row: Row) -> Path:
 def file_name(text: str) -> str:
     """Return a file name for any text: ASCII letters, digits, space, ``.``, ``-`` and ``_``.
 
-    A text of these characters is unchanged, like the class masks of 3D-OVS; any other gets a hash
-    as suffix, so that different texts have different names.
+    A text of these characters is unchanged; any other gets a hash as suffix.
     """
     safe = re.sub(r"[^A-Za-z0-9._ -]+", "_", text).strip(" .")[:80]
     if safe.partition(".")[0].upper() in _DEVICES:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -21,6 +20,8 @@ TRUE = (255, 214, 10)
 """Outline of a true mask."""
 POINT = (255, 45, 85)
 """Colour of the predicted point of a query."""
+INK = (40, 44, 52)
+"""Colour of captions on white."""
 
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
@@ -47,7 +48,8 @@ def paint_labels(labels: np.ndarray, image: np.ndarray) -> np.ndarray:
     flat = label_colors(ids)[index.reshape(labels.shape)].astype(np.float64)
     shade = 0.55 + 0.55 * _grey(image) / 255
     painted = np.clip(flat * shade[..., None], 0, 255)
-    painted[_borders(labels)] *= 0.45
+    edges = [np.diff(labels, axis=axis, prepend=labels.take([0], axis)) for axis in (0, 1)]
+    painted[(edges[0] != 0) | (edges[1] != 0)] *= 0.45
     return painted.astype(np.uint8)
 
 
@@ -172,10 +174,8 @@ def _color_of(region: Region) -> tuple[int, int, int]:
 
 def draw_regions(image: np.ndarray, regions: Sequence[Region], size: int) -> np.ndarray:
     """Draw regions in colour, with outline and caption; the rest is grey and dim."""
-    union = np.zeros(image.shape[:2], bool)
-    for region in regions:
-        union |= region.mask
-    out = spotlight(image, union)
+    nothing = np.zeros(image.shape[:2], bool)
+    out = spotlight(image, np.any([nothing, *(region.mask for region in regions)], axis=0))
     for region in sorted(regions, key=lambda region: -int(region.mask.sum())):
         color = _color_of(region)
         out[region.mask] = (0.78 * image[region.mask] + 0.22 * np.array(color)).astype(np.uint8)
@@ -199,24 +199,26 @@ def spotlight(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 def draw_outline(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
     """Return a copy with the outline of ``mask`` and a dark rim, visible on any background."""
     out = image.copy()
-    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     width = max(2, round(image.shape[1] / 290))
-    cv2.drawContours(out, contours, -1, (0, 0, 0), width + 1, cv2.LINE_AA)
-    cv2.drawContours(out, contours, -1, color, width, cv2.LINE_AA)
+    cv2.drawContours(out, _contours(mask), -1, (0, 0, 0), width + 1, cv2.LINE_AA)
+    cv2.drawContours(out, _contours(mask), -1, color, width, cv2.LINE_AA)
     return out
 
 
 def draw_dashed(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
     """Return a copy with a dashed outline of an uncertain ``mask`` in ``color`` and black."""
     out = image.copy()
-    contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     dash = max(4, round(image.shape[1] / 80))
-    for contour in contours:
+    for contour in _contours(mask):
         on = np.arange(len(contour)) // dash % 2 == 0
         for chosen, paint in ((on, color), (~on, (0, 0, 0))):
             column, row = contour[chosen, 0].T
             out[row, column] = paint
     return out
+
+
+def _contours(mask: np.ndarray) -> Sequence[np.ndarray]:
+    return cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)[0]
 
 
 def draw_point(image: np.ndarray, point: tuple[float, float] | None) -> np.ndarray:
@@ -226,9 +228,8 @@ def draw_point(image: np.ndarray, point: tuple[float, float] | None) -> np.ndarr
     out = image.copy()
     centre = (int(point[0]), int(point[1]))
     radius = max(3, round(image.shape[1] / 90))
-    cv2.circle(out, centre, radius + 3, (0, 0, 0), -1, cv2.LINE_AA)
-    cv2.circle(out, centre, radius + 2, (255, 255, 255), -1, cv2.LINE_AA)
-    cv2.circle(out, centre, radius, POINT, -1, cv2.LINE_AA)
+    for rim, color in ((3, (0, 0, 0)), (2, (255, 255, 255)), (0, POINT)):
+        cv2.circle(out, centre, radius + rim, color, -1, cv2.LINE_AA)
     return out
 
 
@@ -253,26 +254,22 @@ def cut_out(
 
 
 def contact_sheet(tiles: Sequence[tuple[str, np.ndarray]], side: int, columns: int) -> np.ndarray:
-    """Arrange images of any size in rows of squares, each with its caption below if it fits.
+    """Arrange images of any size in rows of squares, each with its caption, truncated to the width.
 
     The square of an empty image is empty.
     """
     gap, band = 8, 18
-    rows = -(-len(tiles) // columns)
-    size = columns * (side + gap) + gap, rows * (side + band + gap) + gap
-    sheet = Image.new("RGB", size, "white")
-    draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(size=12)
+    size = columns * (side + gap) + gap, -(-len(tiles) // columns) * (side + band + gap) + gap
+    panels, captions = [], []
     for k, (caption, image) in enumerate(tiles):
         left, top = gap + k % columns * (side + gap), gap + k // columns * (side + band + gap)
-        text = _shorten(caption, side, font)
-        draw.text((left, top + side + 1), text, fill=(40, 44, 52), font=font)
+        captions.append((caption, side, (left, top + side + 1)))
         if image.size:
             scale = side / max(image.shape[:2])
             fitted = [max(1, round(n * scale)) for n in image.shape[1::-1]]
             small = cv2.resize(image, fitted, interpolation=cv2.INTER_AREA)
-            sheet.paste(Image.fromarray(small), (left, top))
-    return np.asarray(sheet)
+            panels.append((small, (left, top)))
+    return _sheet(size, panels, captions, 12)
 
 
 def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
@@ -281,47 +278,49 @@ def side_by_side(panels: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
     A caption that is too long is truncated.
     """
     height, gap, band = panels[0][1].shape[0], 12, 34
-    images = [
-        cv2.resize(image, (round(image.shape[1] * height / image.shape[0]), height))
-        for _, image in panels
-    ]
-    width = sum(image.shape[1] for image in images) + gap * (len(images) + 1)
-    sheet = Image.new("RGB", (width, height + gap + band), "white")
-    draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(size=17)
-    left = gap
-    for (caption, _), image in zip(panels, images, strict=True):
-        sheet.paste(Image.fromarray(image), (left, gap))
-        text = _shorten(caption, image.shape[1], font)
-        draw.text((left + 1, gap + height + 6), text, fill=(40, 44, 52), font=font)
-        left += image.shape[1] + gap
-    return np.asarray(sheet)
-
-
-def _shorten(text: str, width: float, font: Any) -> str:
-    """Return the text, truncated if it is wider than ``width`` pixels."""
-    if font.getlength(text) <= width:
-        return text
-    while text and font.getlength(f"{text}…") > width:
-        text = text[:-1]
-    return f"{text}…"
+    placed, captions, left = [], [], gap
+    for caption, image in panels:
+        width = round(image.shape[1] * height / image.shape[0])
+        placed.append((cv2.resize(image, (width, height)), (left, gap)))
+        captions.append((caption, width, (left + 1, gap + height + 6)))
+        left += width + gap
+    return _sheet((left, height + gap + band), placed, captions, 17)
 
 
 def with_legend(image: np.ndarray, entries: Sequence[tuple[np.ndarray, str]]) -> np.ndarray:
     """Return a copy with a legend below: a swatch of each colour uint8 [3] and its meaning."""
     gap, side, row_height = 12, 16, 26
+    height, width = image.shape[:2]
     font = ImageFont.load_default(size=17)
     entry_width = max(font.getlength(text) for _, text in entries) + side + 3 * gap
-    columns = max(1, int((image.shape[1] - gap) // entry_width))
-    rows = -(-len(entries) // columns)
-    sheet = Image.new("RGB", (image.shape[1], image.shape[0] + rows * row_height + gap), "white")
-    sheet.paste(Image.fromarray(image), (0, 0))
-    draw = ImageDraw.Draw(sheet)
+    columns = max(1, int((width - gap) // entry_width))
+    panels, captions = [(image, (0, 0))], []
     for k, (colour, text) in enumerate(entries):
-        left = gap + int(k % columns * entry_width)
-        top = image.shape[0] + k // columns * row_height
-        draw.rectangle((left, top, left + side, top + side), tuple(map(int, colour)), (40, 44, 52))
-        draw.text((left + side + 8, top - 2), text, fill=(40, 44, 52), font=font)
+        left, top = gap + int(k % columns * entry_width), height + k // columns * row_height
+        swatch = np.full((side + 1, side + 1, 3), INK, np.uint8)
+        swatch[1:-1, 1:-1] = colour
+        panels.append((swatch, (left, top)))
+        captions.append((text, entry_width, (left + side + 8, top - 2)))
+    size = width, height + -(-len(entries) // columns) * row_height + gap
+    return _sheet(size, panels, captions, 17)
+
+
+def _sheet(
+    size: tuple[int, int],
+    panels: Sequence[tuple[np.ndarray, tuple[int, int]]],
+    captions: Sequence[tuple[str, float, tuple[int, int]]],
+    font_size: int,
+) -> np.ndarray:
+    """Place images, and captions of at most a width, by their upper left corners on white."""
+    sheet = Image.new("RGB", size, "white")
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=font_size)
+    for image, place in panels:
+        sheet.paste(Image.fromarray(image), place)
+    for caption, width, place in captions:
+        text = caption
+        while font.getlength(text) > width and len(text) > 1:
+            text = f"{text.removesuffix('…')[:-1]}…"
+        draw.text(place, text, fill=INK, font=font)
     return np.asarray(sheet)
 
 
@@ -349,13 +348,6 @@ def encode_png(image: np.ndarray) -> bytes:
 
 def _grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float64)
-
-
-def _borders(labels: np.ndarray) -> np.ndarray:
-    edge = np.zeros(labels.shape, bool)
-    edge[:, 1:] |= labels[:, 1:] != labels[:, :-1]
-    edge[1:] |= labels[1:] != labels[:-1]
-    return edge
 
 
 def _colormap(values: np.ndarray, name: int) -> np.ndarray:

@@ -1,13 +1,11 @@
-"""Scoring protocols, identified by name and version.
+"""Scoring protocols, identified by name and version (`docs/reference/protocols.md`).
 
 Numbers of different protocols are not comparable, even for metrics of the same name: LangSplat has
 51.4 mIoU by its own protocol and 9.7 by that of OpenGaussian. So a protocol has a version, which is
 raised when any of its results changes, and every row of scores contains ``name@version``.
-`docs/reference/protocols.md` describes them.
 
-A method answers a frame once, and each protocol scores these answers: it derives everything else
-from the relevancy image, in the same way for all methods. For external masks without relevancy it
-computes the metrics that masks allow.
+A method answers a frame once, and each protocol scores these answers. For external masks without
+relevancy it computes the metrics that masks allow.
 """
 
 from __future__ import annotations
@@ -45,8 +43,8 @@ class Frame:
     """The answers of a method in one view, and the ground truth.
 
     Attributes:
-        answers, masks, boxes: sequences. For each query: an :class:`Answer`, the true mask bool [H,
-            W], and the true boxes float [n, 4] (x0, y0, x1, y1).
+        answers, masks, boxes: For each query: an :class:`Answer`, the true mask bool [H, W], and
+            the true boxes float [n, 4] (x0, y0, x1, y1).
         labels: int32 [H, W] or None. ``k + 1`` where query ``k`` wins over all others, 0 where none
             does; None if unknown.
         external: Whether masks are external: then there are no relevancies, and only some points.
@@ -87,12 +85,10 @@ class Scored:
 class MaskSettings:
     """Settings of the mask selection, by the columns of the data spec ``samples``.
 
-    Attributes:
-        selection: ``near-best`` and ``threshold`` are those of
-            :class:`slgaussian.language.rules.Rules`; ``stretched`` is LangSplat's, ``arg-max`` the
-            best of several texts, ``none`` no mask; ``given`` masks are external.
-        threshold, share: Parameters of the selection.
-        filter: Side of the mean filter, pixels.
+    Selections ``near-best`` and ``threshold`` are those of
+    :class:`slgaussian.language.rules.Rules`; ``stretched`` is LangSplat's, ``arg-max`` the best of
+    several texts, ``none`` no mask; ``given`` masks are external. ``filter`` is the side of
+    LangSplat's mean filter, pixels.
     """
 
     selection: str
@@ -107,9 +103,8 @@ class ScoringProtocol:
 
     Attributes:
         version: Raised whenever a result may change.
-        mask_settings: function (Rules, int) -> MaskSettings. Settings for the rules of the query
-            and the image width in pixels.
-        score_query: function (Frame, int, MaskSettings) -> Scored. Scores of query k of a frame.
+        mask_settings: Settings for the rules of the query and the image width in pixels.
+        score_query: Scores of query k of a frame.
         scores_masks: Whether it can score masks without relevancies.
     """
 

@@ -1,10 +1,9 @@
-"""Aggregation of samples to scores: means over scenes, confidence intervals and differences.
+"""Aggregation of samples, rows of the spec ``samples``, to scores, intervals and differences.
 
-A sample is a row of the spec ``samples``. Scores are averaged as in LangSplat: over the samples of
-a scene, then unweighted over scenes. mIoU and accuracy are averaged as in 3D-OVS: over the classes
-of a frame, over the frames of a scene, over scenes. Scenes are the independent samples, so the
-bootstrap resamples scenes; with one scene there is no interval. If several scenes (pairs of views)
-show one place according to the data, places are resampled, and then scenes within them.
+Scores are averaged as in LangSplat: over the samples of a scene, then unweighted over scenes. mIoU
+and accuracy are averaged as in 3D-OVS: over the classes of a frame, over the frames of a scene,
+over scenes. The bootstrap resamples scenes; with one scene there is no interval. If several scenes
+(pairs of views) show one place, places are resampled, and then scenes within them.
 """
 
 from __future__ import annotations
@@ -12,18 +11,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.benchmark.statistics import (
-    LEAST,
-    LEVEL,
-    Comparison,
-    compare,
-    interval_of_mean,
-)
+from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison, compare, interval_of_mean
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 
@@ -59,12 +53,7 @@ def of_first_protocol(rows: Sequence[Row]) -> list[Row]:
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric and the column of its samples.
-
-    Attributes:
-        column: Column of the data spec ``samples``.
-        by_frame: Whether the samples of a frame are averaged first.
-    """
+    """A metric, its column of the spec ``samples``, and whether frames are averaged first."""
 
     name: str
     column: str
@@ -89,10 +78,7 @@ METRICS = (
 
 
 def scene_means(rows: Iterable[Row]) -> dict[str, float]:
-    """Return the scores of one scene, method and protocol by name.
-
-    Scores without a sample are omitted.
-    """
+    """Return the scores of one scene, method and protocol by name, without those of no sample."""
     rows = list(rows)
     means = {metric.name: _scene_mean(rows, metric) for metric in METRICS}
     return {name: mean for name, mean in means.items() if mean is not None}
@@ -115,10 +101,13 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
                 continue
             values = np.array([mean for mean, _ in scored])
             places = [place_of(scene[0]) for _, scene in scored]
-            samples = sum(metric.of(row) is not None for _, scene in scored for row in scene)
             row = common | {"metric": metric.name, "value": float(values.mean())}
-            ends = interval_of_mean(values, places) if len(set(places)) > 1 else None
-            table.append(row | _trust(ends, places, samples))
+            row |= {"scenes": len(places), "places": len(set(places)), "note": ONE_PLACE}
+            row["samples"] = sum(metric.of(r) is not None for _, scene in scored for r in scene)
+            if row["places"] > 1:
+                row["low"], row["high"] = interval_of_mean(values, places)
+                row["note"] = FEW_PLACES if row["places"] < LEAST else ""
+            table.append(row)
     return pa.Table.from_pylist(table, schema=load_spec("scores").schema)
 
 
@@ -141,9 +130,8 @@ class Difference:
 def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference]:
     """Compute paired differences of two methods or two runs: ``rows`` minus ``baseline``.
 
-    Only common samples are used: the same query of the same frame by the same version of a
-    protocol, evaluated at one size; settings may differ, because they may be compared. Scenes are
-    resampled in pairs.
+    Only common samples are used (:func:`sample_key`); settings may differ. Scenes are resampled in
+    pairs.
 
     Raises:
         InputError: If one of them has a sample twice, for example samples of two methods.
@@ -151,43 +139,22 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
     mine, theirs = (_by_sample(each) for each in (rows, baseline))
     pairs = [(mine[key], theirs[key]) for key in mine if key in theirs]
     gains = []
-    groups = grouped(pairs, "dataset", "protocol", row_of=lambda pair: pair[0])
+    groups = grouped(pairs, "dataset", "protocol", row_of=itemgetter(0))
     for (dataset, protocol), group in groups.items():
-        scenes = grouped(group, "scene", row_of=lambda pair: pair[0]).values()
         for metric in METRICS:
-            shared = [
-                [p for p in scene if None not in (metric.of(p[0]), metric.of(p[1]))]
-                for scene in scenes
-            ]
-            shared = [scene for scene in shared if scene]
+            shared = [pair for pair in group if None not in map(metric.of, pair)]
+            scenes = grouped(shared, "scene", row_of=itemgetter(0)).values()
             if not shared:
                 continue
-            first, second = (
-                [
-                    mean
-                    for scene in shared
-                    if (mean := _scene_mean([pair[side] for pair in scene], metric)) is not None
-                ]
-                for side in (0, 1)
-            )
-            gain = compare(first, second, [place_of(scene[0][0]) for scene in shared])
-            samples = sum(map(len, shared))
-            gains.append(Difference(dataset, protocol, metric.name, gain, samples))
+            means = ([_scene_mean([p[side] for p in s], metric) for s in scenes] for side in (0, 1))
+            gain = compare(*means, [place_of(scene[0][0]) for scene in scenes])
+            gains.append(Difference(dataset, protocol, metric.name, gain, len(shared)))
     return gains
 
 
 def place_of(row: Row) -> str:
     """Return the place of a sample, or its scene if the data name no place."""
     return row.get("place") or row["scene"]
-
-
-def _trust(ends: tuple[float, float] | None, places: Sequence[str], samples: int) -> dict[str, Any]:
-    """Return the columns of interval and note of a score; ``places`` are those of its scenes."""
-    low, high = ends or (None, None)
-    distinct = len(set(places))
-    note = ONE_PLACE if ends is None else FEW_PLACES if distinct < LEAST else ""
-    counts = {"scenes": len(places), "places": distinct, "samples": samples}
-    return {"low": low, "high": high, **counts, "note": note}
 
 
 def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:

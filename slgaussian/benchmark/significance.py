@@ -22,15 +22,10 @@ class Verdict:
 
 
 def clip_scores(judgements: pa.Table) -> dict[str, list[float]]:
-    """Return the mean IoU of every lifting on every clip, with the clips in one order.
+    """Return the mean IoU of every lifting, in the order of the table, on every clip, sorted.
 
-    Lessons of one clip show one scene and are not independent, so a clip is one sample.
-
-    Args:
-        judgements: table of spec ``judgements``
-
-    Returns:
-        {lifting: list of float}: In the order of the table. Clips without any object are left out.
+    Lessons of one clip are not independent, so a clip is one sample. ``judgements`` is a table of
+    this spec. Clips without any object are left out.
     """
     by_clip: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for row in judgements.to_pylist():
@@ -49,12 +44,11 @@ def gain(judgements: pa.Table, rival: str, of: str = "branch") -> Comparison:
 
 
 def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
-    """Decide whether ``branch`` is significantly better than each of several liftings.
+    """Decide whether ``branch`` may be promoted: if it is significantly better than each rival.
 
-    This decides whether retrained weights may be promoted. The interval of the paired bootstrap
-    against each of them must be above 0, with :data:`LEAST` clips or more. Each test is at the full
-    level (an intersection-union test, Berger 1982). The sentence is about the rival with the
-    smallest lower bound.
+    The interval of the paired bootstrap against each of them must be above 0, with :data:`LEAST`
+    clips or more. Each test is at the full level (an intersection-union test, Berger 1982). The
+    sentence is about the rival with the smallest lower bound.
 
     Args:
         judgements: table of spec ``judgements``
@@ -76,15 +70,13 @@ def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
     if comparison.low <= 0:
         return Verdict(False, f"no gain over {hardest} beyond noise: {numbers}")
     rest = " and ".join(name for name in gains if name != hardest)
-    rest = f"; and than {rest}" if rest else ""
-    return Verdict(True, f"better than {hardest}: {numbers}{rest}")
+    return Verdict(True, f"better than {hardest}: {numbers}" + f"; and than {rest}" * bool(rest))
 
 
 def regression(judgements: pa.Table, rivals: Mapping[str, str], name: str) -> str:
     """Return a sentence if the weights in use are significantly worse than a rival, else "".
 
-    The weights in use are the lifting ``before``, named ``name`` in the sentence: clips added since
-    their promotion may reveal a regression.
+    The weights in use are the lifting ``before``, named ``name`` in the sentence.
     """
     if "before" not in judgements["lifting"].to_pylist():
         return ""

@@ -1,8 +1,7 @@
-"""Confidence intervals of means: the bootstrap (Efron 1979) over independent samples.
+"""Confidence intervals of means: the percentile bootstrap (Efron 1979) over independent samples.
 
-Intervals are percentiles; the resamplings are the same for the same number of samples.
 If samples form groups, such as pairs of views of one place, groups are resampled, and then samples
-within each group.
+within each group. The resamplings are the same for the same number of samples.
 """
 
 from __future__ import annotations
@@ -33,8 +32,7 @@ class Comparison:
 
     Attributes:
         difference: Mean over the samples of the score minus the baseline.
-        low, high: Interval of the mean at level :data:`LEVEL`: a gain is significant if ``low`` is
-            above 0.
+        low, high: Interval at level :data:`LEVEL`: a gain is significant if ``low`` is above 0.
         independent_samples: Number of independent groups (or samples), which are resampled first.
     """
 
@@ -53,10 +51,9 @@ def compare(
     """Compare two methods by the paired bootstrap over samples.
 
     Args:
-        scores, baseline: sequence of float. Scores on the same samples, in one order. Samples
-            without a score (NaN) are left out. For samples that are not independent, such as those
-            of one scene, the interval is too narrow without ``groups``.
-        groups: Group of each sample, see :func:`resample_counts`.
+        scores, baseline: Scores on the same samples, in one order; those with NaN are left out.
+        groups: Group of each sample, see :func:`resample_counts`. Without it the interval is too
+            narrow if samples are not independent, such as those of one scene.
 
     Raises:
         InputError: If the lengths differ or no sample has both scores.
@@ -79,9 +76,8 @@ def interval_of_mean(
 ) -> tuple[float, float]:
     """Return the bootstrap interval of the mean of float [n], n > 0, at level :data:`LEVEL`.
 
-    With ``groups``, one per value, groups are resampled and then values within them (see
-    :func:`resample_counts`); the mean is over all drawn values with equal weight. With a single
-    value or group the interval is meaningless; do not print it.
+    With ``groups``, one per value, see :func:`resample_counts`; all drawn values have equal weight.
+    With a single value or group the interval is meaningless.
     """
     if groups is None:
         return interval(values[resamplings(len(values))].mean(1))
@@ -101,8 +97,7 @@ def resample_counts(groups: tuple[Hashable, ...]) -> np.ndarray:
 
     This is the hierarchical bootstrap (Davison and Hinkley 1997, section 3.8, with replacement at
     both levels): draw as many groups as there are, then for each draw of a group as many of its
-    samples as it has. ``groups`` has one entry per sample; with distinct groups it is the ordinary
-    bootstrap.
+    samples as it has. ``groups`` has one entry per sample.
     """
     members: dict[Hashable, list[int]] = {}
     for sample, group in enumerate(groups):

@@ -1,11 +1,11 @@
-"""Comparison of runs: differences of settings, scores and costs, and ranking of methods."""
+"""Comparison of runs: differences of settings and scores, and ranking of methods."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from slgaussian.benchmark.outputs import write_costs, write_file, write_samples
+from slgaussian.benchmark.outputs import write_file, write_samples
 from slgaussian.benchmark.reports.comparison import (
     compare_runs,
     differing_settings,
@@ -13,7 +13,6 @@ from slgaussian.benchmark.reports.comparison import (
     read_run,
 )
 from slgaussian.errors import InputError, SpecError
-from slgaussian.storage.specs import load_spec
 
 MANIFEST = {
     "settings": {"share": 0.7, "seed": 0},
@@ -52,7 +51,6 @@ def test_a_run_and_itself_differ_in_nothing(tmp_path, first, result):
     counts, sections = compared(first, leave(tmp_path / "b", result))
     every = str(len(result.rows))
     assert counts == [["1", "1", every, every, "0"]] * 2
-    assert "Costs" not in sections
     table, more = sections["Differences"]
     for gains in (table, *more.blocks):
         assert {float(cell.value) for row in gains.rows for cell in row[1:]} == {0.0}
@@ -98,25 +96,6 @@ def test_only_queries_of_both_judged_at_one_size_are_compared(tmp_path, first, r
         other = leave(tmp_path / name, result, lambda row, c=change: row | c)
         counts, sections = compared(first, other)
         assert counts[1][3] == "0" and "Differences" not in sections
-
-
-def test_costs_of_both_stand_side_by_side(tmp_path, first, result):
-    folders = first, leave(tmp_path / "b", result)
-    for folder, seconds in zip(folders, (0.5, 0.25), strict=True):
-        named = dict.fromkeys(load_spec("times").columns)
-        named |= {"dataset": "d", "scene": "s", "frame": "f", "query": "q", "method": "slgaussian"}
-        write_costs([named | {"view_seconds": seconds, "peak_bytes": 3 * 10**8}], folder)
-        host = {"processor": f"P{seconds}", "workers": "2"}
-        times = {"seconds_by_stage": {"field": 4 * seconds}, "host": host}
-        write_file(folder / "times.json", json.dumps(times).encode())
-    (table,) = compared(*folders)[1]["Costs"]
-    assert [tuple(cell.value for cell in row) for row in table.rows] == [
-        ("d, slgaussian: query in a new view, s", "0.5000", "0.2500"),
-        ("d, slgaussian: memory, MB", "300", "300"),
-        ("stage field, all scenes, s", "2.00", "1.00"),
-        ("processor", "P0.5", "P0.25"),
-        ("workers", "2", "2"),
-    ]
 
 
 def test_methods_are_ranked_on_what_all_runs_were_asked_by_one_truth(

@@ -78,37 +78,30 @@ def test_a_bad_index_is_named_with_what_is_wrong(tmp_path, change, message):
     assert message in str(caught.value)
 
 
-class TestPublished:
-    def read(self, tmp_path, **clips):
-        path = tmp_path / "evaluation_index.json"
-        path.write_text(json.dumps(clips))
-        return read_index(path)
+PUBLISHED = {"context": [58, 133], "target": [84, 102]}
 
-    def test_clips_are_pairs_without_categories(self, tmp_path):
-        index = self.read(tmp_path, ab={"context": [58, 133], "target": [84, 102]}, cd=None)
-        assert index.format == "re10k"
-        assert index.left_out == {}
-        views = {"context": ("58", "133"), "target": ("84", "102")}
-        pair = ScenePair(labels="ab", options={"key": "ab"}, **views)
-        assert index.scenes == {"ab": pair}
 
-    def test_targets_that_are_contexts_are_left_out_and_said(self, tmp_path):
-        clips = {
-            "ab": {"context": [34, 81], "target": [53, 81]},
-            "cd": {"context": [1, 9], "target": [9, 1]},
-        }
-        index = self.read(tmp_path, **clips)
-        assert [pair.target for pair in index.scenes.values()] == [("53",)]
-        assert sorted(index.left_out) == ["ab/81", "cd", "cd/1", "cd/9"]
+def test_clips_of_a_published_index_are_pairs_without_categories(tmp_path):
+    file = write(tmp_path / "index.json", {"ab": PUBLISHED, "cd": None})
+    views = {"context": ("58", "133"), "target": ("84", "102")}
+    pair = ScenePair(labels="ab", options={"key": "ab"}, **views)
+    expected = Index(format="re10k", rule={}, scenes={"ab": pair}, left_out={})
+    assert read_index(file) == expected
+    # Targets that are contexts are left out.
+    clips = {
+        "ab": {"context": [34, 81], "target": [53, 81]},
+        "cd": {"context": [1, 9], "target": [9, 1]},
+    }
+    index = read_index(write(file, clips))
+    assert [pair.target for pair in index.scenes.values()] == [("53",)]
+    assert sorted(index.left_out) == ["ab/81", "cd", "cd/1", "cd/9"]
+    for change in ({"context": [-1]}, {"target": ["a"]}):
+        message = r"clip 'a': (context|target).0: found (-1|'a'); "
+        with pytest.raises(InputError, match=message):
+            read_index(write(file, {"a": PUBLISHED | change}))
 
-    @pytest.mark.parametrize(
-        "entry", [{"context": [-1], "target": [2]}, {"context": [1], "target": ["a"]}]
-    )
-    def test_what_is_no_frame_number_is_named(self, tmp_path, entry):
-        with pytest.raises(InputError, match=r"clip 'a': (context|target).0: found (-1|'a'); "):
-            self.read(tmp_path, a=entry)
 
-    def test_the_whole_index_is_read(self, real_data):
-        index = read_index(real_data / "re10k" / "evaluation_index_re10k.json")
-        assert len(index.scenes) == 6474
-        assert len({name.split("/")[0] for name in index.left_out}) == 575
+def test_the_whole_published_index_is_read(real_data):
+    index = read_index(real_data / "re10k" / "evaluation_index_re10k.json")
+    assert len(index.scenes) == 6474
+    assert len({name.split("/")[0] for name in index.left_out}) == 575

@@ -15,13 +15,8 @@ def photo() -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
 
 
-def decoded(data: bytes) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(data)))
-
-
 def test_colours_of_a_typical_scene_are_told_apart():
-    colors = pictures.label_colors(np.arange(1, 25))
-    lab = rgb2lab(colors[None] / 255)[0]
+    lab = rgb2lab(pictures.label_colors(np.arange(1, 25))[None] / 255)[0]
     apart = np.linalg.norm(lab[:, None] - lab[None], axis=-1)
     # A CIELAB difference of about 2.3 is just noticed; these are six times that apart.
     assert apart[~np.eye(len(lab), dtype=bool)].min() > 14
@@ -31,20 +26,19 @@ def test_colours_of_a_typical_scene_are_told_apart():
 
 @given(st.lists(st.floats(0.5, 20), min_size=2, max_size=8, unique=True))
 def test_nearer_is_redder_and_unknown_is_dark(depths):
-    ordered = np.sort(np.array(depths))
-    near, far = ordered[0], ordered[-1]
+    near, far = min(depths), max(depths)
     assume(far > 1.001 * near)  # nearer by rounding alone is one colour
-    picture = pictures.paint_depth(np.array([[near, far, 0.0]]), near, far)
-    assert picture[0, 0, 0] > picture[0, 0, 2]
-    assert picture[0, 1, 2] > picture[0, 1, 1]
-    assert picture[0, 2].tolist() == [28, 28, 28]
+    ((nearest, farthest, unknown),) = pictures.paint_depth(np.array([[near, far, 0.0]]), near, far)
+    assert nearest[0] > nearest[2] and farthest[2] > farthest[1]
+    assert unknown.tolist() == [28, 28, 28]
 
 
 def test_relevancy_is_stretched_to_what_occurs(photo):
     grey = np.full((60, 80, 3), 90, np.uint8)
-    low = np.tile(np.linspace(0.40, 0.44, 80), (60, 1))
-    painted = pictures.paint_stretched(low, grey)
-    wide = pictures.paint_stretched(np.tile(np.linspace(0.1, 1, 80), (60, 1)), grey)
+    painted, wide = (
+        pictures.paint_stretched(np.tile(np.linspace(*ends, 80), (60, 1)), grey)
+        for ends in ((0.40, 0.44), (0.1, 1))
+    )
     assert np.array_equal(painted[:40], wide[:40])  # below them stand the ends, which differ
     # The lower half is the grey photograph, the upper has colour, the best the brightest.
     assert (np.ptp(painted[:40, :40].astype(int), axis=-1) == 0).all()
@@ -52,13 +46,12 @@ def test_relevancy_is_stretched_to_what_occurs(photo):
     assert painted[:40].sum((0, 2)).argmax() == 79
     flat = np.full((60, 80), 0.7)
     flat[:, :20] = 0  # where nothing is drawn
-    assert (np.ptp(pictures.paint_stretched(flat, photo), axis=-1) == 0).all()
-    assert (np.ptp(pictures.paint_stretched(0 * flat, photo), axis=-1) == 0).all()
+    for constant in (flat, 0 * flat):
+        assert (np.ptp(pictures.paint_stretched(constant, photo), axis=-1) == 0).all()
 
 
 def test_drawing_leaves_the_picture_it_is_given_alone(photo):
-    before = photo.copy()
-    mask = np.zeros((60, 80), bool)
+    before, mask = photo.copy(), np.zeros((60, 80), bool)
     mask[20:40, 30:50] = True
     outlined = pictures.draw_outline(photo, mask, pictures.TRUE)
     pointed = pictures.draw_point(photo, (40, 30))
@@ -72,20 +65,17 @@ def test_drawing_leaves_the_picture_it_is_given_alone(photo):
 
 
 def test_png_is_exact_and_a_mask_takes_one_bit(photo):
-    mask = photo[..., 0] > 127
-    assert np.array_equal(decoded(pictures.encode_png(photo)), photo)
-    assert np.array_equal(decoded(pictures.encode_png(mask)), mask)
-    assert Image.open(io.BytesIO(pictures.encode_png(mask))).mode == "1"
+    for image, mode in ((photo, "RGB"), (photo[..., 0] > 127, "1")):
+        decoded = Image.open(io.BytesIO(pictures.encode_png(image)))
+        assert decoded.mode == mode and np.array_equal(np.asarray(decoded), image)
 
 
 def test_objects_are_cut_from_the_view_that_shows_most_of_them(photo):
     other = 255 - photo
-    boxes = np.array(
-        [[[5, 10, 25, 20], [0, 0, 10, 10]], [[0, 0, 0, 0], [70, 50, 80, 60]]], np.int32
-    )
+    boxes = [[[5, 10, 25, 20], [0, 0, 10, 10]], [[0, 0, 0, 0], [70, 50, 80, 60]]]
     labels = np.full((2, 60, 80), 4)
     labels[0, 10:20, 5:15] = 3
-    cuts = pictures.cut_out([photo, other], labels, np.array([3, 4]), boxes)
+    cuts = pictures.cut_out([photo, other], labels, np.array([3, 4]), np.array(boxes, np.int32))
     np.testing.assert_array_equal(cuts[0][:, :10], photo[10:20, 5:15])
     assert (cuts[0][:, 10:] >= 191).all()  # another object is pale
     np.testing.assert_array_equal(cuts[1], other[50:60, 70:80])

@@ -54,9 +54,8 @@ def load_method(name: str, **settings: Any) -> Method:
 class Row:
     """A row of the table of methods: one of :data:`METHODS` with settings.
 
-    ``about`` describes it in a line, and states if it is not the original. ``rules`` override the
-    fields of the run's :class:`slgaussian.language.rules.Rules`. A ``variant`` is the field with
-    one component changed, not another method.
+    ``about`` describes it in a line. ``rules`` override the fields of the run's
+    :class:`slgaussian.language.rules.Rules`. A ``variant`` is the field with one component changed.
     """
 
     method: str

@@ -34,8 +34,7 @@ class Inputs:
         label_maps: Label maps of the context views from which the field was built.
         proposer: Proposer of these label maps.
         seed: Seed of the field, for codes and initial network weights.
-        settings: {component: settings}. Settings of the field's components, as in
-            :func:`slgaussian.build.build_field`.
+        settings: Settings of the field's components by their names.
     """
 
     sample: Sample
@@ -91,8 +90,7 @@ class Inputs:
     ) -> MemoryBank:
         """Encode the objects of label maps of some views, with arbitrary codes.
 
-        With ``grouped`` also groups of objects, if the field has groups. The bank is empty without
-        objects.
+        With ``grouped`` also groups of objects, if the field has groups.
         """
         ids, groups, wholes = label_maps.ids, None, None
         codes = np.linspace([0, 0, 0], [1, 1, 1], len(ids), dtype=np.float32)  # any that differ

@@ -52,18 +52,14 @@ class NoBank:
 
 def pooled(bank: MemoryBank) -> MemoryBank:
     """Return the bank with one view, the mean of all, also for groups of objects."""
-    features = _mean(bank.features, bank.present)
-    present = np.any(bank.present, axis=1, keepdims=True)
     groups = bank.group_features
-    if groups is not None:
-        groups = _mean(groups, np.any(groups, axis=2))
-    # Class scores belong to a view; a mean view has none.
     return replace(
         bank,
-        features=features,
-        present=present,
+        features=_mean(bank.features, bank.present),
+        present=np.any(bank.present, axis=1, keepdims=True),
         boxes=None,
-        group_features=groups,
+        group_features=None if groups is None else _mean(groups, np.any(groups, axis=2)),
+        # Class scores belong to a view; a mean view has none.
         class_scores=None,
         photograph_scores=None,
     )
@@ -73,7 +69,7 @@ def _mean(features: np.ndarray, present: np.ndarray) -> np.ndarray:
     """Return the mean of unit vectors [M, V, C] of the present views as float32 [M, 1, C].
 
     It is normalised and rounded to half precision, as in memory banks. If the vectors cancel it is
-    the first of them, and zero if there is none.
+    the first of them.
     """
     total = features.astype(np.float64).sum(1)
     cancelled = np.linalg.norm(total, axis=1) < 1e-6

@@ -1,4 +1,4 @@
-"""Comparison of runs: settings, methods, differences of scores, and costs.
+"""Comparison of runs: settings, methods, and differences of scores.
 
 Only common samples are compared: the same query of the same frame, by the same version of a
 protocol, evaluated at the same size.
@@ -7,24 +7,13 @@ protocol, evaluated at the same size.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from string import ascii_uppercase
 from typing import Any
 
-from slgaussian.benchmark.costs import Cost, costs_of
 from slgaussian.benchmark.documents import read_json
-from slgaussian.benchmark.reports.model import (
-    NO_VALUE,
-    Block,
-    Column,
-    Prose,
-    Report,
-    Section,
-    Table,
-    flatten,
-    number,
-)
+from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.reports.score_tables import (
     difference_tables,
     fold_protocols,
@@ -37,13 +26,6 @@ from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
 
-COSTS = {
-    "prepare": ("preparation of a scene, s", 1.0, 4),
-    "view_query": ("query in a new view, s", 1.0, 4),
-    "peak": ("memory, MB", 1e6, 0),
-}
-"""Compared fields of :class:`Cost`: description, unit and digits."""
-
 LISTED = 3
 """Largest number of scenes with differing data that are listed by name."""
 
@@ -53,21 +35,13 @@ SUMMARY = (
 )
 
 
-COSTS_NOTE = (
-    "Medians over scenes, measured when each result was computed. Times of different machines, or "
-    "of machines under load, are not comparable."
-)
-
-
 @dataclass(frozen=True)
 class Run:
-    """Files of a run: samples, manifest, times and costs; empty if missing."""
+    """Samples of a run, and its manifest, which may be empty."""
 
     folder: Path
     rows: list[Row]
     manifest: Mapping[str, Any]
-    times: Mapping[str, Any] = field(default_factory=dict)
-    costs: Sequence[Cost] = ()
 
     @property
     def by_method(self) -> dict[str, list[Row]]:
@@ -83,27 +57,19 @@ def read_run(folder: str | Path) -> Run:
         SpecError: If a table is damaged or breaks its spec.
     """
     folder = Path(folder)
-    if not (folder / "samples.parquet").is_file():
+    file, manifest_file = folder / "samples.parquet", folder / "manifest.json"
+    if not file.is_file():
         raise InputError(
-            f"{folder / 'samples.parquet'}: found no such file, expected a folder that benchmark, "
-            "run or demo wrote"
+            f"{file}: found no such file, expected a folder that benchmark, run or demo wrote"
         )
-    documents = []
-    for file in (folder / "manifest.json", folder / "times.json"):
-        documents.append(read_json(file, "document") if file.exists() else {})
-        if not isinstance(documents[-1], dict):
-            raise InputError(f"{file}: found no JSON object; run the benchmark again")
-    tables: list[list[Row]] = []
-    for name in ("samples", "times"):
-        file = folder / f"{name}.parquet"
-        data = file.read_bytes() if file.is_file() else None
-        table = data and decode_table(data, load_spec(name), str(file), "run it again")
-        tables.append(table.to_pylist() if table else [])
-    (rows, answers), (manifest, times) = tables, documents
-    return Run(folder, rows, manifest, times, costs_of(answers))
+    manifest = read_json(manifest_file, "document") if manifest_file.exists() else {}
+    if not isinstance(manifest, dict):
+        raise InputError(f"{manifest_file}: found no JSON object; run the benchmark again")
+    samples = decode_table(file.read_bytes(), load_spec("samples"), str(file), "run it again")
+    return Run(folder, samples.to_pylist(), manifest)
 
 
-def compare_runs(runs: Sequence[Run]) -> Report:
+def compare_runs(runs: Sequence[Run]) -> model.Report:
     """Compare each run with the first, and rank their methods.
 
     Raises:
@@ -119,14 +85,16 @@ def compare_runs(runs: Sequence[Run]) -> Report:
         if folders.count(folder) > 1:
             raise InputError(f"compare: {run.folder} is given twice; give each folder once")
     named = dict(zip(ascii_uppercase, runs, strict=False))
-    sections = [Section("Runs", [_runs_table(named)])]
+    sections = [model.Section("Runs", [_runs_table(named)])]
     manifests = {letter: run.manifest for letter, run in named.items() if run.manifest}
-    block: Block = Prose("No known difference in settings, versions or data.")
+    block: model.Block = model.Prose("No known difference in settings, versions or data.")
     if settings := differing_settings(list(manifests.values())):
-        block = Table([Column(n, is_text=True) for n in ("Setting", *manifests)], settings)
-    sections.append(Section("Configuration", [block]))
+        block = model.Table(
+            [model.Column(n, is_text=True) for n in ("Setting", *manifests)], settings
+        )
+    sections.append(model.Section("Configuration", [block]))
     if tables := rank_methods(named):
-        sections.append(Section("Scores", fold_protocols(tables)))
+        sections.append(model.Section("Scores", fold_protocols(tables)))
     (base, first), *later = named.items()
     pairs = {
         f"{name}, {letter}" if later[1:] else name: (rows, baseline)
@@ -135,15 +103,11 @@ def compare_runs(runs: Sequence[Run]) -> Report:
     }
     if tables := difference_tables(pairs):
         title = f"Differences: {'each run' if later[1:] else later[0][0]} minus {base}"
-        sections.append(Section(title, fold_protocols(tables)))
-    if all(run.times for run in runs):
-        rows = _side_by_side([_costs_by_name(run) for run in runs])
-        table = Table(["Cost", *named], rows, notes=[COSTS_NOTE])
-        sections.append(Section("Costs", [table]))
-    return Report("Comparison of runs", [Prose(SUMMARY)], sections)
+        sections.append(model.Section(title, fold_protocols(tables)))
+    return model.Report("Comparison of runs", [model.Prose(SUMMARY)], sections)
 
 
-def _runs_table(named: Mapping[str, Run]) -> Table:
+def _runs_table(named: Mapping[str, Run]) -> model.Table:
     """List the runs, and the number of samples that each shares with the first."""
     first = named["A"]
     rows = []
@@ -159,9 +123,9 @@ def _runs_table(named: Mapping[str, Run]) -> Table:
         scenes = len({row["scene"] for row in run.rows})
         counts = (scenes, len(run.by_method), len(run.rows), len(pairs), changed)
         rows.append([letter, str(run.folder), *map(str, counts)])
-    folder = Column("Folder", is_text=True)
+    folder = model.Column("Folder", is_text=True)
     heads = ["", folder, "Scenes", "Methods", "Samples", "Common with A", "Changed"]
-    return Table(heads, rows)
+    return model.Table(heads, rows)
 
 
 def _pair_methods(first: Run, second: Run) -> Iterator[tuple[str, list[Row], list[Row]]]:
@@ -181,7 +145,9 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
     Data are listed in one line: the scenes that are missing or differ in a manifest from the
     first manifest that contains them.
     """
-    lines = _side_by_side([flatten({**m, "data": {}}) for m in manifests])
+    leaves = [model.flatten({**manifest, "data": {}}) for manifest in manifests]
+    names = dict.fromkeys(name for by_name in leaves for name in by_name)
+    lines = [[name, *(by_name.get(name, model.NO_VALUE) for by_name in leaves)] for name in names]
     data = [manifest.get("data", {}) for manifest in manifests]
     first: dict[str, Any] = {}
     for by_scene in data:
@@ -195,13 +161,7 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
     return [line for line in lines if len(set(line[1:])) > 1]
 
 
-def _side_by_side(values: Sequence[Mapping[str, str]]) -> list[list[str]]:
-    """Return a row for each name in any of several mappings: the name, and the value in each."""
-    names = dict.fromkeys(name for by_name in values for name in by_name)
-    return [[name, *(by_name.get(name, NO_VALUE) for by_name in values)] for name in names]
-
-
-def rank_methods(named: Mapping[str, Run]) -> list[Table]:
+def rank_methods(named: Mapping[str, Run]) -> list[model.Table]:
     """Rank the methods of all runs by their scores on the common samples.
 
     For each data set, only runs that contain it are used. A scene is used if its ground truth is
@@ -225,16 +185,3 @@ def rank_methods(named: Mapping[str, Run]) -> list[Table]:
             if sample_key(row) in shared and len(truths.get(row["scene"], ())) < 2
         ]
     return method_tables(common)
-
-
-def _costs_by_name(run: Run) -> dict[str, str]:
-    costs = {}
-    for cost in run.costs:
-        for name, (title, unit, digits) in COSTS.items():
-            text = number(getattr(cost, name), digits, unit)
-            costs[f"{cost.dataset}, {cost.method}: {title}"] = text
-    for stage, seconds in run.times.get("seconds_by_stage", {}).items():
-        costs[f"stage {stage}, all scenes, s"] = number(seconds, 2)
-    host = run.times.get("host", {})
-    costs |= {name: host.get(name) for name in ("machine", "processor", "workers")}
-    return {name: text for name, text in costs.items() if text is not None}

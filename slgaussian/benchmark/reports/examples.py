@@ -46,9 +46,8 @@ VIEW_PICTURES = {
 class Scene:
     """One scene of a report; pictures and masks are read on demand, one scene at a time.
 
-    ``rows`` are of the spec ``samples``, our method first; ``metrics``, ``pictures`` (uint8
-    [H, W, 3] by name) and ``masks`` (bool [H, W] by protocol, frame and query) are of our result,
-    and ``truth`` has the labelled masks by frame and query.
+    ``rows`` are of the spec ``samples``, our method first; ``metrics``, ``pictures`` and ``masks``
+    (by protocol, frame and query) are of our result, ``truth`` are labelled masks.
     """
 
     name: str
@@ -164,8 +163,7 @@ def _draw_masks(
 def worst_answers(rows: Sequence[Row], count: int, per_scene: int) -> list[Row]:
     """Return the scored rows of lowest IoU, wrong points first, at most a few per scene.
 
-    A query that was asked in several frames of a scene occurs once. Without scores any rows are
-    returned.
+    A query occurs once per scene. Without scores any rows are returned.
     """
     scored = [row for row in rows if row["iou"] is not None] or list(rows)
     scored.sort(key=lambda row: (row["iou"] or 0, bool(row["hit_mask"]), bool(row["hit_box"])))

@@ -62,11 +62,11 @@ class Cell:
 
 @dataclass
 class Table:
-    """A table of columns, strings (of which the first is text) or :class:`Column`, and rows of
-    cells: strings, :class:`Cell`, or None for an empty cell.
+    """A table.
 
-    ``notes`` are prose below it, ``style`` is a class of the style sheet. With ``has_total`` the
-    last row is a total.
+    Columns are strings, of which the first is text, or :class:`Column`; cells are strings,
+    :class:`Cell`, or None. ``notes`` are prose below it, ``style`` is a class of the style sheet.
+    With ``has_total`` the last row is a total.
     """
 
     columns: Sequence[Any]
@@ -194,10 +194,9 @@ Block = Table | Prose | Gallery | Cards | Fold
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a report.
+    """A section of a report, with a link at the top if it has an ``id``.
 
-    The list of links at the top has those with an ``id``, its anchor. ``note`` is printed beside
-    the title, ``style`` is a class of the style sheet.
+    ``note`` is printed beside the title, ``style`` is a class of the style sheet.
     """
 
     title: str
@@ -263,10 +262,8 @@ def flatten(tree: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
     """Return the leaves of nested mappings as text, keys joined by dots."""
     flat: dict[str, str] = {}
     for key, value in tree.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = str(value)
+        name = f"{prefix}{key}"
+        flat |= flatten(value, f"{name}.") if isinstance(value, Mapping) else {name: str(value)}
     return flat
 
 

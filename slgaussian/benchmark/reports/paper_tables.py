@@ -43,9 +43,8 @@ def paper_section(
 
     Args:
         rows: Rows of the spec ``samples``, of all methods.
-        data: {scene: {"format", "scene", "published"}}. Data set and scene of the rows' scenes, and
-            whether it is the published scene: a pair of views of a LERF-OVS scene is a sample of
-            that scene.
+        data: ``format``, ``scene`` and ``published`` of each scene of the rows: a pair of views of
+            a published scene is a sample of that scene.
         ours: Name of our method in the rows.
     """
     published = []

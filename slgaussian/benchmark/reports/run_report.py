@@ -16,31 +16,10 @@ from slgaussian.benchmark.attribution import STAND_INS
 from slgaussian.benchmark.baselines import ROWS, is_variant
 from slgaussian.benchmark.costs import Times
 from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
-from slgaussian.benchmark.reports import examples
-from slgaussian.benchmark.reports.model import (
-    Block,
-    Card,
-    Cards,
-    Cell,
-    Column,
-    Fold,
-    Prose,
-    Report,
-    Section,
-    Table,
-    append_section,
-    count_text,
-    escape,
-    number,
-    terms,
-    values_table,
-)
+from slgaussian.benchmark.reports import examples, model
 from slgaussian.benchmark.reports.paper_tables import paper_section
 from slgaussian.benchmark.reports.score_tables import (
-    HIT_MASK,
-    IOU,
     METRICS,
-    PSNR,
     SCORES,
     fold_protocols,
     mean_cells,
@@ -64,7 +43,7 @@ WORST, PER_SCENE = 8, 2
 LISTED = 3
 """Largest number of scenes listed by name for one reason of being left out."""
 
-CARD_TERMS = terms(
+CARD_TERMS = model.terms(
     {
         "prediction": "predicted mask, in colour and outlined in cyan; the label is outlined in "
         "yellow",
@@ -79,17 +58,15 @@ def run_report(
     manifest: Mapping[str, Any],
     failures: Sequence[Mapping[str, str]] = (),
     attribution: Sequence[Row] = (),
-) -> Report:
+) -> model.Report:
     """Make the report of a run.
 
     Args:
         manifest: Versions, settings and data, nested mappings allowed. Entries of ``data``, by
             scene, have ``format``, ``scene`` and ``published``, whether it is a scene of the
             paper's tables, and ``cameras``, the source of the cameras.
-        failures: sequence of mapping. Scenes left out: ``scene``, ``stage``, ``reason`` (the
-            columns of ``failures.parquet``).
-        attribution: sequence of mapping. Rows of the spec ``attribution``: cause of each miss of
-            our method.
+        failures: Scenes left out: ``scene``, ``stage``, ``reason``.
+        attribution: Rows of the spec ``attribution``: cause of each miss of our method.
     """
     rows = [row for scene in scenes for row in scene.rows]
     methods = list(dict.fromkeys(row["method"] for row in rows))
@@ -107,7 +84,9 @@ def run_report(
         sections.append(_worst_section(answers, worst, attribution))
     if (paper := paper_section(rows, data, ours)) is not None:
         sections.append(paper)
-    summary: list[Block] = [Prose(f"No scene was completed; {len(failures)} left out.", "lead")]
+    summary: list[model.Block] = [
+        model.Prose(f"No scene was completed; {len(failures)} left out.", "lead")
+    ]
     if scenes:
         by_set = {
             dataset: (
@@ -116,16 +95,18 @@ def run_report(
             )
             for dataset in dict.fromkeys(scene.dataset for scene in scenes)
         }
-        sections.append(Section("Scenes", _scene_blocks(by_set, ours, data, folds), "scenes"))
+        sections.append(model.Section("Scenes", _scene_blocks(by_set, ours, data, folds), "scenes"))
         summary = _summary(scenes, methods, answers, data, len(failures))
         summary += _key_scores(by_set, ours)
     configuration = [
-        Fold("Settings, methods and versions", [values_table({**manifest, "data": {}})])
+        model.Fold("Settings, methods and versions", [model.values_table({**manifest, "data": {}})])
     ]
     if data:
-        configuration.append(Fold("Data of each scene, with digests", [values_table(data)]))
-    sections.append(Section("Configuration", configuration, "configuration"))
-    return Report("SLGaussian report", summary, sections)
+        configuration.append(
+            model.Fold("Data of each scene, with digests", [model.values_table(data)])
+        )
+    sections.append(model.Section("Configuration", configuration, "configuration"))
+    return model.Report("SLGaussian report", summary, sections)
 
 
 def with_times(
@@ -134,13 +115,12 @@ def with_times(
     rows: Sequence[Row] = (),
     novel: Sequence[tuple[str, str, float]] = (),
 ) -> dict[str, str]:
-    """Append the costs of one run on one machine to a report of :func:`run_report`.
+    """Append the costs of one run to the forms ``html`` and ``md`` of its report.
 
-    ``pages`` are its forms ``html`` and ``md``; for other arguments see
-    :func:`slgaussian.benchmark.reports.speed.speed_blocks`.
+    For other arguments see :func:`slgaussian.benchmark.reports.speed.speed_blocks`.
     """
-    section = Section("Speed and accuracy", speed_blocks(times, rows, novel), "times")
-    return {form: append_section(page, form, section) for form, page in pages.items()}
+    section = model.Section("Speed and accuracy", speed_blocks(times, rows, novel), "times")
+    return {form: model.append_section(page, form, section) for form, page in pages.items()}
 
 
 def _summary(
@@ -149,21 +129,21 @@ def _summary(
     answers: Sequence[Row],
     data: Mapping[str, Any],
     left_out: int,
-) -> list[Block]:
+) -> list[model.Block]:
     """Summarise a run in sentences; ``answers`` are those of our method, the first."""
     sizes = sorted({len(scene["context"]) for scene in data.values() if "context" in scene})
     names = dict.fromkeys(s.name if len(scenes) == 1 else s.dataset for s in scenes)
-    text = f"Semantic fields of {count_text(len(scenes), 'scene')} "
-    text += f"({', '.join(map(escape, names))})"
+    text = f"Semantic fields of {model.count_text(len(scenes), 'scene')} "
+    text += f"({', '.join(map(model.escape, names))})"
     if sizes:
         text += f", built from {' to '.join(map(str, dict.fromkeys((sizes[0], sizes[-1]))))} "
         text += f"photographs{' each' if len(scenes) > 1 else ''}"
     scored = sum(row["iou"] is not None for row in answers)
-    text += f". {count_text(scored or len(answers), 'query', 'queries')} "
+    text += f". {model.count_text(scored or len(answers), 'query', 'queries')} "
     text += "scored" if scored else "without ground truth, not scored"
     variants = sum(map(is_variant, methods[1:]))
     counts = {"baseline": len(methods) - 1 - variants, "variant": variants}
-    if compared := [count_text(n, kind) for kind, n in counts.items() if n]:
+    if compared := [model.count_text(n, kind) for kind, n in counts.items() if n]:
         text += f", compared with {' and '.join(compared)}"
     unknown = sum(row["note"].startswith(NOT_UNDERSTOOD) for row in answers)
     exceptions = {
@@ -172,14 +152,14 @@ def _summary(
         f"Queries that the encoder does not understand (IoU 0): {unknown}.": unknown,
     }
     listed = " ".join(part for part, holds in exceptions.items() if holds)
-    return [Prose(f"{text}.", "lead"), Prose(listed, "soft fine")]
+    return [model.Prose(f"{text}.", "lead"), model.Prose(listed, "soft fine")]
 
 
-def _key_scores(by_set: BySet, ours: str) -> list[Table]:
+def _key_scores(by_set: BySet, ours: str) -> list[model.Table]:
     """Return the main scores of our method and of the best baseline, a row per data set."""
     present = {name for metrics, _ in by_set.values() for of in metrics.values() for name in of}
-    columns = [column for column in (IOU, HIT_MASK, PSNR) if column.metric in present]
-    lines: list[list[Cell | str]] = []
+    columns = [m for m in METRICS if m.metric in present & {"iou", "hit_mask", "psnr"}]
+    lines: list[list[model.Cell | str]] = []
     for dataset, (metrics, scores) in by_set.items():
         cells = mean_cells(metrics, [s for s in scores if s["method"] == ours], columns)
         rivals = [s for s in scores if s["method"] != ours and not is_variant(s["method"])]
@@ -192,12 +172,12 @@ def _key_scores(by_set: BySet, ours: str) -> list[Table]:
             cells[place] = replace(cells[place], below="; ".join(parts))
         lines.append([dataset, *cells])
     heads = ["Data set", *(column.column for column in columns)]
-    return [Table(heads, lines, style="key")] if columns else []
+    return [model.Table(heads, lines, style="key")] if columns else []
 
 
 def _picture_sections(
     scenes: Sequence[examples.Scene], answers: Sequence[Row], attribution: Sequence[Row]
-) -> tuple[list[Section], list[Card], dict[str, Fold]]:
+) -> tuple[list[model.Section], list[model.Card], dict[str, model.Fold]]:
     """Make the section of the example scene, the worst answers, and the pictures by scene.
 
     The pictures of one scene are in memory at a time.
@@ -205,7 +185,7 @@ def _picture_sections(
     lost_by = {key_of(row): row["lost"] or "" for row in attribution}
     per_scene = max(PER_SCENE, -(-WORST // (len(scenes) or 1)))
     worst = examples.worst_answers(answers, WORST, per_scene)
-    cards: dict[examples.Key, Card] = {}
+    cards: dict[examples.Key, model.Card] = {}
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
     pictured = {scene.name for scene in worst_first[:PICTURED]}
     example = examples.choose_example(scenes) if scenes else None
@@ -225,85 +205,89 @@ def _picture_sections(
     return sections, [cards[key_of(row)] for row in worst], folds
 
 
-def _scores_section(rows: Sequence[Row], methods: Sequence[str]) -> Section:
+def _scores_section(rows: Sequence[Row], methods: Sequence[str]) -> model.Section:
     """Return the scores of all methods; tables of other protocols than the first are collapsed."""
-    explanations: list[Block] = [terms({s.title: s.help for s in scores_of(rows[0]["protocol"])})]
+    explanations: list[model.Block] = [
+        model.terms({s.title: s.help for s in scores_of(rows[0]["protocol"])})
+    ]
     if methods[1:]:
         note = "Methods are sorted by the first column; the best value of a column is bold. A "
         note += "method called “like” is not the original program: it reimplements the main idea "
         note += "on the same photographs, Gaussians and encoder."
         abouts = {name: ROWS[name].about for name in methods if name in ROWS}
-        explanations += [Prose(note), terms(abouts)]
+        explanations += [model.Prose(note), model.terms(abouts)]
     tables = method_tables(rows, methods[0] if methods[1:] else "")
-    return Section("Scores", fold_protocols(tables, explanations), "scores")
+    return model.Section("Scores", fold_protocols(tables, explanations), "scores")
 
 
-def _failures_section(failures: Sequence[Mapping[str, str]]) -> Section:
+def _failures_section(failures: Sequence[Mapping[str, str]]) -> model.Section:
     """List the scenes that were left out, one row per reason."""
     rows = []
     for (stage, reason), members in grouped(failures, "stage", "reason").items():
         names = [failure["scene"] for failure in members]
         rest = [f"and {len(names) - LISTED} more"] if names[LISTED:] else []
         rows.append(["; ".join([*names[:LISTED], *rest]), stage, reason])
-    heads = [Column(name, is_text=True) for name in ("Scene", "Stage", "Reason")]
-    return Section("Left out", [Table(heads, rows)], "left-out", style="failed")
+    heads = [model.Column(name, is_text=True) for name in ("Scene", "Stage", "Reason")]
+    return model.Section("Left out", [model.Table(heads, rows)], "left-out", style="failed")
 
 
 def _worst_section(
-    answers: Sequence[Row], worst: Sequence[Card], attribution: Sequence[Row]
-) -> Section:
+    answers: Sequence[Row], worst: Sequence[model.Card], attribution: Sequence[Row]
+) -> model.Section:
     """Show the answers with the lowest scores, and the causes of misses."""
-    blocks: list[Block] = []
+    blocks: list[model.Block] = []
     scored = [row for row in answers if row["iou"] is not None]
     for (dataset,), rows in grouped(scored, "dataset").items():
         misses = sum(row["iou"] < GOOD or not row["hit_mask"] for row in rows)
-        text = f"**{escape(dataset)}**: {misses} misses in {len(rows)} queries, by an IoU below "
-        blocks.append(Prose(f"{text}{GOOD} or a point outside the labelled mask."))
-    blocks += [CARD_TERMS, Cards(worst)]
+        text = (
+            f"**{model.escape(dataset)}**: {misses} misses in {len(rows)} queries, by an IoU below "
+        )
+        blocks.append(model.Prose(f"{text}{GOOD} or a point outside the labelled mask."))
+    blocks += [CARD_TERMS, model.Cards(worst)]
     if attribution:
         blocks += _attribution_blocks(attribution)
-    return Section("Lowest scores" if scored else "Answers", blocks, "worst")
+    return model.Section("Lowest scores" if scored else "Answers", blocks, "worst")
 
 
-def _attribution_blocks(attribution: Sequence[Row]) -> list[Block]:
+def _attribution_blocks(attribution: Sequence[Row]) -> list[model.Block]:
     """List the causes of misses of each data set, and of all queries in the last row."""
-    columns = [Column("Responsible stage", is_text=True), Column("Queries")]
-    columns += [Column(title, help) for title, help in STAND_INS.values()]
-    blocks: list[Block] = []
+    columns = [model.Column("Responsible stage", is_text=True), model.Column("Queries")]
+    columns += [model.Column(title, help) for title, help in STAND_INS.values()]
+    blocks: list[model.Block] = []
     for (dataset,), queries in grouped(attribution, "dataset").items():
         by_stage = {stage or "no miss": rows for (stage,), rows in grouped(queries, "lost").items()}
         order = sorted(by_stage, key=lambda stage: (stage == "no miss", -len(by_stage[stage])))
         lines = []
         for stage, rows in ((stage, by_stage.get(stage, queries)) for stage in [*order, "all"]):
             ious = ([row[n] for row in rows if row[n] is not None] for n in STAND_INS)
-            means = [number(float(np.mean(values)), 3) if values else None for values in ious]
+            means = [model.number(float(np.mean(values)), 3) if values else None for values in ious]
             lines.append([stage, str(len(rows)), *means])
         title = f"Misses by responsible stage, {dataset}"
-        blocks.append(Table(columns, lines, title, has_total=True))
+        blocks.append(model.Table(columns, lines, title, has_total=True))
     text = "Mean IoU if stages are replaced by ground truth one after the other, from left to "
     text += "right. The first replacement that turns a miss into a hit names the responsible stage."
     stand_ins = {title: help for title, help in STAND_INS.values() if help}
-    return [*blocks, Prose(text), terms(stand_ins)]
+    return [*blocks, model.Prose(text), model.terms(stand_ins)]
 
 
 def _scene_blocks(
-    by_set: BySet, ours: str, data: Mapping[str, Any], folds: Mapping[str, Fold]
-) -> list[Block]:
+    by_set: BySet, ours: str, data: Mapping[str, Any], folds: Mapping[str, model.Fold]
+) -> list[model.Block]:
     """List the metrics of all scenes and their pictures."""
     links = {name: fold.id for name, fold in folds.items()}
-    blocks: list[Block] = [
+    blocks: list[model.Block] = [
         metrics_table(metrics, [s for s in scores if s["method"] == ours], dataset, links)
         for dataset, (metrics, scores) in by_set.items()
     ]
     present = {name for metrics, _ in by_set.values() for of in metrics.values() for name in of}
     view_metrics = [m for m in METRICS if m.metric in present and m not in SCORES["slgaussian"]]
-    blocks.append(terms({m.title: m.help for m in view_metrics}))
+    blocks.append(model.terms({m.title: m.help for m in view_metrics}))
     estimated = []
     for name, of in data.items():
         if (cameras := of.get("cameras", "given")) != "given":
             left_out = ", ".join(of.get("left_out", {}))
             note = f"; not registered: {left_out}" if left_out else ""
-            estimated.append(f"{escape(name)} ({escape(cameras + note)})")
+            estimated.append(f"{model.escape(name)} ({model.escape(cameras + note)})")
     if estimated:
-        blocks.append(Prose(f"Estimated cameras: {', '.join(estimated)}."))
+        blocks.append(model.Prose(f"Estimated cameras: {', '.join(estimated)}."))
     return [*blocks, *folds.values()]

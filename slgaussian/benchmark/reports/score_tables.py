@@ -10,17 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark.reports.model import (
-    NO_VALUE,
-    Block,
-    Cell,
-    Column,
-    Fold,
-    Table,
-    count_text,
-    escape,
-    number,
-)
+from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.scores import Difference, differences, grouped, score_table
 from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison
 
@@ -37,9 +27,9 @@ class Score:
     help: str
 
     @property
-    def column(self) -> Column:
+    def column(self) -> model.Column:
         """Return the column of the score in a table."""
-        return Column(self.title, self.help)
+        return model.Column(self.title, self.help)
 
 
 IOU = Score("iou", "IoU", 3, "intersection over union of predicted and labelled mask")
@@ -48,7 +38,6 @@ MIOU = Score("miou", "mIoU", 3, "mean class IoU; all queries compete for each pi
 HIT_MASK = Score("hit_mask", "Point in mask", 2, "share of predicted points in the labelled mask")
 HIT_BOX = Score("hit_box", "Point in box", 2, "share of predicted points in the labelled box")
 HIT_PEAK = Score("hit_peak", "Peak in box", 2, "share of queries with a relevancy peak in the box")
-PSNR = Score("psnr", "PSNR", 1, "of rendered held-out views, dB")
 
 SCORES = {
     "slgaussian": (IOU, MIOU, HIT_MASK, HIT_BOX, BOUNDARY_IOU),
@@ -66,7 +55,7 @@ METRICS = (
     HIT_BOX,
     HIT_PEAK,
     MIOU,
-    PSNR,
+    Score("psnr", "PSNR", 1, "of rendered held-out views, dB"),
     Score("ssim", "SSIM", 3, "of rendered held-out views"),
     Score("abs_rel", "Depth abs-rel ↓", 3, "relative depth error in the context views"),
     Score("delta125", "δ < 1.25", 3, "share of pixels whose depth is within 25 %"),
@@ -75,16 +64,13 @@ METRICS = (
 )
 """Metrics of a scene by its first protocol, and of its views; ↓: lower is better."""
 
-SELECTIONS = {"none": "no mask", "given": "given masks"}
-"""Descriptions of some selections in place of their names."""
-
 
 def scores_of(protocol: str) -> tuple[Score, ...]:
     """Return the scores of a protocol, given as ``name`` or ``name@version``."""
     return SCORES[protocol.partition("@")[0]]
 
 
-def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
+def method_tables(samples: Sequence[Row], ours: str = "") -> list[model.Table]:
     """Return a table for each data set and protocol: a row per method, best first.
 
     Scores that no method has are left out. Notes name the methods with other settings than most.
@@ -120,23 +106,23 @@ def method_tables(samples: Sequence[Row], ours: str = "") -> list[Table]:
                 gain = gains.get((dataset, protocol, method, columns[0].metric))
                 cells.append(gain_cell(gain, columns[0]))
             queries = max(row["samples"] for row in by_metric.values())
-            lines.append([Cell(method), *cells, str(queries)])
-        lines.sort(key=lambda line: line[1].value.replace(NO_VALUE, ""), reverse=True)
+            lines.append([model.Cell(method), *cells, str(queries)])
+        lines.sort(key=lambda line: line[1].value.replace(model.NO_VALUE, ""), reverse=True)
         heads = ["Method", *(score.column for score in columns)]
         if ours:
             text = f"difference in {columns[0].title} on common queries, paired by scene"
-            heads.append(Column(f"{ours} minus method", text))
+            heads.append(model.Column(f"{ours} minus method", text))
         settings = {method: conditions(next(iter(r.values()))) for method, r in by_method.items()}
         ((usual, _),) = Counter(settings.values()).most_common(1)
         scenes, places = (max(row[unit] for row in rows) for unit in ("scenes", "places"))
         notes = [
-            f"{escape(protocol)}: {escape(usual)}.",
-            *(f"{escape(m)}: {escape(s)}." for m, s in settings.items() if s != usual),
-            f"Mean over {count_text(scenes, 'scene')} of the scene means. "
+            f"{model.escape(protocol)}: {model.escape(usual)}.",
+            *(f"{model.escape(m)}: {model.escape(s)}." for m, s in settings.items() if s != usual),
+            f"Mean over {model.count_text(scenes, 'scene')} of the scene means. "
             f"{_describe_interval(scenes, places)}",
         ]
         title = f"{dataset}, protocol {protocol}"
-        tables.append(Table([*heads, "Queries"], lines, title, notes))
+        tables.append(model.Table([*heads, "Queries"], lines, title, notes))
     return tables
 
 
@@ -156,15 +142,19 @@ def _gains(samples: Sequence[Row], ours: str) -> dict[tuple[str, ...], Differenc
     }
 
 
-def fold_protocols(tables: Sequence[Table], explanations: Sequence[Block] = ()) -> list[Block]:
+def fold_protocols(
+    tables: Sequence[model.Table], explanations: Sequence[model.Block] = ()
+) -> list[model.Block]:
     """Return the tables of the first protocol, explanations, and the other tables collapsed."""
     protocol = tables[0].title.rpartition(", ")[2]
     first = [table for table in tables if table.title.endswith(f", {protocol}")]
     rest = [table for table in tables if table not in first]
-    return [*first, *explanations, *([Fold("Other protocols", rest)] if rest else [])]
+    return [*first, *explanations, *([model.Fold("Other protocols", rest)] if rest else [])]
 
 
-def difference_tables(pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]]) -> list[Table]:
+def difference_tables(
+    pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]],
+) -> list[model.Table]:
     """Return a table for each data set and protocol: a row per pair, first minus second.
 
     ``pairs`` are rows of the spec ``samples`` by the name of the row.
@@ -185,13 +175,13 @@ def difference_tables(pairs: Mapping[str, tuple[Sequence[Row], Sequence[Row]]]) 
         ]
         gains = [d.gain for by_metric in by_name.values() for d in by_metric.values()]
         scenes, places = max(g.samples for g in gains), max(g.independent_samples for g in gains)
-        note = f"Common queries of {count_text(scenes, 'scene')}. "
+        note = f"Common queries of {model.count_text(scenes, 'scene')}. "
         note += _describe_interval(scenes, places)
         if places >= LEAST:
             note += " Green: significant gain; red: significant loss; not corrected for multiple "
             note += "comparisons (1 in 20 is significant by chance)."
         heads = ["Method", *(score.column for score in columns)]
-        tables.append(Table(heads, lines, f"{dataset}, protocol {protocol}", [note]))
+        tables.append(model.Table(heads, lines, f"{dataset}, protocol {protocol}", [note]))
     return tables
 
 
@@ -209,7 +199,7 @@ def metrics_table(
     scores: Sequence[Row] = (),
     title: str = "",
     links: Mapping[str, str] | None = None,
-) -> Table:
+) -> model.Table:
     """Return a table with a row per scene and a row of unweighted means over scenes.
 
     ``metrics`` are by scene and name. Metrics in ``scores``, rows of the spec ``scores``, have
@@ -218,38 +208,37 @@ def metrics_table(
     columns = [m for m in METRICS if any(m.metric in values for values in metrics.values())]
     lines: list[list[Any]] = []
     for scene, values in metrics.items():
-        numbers = (number(values.get(m.metric), m.digits) for m in columns)
-        lines.append([Cell(scene, link=(links or {}).get(scene, "")), *numbers])
+        numbers = (model.number(values.get(m.metric), m.digits) for m in columns)
+        lines.append([model.Cell(scene, link=(links or {}).get(scene, "")), *numbers])
     lines.append(["mean", *mean_cells(metrics, scores, columns)])
-    return Table(["Scene", *(m.column for m in columns)], lines, title, has_total=True)
+    return model.Table(["Scene", *(m.column for m in columns)], lines, title, has_total=True)
 
 
 def mean_cells(
     metrics: Mapping[str, Mapping[str, float]], scores: Sequence[Row], columns: Sequence[Score]
-) -> list[Cell]:
+) -> list[model.Cell]:
     """Return the means of metrics over scenes; arguments as in :func:`metrics_table`."""
     by_metric = {score["metric"]: score for score in scores}
     cells = []
     for m in columns:
         values = [by_name[m.metric] for by_name in metrics.values() if m.metric in by_name]
-        mean = f"{np.mean(values):.{m.digits}f}" if values else NO_VALUE
-        cells.append(Cell(mean, score_cell(by_metric.get(m.metric), m.digits).below))
+        mean = f"{np.mean(values):.{m.digits}f}" if values else model.NO_VALUE
+        cells.append(model.Cell(mean, score_cell(by_metric.get(m.metric), m.digits).below))
     return cells
 
 
-def gain_cell(difference: Difference | None, score: Score) -> Cell:
+def gain_cell(difference: Difference | None, score: Score) -> model.Cell:
     """Format a difference; one of a single place has no interval."""
     if difference is None:
-        return Cell(NO_VALUE)
+        return model.Cell(model.NO_VALUE)
     cell = comparison_cell(difference.gain, score.digits)
     return cell if difference.gain.independent_samples > 1 else replace(cell, below="")
 
 
-def comparison_cell(gain: Comparison, digits: int) -> Cell:
+def comparison_cell(gain: Comparison, digits: int) -> model.Cell:
     """Format a gain with its interval and mark.
 
-    A gain is significant if its printed interval excludes 0, so not if it ends at 0.000. With fewer
-    than :data:`LEAST` places no gain is significant.
+    It is significant if its printed interval excludes 0, with :data:`LEAST` places or more.
     """
     value, low, high = (
         round(bound, digits) + 0.0  # not -0.000
@@ -258,13 +247,14 @@ def comparison_cell(gain: Comparison, digits: int) -> Cell:
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
     if gain.independent_samples < 2 or (gain.independent_samples < LEAST and mark != "noise"):
         mark = "few"
-    return Cell(f"{value:+.{digits}f}", f"{low:+.{digits}f} to {high:+.{digits}f}", mark)
+    return model.Cell(f"{value:+.{digits}f}", f"{low:+.{digits}f} to {high:+.{digits}f}", mark)
 
 
 def conditions(score: Row) -> str:
     """Describe the settings of a score, a row of the spec ``scores`` or ``samples``."""
-    selection: str = score["selection"]
-    parts = [SELECTIONS.get(selection, selection)]
+    parts = [
+        {"none": "no mask", "given": "given masks"}.get(score["selection"], score["selection"])
+    ]
     for name in ("threshold", "share", "filter", "temperature"):
         if (value := score[name]) is not None:
             parts.append(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}")
@@ -274,10 +264,10 @@ def conditions(score: Row) -> str:
     return ", ".join(parts)
 
 
-def score_cell(row: Row | None, digits: int) -> Cell:
+def score_cell(row: Row | None, digits: int) -> model.Cell:
     """Format a score with its interval."""
     if row is None:
-        return Cell(NO_VALUE)
+        return model.Cell(model.NO_VALUE)
     bounds = row["low"], row["high"]
     below = "" if None in bounds else "–".join(f"{bound:.{digits}f}" for bound in bounds)
-    return Cell(f"{row['value']:.{digits}f}", below)
+    return model.Cell(f"{row['value']:.{digits}f}", below)

@@ -12,17 +12,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
-from slgaussian.benchmark.reports.model import (
-    Column,
-    Gallery,
-    Picture,
-    Prose,
-    Report,
-    Section,
-    Table,
-    data_uri,
-    values_table,
-)
+from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.reports.score_tables import comparison_cell
 from slgaussian.benchmark.significance import clip_scores, gain
 from slgaussian.benchmark.statistics import LEAST, LEVEL
@@ -55,7 +45,9 @@ SMOOTH = 0.02
 """Fraction of the steps over which the loss curve is averaged."""
 
 
-def training_report(metrics: pa.Table, judgements: pa.Table, manifest: Mapping[str, Any]) -> Report:
+def training_report(
+    metrics: pa.Table, judgements: pa.Table, manifest: Mapping[str, Any]
+) -> model.Report:
     """Make the report of a training.
 
     ``metrics`` and ``judgements`` are tables of these specs; ``manifest`` has the number of lessons
@@ -70,21 +62,21 @@ def training_report(metrics: pa.Table, judgements: pa.Table, manifest: Mapping[s
         ]
         for name, scores in clip_scores(judgements).items()
     ]
-    heads = ["Lifting", "IoU", "Branch minus lifting", Column("", is_text=True)]
+    heads = ["Lifting", "IoU", "Branch minus lifting", model.Column("", is_text=True)]
     note = f"Intervals: {LEVEL:.0%} paired bootstrap over clips; unreliable below {LEAST} clips."
     out = io.StringIO()
     with matplotlib.rc_context(STYLE):
         _loss_curve(metrics).savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
     svg = re.sub(r"<!DOCTYPE[^>]*>\s*", "", out.getvalue(), flags=re.DOTALL)
     caption = "Loss of every step and its running mean; grey: learning rate"
-    curve = Picture(data_uri(svg.encode(), "svg+xml"), caption, caption)
+    curve = model.Picture(model.data_uri(svg.encode(), "svg+xml"), caption, caption)
     sections = [
-        Section("Scores", [Table(heads, rows, notes=[note])]),
-        Section("Loss", [Gallery([curve], "grid plots")]),
-        Section("Configuration", [values_table(manifest)]),
+        model.Section("Scores", [model.Table(heads, rows, notes=[note])]),
+        model.Section("Loss", [model.Gallery([curve], "grid plots")]),
+        model.Section("Configuration", [model.values_table(manifest)]),
     ]
     summary = "Evaluated by the objects in target views of clips that are not in the training set."
-    return Report("Training of the semantic branch", [Prose(summary)], sections)
+    return model.Report("Training of the semantic branch", [model.Prose(summary)], sections)
 
 
 def _loss_curve(metrics: pa.Table) -> Figure:
