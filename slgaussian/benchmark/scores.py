@@ -146,8 +146,11 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
             scenes = grouped(shared, "scene", row_of=itemgetter(0)).values()
             if not shared:
                 continue
-            means = ([_scene_mean([p[side] for p in s], metric) for s in scenes] for side in (0, 1))
-            gain = compare(*means, [place_of(scene[0][0]) for scene in scenes])
+            means: list[list[Any]] = [
+                [_scene_mean([pair[side] for pair in scene], metric) for scene in scenes]
+                for side in (0, 1)
+            ]
+            gain = compare(means[0], means[1], [place_of(scene[0][0]) for scene in scenes])
             gains.append(Difference(dataset, protocol, metric.name, gain, len(shared)))
     return gains
 

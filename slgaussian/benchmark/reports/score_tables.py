@@ -252,9 +252,8 @@ def comparison_cell(gain: Comparison, digits: int) -> model.Cell:
 
 def conditions(score: Row) -> str:
     """Describe the settings of a score, a row of the spec ``scores`` or ``samples``."""
-    parts = [
-        {"none": "no mask", "given": "given masks"}.get(score["selection"], score["selection"])
-    ]
+    selection: str = score["selection"]
+    parts = [{"none": "no mask", "given": "given masks"}.get(selection, selection)]
     for name in ("threshold", "share", "filter", "temperature"):
         if (value := score[name]) is not None:
             parts.append(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}")

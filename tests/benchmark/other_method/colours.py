@@ -46,9 +46,8 @@ class View:
 
     def unknown_words(self, text):
         """The words of a text that do not count; InputError if none does."""
-        words = text.split()
-        unknown = tuple(word for word in words if word not in COLOURS)
-        if unknown == tuple(words):
+        unknown = tuple(word for word in text.split() if word not in COLOURS)
+        if len(unknown) == len(text.split()):
             raise InputError(f"{text!r}: names no colour")
         return unknown
 
@@ -61,27 +60,14 @@ class View:
         return np.argmax([self._relevancy(t) for t in texts], 0).astype(np.int32) + 1
 
     def _relevancy(self, text):
-        wanted = np.array([COLOURS[word] for word in text.split() if word in COLOURS]).mean(0)
+        wanted = np.mean([COLOURS[word] for word in text.split() if word in COLOURS], 0)
         away = np.linalg.norm(self.rgb - wanted, axis=-1)
         return (1 - away / 442).clip(0, 1).astype(np.float32)
 
 
-@dataclass
 class Answer:
-    text: str
-    relevancy: np.ndarray
-    within: float
-    unknown: tuple
-
-    @property
-    def mask(self):
-        return self.relevancy > self.within
-
-    @property
-    def point(self):
-        row, column = np.argwhere(self.relevancy == self.relevancy.max())[0]
-        return int(column), int(row)
-
-    @property
-    def score(self):
-        return float(self.relevancy.max())
+    def __init__(self, text, relevancy, within, unknown):
+        self.text, self.relevancy, self.unknown = text, relevancy, unknown
+        self.mask, self.score = relevancy > within, float(relevancy.max())
+        row, column = np.unravel_index(relevancy.argmax(), relevancy.shape)
+        self.point = int(column), int(row)
