@@ -76,27 +76,21 @@ def _put(data: bytes, at: int, what: bytes) -> bytes:
 def any_text(data: bytes, rng: random.Random) -> bytes:
     text = data.decode("latin-1")
     lines = text.splitlines(keepends=True)
-    line = rng.randrange(len(lines))
-    numbers = list(re.finditer(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?", text))
-    words = list(re.finditer(r"\S+", text))
+    line, other = rng.randrange(len(lines)), rng.randrange(len(lines))
     way = rng.choice(["number", "number", "number", "word", "swap", "lose", "repeat", "odd"])
-    if way == "number":
-        found = rng.choice(numbers)
-        text = text[: found.start()] + rng.choice(NUMBERS) + text[found.end() :]
-    elif way in ("word", "odd"):
-        found = rng.choice(words)
-        new = (
-            rng.choice([t for t in TEXTS if t.isascii()]) if way == "odd" else rng.choice(words)[0]
-        )
-        text = text[: found.start()] + new + text[found.end() :]
-    elif way == "swap":
-        other = rng.randrange(len(lines))
+    if way in ("number", "word", "odd"):
+        pattern = r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?" if way == "number" else r"\S+"
+        places = list(re.finditer(pattern, text))
+        words = [place[0] for place in places]
+        odd = [t for t in TEXTS if t.isascii()]
+        start, end = rng.choice(places).span()
+        new = rng.choice({"number": NUMBERS, "word": words, "odd": odd}[way])
+        return (text[:start] + new + text[end:]).encode("latin-1")
+    if way == "swap":
         lines[line], lines[other] = lines[other], lines[line]
-        text = "".join(lines)
     else:
         lines[line] *= 0 if way == "lose" else 2
-        text = "".join(lines)
-    return text.encode("latin-1")
+    return "".join(lines).encode("latin-1")
 
 
 def any_json(data: bytes, rng: random.Random) -> bytes:
@@ -110,39 +104,27 @@ def any_json(data: bytes, rng: random.Random) -> bytes:
                 walk(node[key])
 
     walk(content)
-    if not places:
-        return data
     node, key = rng.choice(places)
-    way = rng.choice(
-        ["value", "value", "value", "number", "lose", "rename", "repeat", "wrap", "deep"]
-    )
-    deep = None
-    if way == "value":
-        node[key] = rng.choice(VALUES)
-    elif way == "number":
-        node[key] = "@NUMBER@"
-        deep = ("@NUMBER@", rng.choice(NUMBERS))
-    elif way == "lose":
+    left, right = rng.choice([("[", "]"), ('{"a":', "}")])
+    depth = rng.choice([20, 70, DEEP])
+    marked = {
+        "number": rng.choice(NUMBERS),
+        "deep": left * depth + "1" + right * depth,
+        "twice": f'"a": 1, {json.dumps(key)}: {json.dumps(rng.choice(VALUES))}',
+    }
+    way = rng.choice(["value", "value", "value", "lose", "rename", "repeat", "wrap", *marked])
+    if way == "lose":
         del node[key]
-    elif way == "wrap":
-        node[key] = [node[key]]
-    elif way == "deep":
-        node[key] = "@DEEP@"
-        left, right = rng.choice([("[", "]"), ('{"a":', "}")])
-        depth = rng.choice([20, 70, DEEP])
-        deep = ("@DEEP@", left * depth + "1" + right * depth)
-    elif isinstance(node, dict) and way == "rename":
-        node[rng.choice(["x", *(t for t in TEXTS if t)])] = node.pop(key)
-    elif isinstance(node, dict):
-        value = node[key]
-        node["@KEY@"] = rng.choice([value, *VALUES])
-        deep = ('"@KEY@"', json.dumps(key))
-    else:
+    elif way == "rename" and isinstance(node, dict):
+        node[rng.choice(["x", *filter(None, TEXTS)])] = node.pop(key)
+    elif way == "twice" and isinstance(node, dict):
+        node["@MARK@"] = 0
+        return json.dumps(content).replace('"@MARK@": 0', marked[way]).encode()
+    elif way == "repeat" and isinstance(node, list):
         node.insert(key, node[key])
-    text = json.dumps(content)
-    if deep is not None:
-        text = text.replace(json.dumps(deep[0]) if deep[0][0] == "@" else deep[0], deep[1])
-    return text.encode()
+    else:
+        node[key] = {"wrap": [node[key]], "value": rng.choice(VALUES)}.get(way, "@MARK@")
+    return json.dumps(content).replace('"@MARK@"', marked.get(way, "1")).encode()
 
 
 def any_member(data: bytes, rng: random.Random) -> bytes:
@@ -236,13 +218,11 @@ def any_png(data: bytes, rng: random.Random) -> bytes:
         parts[at] = (kind, any_bytes(content, rng))
     else:
         parts[at : at + 1] = [] if way == "lose" else [parts[at]] * 2
-    return data[:8] + b"".join(
-        struct.pack(">I", len(content))
-        + kind
-        + content
-        + struct.pack(">I", zlib.crc32(kind + content))
-        for kind, content in parts
-    )
+    data = data[:8]
+    for kind, content in parts:
+        checksum = zlib.crc32(kind + content)
+        data += struct.pack(">I", len(content)) + kind + content + struct.pack(">I", checksum)
+    return data
 
 
 def any_tensors(data: bytes, rng: random.Random) -> bytes:

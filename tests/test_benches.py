@@ -21,14 +21,6 @@ def test_what_a_bench_imports_is_there(bench):
     importlib.import_module(module(bench))
 
 
-def test_commands_that_pages_and_benches_name_are_there():
-    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *BENCHES]
-    text = " ".join(page.read_text() for page in pages)
-    named = set(re.findall(r"python -m\s+(benches[\w.]*\w)", text))
-    assert len(named) > 20
-    assert named <= set(map(module, BENCHES))
-
-
 def test_a_bench_writes_its_block_of_a_page_and_leaves_the_rest(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(harness, "measured", lambda: "Measured today.")
     page = tmp_path / "words.md"

@@ -153,8 +153,3 @@ def test_one_number_says_what_a_second_view_confirms():
     sentence = f"nother view confirms {quality.confirmed:.0%} of the pixels"
     assert sentence in quality.summary()
     assert f"A{sentence}, and the depth of the rest is a guess." in scene_page(field)
-
-
-def test_what_cannot_be_written_down_is_refused():
-    with pytest.raises(InputError, match="float32 is not JSON serializable; give plain numbers"):
-        Method(predictor="mvsplat", settings={"mvsplat": {"device": np.float32(1)}})

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from slgaussian.components.config import ComponentConfig
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
 from slgaussian.io import CHANGED, KnownFile
@@ -20,8 +18,8 @@ class Component:
     Attributes:
         kind: One of :data:`slgaussian.components.registry.KINDS`.
         name: Name in the registry.
-        settings: All fields of its config, including defaults, and other arguments of its
-            implementation. Files, folders and models are :class:`slgaussian.io.KnownFile`.
+        settings: All fields of its config, including defaults. Files, folders and models are
+            :class:`slgaussian.io.KnownFile`.
     """
 
     kind: str
@@ -33,13 +31,12 @@ class Component:
         """Return the component with these field values; files are given by their places.
 
         Raises:
-            InputError: If the component or a field is unknown, a value is invalid or not
-                JSON-serialisable, or a file cannot be read.
+            InputError: If the component or a field is unknown, a value is invalid, or a file cannot
+                be read.
         """
-        config, values = find_config(kind, name), dict(values or {})
-        beside = {key: values.pop(key) for key in _fields_beside(config, values)}
-        checked = config(**values)
-        settings = dict(checked) | beside
+        config = find_config(kind, name)
+        checked = config(**(values or {}))
+        settings = dict(checked)
         for key, file in config.files().items():
             if settings[key] is not None:
                 try:
@@ -47,12 +44,7 @@ class Component:
                 except (OSError, InputError) as error:
                     checked.load()  # its error message is more specific
                     raise InputError(f"{name} {key} {settings[key]}: {error}") from error
-        component = Component(kind, name, settings)
-        try:
-            json.dumps(component.identity())
-        except TypeError as error:
-            raise InputError(f"settings: {error}; give plain numbers and text") from None
-        return component
+        return Component(kind, name, settings)
 
     @staticmethod
     def stored(
@@ -74,9 +66,7 @@ class Component:
         # Fields that were removed from the config and had no value had no effect.
         stored = identity.get(name, {}).items()
         settings = {key: v for key, v in stored if v is not None or key in config.model_fields}
-        keys = {**settings, **places}
-        unknown = keys.keys() - config.model_fields.keys() - set(_fields_beside(config, keys))
-        if unknown:
+        if unknown := {**settings, **places}.keys() - config.model_fields.keys():
             config(**dict.fromkeys(unknown))  # raises InputError
         for key in config.files():
             place, digest = places.get(key), settings.get(key)
@@ -122,10 +112,3 @@ class Component:
     def files(self) -> dict[str, KnownFile]:
         """The files, folders and models among its settings."""
         return {key: v for key, v in self.settings.items() if isinstance(v, KnownFile)}
-
-
-def _fields_beside(config: type[ComponentConfig], keys: Iterable[str]) -> list[str]:
-    """Return the keys that only the implementation accepts, not the config, such as a device."""
-    unknown = [key for key in keys if key not in config.model_fields]
-    accepted = getattr(config.implementation(), "model_fields", {}) if unknown else {}
-    return [key for key in unknown if key in accepted]
