@@ -20,13 +20,15 @@ from slgaussian.errors import InputError
 from slgaussian.io import file_sha256
 from slgaussian.kernels import threads
 from slgaussian.storage import field_folder
-from slgaussian.storage.housekeeping import CONCURRENT_READS
 from slgaussian.storage.provenance import software
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from slgaussian.storage.tables import read_table
 from tasks.artifacts import about_field
 from tasks.stage import Stage
+
+CONCURRENT_READS = 4
+"""Number of artifacts of a remote store read concurrently; each may take 100 MB of memory."""
 
 FIELDS = "fields"
 """Folder of the fields, and their table."""

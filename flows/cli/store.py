@@ -1,4 +1,4 @@
-"""The commands `slgaussian inspect` and `slgaussian store gc | verify`."""
+"""The commands `slgaussian inspect` and `slgaussian store gc`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 DAY = 86400.0
 
 store_app = typer.Typer(
-    name="store", cls=options.Group, no_args_is_help=True, help="Clean or check a store."
+    name="store", cls=options.Group, no_args_is_help=True, help="Clean a store."
 )
 
 
@@ -86,33 +86,6 @@ def gc(
     typer.echo(f"stays: {garbage.kept} artifacts that are referred to{young}")
     if some and not yes:
         typer.echo("nothing was removed: give --yes to do it")
-
-
-@store_app.command()
-def verify(
-    store: options.Store = None,
-    remove: Annotated[bool, typer.Option("--remove", help="Delete what is damaged.")] = False,
-) -> None:
-    """Read all files of a store, and list damaged ones.
-
-    Each file is checked by its spec and digest. The exit status is 1 if a damaged file stays.
-
-    \b
-    slgaussian store verify --store s3://bucket/slg --remove
-    """
-    from slgaussian.storage import housekeeping
-
-    with _opened(store) as opened:
-        state = housekeeping.verify(opened, remove)
-    for reason in state.damaged.values():
-        typer.echo(f"damaged: {reason}")
-    done = " and removed: the next run recomputes them" if state.damaged and remove else ""
-    typer.echo(f"{state.sound} artifacts are intact, {len(state.damaged)} files are damaged{done}")
-    if state.missing:
-        typer.echo(f"{state.missing} artifacts are missing; runs recompute them on demand")
-    if state.damaged and not remove:
-        typer.echo("give --remove to delete them: the next run recomputes them")
-        raise typer.Exit(1)
 
 
 @contextmanager

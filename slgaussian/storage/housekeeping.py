@@ -1,4 +1,4 @@
-"""Garbage collection and verification of a store: ``slgaussian store gc`` and ``verify``.
+"""Garbage collection of a store: ``slgaussian store gc``.
 
 Files are processed folder by folder. Memory grows only with the number of artifacts that records
 refer to, by some hundred bytes each.
@@ -8,16 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 
-from slgaussian.errors import SpecError
 from slgaussian.storage.records import FOLDER, Records
 from slgaussian.storage.specs import spec_names
-from slgaussian.storage.store import ArtifactStore, File, ref_of
-
-CONCURRENT_READS = 4
-"""Number of artifacts of a remote store read concurrently; each may take 100 MB of memory."""
+from slgaussian.storage.store import ArtifactStore, ref_of
 
 _UNFINISHED = re.compile(r".*/\.[^/]+\.tmp|\.probe-[0-9a-f]{32}")
 _OURS = {"", FOLDER, "digests", *spec_names()}
@@ -94,61 +90,6 @@ def collect(
         if delete:
             store.remove([file.uri for file in gone])
     return garbage
-
-
-@dataclass
-class Damage:
-    """Result of the verification of a store.
-
-    Attributes:
-        sound: Number of undamaged artifacts.
-        damaged: Messages about damaged artifacts and records, by path.
-        missing: Number of missing artifacts that a record refers to; runs recompute them on demand.
-    """
-
-    sound: int = 0
-    damaged: dict[str, str] = field(default_factory=dict)
-    missing: int = 0
-
-
-def verify(store: ArtifactStore, remove: bool = False) -> Damage:
-    """Read all artifacts and records of a store and check them by their specs and digests.
-
-    Artifacts of earlier versions of their specs count as damaged; :func:`collect` removes them too.
-    With ``remove``, damaged files are deleted, so that the next run recomputes them. InputError if
-    the store cannot be read, or with ``remove`` not written.
-    """
-    damage = Damage()
-    present: set[bytes] = set()
-
-    def problem_of(file: File) -> str | None:
-        ref = ref_of(file.uri)
-        if ref is None:
-            return None
-        try:
-            store.fetch(file.uri, "an artifact", lambda data: store.decode(ref, data))
-        except SpecError as error:
-            return str(error)
-        return ""
-
-    for files in store.walk():
-        for file, problem in zip(
-            files, store.map(problem_of, files, CONCURRENT_READS), strict=True
-        ):
-            if problem:
-                damage.damaged[file.uri] = problem
-            elif problem is not None:
-                damage.sound += 1
-                present.add(_name(file.uri))
-    for record in chain.from_iterable(Records(store).all()):
-        if record.ref is None:
-            place = f"{store.root}/{record.file.uri}"
-            damage.damaged[record.file.uri] = f"{place}: found no record, expected a ref as JSON"
-        for uri in record.named:
-            damage.missing += uri not in damage.damaged and _name(uri) not in present
-    if remove:
-        store.remove(damage.damaged)
-    return damage
 
 
 def _name(uri: str) -> bytes:

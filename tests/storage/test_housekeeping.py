@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from contents import failures, labels
 
-from slgaussian.storage.housekeeping import collect, verify
+from slgaussian.storage.housekeeping import collect
 from slgaussian.storage.records import Records
 from slgaussian.storage.store import ArtifactStore
 
@@ -81,24 +81,6 @@ def test_what_killed_programs_left_goes(local):
     assert others.exists()
 
 
-def test_damage_is_found_removed_and_then_made_again(store):
-    uris = filled(store)
-    assert verify(store).damaged == {}
-    whole = store.read(uris["part"])
-    store.fs.pipe_file(f"{store.path}/{uris['part']}", whole[:90] + b"?" + whole[91:])
-    store.fs.pipe_file(f"{store.path}/{uris['table']}", b"PAR1")
-    store.remove([uris["a"]])
-    found = verify(store)
-    assert (found.sound, sorted(found.damaged), found.missing) == (
-        2, sorted([uris["part"], uris["table"]]), 1,
-    )  # fmt: skip
-    assert all("\n" not in why and uri in why for uri, why in found.damaged.items())
-    assert names(store) >= set(found.damaged)
-    verify(store, remove=True)
-    assert not names(store) & set(found.damaged)
-    assert Records(store).find(KEYS["b"]) is None
-
-
 RECORDS = {
     "not JSON": b"\x80\x04\x95",
     "no ref": b"{}",
@@ -119,6 +101,5 @@ def test_a_bad_record_is_no_result_and_is_named(local, data):
     (record,) = (record for some in Records(local).all() for record in some)
     (Path(local.path) / record.file.uri).write_bytes(data)
     assert Records(local).find(KEYS["a"]) is None
-    assert list(verify(local).damaged) == [record.file.uri]
     assert collect(local, -60, VERSIONS, delete=True).records == 1
     assert names(local) == set()
