@@ -149,10 +149,7 @@ def test_ask_by_picture(field):
     [
         (lambda image, mask: (image / 255, mask), r"found float64 \(9, 8, 3\), expected uint8"),
         (lambda image, mask: (image[..., [0, 1, 2, 0]], mask), r"found uint8 \(9, 8, 4\)"),
-        (
-            lambda image, mask: (image, mask[:5]),
-            r"its mask is bool \(5, 8\), expected bool \(9, 8\)",
-        ),
+        (lambda image, mask: (image, mask[:5]), r"its mask is bool \(5, 8\), expected bool \(9, 8"),
         (lambda image, mask: (image, mask & False), "its mask is empty"),
     ],
 )
