@@ -75,24 +75,29 @@ class Browser:
 
     def __init__(self, *options: str) -> None:
         self._folder = tempfile.mkdtemp(prefix="slg-chromium-")
-        self._said = Path(self._folder, "said")
+        said = Path(self._folder, "said")
         command = [executable(), *OPTIONS, *options, f"--user-data-dir={self._folder}/profile"]
-        with self._said.open("wb") as said:
+        with said.open("wb") as output:
             # A session of its own, so that the whole group can be ended.
             self.process = subprocess.Popen(
                 [*command, "about:blank"],
                 stdin=subprocess.DEVNULL,
-                stdout=said,
-                stderr=said,
+                stdout=output,
+                stderr=output,
                 start_new_session=True,
                 preexec_fn=_end_with_parent,
                 env={**os.environ, "HOME": self._folder},
             )
-        try:
-            self.address = self._wait_for_address()
-        except BaseException:
+        file, end = Path(self._folder, "profile", "DevToolsActivePort"), time.monotonic() + PATIENCE
+        lines: list[str] = []
+        while len(lines) != 2 and time.monotonic() < end and self.process.poll() is None:
+            time.sleep(0.02)
+            lines = file.read_text().splitlines() if file.exists() else []
+        if len(lines) != 2:
+            problem = f"Chromium did not start: {said.read_text(errors='replace')[-2000:]}"
             self.close()
-            raise
+            raise PageError(problem)
+        self.address = f"127.0.0.1:{lines[0]}{lines[1]}"
 
     def __enter__(self) -> Browser:
         return self
@@ -100,32 +105,19 @@ class Browser:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _wait_for_address(self) -> str:
-        file, end = Path(self._folder, "profile", "DevToolsActivePort"), time.monotonic() + PATIENCE
-        while time.monotonic() < end and self.process.poll() is None:
-            lines = file.read_text().splitlines() if file.exists() else []
-            if len(lines) == 2:
-                return f"127.0.0.1:{lines[0]}{lines[1]}"
-            time.sleep(0.02)
-        raise PageError(f"Chromium did not start: {self._said.read_text(errors='replace')[-2000:]}")
-
     @contextlib.contextmanager
     def open(self, url: str, width: int = 1200, height: int = 800) -> Iterator[Tab]:
         """A new tab that shows ``url``, with a view of this size in CSS pixels; closed after it."""
         # No pings: while software draws, a busy machine answers none for longer than they wait.
-        with connect(
-            f"ws://{self.address}",
-            max_size=None,
-            proxy=None,
-            open_timeout=PATIENCE,
-            ping_interval=None,
-        ) as socket:
-            tab = Tab(_Protocol(socket))
+        waits: dict[str, Any] = {"open_timeout": PATIENCE, "ping_interval": None}
+        with connect(f"ws://{self.address}", max_size=None, proxy=None, **waits) as socket:
+            tab = Tab(socket)
             try:
                 tab.start(url, width, height)
                 yield tab
             finally:
-                tab.close()
+                with contextlib.suppress(Exception):
+                    tab.send("Target.disposeBrowserContext", {"browserContextId": tab.context})
 
     def resident_bytes(self) -> int:
         """Memory of all its processes, each page shared by k of them counted as 1/k."""
@@ -157,20 +149,19 @@ class Tab:
             and failed requests.
     """
 
-    def __init__(self, protocol: _Protocol) -> None:
+    def __init__(self, socket: ClientConnection) -> None:
         self.requests: list[str] = []
         self.complaints: list[str] = []
-        self._protocol = protocol
-        self._session = self._target = ""
+        self._socket, self._numbers = socket, itertools.count(1)
+        self._session = self.context = ""
 
     def start(self, url: str, width: int, height: int) -> None:
         """Open ``url`` in a new target, and watch it from before its first byte on."""
-        self._protocol.watch = self._notice
-        self._context = self._protocol.call("Target.createBrowserContext", {})["browserContextId"]
-        created = {"url": "about:blank", "browserContextId": self._context}
-        self._target = self._protocol.call("Target.createTarget", created)["targetId"]
-        attached = {"targetId": self._target, "flatten": True}
-        self._session = self._protocol.call("Target.attachToTarget", attached)["sessionId"]
+        self.context = self.send("Target.createBrowserContext", {})["browserContextId"]
+        created = {"url": "about:blank", "browserContextId": self.context}
+        target = self.send("Target.createTarget", created)["targetId"]
+        attached = {"targetId": target, "flatten": True}
+        self._session = self.send("Target.attachToTarget", attached)["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self.call(f"{domain}.enable")
         # In CSS pixels, which are the pixels of a screenshot.
@@ -181,14 +172,25 @@ class Tab:
             raise PageError(f"{url}: {found['errorText']}")
         self.wait("document.readyState === 'complete'")
 
-    def close(self) -> None:
-        """Close the page."""
-        with contextlib.suppress(Exception):
-            self._protocol.call("Target.disposeBrowserContext", {"browserContextId": self._context})
+    def send(self, method: str, values: dict[str, Any], session: str = "") -> dict[str, Any]:
+        """A call of the protocol; events that come before its answer are noticed."""
+        number = next(self._numbers)
+        message: dict[str, Any] = {"id": number, "method": method, "params": values}
+        if session:
+            message["sessionId"] = session
+        self._socket.send(json.dumps(message))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=4 * PATIENCE))
+            if answer.get("id") == number:
+                if "error" in answer:
+                    raise PageError(f"{method}: {answer['error']['message']}")
+                return answer["result"]
+            if session and answer.get("sessionId") == self._session:
+                self._notice(answer["method"], answer["params"])
 
     def call(self, method: str, **values: Any) -> dict[str, Any]:
         """A call of the protocol to this page."""
-        return self._protocol.call(method, values, self._session)
+        return self.send(method, values, self._session)
 
     def evaluate(self, script: str) -> Any:
         """The value of an expression in the page, a promise awaited; PageError if it throws."""
@@ -258,11 +260,10 @@ class Tab:
 
     def press(self, key: str) -> None:
         """Press and release a key by its name, as ``Enter``, ``Escape``, ``ArrowLeft`` or ``w``."""
-        code = {"Enter": 13, "Escape": 27, "Tab": 9, " ": 32, "Backspace": 8}
-        arrows = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}
+        codes = {"Enter": 13, "Escape": 27, "ArrowLeft": 37}
         values: dict[str, Any] = {"key": key, "code": f"Key{key.upper()}" if key.isalpha() else key}
-        if key in code | arrows:
-            values |= {"code": key, "windowsVirtualKeyCode": (code | arrows)[key]}
+        if key in codes:
+            values |= {"code": key, "windowsVirtualKeyCode": codes[key]}
         text = {"Enter": "\r"}.get(key, key if len(key) == 1 else "")
         down: dict[str, Any] = {"type": "keyDown" if text else "rawKeyDown", **values}
         self.call("Input.dispatchKeyEvent", **down, **({"text": text} if text else {}))
@@ -271,10 +272,7 @@ class Tab:
     def _mouse(self, kind: str, x: float, y: float, **values: Any) -> None:
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **values)
 
-    def _notice(self, event: dict[str, Any]) -> None:
-        if event.get("sessionId") != self._session:
-            return
-        method, values = event["method"], event["params"]
+    def _notice(self, method: str, values: dict[str, Any]) -> None:
         if method == "Network.requestWillBeSent":
             self.requests.append(values["request"]["url"])
         elif method == "Network.loadingFailed" and not values.get("canceled"):
@@ -289,27 +287,3 @@ class Tab:
         elif method == "Log.entryAdded" and values["entry"]["level"] in ("error", "warning"):
             entry = values["entry"]
             self.complaints.append(f"{entry['level']}: {entry['text']} {entry.get('url', '')}")
-
-
-class _Protocol:
-    """Calls and their answers over one socket; what comes between goes to ``watch``."""
-
-    def __init__(self, socket: ClientConnection) -> None:
-        self._socket = socket
-        self._numbers = itertools.count(1)
-        self.watch: Any = lambda event: None
-
-    def call(self, method: str, values: dict[str, Any], session: str = "") -> dict[str, Any]:
-        number = next(self._numbers)
-        message: dict[str, Any] = {"id": number, "method": method, "params": values}
-        if session:
-            message["sessionId"] = session
-        self._socket.send(json.dumps(message))
-        while True:
-            answer = json.loads(self._socket.recv(timeout=4 * PATIENCE))
-            if answer.get("id") == number:
-                if "error" in answer:
-                    raise PageError(f"{method}: {answer['error']['message']}")
-                return answer["result"]
-            if "method" in answer:
-                self.watch(answer)
