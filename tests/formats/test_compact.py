@@ -47,7 +47,7 @@ def test_rotations_survive_32_bits(rows):
     again = unpack_quats(pack_quats(quats))
     unit = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     cosine = np.abs((unit.astype(np.float64) * again).sum(1)).clip(0, 1)
-    assert np.degrees(2 * np.arccos(cosine)).max() < 0.25
+    assert np.degrees(2 * np.arccos(cosine)).max() < 0.28
     np.testing.assert_allclose(np.linalg.norm(again, axis=1), 1, atol=1e-5)
 
 
@@ -63,7 +63,7 @@ def test_spz_reads_again(tmp_path, degree):
     if degree:
         assert (gaussians.sh[:, 1:4] - again.sh[:, 1:4]).abs().max() <= 5 / 128
         assert (gaussians.sh[:, 1:] - again.sh[:, 1:]).abs().max() <= 9 / 128
-    assert angles(gaussians.quats, again.quats).max() < 0.25
+    assert angles(gaussians.quats, again.quats).max() < 0.28
 
 
 def test_spz_turns_harmonics_with_the_axes(tmp_path):

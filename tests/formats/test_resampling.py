@@ -1,6 +1,5 @@
 """Photographs, masks, ids and depths at another size, against sums in float64."""
 
-from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
 
@@ -81,81 +80,69 @@ def test_ids_are_those_at_the_centres(size):
     assert np.array_equal(view.instances[np.ix_(clear_y, clear_x)], expected)
 
 
-class TestDepth:
-    NORMALS = ((0.3, 0.1, 1), (-2, 1, 1), (0.1, 1.4, 0.35))
-
-    @staticmethod
-    def plane(camera: Camera, normal, least=0.03) -> np.ndarray:
-        """z-depth of the plane n . x = 3 at every pixel centre, float64; 0 beyond 1 / least."""
-        inverse = camera.rays() @ np.array(normal, float) / 3
-        return np.divide(1, inverse, out=np.zeros(inverse.shape), where=inverse > least)
-
-    @pytest.mark.parametrize("size", SIZES)
-    @pytest.mark.parametrize("normal", NORMALS)
-    def test_of_a_plane_is_exact(self, size, normal):
-        full = photographed()
-        depth = self.plane(full.camera, normal).astype(np.float32)
-        view = View("a", full.camera, full.image, depth).resized(*size)
-        truth = self.plane(view.camera, normal)
-        known = (view.depth > 0) & (truth > 0)
-        assert known.mean() > 0.95 * (truth > 0).mean()
-        assert np.abs(view.depth[known] / truth[known] - 1).max() < 1e-5
-
-    @pytest.mark.parametrize("size", SIZES)
-    def test_beside_steps_and_holes_is_of_one_surface(self, size):
-        """A slanted floor before a wall, with a hole: every pixel is on one, or unknown."""
-        full = photographed()
-        floor, wall = (self.plane(full.camera, n) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1)))
-        left = np.arange(90) < 37
-        depth = np.where(left & (floor > 0), floor, wall).astype(np.float32)
-        depth[20:25, 50:60] = 0
-        view = View("a", full.camera, full.image, depth).resized(*size)
-        surfaces = [self.plane(view.camera, n, 1e-3) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1))]
-        known = view.depth > 0
-        off = np.min([np.abs(view.depth / np.where(s > 0, s, 99) - 1) for s in surfaces], 0)
-        assert off[known].max() < 1e-5
-        assert np.array_equal(known, view.shown.ids(depth > 0, *size))
-
-    def test_through_a_lens_is_that_of_the_surface(self):
-        full = photographed()
-        lens = np.array([0.2, 0.05, 0, 0, 0])
-        K = full.camera.K
-        maps = lens_maps(K, (90, 60), lens)
-        # The plane in the bent photograph: where each of its pixels looks.
-        u, v = np.meshgrid(np.arange(90), np.arange(60))
-        pixels = np.stack([u, v], -1).reshape(-1, 1, 2).astype(float)
-        shifted = K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
-        rays = cv2.undistortPoints(
-            pixels, shifted, lens, criteria=(cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-        ).reshape(60, 90, 2)
-        bent = 3 / (rays @ [0.3, 0.1] + 1)
-        mask = rays[..., 0] < 0.1
-        view = straightened(replace(full, depth=bent.astype(np.float32), opaque=mask), maps)
-        depth = view.depth
-        truth = self.plane(full.camera, (0.3, 0.1, 1))
-        known = depth > 0
-        assert known.mean() > 0.8
-        assert abs((depth[known] / truth[known] - 1).mean()) < 1e-5
-        straight = full.camera.rays()[..., 0] < 0.1
-        assert (view.opaque != straight)[known].mean() < 0.005
+def plane(camera: Camera, normal, least=0.03) -> np.ndarray:
+    """z-depth of the plane n . x = 3 at every pixel centre, float64; 0 beyond 1 / least."""
+    inverse = camera.rays() @ np.array(normal, float) / 3
+    return np.divide(1, inverse, out=np.zeros(inverse.shape), where=inverse > least)
 
 
-@pytest.mark.parametrize(
-    ("size", "fits"),
-    [
-        ((988, 731), True),
-        ((494, 365), True),
-        ((994, 731), True),
-        ((1004, 731), False),
-        ((731, 988), False),
-        ((731, 731), False),
-        ((1976, 1462), True),
-        ((4, 3), True),
-        ((3, 4), False),
-    ],
-)
-def test_another_shape_is_refused_beyond_a_hundredth(size, fits):
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("normal", [(0.3, 0.1, 1), (-2, 1, 1), (0.1, 1.4, 0.35)])
+def test_depth_of_a_plane_is_exact(size, normal):
+    full = photographed()
+    depth = plane(full.camera, normal).astype(np.float32)
+    view = View("a", full.camera, full.image, depth).resized(*size)
+    truth = plane(view.camera, normal)
+    known = (view.depth > 0) & (truth > 0)
+    assert known.mean() > 0.95 * (truth > 0).mean()
+    assert np.abs(view.depth[known] / truth[known] - 1).max() < 1e-5
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_depth_beside_steps_and_holes_is_of_one_surface(size):
+    """A slanted floor before a wall, with a hole: every pixel is on one, or unknown."""
+    full = photographed()
+    floor, wall = (plane(full.camera, n) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1)))
+    left = np.arange(90) < 37
+    depth = np.where(left & (floor > 0), floor, wall).astype(np.float32)
+    depth[20:25, 50:60] = 0
+    view = View("a", full.camera, full.image, depth).resized(*size)
+    surfaces = [plane(view.camera, n, 1e-3) for n in ((0.1, 1.4, 0.35), (0.1, 0, 1))]
+    known = view.depth > 0
+    off = np.min([np.abs(view.depth / np.where(s > 0, s, 99) - 1) for s in surfaces], 0)
+    assert off[known].max() < 1e-5
+    assert np.array_equal(known, view.shown.ids(depth > 0, *size))
+
+
+def test_depth_through_a_lens_is_that_of_the_surface():
+    full = photographed()
+    lens = np.array([0.2, 0.05, 0, 0, 0])
+    K = full.camera.K
+    maps = lens_maps(K, (90, 60), lens)
+    # The plane in the bent photograph: where each of its pixels looks.
+    u, v = np.meshgrid(np.arange(90), np.arange(60))
+    pixels = np.stack([u, v], -1).reshape(-1, 1, 2).astype(float)
+    shifted = K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+    rays = cv2.undistortPoints(
+        pixels, shifted, lens, criteria=(cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    ).reshape(60, 90, 2)
+    bent = 3 / (rays @ [0.3, 0.1] + 1)
+    mask = rays[..., 0] < 0.1
+    view = straightened(replace(full, depth=bent.astype(np.float32), opaque=mask), maps)
+    depth = view.depth
+    truth = plane(full.camera, (0.3, 0.1, 1))
+    known = depth > 0
+    assert known.mean() > 0.8
+    assert abs((depth[known] / truth[known] - 1).mean()) < 1e-5
+    straight = full.camera.rays()[..., 0] < 0.1
+    assert (view.opaque != straight)[known].mean() < 0.005
+
+
+def test_another_shape_is_refused_beyond_a_hundredth():
     photograph = Window.whole(988, 731)
-    said = r"a\.png: is \d+x\d+, of another shape than its photograph, 988x731"
-    with nullcontext() if fits else pytest.raises(InputError, match=said):
+    for size in [(988, 731), (494, 365), (994, 731), (1976, 1462), (4, 3)]:
         photograph.check_shape("a.png", *size)
+    said = r"a\.png: is \d+x\d+, of another shape than its photograph, 988x731"
+    for size in [(1004, 731), (731, 988), (731, 731), (3, 4)]:
+        with pytest.raises(InputError, match=said):
+            photograph.check_shape("a.png", *size)
