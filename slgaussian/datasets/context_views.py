@@ -14,9 +14,6 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.scene import Scene
 
-NAME, VERSION = "further", 1
-"""Name and version of the rule in reports; the selection is constant within a version."""
-
 WITHIN = 0.1
 """Smallest distance between a view added between the two and all selected views, as a fraction of
 the distance of the two; nearer views are redundant."""
@@ -37,7 +34,8 @@ def context_of(
     """Choose ``count`` context views for the targets, starting from those of an index.
 
     Fewer than listed: the first, the last and some evenly between them in the list. More: all
-    listed views, and further views by the rule of docs/guides/datasets.md, "More context views".
+    listed views, and further views by the rule ``further``, version 1, of docs/guides/datasets.md.
+    Its distances are fractions of that between the first and the last listed view.
 
     Args:
         context, targets: sequence of str. Names as accepted by :meth:`slgaussian.scene.Scene.find`;

@@ -39,8 +39,7 @@ def read() -> Scene:
         left, right, disparity = skimage.data.stereo_motorcycle()
         if name == "right":
             return View(name, cameras[name], right)
-        known = np.isfinite(disparity)
-        depth = BASELINE * FOCAL / (np.where(known, disparity, 0) + DOFFS)
-        return View(name, cameras[name], left, np.where(known, depth, 0).astype(np.float32))
+        depth = BASELINE * FOCAL / (disparity + DOFFS)  # 0 where the disparity is infinite
+        return View(name, cameras[name], left, depth.astype(np.float32))
 
     return Scene("motorcycle", cameras, view)

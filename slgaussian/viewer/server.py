@@ -112,8 +112,8 @@ class LiveField:
         return {
             "text": text,
             "gaps": [
-                round(gap, 6) if known else None
-                for gap, known in zip(gaps.tolist(), np.isfinite(gaps) & present, strict=True)
+                round(gap, 6) if answerable else None
+                for gap, answerable in zip(gaps.tolist(), np.isfinite(gaps) & present, strict=True)
             ],
             "taken": selected.tolist(),
             **{name: getattr(understood, name) for name in fields},
