@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import shlex
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -50,12 +51,12 @@ from slgaussian.benchmark.reports.run_report import with_times
 from slgaussian.errors import InputError
 from slgaussian.io import write_atomic
 from slgaussian.kernels import threads
-from slgaussian.language.rules import Rules
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
 from slgaussian.storage.tables import read_table
 from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.benchmark import Scored, baselines, report
+from tasks.stage import Stage
 
 BUILDING = ("geometry", "masks", "supervision", "field")
 """Stages that build a field from a sample."""
@@ -116,12 +117,8 @@ def score_scenes(config: Settings, verbose: bool = False) -> State[RunResult]:
 def check(config: Settings, store: ArtifactStore) -> None:
     """Check a run before the work; InputError as in :func:`score_scenes`."""
     scenes, _ = scenes_of(config)
-    for method in (
-        config.built_by,
-        *(variant.settings.built_by for variant in combinations(config)),
-    ):
-        method.check()
-    Rules.of(config)
+    for settings in (config, *(variant.settings for variant in combinations(config))):
+        settings.built_by.check()
     chosen_baselines(config.against)
     store.check_writable()
     check_folder(config.out)
@@ -136,14 +133,33 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
         progress = Progress(len(scenes), len(STAGES), verbose=verbose)
         for text in (f"with {', '.join(part.name for part in method.components)}", *notes):
             progress.line(text)
-        refs = _compute(config, scenes, variants, workers, progress)
-    for scene, data in refs.manifest.get("data", {}).items():
+        computed = _compute(config, scenes, variants, workers, progress)
+    for scene, data in computed.manifest["data"].items():
         for name, reason in data["left_out"].items():
             progress.line(f"warning: {scene}: {name} has no camera and is left out: {reason}")
     with writing(config.out):
-        results = _write(config, store, refs)
-    page = None if refs.report is None else config.out / "report.html"
-    return RunResult(results, refs.failures, page, _example(refs, config.out))
+        results = _write(config, store, computed)
+    page = None if computed.report is None else config.out / "report.html"
+    return RunResult(results, computed.failures, page, _example(computed, config.out))
+
+
+@dataclass
+class _Computed:
+    """Artifacts of a run.
+
+    ``scored`` are the completed scenes. ``answers`` are the results of all their methods, ours
+    first, with the name of the scene and the seconds to build the field. ``fields`` are the fields
+    by scene, including scenes that failed later. ``stages`` has the costs of each stage when its
+    artifacts were computed, possibly in an earlier run.
+    """
+
+    scored: list[Scored]
+    answers: list[tuple[str, ArtifactRef, float]]
+    fields: dict[str, ArtifactRef]
+    stages: dict[str, StageCost]
+    manifest: dict[str, Any]
+    failures: list[Failure]
+    report: ArtifactRef | None = None
 
 
 def _compute(
@@ -152,28 +168,55 @@ def _compute(
     variants: Sequence[Combination],
     workers: Workers,
     progress: Progress,
-) -> _Refs:
+) -> _Computed:
     """Run the pipelines of all scenes, the baselines and the sweep, and write the report."""
-    method, verbose = config.built_by, progress.verbose
+    verbose = progress.verbose
     with progress:
-        ours = map_scenes(
-            [scene_task(config, method, scene) for scene in scenes], workers, progress
-        )
-    tasks = baseline_tasks(config, method, scenes, ours.refs)
-    baseline_outcome = map_shown(tasks, workers, 1, "answers", verbose)
+        ours = map_scenes([scene_task(config, scene) for scene in scenes], workers, progress)
     complete = [scene for scene in scenes if scene.name in ours.refs]
-    by_names, refused = sweep_tasks(variants, complete)
-    swept = map_shown(list(by_names.values()), workers, SWEPT, "settings", verbose)
-    swept.failures += refused
-    refs = _gather(config, scenes, variants, ours, baseline_outcome, swept)
-    if refs.scored:
-        failures = [asdict(failure) for failure in refs.failures]
-        arguments = refs.scored, refs.manifest, failures
+    tasks = baseline_tasks(config, complete, ours.refs)
+    answered = map_shown(tasks, workers, 1, "answers", verbose)
+    tasks, refused = sweep_tasks(variants, complete)
+    swept = map_shown(tasks, workers, SWEPT, "settings", verbose)
+    rows = chosen_baselines(config.against)
+    methods = rows | {variant.name: variant.row for variant in variants}
+    further_refs = answered.refs | swept.refs
+    scored, answers = [], []
+    for name in (scene.name for scene in complete):
+        refs, others = ours.refs[name], {}
+        answers.append((name, refs["benchmark"], _seconds_to_build(refs)))
+        for method in methods:
+            # Baselines answer from our field.
+            if found := further_refs.get(method_task_name(name, method)):
+                others[method] = found[baselines.name if method in rows else "benchmark"]
+                seconds = _seconds_to_build(refs if method in rows else found)
+                answers.append((name, others[method], seconds))
+        scored.append(Scored(name, refs["benchmark"], refs["truth"], refs["attribution"], others))
+    costs = {stage.name: _cost(stage, ours) for stage in STAGES}
+    stages = [*STAGES, report]
+    if rows:
+        costs[baselines.name] = _cost(baselines, answered)
+        stages.append(baselines)
+    started = ours.partial | ours.refs
+    fields = {s.name: refs["field"] for s in scenes if "field" in (refs := started.get(s.name, {}))}
+    failures = [*ours.failures, *answered.failures, *swept.failures, *refused]
+    described = manifest(config, complete, stages, ours.refs, methods)
+    computed = _Computed(scored, answers, fields, costs, described, failures)
+    if scored:
+        arguments = scored, described, [asdict(failure) for failure in failures]
         last = SceneTask("all scenes", report, arguments, first="report")
         outcome = map_shown([last], workers, 1, "report", verbose)
-        refs.failures += outcome.failures
-        refs.report = outcome.refs.get("all scenes", {}).get("report")
-    return refs
+        failures += outcome.failures
+        computed.report = outcome.refs.get("all scenes", {}).get("report")
+    return computed
+
+
+def _cost(stage: Stage, outcome: Outcome) -> StageCost:
+    return StageCost.of(refs[stage.name].meta for refs in outcome.refs.values())
+
+
+def _seconds_to_build(refs: Mapping[str, ArtifactRef]) -> float:
+    return sum(refs[stage].meta["seconds"] for stage in BUILDING)
 
 
 def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
@@ -187,44 +230,34 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     scenes = [*scenes, *settings.scenes]
     if not scenes:
         raise InputError("nothing to do: give [[scenes]], or data and pairs, or rooms")
-    names = [scene.name for scene in scenes]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"two scenes are called {name!r}; names must be unique")
+    (name, count), *_ = Counter(scene.name for scene in scenes).most_common(1)
+    if count > 1:
+        raise InputError(f"two scenes are called {name!r}; names must be unique")
     return scenes, notes
 
 
-def _write(settings: Settings, store: ArtifactStore, refs: _Refs) -> list[SceneResult]:
+def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> list[SceneResult]:
     """Write all outputs; return the results without images, of which there may be thousands."""
     out = settings.out
-    write_failures(out, refs.failures)
+    write_failures(out, computed.failures)
     results, costs = [], []
-    scored = [
-        (scene_refs.scene, ref)
-        for scene_refs in refs.scored
-        for ref in (scene_refs.answer, *scene_refs.others.values())
-    ]
-    for scene, ref in scored:
+    for _, ref, seconds in computed.answers:
         arrays = store.get(ref)
         result = result_from_arrays(arrays)
         write_predictions(result.rows, predictions_of(arrays), out / "predictions")
         results.append(result)
-        shared = refs.build_seconds[scene, ""]
-        build = {"build_seconds": refs.build_seconds.get((scene, result.method), shared)}
-        costs += [{**row, **build} for row in ref.meta["costs"]]
+        costs += [{**row, "build_seconds": seconds} for row in ref.meta["costs"]]
     rows = [row for result in results for row in result.rows]
     clear_predictions(rows, out)
     write_samples(rows, out)
     write_costs(costs, out)
-    lost = [
-        load_spec("attribution").schema.empty_table(),
-        *(store.get(scene_refs.attribution) for scene_refs in refs.scored),
-    ]
-    write_table("attribution", pa.concat_tables(lost), out)
-    files = {"manifest.json": _json(refs.manifest)}
+    lost = [store.get(scored.attribution) for scored in computed.scored]
+    empty = load_spec("attribution").schema.empty_table()
+    write_table("attribution", pa.concat_tables([empty, *lost]), out)
+    files = {"manifest.json": _json(computed.manifest)}
     if settings.pairs is not None:
         files["pairs.json"] = settings.pairs.read_bytes()
-    if refs.report is not None:
+    if computed.report is not None:
         host = {
             "machine": platform.platform(),
             "processor": threads.processor(),
@@ -232,14 +265,14 @@ def _write(settings: Settings, store: ArtifactStore, refs: _Refs) -> list[SceneR
             "workers": str(settings.workers),
         }
         paper = settings.method if settings.preset == "paper" else ""
-        took = Times(refs.stages, host, costs_of(costs), paper)
-        stored = store.get(refs.report)
-        forms = {form: stored[name].tobytes().decode()
-                 for form, name in (("html", "html"), ("md", "markdown"))}  # fmt: skip
+        took = Times(computed.stages, host, costs_of(costs), paper)
+        pages = store.get(computed.report)
+        names = {"html": "html", "md": "markdown"}
+        forms = {form: pages[name].tobytes().decode() for form, name in names.items()}
         novel = [(r.dataset, r.method, r.scene_metrics["psnr"])
                  for r in results if "psnr" in r.scene_metrics]  # fmt: skip
-        pages = with_times(forms, took, rows, novel)
-        files |= {f"report.{form}": page.encode() for form, page in pages.items()}
+        for form, page in with_times(forms, took, rows, novel).items():
+            files[f"report.{form}"] = page.encode()
         files["times.json"] = _json(took.as_json())
     for name in LEFT:
         if name in files:
@@ -247,101 +280,34 @@ def _write(settings: Settings, store: ArtifactStore, refs: _Refs) -> list[SceneR
         else:
             # The file of an earlier run describes other scenes.
             (out / name).unlink(missing_ok=True)
-    write_fields(store, refs.fields, settings.built_by.encoder.places(), out)
+    write_fields(store, computed.fields, settings.built_by.encoder.places(), out)
     return results
 
 
-def _example(refs: _Refs, out: Path) -> str:
+def _example(computed: _Computed, out: Path) -> str:
     """Return a command that queries a field, to be pasted into a shell.
 
     It is for the first scene with an example query, preferring photographs to procedural rooms and
     answers that are known to be correct. Without such a scene, the command renders a field.
     """
-    by_scene = {scored.scene: scored.answer.meta["example"] for scored in refs.scored}
-    examples = {scene: example for scene, example in by_scene.items() if example is not None}
-    data = refs.manifest["data"]
-    best = sorted(
-        examples,
-        key=lambda scene: (data[scene]["dataset"] == DATASET, examples[scene]["iou"] is None),
-    )
-    scene = next(iter([*best, *refs.fields]), None)
+    examples = {scored.scene: scored.answer.meta["example"] for scored in computed.scored}
+
+    def rank(scene: str) -> tuple[bool, ...]:
+        if not (example := examples.get(scene)):
+            return (True,)
+        is_room = computed.manifest["data"][scene]["dataset"] == DATASET
+        return False, is_room, example["iou"] is None
+
+    scene = min(computed.fields, key=rank, default=None)
     if scene is None:
         return ""
     folder = field_place(scene, out)
     with suppress(ValueError):  # not below the working folder
         folder = folder.relative_to(Path.cwd())
-    if scene not in examples:
-        return shlex.join(["slgaussian", "render", str(folder), "-o", "picture.png"])
-    text = examples[scene]["text"]
-    return shlex.join(["slgaussian", "query", str(folder), text, "-o", "hit.png"])
+    if example := examples.get(scene):
+        return shlex.join(["slgaussian", "query", str(folder), example["text"], "-o", "hit.png"])
+    return shlex.join(["slgaussian", "render", str(folder), "-o", "picture.png"])
 
 
 def _json(content: dict[str, Any]) -> bytes:
     return (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode()
-
-
-@dataclass
-class _Refs:
-    """Artifacts of the pipelines of a run.
-
-    ``scored`` are the completed scenes with the results of all methods; ``fields`` are the fields
-    by scene, including scenes that failed later. ``build_seconds`` are the times to build a field,
-    by scene and name of the sweep's combination, empty for the field of the method and baselines.
-    ``stages`` has the costs of each stage when its artifacts were computed, possibly in an earlier
-    run.
-    """
-
-    scored: list[Scored]
-    fields: dict[str, ArtifactRef]
-    build_seconds: dict[tuple[str, str], float]
-    stages: dict[str, StageCost]
-    manifest: dict[str, Any]
-    failures: list[Failure]
-    report: ArtifactRef | None = None
-
-
-def _gather(
-    settings: Settings,
-    scenes: Sequence[SceneSettings],
-    variants: Sequence[Combination],
-    ours: Outcome,
-    baseline_outcome: Outcome,
-    swept: Outcome,
-) -> _Refs:
-    rows = chosen_baselines(settings.against)
-    scored, build_seconds = [], {}
-    for scene in (scene.name for scene in scenes if scene.name in ours.refs):
-        refs, results = ours.refs[scene], {}
-        build_seconds[scene, ""] = _seconds_to_build(refs)
-        for method in rows:
-            if method_refs := baseline_outcome.refs.get(method_task_name(scene, method)):
-                results[method] = method_refs[baselines.name]
-        for variant in variants:
-            if method_refs := swept.refs.get(method_task_name(scene, variant.name)):
-                results[variant.name] = method_refs["benchmark"]
-                build_seconds[scene, variant.name] = _seconds_to_build(method_refs)
-        artifacts = refs["benchmark"], refs["truth"], refs["attribution"]
-        scored.append(Scored(scene, *artifacts, results))
-    costs = {
-        stage.name: StageCost.of(refs[stage.name].meta for refs in ours.refs.values())
-        for stage in STAGES
-    }
-    stages = [*STAGES, report]
-    if rows:
-        costs[baselines.name] = StageCost.of(
-            refs[baselines.name].meta for refs in baseline_outcome.refs.values()
-        )
-        stages.append(baselines)
-    started, outcomes = ours.partial | ours.refs, [ours, baseline_outcome, swept]
-    return _Refs(
-        scored,
-        {s.name: refs["field"] for s in scenes if "field" in (refs := started.get(s.name, {}))},
-        build_seconds,
-        costs,
-        manifest(settings, scenes, stages, ours.refs, rows | {v.name: v.row for v in variants}),
-        [failure for outcome in outcomes for failure in outcome.failures],
-    )
-
-
-def _seconds_to_build(refs: Mapping[str, ArtifactRef]) -> float:
-    return sum(refs[stage].meta["seconds"] for stage in BUILDING)

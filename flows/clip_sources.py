@@ -112,11 +112,13 @@ class Clips:
     """Results of all sources.
 
     Attributes:
+        sources: All sources by name.
         refs: Refs by source and stage, in the order of the sources.
         owners: Source of each clip that may be used: the first one that has it.
         failures: Sources, clips and samples that were left out.
     """
 
+    sources: Mapping[str, Source]
     refs: Mapping[str, Mapping[str, ArtifactRef]]
     owners: Mapping[str, str]
     failures: list[Failure]
@@ -157,7 +159,7 @@ def map_sources(
                 failures.append(Failure(clip, views.name, "InputError", reason))
     failures = [failure for failure in failures if failure.scene not in withdrawn]
     owners = {clip: name for clip, name in owners.items() if clip not in withdrawn}
-    return Clips(refs, owners, failures)
+    return Clips({source.name: source for source in sources}, refs, owners, failures)
 
 
 def choose_samples(

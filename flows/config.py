@@ -7,15 +7,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    StringConstraints,
-    create_model,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, PositiveInt, StringConstraints, create_model
 
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig, Config
@@ -264,14 +258,6 @@ class Settings(Engine, Method):
     )
     scenes: list[SceneSettings] = Field([], description="More scenes, besides a labelled set.")
 
-    @model_validator(mode="after")
-    def _check_names(self) -> Self:
-        names = [scene.name for scene in self.scenes]
-        for name in names:
-            if names.count(name) > 1:
-                raise InputError(f"two scenes are called {name!r}; names must be unique")
-        return self
-
 
 class IndexSettings(Rule):
     """Rule that chooses the context views in the index of a labelled set, and its format."""
@@ -310,8 +296,8 @@ class CorpusSettings(Bounds, Engine, Method):
         return {line.strip() for line in lines if line.strip()}
 
 
-class SetSettings(Config):
-    """Content and format of the samples of a training set."""
+class DatasetSettings(CorpusSettings):
+    """A training set: its sources, the content and format of its samples, its output folder."""
 
     size: Sides = Field((256, 256), description="Height and width of all views, as 256x256.")
     targets: int = Field(3, ge=1, description="Number of target views, between the context views.")
@@ -326,24 +312,12 @@ class SetSettings(Config):
     shard_mb: float = Field(100.0, gt=0, description="Megabytes after which a shard is full.")
 
 
-class DatasetSettings(SetSettings, CorpusSettings):
-    """A training set, its sources, and its output folder."""
-
-    size: Sides = SetSettings.model_fields["size"]  # type: ignore[assignment]
-
-
-def _parse_widths(value: Any) -> tuple[int, ...]:
-    """Parse numbers of channels from a list, or from text separated by commas."""
-    try:
-        widths = tuple(map(int, value.split(",") if isinstance(value, str) else value))
-    except (TypeError, ValueError):
-        widths = ()
-    if not widths or min(widths) < 1:
-        raise ValueError("expected numbers from 1, as 8,16,24,32")
-    return widths
-
-
-Widths = Annotated[tuple[int, ...], BeforeValidator(_parse_widths)]
+Widths = Annotated[
+    tuple[PositiveInt, ...],
+    BeforeValidator(lambda value: value.split(",") if isinstance(value, str) else value),
+    Field(min_length=1),
+]
+"""Numbers of channels: a list, or text as in 8,16,24,32."""
 
 
 class Training(TrainingConfig):

@@ -7,14 +7,15 @@ settings give the same bytes, as it has no time and no path of the machine.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from flows.clip_sources import Source
-from flows.config import DatasetSettings, SetSettings
+from flows.config import DatasetSettings
 from slgaussian import __version__
 from slgaussian.benchmark.reports.model import count_text
 from slgaussian.datasets.configs import Bounds
@@ -22,6 +23,11 @@ from slgaussian.datasets.training_set import INDEX, SPLITS, TrainingSet
 from slgaussian.io import write_atomic
 
 CARD = "README.md"
+
+SETTINGS = {
+    "size", "targets", "held_out", "images", "shard_mb", "near", "far", "trust_cameras"
+}  # fmt: skip
+"""Settings on the card besides those of the method and the choice of samples."""
 
 QUALITY = ("overlap", "baseline", "blur", "unlabelled", "unlabelled_targets", "confirmed")
 """Columns of the index whose medians are on the card."""
@@ -80,9 +86,8 @@ def write_card(
     """
     rows = TrainingSet(out).rows.to_pylist()
     splits = [split for split in SPLITS if any(row["split"] == split for row in rows)]
-    fields = {*SetSettings.model_fields, "near", "far", "trust_cameras"}
     asked = {
-        **settings.model_dump(mode="json", include=fields),
+        **settings.model_dump(mode="json", include=SETTINGS),
         **dict(Bounds.of(settings)),
         "method": {key: value for key, value in settings.identity.items() if key != "lifting"},
         "stages": dict(stages),
@@ -107,21 +112,17 @@ def write_card(
 
 def _sources_table(rows: Sequence[Mapping[str, Any]], sources: Mapping[str, Source]) -> str:
     """Return a Markdown table of the samples of each source and split, and their quality."""
-    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = defaultdict(list)
     for row in rows:
         location = sources[row["sample"]].location
         # Without the path on this machine.
         name = location if "://" in location else Path(location).name
-        groups.setdefault((name, row["split"]), []).append(row)
-
-    def line(cells: Iterable[object]) -> str:
-        return f"| {' | '.join(map(str, cells))} |"
-
+        groups[name, row["split"]].append(row)
     titles = ("source", "split", "cameras", "clips", "samples", *QUALITY)
-    lines = [line(titles), line("---" for _ in titles)]
-    for (name, split), members in sorted(groups.items()):
+    lines = [titles, ["---"] * len(titles)]
+    for names, members in sorted(groups.items()):
         cameras = "; ".join(sorted({row["cameras"] for row in members}))
-        clips = len({row["clip"] for row in members})
+        counts = len({row["clip"] for row in members}), len(members)
         quality = (f"{median(row[column] for row in members):.3g}" for column in QUALITY)
-        lines.append(line([name, split, cameras, clips, len(members), *quality]))
-    return "\n".join(lines)
+        lines.append([*names, cameras, *map(str, counts), *quality])
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)

@@ -15,12 +15,12 @@ from prefect import flow
 from prefect.states import State
 
 from flows import corpus
-from flows.clip_sources import Clips, Source, choose_samples, map_sources, sources_of
+from flows.clip_sources import Clips, Source, choose_samples, map_sources
 from flows.config import DatasetSettings
 from flows.data_card import write_card
 from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
 from flows.runners.session import completed, run_session, writing
-from flows.runners.task_runners import Workers, open_workers
+from flows.runners.task_runners import open_workers
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
 from slgaussian.datasets.configs import Bounds
@@ -51,16 +51,6 @@ class TrainingSetResult:
     failures: list[Failure]
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """A chosen sample before its computation: its clip, and its row of spec ``pairs``."""
-
-    source: Source
-    chunk: KnownFile | ArtifactRef
-    cameras: str
-    row: Mapping[str, Any]
-
-
 @flow(name="slgaussian-dataset", persist_result=False)
 def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[TrainingSetResult]:
     """Make a training set, or update an existing one.
@@ -72,7 +62,7 @@ def make_training_set(config: DatasetSettings, verbose: bool = False) -> State[T
         InputError: If a source is missing, a component is unknown, no sample is left, or the store
             or the folder cannot be written.
     """
-    result = run_session("dataset", config, lambda store: build(config, store, verbose))
+    result = run_session("dataset", config, lambda store: _make(config, store, verbose))
     return completed(f"{result.samples} samples in {config.out}", result, result.failures)
 
 
@@ -82,19 +72,18 @@ def check(config: DatasetSettings, store: ArtifactStore) -> None:
     corpus.check(config, store)
 
 
-def build(
-    config: DatasetSettings, store: ArtifactStore, verbose: bool = False
-) -> TrainingSetResult:
-    """Do the work of :func:`make_training_set` within any flow."""
+def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> TrainingSetResult:
     check(config, store)
-    places = Places()
     with open_workers(config.runner, config.workers, store) as workers:
         arguments = Bounds.of(config), config.targets
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
-        failures = clips.failures
-        chosen = _choose(sources_of(config.sources), clips, store, places)
-        finished = _finish(config, workers, chosen, places, failures, verbose)
+        places = Places()
+        tasks = _sample_tasks(config, clips, store, places)
+        source_of = {task.scene: source for task, source in tasks}
+        outcome = map_shown([t for t, _ in tasks], workers, len(SAMPLES), "samples", verbose)
+    failures = clips.failures + outcome.failures
     write_failures(config.out, failures)
+    finished = _finish([outcome.refs[name] for name in sorted(outcome.refs)], places, config)
     if not finished:
         raise InputError(
             f"{config.out}: no sample is left of the sources; the reasons are in "
@@ -104,8 +93,7 @@ def build(
     versions = {stage.name: stage.version for stage in stages}
     with writing(config.out):
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
-        of_sample = {item.row["sample"]: item.source for item in chosen}
-        write_card(config.out, config, of_sample, len(failures), versions)
+        write_card(config.out, config, source_of, len(failures), versions)
     places_left = {item.place for item in finished}
     return TrainingSetResult(len(finished), len(places_left), *written, failures)
 
@@ -127,15 +115,14 @@ def make_example(
     return example(sample, base, ids, bank, known, images)
 
 
-def _choose(
-    sources: Sequence[Source], clips: Clips, store: ArtifactStore, places: Places
-) -> list[Chosen]:
-    """Return the samples of all clips; add the photographs of the clips to ``places``."""
-    chosen = []
-    for source in sources:
-        if source.name not in clips.refs:
-            continue
-        refs = clips.refs[source.name]
+def _sample_tasks(
+    config: DatasetSettings, clips: Clips, store: ArtifactStore, places: Places
+) -> list[tuple[SceneTask, Source]]:
+    """Return the task and source of each sample; add the photographs of clips to ``places``."""
+    framing = Framing(config.size, config.near, config.far)
+    tasks = []
+    for name, refs in clips.refs.items():
+        source = clips.sources[name]
         if isinstance(source.holds, str):
             chunk: KnownFile | ArtifactRef = known_chunk(store, source.holds)
             cameras = "given"
@@ -144,47 +131,29 @@ def _choose(
             cameras = chunk.meta["cameras"]
         digests: dict[str, list[str]] = {}
         for row in store.get(refs[views.name]).select(["clip", "digest"]).to_pylist():
-            if clips.owners.get(row["clip"]) == source.name:
+            if clips.owners.get(row["clip"]) == name:
                 digests.setdefault(row["clip"], []).append(row["digest"])
         for clip, photographs in digests.items():
             places.add(clip, photographs, source.place)
-        for row in store.get(refs[pairs.name]).to_pylist():
+        for row in store.get(refs[pairs.name]).drop_columns("chunk").to_pylist():
             if row["clip"] in digests:
-                chosen.append(Chosen(source, chunk, cameras, row))
-    return chosen
+                frames = {key: row[key] for key in ("sample", "clip", "context", "targets")}
+                method = config.built_by, config.trust_cameras
+                known = {**row, "cameras": cameras}
+                arguments = chunk, frames, framing, *method, known, config.images
+                task = SceneTask(row["sample"], make_example, arguments, framed.name)
+                tasks.append((task, source))
+    return tasks
 
 
 def _finish(
-    settings: DatasetSettings,
-    workers: Workers,
-    chosen: Sequence[Chosen],
-    places: Places,
-    failures: list[Failure],
-    verbose: bool,
+    results: Sequence[Mapping[str, ArtifactRef]], places: Places, config: DatasetSettings
 ) -> list[Finished]:
-    """Compute the samples, and return them sorted by name."""
-    framing = Framing(settings.size, settings.near, settings.far)
-    tasks = []
-    for choice in chosen:
-        row = {name: value for name, value in choice.row.items() if name != "chunk"}
-        frames = {name: row[name] for name in ("sample", "clip", "context", "targets")}
-        properties = {**row, "cameras": choice.cameras}
-        arguments = (
-            choice.chunk,
-            frames,
-            framing,
-            settings.built_by,
-            settings.trust_cameras,
-            properties,
-            settings.images,
-        )
-        tasks.append(SceneTask(row["sample"], make_example, arguments, framed.name))
-    outcome = map_shown(tasks, workers, len(SAMPLES), "samples", verbose)
-    failures += outcome.failures
-    refs = [outcome.refs[name][example.name] for name in sorted(outcome.refs)]
+    """Assign the samples to places and splits."""
+    refs = [stage_refs[example.name] for stage_refs in results]
     for ref in refs:
         places.seen_in(ref.meta["about"]["clip"], ref.meta["about"]["url"])
     by_clip = places.by_clip()
     placed = [(ref, by_clip[ref.meta["about"]["clip"]]) for ref in refs]
-    tested = hold_out({place for _, place in placed}, settings.held_out)
+    tested = hold_out({place for _, place in placed}, config.held_out)
     return [Finished(ref, place, SPLITS[place in tested]) for ref, place in placed]

@@ -16,14 +16,14 @@ from slgaussian.benchmark.baselines import Row
 from slgaussian.benchmark.outputs import file_name, write_table
 from slgaussian.benchmark.protocols import PROTOCOLS
 from slgaussian.datasets.labelled_sets import is_published
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, SpecError
 from slgaussian.io import file_sha256
 from slgaussian.kernels import threads
 from slgaussian.storage import field_folder
+from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.provenance import software
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
-from slgaussian.storage.tables import read_table
 from tasks.artifacts import about_field
 from tasks.stage import Stage
 
@@ -66,12 +66,8 @@ def write_fields(
         if (out / FIELDS / folder / field_folder.ABOUT).is_file():
             shutil.rmtree(out / FIELDS / folder)
     rows = [
-        {
-            "scene": scene,
-            "folder": file_name(scene),
-            "gaussians": ref.meta["gaussians"],
-            "objects": ref.meta["objects"],
-        }
+        {"scene": scene, "folder": file_name(scene)}
+        | {name: ref.meta[name] for name in ("gaussians", "objects")}
         for scene, ref in fields.items()
     ]
     write_table(FIELDS, pa.Table.from_pylist(rows, schema=load_spec(FIELDS).schema), out)
@@ -91,11 +87,12 @@ def write_fields(
 
 def _earlier(out: Path) -> set[str]:
     """Return the folders in the table of an earlier run; none if it cannot be read."""
+    file = out / f"{FIELDS}.parquet"
     try:
-        table = read_table(out / f"{FIELDS}.parquet", ["folder"])
-        return {name for name in table["folder"].to_pylist() if file_name(name) == name}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, pa.ArrowException):
+        table = decode_table(file.read_bytes(), load_spec(FIELDS), str(file))
+    except (OSError, SpecError):
         return set()
+    return {name for name in table["folder"].to_pylist() if file_name(name) == name}
 
 
 def manifest(
@@ -107,35 +104,31 @@ def manifest(
 ) -> dict[str, Any]:
     """Return the manifest of a run as plain data.
 
-    ``refs`` are the results of ``stages`` by scene, for completed scenes, and ``baselines`` the
+    ``scenes`` are completed, ``refs`` are the results of ``stages`` by scene, and ``baselines`` the
     other methods.
     """
-    values = settings.model_dump(mode="json", include=Method.model_fields.keys() | {"method"})
-    method_values = {
-        name: values[name] for name in values if name not in TABLES
-    } | settings.identity
+    names = (Method.model_fields.keys() | {"method"}) - TABLES.keys()
     weights = {
         f"{part.name}.{key}": file.digest
         for part in settings.built_by.components
         for key, file in part.files.items()
     }
+    index = {}
+    if settings.pairs is not None:
+        index = {"file": settings.pairs.name, "sha256": file_sha256(settings.pairs)}
     return {
         "spec": load_spec("manifest").label,
         "slgaussian": __version__,
         "seed": settings.seed,
-        "settings": method_values,
+        "settings": settings.model_dump(mode="json", include=names) | settings.identity,
         "methods": {name: _described(row) for name, row in baselines.items()},
         "protocols": [protocol.label for protocol in PROTOCOLS.values()],
         "weights": weights,
-        "index": {}
-        if settings.pairs is None
-        else {"file": settings.pairs.name, "sha256": file_sha256(settings.pairs)},
+        "index": index,
         "stages": {stage.name: stage.version for stage in stages},
         "packages": software(),
         "kernels": threads.kernels(),
-        "data": {
-            scene.name: _data(scene, refs[scene.name]) for scene in scenes if scene.name in refs
-        },
+        "data": {scene.name: _data(scene, refs[scene.name]) for scene in scenes},
     }
 
 

@@ -7,7 +7,7 @@ store. :mod:`flows.runners.batches` runs the pipelines of many scenes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -68,27 +68,29 @@ def answer_scene(
     return sample, scene_truth, gaussians, ids, built
 
 
-def score_baseline(
-    refs: Mapping[str, ArtifactRef],
-    method: Method,
-    settings: EvaluationSettings,
-    name: str,
-    fields: Mapping[str, Any],
-    package: str,
-) -> None:
+def score_baseline(refs: Mapping[str, ArtifactRef], *arguments: Any) -> None:
     """Score a baseline on the queries of the field of a scene.
 
-    ``refs`` are the results of the stages of :func:`score_scene`, ``name`` and ``fields`` those of
-    the baseline, and ``package`` is the identity of its external package, else empty.
+    ``refs`` are the results of the stages of :func:`score_scene`, and ``arguments`` the others of
+    the stage :func:`tasks.benchmark.baselines`.
     """
     inputs = (refs[stage] for stage in ("ingest", "truth", "geometry", "masks", "field"))
-    baselines(*inputs, method, settings, name, fields, package)
+    baselines(*inputs, *arguments)
 
 
-def scene_task(settings: Settings, method: Method, scene: SceneSettings) -> SceneTask:
-    """Return the task of a scene, from its photographs to its scores."""
-    arguments = photographs(settings, scene), labels(scene), method, settings.trust_cameras
-    return SceneTask(scene.name, score_scene, (*arguments, evaluation(settings, scene)))
+def scene_task(settings: Settings, scene: SceneSettings, variant: str = "") -> SceneTask:
+    """Return the task of a scene, from its photographs to its scores.
+
+    If it is of a ``variant`` of the method of this name, without pictures and attribution.
+    """
+    name, scoring = scene.name, evaluation(settings, scene)
+    pipeline: Callable[..., object] = score_scene
+    if variant:
+        name, pipeline = method_task_name(scene.name, variant), answer_scene
+        scoring = replace(scoring, method=variant, drawn=False)
+    inputs = photographs(settings, scene), labels(scene)
+    arguments = *inputs, settings.built_by, settings.trust_cameras, scoring
+    return SceneTask(name, pipeline, arguments)
 
 
 def judged_at(size: Size) -> Size:
@@ -153,19 +155,18 @@ def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
 
 def baseline_tasks(
     settings: Settings,
-    method: Method,
     scenes: Sequence[SceneSettings],
     refs: Mapping[str, Mapping[str, ArtifactRef]],
 ) -> list[SceneTask]:
-    """Return a task for each baseline and each completed scene, which is in ``refs``."""
+    """Return a task for each baseline and completed scene, whose results are ``refs``."""
     scene_tasks = []
-    for scene in (scene for scene in scenes if scene.name in refs):
-        scene_settings = evaluation(settings, scene)
+    for scene in scenes:
+        scoring = evaluation(settings, scene)
         for name, row in chosen_baselines(settings.against).items():
-            rules = Rules(**{**dict(scene_settings.rules), **row.rules})
-            changed = replace(scene_settings, method=name, rules=rules, drawn=False)
+            rules = Rules(**{**dict(scoring.rules), **row.rules})
+            changed = replace(scoring, method=name, rules=rules, drawn=False)
             baseline = row.method, dict(row.settings), row.brought_by
-            arguments = dict(refs[scene.name]), method, changed, *baseline
+            arguments = dict(refs[scene.name]), settings.built_by, changed, *baseline
             task_name = method_task_name(scene.name, name)
             scene_tasks.append(SceneTask(task_name, score_baseline, arguments, baselines.name))
     return scene_tasks

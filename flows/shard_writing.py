@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,9 @@ from slgaussian.io import atomic_path, write_atomic
 from slgaussian.storage.encoding import decode_table, encode_table
 from slgaussian.storage.specs import load_spec
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
+
+POSITION = ("shard", "offset", "bytes", "digest")
+"""Columns of the index with the position of a sample."""
 
 
 @dataclass(frozen=True)
@@ -49,31 +52,32 @@ def write_shards(
         DamagedError: If an artifact is damaged.
         OSError: If a file cannot be written.
     """
-    rows: dict[str, dict[str, Any]] = {}
     wanted = {item.name: item for item in finished}
     before = _index(out)
-    for shard, shard_rows in before.items():
-        if _is_kept(out / shard, shard_rows, wanted):
-            rows |= {row["sample"]: row for row in shard_rows}
-    reused = {row["shard"] for row in rows.values()}
-    new = 0
+    positions: dict[str, dict[str, Any]] = {}
+    for shard, rows in before.items():
+        if _is_kept(out / shard, rows, wanted):
+            positions |= {row["sample"]: {name: row[name] for name in POSITION} for row in rows}
+    reused = {position["shard"] for position in positions.values()}
     for split in sorted({item.split for item in finished}):
         numbers = [int(name[len(split) + 1 : -4]) for name in before if name.startswith(split)]
-        left = [item for item in finished if item.split == split and item.name not in rows]
+        left = [item for item in finished if item.split == split and item.name not in positions]
         for number, batch in enumerate(_batches(left, shard_bytes), max(numbers, default=-1) + 1):
-            shard = f"{split}-{number:06d}.tar"
-            rows |= {row["sample"]: row for row in _write(out / shard, batch, store)}
-            new += 1
+            positions |= _write(out / f"{split}-{number:06d}.tar", batch, store)
     spec = load_spec("training_set")
-    table = [_row(item, rows[item.name], spec.schema.names) for item in finished]
+    table = []
+    for item in finished:
+        values = item.ref.meta["about"] | {"place": item.place, "split": item.split}
+        values |= positions[item.name]
+        table.append({name: values[name] for name in spec.schema.names})
     table.sort(key=lambda row: (row["shard"], row["offset"]))
     data = encode_table(pa.Table.from_pylist(table, schema=spec.schema), spec)
     write_atomic(out / INDEX, data)
     for shard in before.keys() - reused:
-        with suppress(FileNotFoundError):
-            (out / shard).unlink()
+        (out / shard).unlink(missing_ok=True)
     shards = {row["shard"] for row in table}
-    return len(shards), new, sum((out / shard).stat().st_size for shard in shards)
+    size = sum((out / shard).stat().st_size for shard in shards)
+    return len(shards), len(shards - reused), size
 
 
 def _index(out: Path) -> dict[str, list[dict[str, Any]]]:
@@ -83,9 +87,9 @@ def _index(out: Path) -> dict[str, list[dict[str, Any]]]:
         rows = decode_table(data, load_spec("training_set"), str(out / INDEX), ANEW).to_pylist()
     except (FileNotFoundError, SpecError):
         return {}
-    rows_by_shard: dict[str, list[dict[str, Any]]] = {}
+    rows_by_shard = defaultdict(list)
     for row in rows:
-        rows_by_shard.setdefault(row["shard"], []).append(row)
+        rows_by_shard[row["shard"]].append(row)
     return rows_by_shard
 
 
@@ -122,22 +126,15 @@ def _batches(finished: Sequence[Finished], limit: int) -> Iterator[list[Finished
         yield batch
 
 
-def _write(file: Path, batch: Sequence[Finished], store: ArtifactStore) -> list[dict[str, Any]]:
+def _write(
+    file: Path, batch: Sequence[Finished], store: ArtifactStore
+) -> dict[str, dict[str, Any]]:
     """Write a shard, one sample in memory at a time; return the position of each sample."""
-    offset, places = 0, []
+    positions = {}
     with atomic_path(file) as name, open(name, "wb") as shard:
         for item in batch:
+            values = file.name, shard.tell(), item.ref.meta["length"], item.ref.meta["sha256"]
+            positions[item.name] = dict(zip(POSITION, values, strict=True))
             shard.write(store.get(item.ref)["tar"].tobytes())
-            size, digest = item.ref.meta["length"], item.ref.meta["sha256"]
-            place = {"shard": file.name, "offset": offset, "bytes": size, "digest": digest}
-            places.append({"sample": item.name, **place})
-            offset += size
         shard.write(END)
-    return places
-
-
-def _row(item: Finished, place: Mapping[str, Any], columns: Sequence[str]) -> dict[str, Any]:
-    """Return the row of the index: position, place, split and properties of a sample."""
-    values = {**item.ref.meta["about"], "place": item.place, "split": item.split}
-    values |= {name: place[name] for name in ("shard", "offset", "bytes", "digest")}
-    return {name: values[name] for name in columns}
+    return positions

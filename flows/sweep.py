@@ -7,14 +7,14 @@ do not depend on a changed setting are read from the store.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 from flows.config import TABLES, MethodSettings, SceneSettings, Settings
 from flows.read_config import checked, layered, preset_values, refuse_idle
 from flows.runners.batches import Failure, SceneTask
-from flows.scene import answer_scene, evaluation, labels, method_task_name, photographs
+from flows.scene import method_task_name, scene_task
 from slgaussian import datasets
 from slgaussian.benchmark.baselines import Row
 from slgaussian.datasets import context_views
@@ -85,32 +85,20 @@ def combinations(settings: Settings) -> list[Combination]:
         variant = _combination(settings, fields)
         if variant.views is not None or _outcome(variant.settings) != _outcome(settings):
             variants.append(variant)
-    return variants if axes else []
+    return variants
 
 
 def sweep_tasks(
     variants: Sequence[Combination], scenes: Sequence[SceneSettings]
-) -> tuple[dict[tuple[str, str], SceneTask], list[Failure]]:
-    """Return a task for each scene and combination, by both names, and the failures."""
-    scene_tasks, failures = {}, []
-    for variant in variants:
-        for scene in scenes:
-            task_name = method_task_name(scene.name, variant.name)
-            try:
-                changed = variant.of(scene)
-            except InputError as error:
-                failures.append(Failure(task_name, VIEWS, type(error).__name__, str(error)))
-                continue
-            scene_settings = replace(
-                evaluation(variant.settings, scene), method=variant.name, drawn=False
-            )
-            read = (
-                photographs(variant.settings, changed),
-                labels(changed),
-                variant.settings.built_by,
-            )
-            arguments = *read, variant.settings.trust_cameras, scene_settings
-            scene_tasks[scene.name, variant.name] = SceneTask(task_name, answer_scene, arguments)
+) -> tuple[list[SceneTask], list[Failure]]:
+    """Return a task for each scene and combination, and the failures."""
+    scene_tasks, failures = [], []
+    for variant, scene in product(variants, scenes):
+        try:
+            scene_tasks.append(scene_task(variant.settings, variant.of(scene), variant.name))
+        except InputError as error:
+            name = method_task_name(scene.name, variant.name)
+            failures.append(Failure(name, VIEWS, type(error).__name__, str(error)))
     return scene_tasks, failures
 
 
