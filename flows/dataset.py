@@ -15,7 +15,7 @@ from prefect import flow
 from prefect.states import State
 
 from flows import corpus
-from flows.clip_sources import Clips, Source, choose_samples, map_sources
+from flows.clip_sources import Clips, choose_samples, map_sources
 from flows.config import DatasetSettings
 from flows.data_card import write_card
 from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
@@ -79,8 +79,7 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
         places = Places()
         tasks = _sample_tasks(config, clips, store, places)
-        source_of = {task.scene: source for task, source in tasks}
-        outcome = map_shown([t for t, _ in tasks], workers, len(SAMPLES), "samples", verbose)
+        outcome = map_shown(tasks, workers, len(SAMPLES), "samples", verbose)
     failures = clips.failures + outcome.failures
     write_failures(config.out, failures)
     finished = _finish([outcome.refs[name] for name in sorted(outcome.refs)], places, config)
@@ -93,7 +92,7 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
     versions = {stage.name: stage.version for stage in stages}
     with writing(config.out):
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))
-        write_card(config.out, config, source_of, len(failures), versions)
+        write_card(config.out, config, len(failures), versions)
     places_left = {item.place for item in finished}
     return TrainingSetResult(len(finished), len(places_left), *written, failures)
 
@@ -117,8 +116,8 @@ def make_example(
 
 def _sample_tasks(
     config: DatasetSettings, clips: Clips, store: ArtifactStore, places: Places
-) -> list[tuple[SceneTask, Source]]:
-    """Return the task and source of each sample; add the photographs of clips to ``places``."""
+) -> list[SceneTask]:
+    """Return the tasks of all samples; add the photographs of clips to ``places``."""
     framing = Framing(config.size, config.near, config.far)
     tasks = []
     for name, refs in clips.refs.items():
@@ -141,8 +140,7 @@ def _sample_tasks(
                 method = config.built_by, config.trust_cameras
                 known = {**row, "cameras": cameras}
                 arguments = chunk, frames, framing, *method, known, config.images
-                task = SceneTask(row["sample"], make_example, arguments, framed.name)
-                tasks.append((task, source))
+                tasks.append(SceneTask(row["sample"], make_example, arguments, framed.name))
     return tasks
 
 

@@ -36,8 +36,9 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
     left_out: dict[str, str] = {}
     for name, options, place in label_places(data, labels, settings.format):
         scene = datasets.load(settings.format, data, **options)
-        pairs_of_frame = _surrounded(scene, name, labelled_frames((labels or data) / place), rule)
-        for pair_name, pair in pairs_of_frame.items():
+        frames = labelled_frames((labels or data) / place)
+        for frame, pair in _surrounded(scene, frames, rule).items():
+            pair_name = f"{name}-{frame.replace('/', '-')}"
             if isinstance(pair, str):
                 left_out[pair_name] = pair
             else:
@@ -75,43 +76,36 @@ def label_places(
 
 
 def _surrounded(
-    scene: Scene, name: str, frames: Mapping[str, tuple[str, ...]], rule: Rule
+    scene: Scene, frames: Mapping[str, tuple[str, ...]], rule: Rule
 ) -> dict[str, dict[str, Any] | str]:
-    """Return the pair of every labelled frame, or the reason if there is none, by pair name.
-
-    Pairs are fields of a :class:`ScenePair`.
-    """
-    views: dict[str, str] = {}
-    out: dict[str, Any] = {}
+    """Return fields of the :class:`ScenePair` of every labelled frame, or the reason of none."""
+    names, clip, unreadable = _look(scene)
+    place = {view: i for i, view in enumerate(names)}
+    out: dict[str, Any] = dict.fromkeys(frames, "nothing is labelled in it")
+    wanted, barred = {}, set()
     for frame, categories in frames.items():
         try:
-            views[frame] = scene.find(frame)
+            view = scene.find(frame)
         except InputError as error:
             out[frame] = str(error)
             continue
-        if not categories:
-            out[frame] = "nothing is labelled in it"
-    names, clip, unreadable = _look(scene)
-    place = {view: i for i, view in enumerate(names)}
-    wanted = {}
-    for frame, view in views.items():
         if view in unreadable:
             out[frame] = unreadable[view]
-        elif frame not in out:
+            continue
+        barred.add(place[view])
+        if categories:
             wanted[frame] = place[view]
-    barred = {place[view] for view in views.values() if view in place}
     around = surround(clip, list(wanted.values()), barred, rule)
-    for frame, pair in zip(wanted, around, strict=True):
+    for (frame, number), pair in zip(wanted.items(), around, strict=True):
         if isinstance(pair, str):
             out[frame] = pair
             continue
         measures = ("overlap", "baseline", "cover", "aside", "score")
         measured = {measure: round(getattr(pair, measure), 4) for measure in measures}
         context = tuple(names[i] for i in pair.context)
-        out[frame] = {"context": context, "target": (views[frame],)}
+        out[frame] = {"context": context, "target": (names[number],)}
         out[frame] |= {"categories": frames[frame], "measured": measured}
-    order = [frame for frame in frames if frame in out]
-    return {f"{name}-{frame.replace('/', '-')}": out[frame] for frame in order}
+    return out
 
 
 def _look(scene: Scene) -> tuple[list[str], Views, dict[str, str]]:

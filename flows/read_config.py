@@ -9,14 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from flows.config import (
-    PRESETS,
-    TABLES,
-    MethodSettings,
-    Settings,
-    TrainSettings,
-    table_of,
-)
+from flows.config import PRESETS, TABLES, MethodSettings, Settings, TrainSettings, table_of
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError, did_you_mean
 from slgaussian.storage.remote import check_url
@@ -85,8 +78,7 @@ def read_values(path: Path, overrides: dict[str, Any]) -> dict[str, Any]:
         raise InputError(f"{path}: cannot read the configuration ({error.strerror})") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: is not valid TOML ({error})") from error
-    values = anchored(values, path.resolve().parent)
-    return layered(values, overrides)
+    return layered(anchored(values, path.resolve().parent), overrides)
 
 
 def preset_values(preset: Any, source: str, of: str = "") -> dict[str, Any]:
@@ -102,8 +94,7 @@ def preset_values(preset: Any, source: str, of: str = "") -> dict[str, Any]:
             f"{source}: preset: found {preset!r}, expected one of {', '.join(available)}"
             f"{did_you_mean(preset, available)}"
         )
-    file = folder / f"{of}{preset}.toml"
-    return tomllib.loads(file.read_text("utf-8"))
+    return tomllib.loads((folder / f"{of}{preset}.toml").read_text("utf-8"))
 
 
 def layered(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
@@ -155,12 +146,9 @@ def _anchored(table: Any, keys: Sequence[str], folder: Path) -> Any:
 def refuse_idle(values: dict[str, Any], settings: MethodSettings, source: str) -> None:
     """Raise InputError if ``values`` has the table of a component that is not used."""
     used = set(map(table_of, settings.component_values()))
-    for name in TABLES:
-        if name in values and name not in used:
-            chosen = ", ".join(
-                f"{part} {name!r}" for part, name in settings.component_names().items()
-            )
-            raise InputError(
-                f"{source}: settings of {name!r} are given, but no part is {name!r} (found "
-                f"{chosen}); choose it, or leave them out"
-            )
+    for name in (name for name in TABLES if name in values and name not in used):
+        chosen = ", ".join(f"{kind} {part!r}" for kind, part in settings.component_names().items())
+        raise InputError(
+            f"{source}: settings of {name!r} are given, but no part is {name!r} (found {chosen}); "
+            "choose it, or leave them out"
+        )

@@ -30,14 +30,7 @@ from slgaussian.storage.store import ArtifactStore
 ASKED = (*Training.model_fields, "codes", "seed")
 """Settings whose change requires a new training."""
 
-STATUS = {
-    "promoted": 0,
-    "failed": 2,
-    "refused": 3,
-    "regressed": 4,
-    "busy": 5,
-    "nothing new": 6,
-}
+STATUS = {"promoted": 0, "failed": 2, "refused": 3, "regressed": 4, "busy": 5, "nothing new": 6}
 """Exit status of the command by the outcome."""
 
 LOCK = ".retrain.lock"
@@ -109,23 +102,20 @@ def _retrain(config: RetrainSettings, store: ArtifactStore, verbose: bool) -> Re
         failures = corpus.supervise(config, store, verbose).failures
         lessons = read_lessons(config.out / corpus.FILES["lessons"], store)
         learnt = learn(lessons, config, store, verbose)
-        messages = [learnt.message]
+        version, used = learnt.version, Versions(config.models).current()
+        outcome, messages = "nothing new", [learnt.message]
+        if version is not None:
+            outcome = "promoted" if version.promoted else "refused"
+            record |= {"version": version.number, "scores": version.facts["scores"]["iou"]}
         if learnt.regressed:
+            outcome = "regressed"
             end = f"`slgaussian versions {config.models} --use none` ends it"
             messages.append(f"{learnt.regressed}; {end}")
         if failures:
             first = failures[0]
             messages.append(f"left out: {len(failures)}, as {first.scene}: {first.reason}")
-        version, used = learnt.version, Versions(config.models).current()
-        outcome = "nothing new"
-        if version is not None:
-            outcome = "promoted" if version.promoted else "refused"
-            record |= {"version": version.number, "scores": version.facts["scores"]["iou"]}
-        record |= {
-            "in use": 0 if used is None else used.number,
-            "outcome": "regressed" if learnt.regressed else outcome,
-            "messages": messages,
-        }
+        number = 0 if used is None else used.number
+        record |= {"in use": number, "outcome": outcome, "messages": messages}
     except Exception as error:
         expected = isinstance(error, SLGaussianError)
         reason = str(error) if expected else f"unexpected {type(error).__name__}: {error}"
@@ -160,14 +150,13 @@ def learn(
     lessons = parted(table, settings.held_out)
     asked = settings.model_dump(mode="json", include=set(ASKED))
     asked["lessons"] = {name: table_digest(side) for name, side in vars(lessons).items()}
+    used = version_name(0 if incumbent is None else incumbent.number)
     if history and asked == history[-1].facts.get("asked"):
-        used = version_name(0 if incumbent is None else incumbent.number)
         return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
-    start, rivals = None, dict(NO_NETWORK)
+    start, rivals = None, NO_NETWORK
     if incumbent is not None:
         _check_share(settings, incumbent)
-        start = versions.weights(incumbent)
-        rivals = {"before": version_name(incumbent.number), **rivals}
+        start, rivals = versions.weights(incumbent), {"before": used, **NO_NETWORK}
     trained = train_on(lessons, settings, settings.codes, settings.seed, start, store, verbose)
     trained.write(settings.out)
     judgements = trained.judgements
@@ -176,10 +165,11 @@ def learn(
     scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
     facts = {"asked": asked, "counts": lessons.counts(), "scores": scores}
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
-    done = "promoted" if added.promoted else "stored, not promoted"
+    if added.promoted:
+        return Learnt(f"version {added.number} promoted: {added.why}", added)
     regressed = regression(judgements, NO_NETWORK, rivals.get("before", ""))
-    message = f"version {added.number} {done}: {added.why}"
-    return Learnt(message, added, "" if added.promoted else regressed)
+    message = f"version {added.number} stored, not promoted: {added.why}"
+    return Learnt(message, added, regressed)
 
 
 def _check_share(settings: RetrainSettings, incumbent: Version) -> None:

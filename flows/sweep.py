@@ -47,8 +47,8 @@ class Combination:
     @property
     def row(self) -> Row:
         """Row in the table of methods."""
-        return Row(self.settings.method, "the field, with other settings", dict(self.fields), {},
-                   variant=True)  # fmt: skip
+        about = "the field, with other settings"
+        return Row(self.settings.method, about, dict(self.fields), {}, variant=True)
 
     def of(self, scene: SceneSettings) -> SceneSettings:
         """Return the scene with :attr:`views` context views.

@@ -140,12 +140,10 @@ def parted(lessons: pa.Table, share: float) -> Parted:
         InputError: If one of them is empty.
     """
     schema = load_spec("lessons").schema
-    rows = [{**row, "chunk": None} for row in lessons.sort_by("sample").to_pylist()]
-    sides: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
-    for row in rows:
-        sides[held_out(row["clip"], share)].append(row)
-    parts = [pa.Table.from_pylist(sides[side], schema=schema) for side in (False, True)]
-    result = Parted(*parts)
+    sides: tuple[list[dict[str, Any]], ...] = [], []
+    for row in lessons.sort_by("sample").to_pylist():
+        sides[held_out(row["clip"], share)].append({**row, "chunk": None})
+    result = Parted(*(pa.Table.from_pylist(side, schema=schema) for side in sides))
     counts = result.counts()
     if not all(counts.values()):
         raise InputError(
@@ -172,15 +170,14 @@ def train_on(
     describe their training data and scores.
     """
     find_device(options.device)
-    architecture = Architecture() if start is None else load_branch(start).architecture
-    chosen = options.model_dump(include={"widths", "hidden"}, exclude_none=True)
-    architecture = replace(architecture, **chosen)
-    began = None
+    architecture, began = Architecture(), None
     if start is not None:
+        architecture = load_branch(start).architecture
         began = store.put("weights", {"safetensors": np.fromfile(start, np.uint8)})
+    chosen = options.model_dump(include={"widths", "hidden"}, exclude_none=True)
     settings = TrainingSettings(
         **dict(TrainingConfig.of(options)),
-        architecture=architecture,
+        architecture=replace(architecture, **chosen),
         codes=codes,
         seed=seed,
         every=EVERY,
@@ -191,9 +188,8 @@ def train_on(
         "settings": settings.model_dump(),
         "versions": {"slgaussian": __version__, "torch": version("torch")},
     }
-    learnt, held_out = (store.put("lessons", table) for table in vars(lessons).values())
-    arguments = learnt, held_out, began, settings, manifest
-    task = SceneTask("branch", learn_and_judge, arguments)
+    tables = [store.put("lessons", table) for table in vars(lessons).values()]
+    task = SceneTask("branch", learn_and_judge, (*tables, began, settings, manifest))
     with Progress(1, len(STAGES), verbose=verbose) as progress:
         artifacts, failure = compute_scene(task, store, 1, progress.update)
     if failure is not None:
@@ -201,7 +197,7 @@ def train_on(
     course = ArtifactRef("metrics", **artifacts["train"].meta["metrics"])
     metrics, judgements = store.get(course), store.get(artifacts["judge"])
     statement = {
-        "data": {"lessons": learnt.digest, "held_out": held_out.digest},
+        "data": {"lessons": tables[0].digest, "held_out": tables[1].digest},
         **manifest,
         "metrics": _metrics(metrics, judgements),
     }

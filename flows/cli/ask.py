@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flows.cli import options
-from flows.config import Method
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
@@ -60,9 +59,7 @@ def query(
         raise InputError("nothing to look for: give a TEXT, or a picture with --like")
     if out is not None:
         check_picture(out)
-    rules, opened = open_field(
-        field, options.settings_from(ctx, Method, preset=ctx.params["preset"])
-    )
+    rules, opened = open_field(field, ctx)
     crops = {str(file): _read_crop(file) for file in like or ()}
     accepted, refused = sort_texts(opened, texts)
     answers, rows = [], []
@@ -98,14 +95,7 @@ def query(
 def _answer(text: str, hit: QueryResult | None, refused: str | None) -> dict[str, Any]:
     """Return the JSON output of a text in a view, without the names of view and picture.
 
-    ``text``, whether it is ``found``, ``verdict`` (``found``, ``not sure``, ``not here``,
-    ``cannot tell``; None if refused), a one-line ``summary``, and the reason if ``refused``, else
-    None. An answer also has ``confidence`` (``mask``, ``point``) or None, the ``uncalibrated``
-    component or None, ``score``, ``point`` [x, y] and ``pixels`` of the mask (None and 0 unless
-    found or not sure), ``objects`` (``id``, ``relevancy``; the most similar ones if not here), the
-    interpretation ``read_as``, ``unknown`` words, ``unused`` words (word: reason), the source of
-    the meaning (``kind``: ``known``, ``named``, ``taught``, ``unknown``, ``picture``), the number
-    of taught ``examples``, and the encoder's meaning of a name or taught word (``instead_of``).
+    See :class:`slgaussian.language.query.QueryResult` and :class:`slgaussian.language.Understood`.
     """
     answer: dict[str, Any] = {"text": text, "found": False, "verdict": None, "refused": refused}
     if hit is None:
@@ -152,11 +142,12 @@ def _describe_words(answer: Mapping[str, Any]) -> Sequence[str]:
     if answer["kind"] == "picture":
         return ["queried by a picture"]
     if answer["kind"] in ("named", "taught"):
-        count, encoder_words = answer["examples"], answer["instead_of"]
-        lines = [f"a taught word: {count} example{'' if count == 1 else 's'}"]
-        if answer["kind"] == "named":
-            lines = ["a name that you gave"]
-        return lines + ([f"not as the encoder knows it: {encoder_words}"] if encoder_words else [])
+        count = answer["examples"]
+        taught = f"a taught word: {count} example{'' if count == 1 else 's'}"
+        lines = ["a name that you gave" if answer["kind"] == "named" else taught]
+        if answer["instead_of"]:
+            lines.append(f"not as the encoder knows it: {answer['instead_of']}")
+        return lines
     lines = []
     if answer["unknown"]:
         lines.append(f"not known and left out: {', '.join(answer['unknown'])}")
@@ -235,7 +226,7 @@ def segment(
 
     if out is not None:
         check_picture(out)
-    rules, opened = opening.open_field(field, options.settings_from(ctx, Method))
+    rules, opened = opening.open_field(field, ctx)
     accepted, refused = opening.sort_texts(opened, texts)
     chosen = opening.choose_cameras(field, opened.cameras, view and [view], camera, between)
     ((name, shot),) = chosen.items()

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flows.cli import options
-from flows.config import Method
 from slgaussian.errors import InputError
 
 if TYPE_CHECKING:
@@ -72,7 +71,7 @@ def list_(
 
     if out is not None:
         check_picture(out)
-    rules, opened = open_field(field, options.settings_from(ctx, Method))
+    rules, opened = open_field(field, ctx)
     accepted, refused = sort_texts(opened, texts or [], untold=False)
     things = opened.inventory(accepted or None, **rules)
     largest = sorted(things, key=lambda thing: -thing.gaussians)
@@ -196,15 +195,14 @@ def remove(
             f"{out}: is the field itself, and removal cannot be undone; choose another folder"
         )
     check_target(out)
-    rules, opened = open_field(field, options.settings_from(ctx, Method))
+    rules, opened = open_field(field, ctx)
     hits = {text: find_objects(opened, text, rules) for text in texts}
     labels, removed = opened.labels(), set[int]()
-    for text, objects_hit in hits.items():
-        ids = {id_ for id_, _ in objects_hit} - removed
+    for text, found in hits.items():
+        ids = {id_ for id_, _ in found} - removed
         removed |= ids
-        count = int(np.isin(labels, list(ids)).sum())
-        meaning = f"objects {_listed(objects_hit)}" if objects_hit else "nothing found"
-        typer.echo(f"{text!r}: {meaning}, {count:,} Gaussians")
+        meaning = f"objects {_listed(found)}" if found else "nothing found"
+        typer.echo(f"{text!r}: {meaning}, {np.isin(labels, list(ids)).sum():,} Gaussians")
     if removed:
         opened.without(removed).dropped().save(out)
         typer.echo(out)
@@ -235,7 +233,7 @@ def extract(
     ply = out.suffix.lower() == ".ply"
     if not ply:
         check_target(out)
-    rules, opened = open_field(field, options.settings_from(ctx, Method))
+    rules, opened = open_field(field, ctx)
     hits = find_objects(opened, text, rules)
     alone = opened.dropped().only(id_ for id_, _ in hits)
     if not len(alone.gaussians):
@@ -259,9 +257,8 @@ def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> H
     from slgaussian.language.query import ask
     from slgaussian.language.rules import Rules
 
-    present = {int(id_) for id_ in field.bank.ids} - field.removed
     if text.strip().isdecimal():
-        if int(text) not in present:
+        if int(text) not in set(field.bank.ids.tolist()) - field.removed:
             raise InputError(
                 f"{text!r}: is no object of the field; `slgaussian objects list` lists them"
             )
@@ -278,13 +275,14 @@ def _listed(hits: Hits) -> str:
 
 
 def _row(thing: SceneObject) -> dict[str, Any]:
-    """Return the JSON output of an object.
+    """Return the JSON output of an object, see :class:`slgaussian.objects.SceneObject`.
 
-    ``words`` are sorted by ``relevancies``, best first. ``centre`` [3], ``axes`` [9] (longer side,
-    shorter side and up) and ``half_sizes`` [3] of its box are in scene units, None without
-    Gaussians. ``metres`` as in :class:`slgaussian.objects.SceneObject`.
+    The centre [3], axes [9] and half sizes [3] of its box are None without Gaussians.
     """
-    box = thing.box
+    box = {
+        name: None if thing.box is None else getattr(thing.box, name).ravel().tolist()
+        for name in ("centre", "axes", "half_sizes")
+    }
     return {
         "id": thing.id,
         "name": thing.name,
@@ -292,9 +290,7 @@ def _row(thing: SceneObject) -> dict[str, Any]:
         "relevancies": [relevancy for _, relevancy in thing.words],
         "confidence": thing.confidence,
         "gaussians": thing.gaussians,
-        "centre": None if box is None else box.centre.tolist(),
-        "axes": None if box is None else box.axes.ravel().tolist(),
-        "half_sizes": None if box is None else box.half_sizes.tolist(),
+        **box,
         "metres": thing.metres,
         "views": list(thing.views),
     }
@@ -309,13 +305,11 @@ def _sure_words(
     candidate_texts = list(dict.fromkeys([*field.taught, *(texts or words_for(field.encoder))]))
     surest: dict[tuple[int, str], float] = {}
     for camera in list(field.cameras.values())[:SURE_VIEWS]:
-        for hit in field.render(camera).query_all(candidate_texts, **rules):
-            if hit.found:
-                mask = 1.0 if hit.confidence is None else hit.confidence.mask
-                surest |= {
-                    (id_, hit.text): max(mask, surest.get((id_, hit.text), 0.0))
-                    for id_, _ in hit.objects
-                }
+        hits = field.render(camera).query_all(candidate_texts, **rules)
+        for hit in (hit for hit in hits if hit.found):
+            mask = 1.0 if hit.confidence is None else hit.confidence.mask
+            for key in ((id_, hit.text) for id_, _ in hit.objects):
+                surest[key] = max(mask, surest.get(key, 0.0))
     words: dict[int, list[str]] = {}
     for id_, text in sorted(surest, key=lambda key: -surest[key]):
         words.setdefault(id_, []).append(text)
@@ -347,11 +341,9 @@ def _picture(
             "out the picture, or build the field again"
         )
     views = [field.render(camera) for camera in field.cameras.values()]
-    rows = np.searchsorted(field.bank.ids, [thing.id for thing in things])
-    ids, boxes = field.bank.ids[rows], field.bank.boxes[rows]
+    ids = np.array([thing.id for thing in things])
+    boxes = field.bank.boxes[np.searchsorted(field.bank.ids, ids)]
     cuts = pictures.cut_out([v.rgb for v in views], [v.ids for v in views], ids, boxes)
-    tiles = []
-    for thing, cut in zip(things, cuts, strict=True):
-        called = thing.name or next(iter(sure.get(thing.id, ())), "")
-        tiles.append((f"{thing.id} {called}".strip(), cut))
-    return pictures.contact_sheet(tiles, side=112, columns=8)
+    names = (thing.name or next(iter(sure.get(thing.id, ())), "") for thing in things)
+    titles = [f"{id_} {name}".strip() for id_, name in zip(ids, names, strict=True)]
+    return pictures.contact_sheet(list(zip(titles, cuts, strict=True)), side=112, columns=8)

@@ -10,14 +10,15 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
+import typer
 
+from flows.cli.options import settings_from
 from flows.config import RULES, TABLES, Method, table_of
 from flows.read_config import checked, layered, preset_values
 from slgaussian import precompile
 from slgaussian.errors import InputError
 from slgaussian.field import FieldView, SemanticField
 from slgaussian.kernels import threads
-from slgaussian.language.rules import Rules
 from slgaussian.scene import Camera, Scene
 from slgaussian.storage.field_folder import read_about
 from slgaussian.storage.local_copies import cached_arrays
@@ -27,9 +28,9 @@ RENDERED = ("rgb", "ids", "confidence", "alpha", "depth")
 
 
 def open_field(
-    folder: Path, settings: Mapping[str, Any], rules: bool = True
+    folder: Path, ctx: typer.Context, rules: bool = True
 ) -> tuple[dict[str, Any], SemanticField]:
-    """Return the rules in ``settings``, and the field with its encoder loaded.
+    """Return the rules in the options of a command, and the field with its encoder loaded.
 
     Settings are fields of :class:`slgaussian.language.rules.Rules` unless ``rules`` is false,
     ``preset``, of which only the rules are used, and under the name of the field's encoder the
@@ -39,20 +40,19 @@ def open_field(
         InputError: If a setting is unknown, invalid or without effect, or the folder or the
             encoder's files cannot be read.
     """
-    values = dict(settings)
+    values = settings_from(ctx, Method, preset=ctx.params.get("preset"))
     preset = preset_values(values.pop("preset"), "query") if "preset" in values else {}
     fields = checked(Method, layered(preset, values), "query").model_dump(exclude_unset=True)
     chosen = {name: value for name, value in fields.items() if name in RULES}
-    Rules(**chosen)
     field = SemanticField.load(folder)
     precompile.announce()
     encoder = field.settings["encoder"]
     places = fields[encoder] if encoder in values else {}
     fixed = values.keys() - (RULES if rules else set()) - {encoder}
     fixed |= {f"{encoder}.{k}" for k in places if k not in TABLES[table_of(encoder)].files()}
-    for name in sorted(fixed):
+    if fixed:
         raise InputError(
-            f"{folder}: {name} cannot be changed after the field was built with encoder "
+            f"{folder}: {min(fixed)} cannot be changed after the field was built with encoder "
             f"{encoder!r}: only {'rules of queries and ' * rules}files of this encoder can be given"
         )
     field = replace(field, places={**field.places, **places})
@@ -106,29 +106,24 @@ def choose_cameras(
         from slgaussian.datasets.recognise import cameras_in
 
         source, cameras = file, cameras_in(file)
-    scene = Scene(str(source), cameras, read=_refuse_to_read)
+    scene = Scene(str(source), cameras, read=_no_photograph)
+    numbers = {str(number): name for number, name in enumerate(cameras)}
+
+    def find(view: str) -> str:
+        return numbers.get(view) or scene.find(view)
+
     if between is None:
-        names = [_find_view(scene, view) for view in views or ["0"]]
-        return {name: cameras[name] for name in names}
+        return {name: cameras[name] for name in map(find, views or ["0"])}
     if views:
         raise InputError("--view and --between: both choose a camera; give one of them")
     from slgaussian.cameras import paths
 
-    a, b = (_find_view(scene, view) for view in between[:2])
-    share = between[2]
+    a, b, share = find(between[0]), find(between[1]), between[2]
     camera = paths.between(cameras[a], cameras[b], share)
     return {f"between {a} and {b} at {share:g}": camera}
 
 
-def _find_view(scene: Scene, view: str) -> str:
-    """Return the name of a view given by name or number; InputError if there is none."""
-    names = list(scene.cameras)
-    if view.isdecimal() and str(int(view)) == view and int(view) < len(names):
-        return names[int(view)]
-    return scene.find(view)
-
-
-def _refuse_to_read(name: str) -> NoReturn:
+def _no_photograph(name: str) -> NoReturn:
     raise InputError(f"{name}: a field contains no photographs")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from slgaussian.benchmark.evaluate import SceneResult
-from slgaussian.benchmark.reports.model import plain
+from slgaussian.benchmark.reports.model import count_text, plain
 from slgaussian.benchmark.reports.score_tables import conditions, method_tables, metrics_table
 from slgaussian.benchmark.scores import of_first_protocol, score_table
 
@@ -34,7 +34,6 @@ def methods_text(samples: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _conditions_text(score: Mapping[str, Any]) -> str:
-    counts = ((score[f"{unit}s"], unit) for unit in ("sample", "scene"))
-    of = " of ".join(f"{n} {unit}" if n == 1 else f"{n} {unit}s" for n, unit in counts)
+    of = " of ".join(count_text(score[f"{unit}s"], unit) for unit in ("sample", "scene"))
     note = f"; {score['note']}" if score["note"] else ""
     return f"by {score['protocol']} ({conditions(score)}); {of}{note}"

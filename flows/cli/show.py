@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from flows.cli import options
-from flows.config import Method
 from slgaussian.errors import InputError, did_you_mean
 
 if TYPE_CHECKING:
@@ -194,8 +193,7 @@ def view(
     live = None
     try:
         access = listen(host, port)
-        settings = options.settings_from(ctx, Method)
-        live = LiveField(open_field(folder, settings, rules=False)[1], folder)
+        live = LiveField(open_field(folder, ctx, rules=False)[1], folder)
         page = scene_page(live.field, live=True)
         typer.echo(access.address)
         if access.token:
@@ -247,7 +245,7 @@ def export(
     if suffix != ".html" and texts:
         raise InputError(f"{out}: --text is for pages (.html); leave it out")
     if suffix == ".html":
-        _, field = open_field(folder, options.settings_from(ctx, Method), rules=False)
+        _, field = open_field(folder, ctx, rules=False)
         data = scene_page(field.dropped(), _photographs(folder, field), texts or []).encode()
         write_file(out, data)
         size = f"{len(data) / 1e6:.1f} MB"
