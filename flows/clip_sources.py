@@ -15,7 +15,7 @@ from typing import Any
 from flows.config import CorpusSettings
 from flows.runners.batches import Failure, Outcome, SceneTask, map_shown
 from flows.runners.task_runners import Workers
-from flows.scenes import seeds
+from flows.scenes import folder_of, seeds
 from slgaussian.datasets import colmap, re10k
 from slgaussian.datasets.configs import Bounds
 from slgaussian.errors import InputError
@@ -103,7 +103,7 @@ def _contents(location: str) -> Iterable[PosedFolder | Room | str]:
             f"of chunks, or {ROOMS}FIRST-LAST"
         )
     # A scene is named after the folder above a camera file or a COLMAP model.
-    scene_folder = colmap.scene_folder((path.parent if path.is_file() else path).resolve())
+    scene_folder = colmap.scene_folder(folder_of(path))
     return [PosedFolder(scene_folder.name, path)]
 
 

@@ -121,11 +121,9 @@ def _scene(
         categories = list(dict.fromkeys(c for name in targets for c in frames[name]))
         if not categories:
             return None
-    folder = data.resolve()
-    folder = folder.parent if folder.is_file() else folder
     return SceneSettings(
         name=name,
-        dataset=folder.name,
+        dataset=folder_of(data).name,
         format=format,
         options=pair.options,
         path=data,
@@ -134,3 +132,8 @@ def _scene(
         labels=labels,
         categories=categories,
     )
+
+
+def folder_of(data: Path) -> Path:
+    """Return the absolute folder of data, which may be given by a file in it."""
+    return data.resolve().parent if data.is_file() else data.resolve()

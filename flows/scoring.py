@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from flows.benchmark import LEFT, scenes_of
 from flows.config import SceneSettings, Settings
 from flows.indexing import label_places
 from flows.runners.session import check_folder
 from flows.scene import evaluation, judged_at, labels, photographs
+from flows.scenes import folder_of
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, labelled_frames, read_truth
 from slgaussian.benchmark.evaluate import SceneResult
@@ -21,11 +23,7 @@ from slgaussian.benchmark.external_predictions import (
     read_predictions,
     score_predictions,
 )
-from slgaussian.benchmark.outputs import (
-    clear_predictions,
-    write_predictions,
-    write_samples,
-)
+from slgaussian.benchmark.outputs import clear_predictions, write_predictions, write_samples
 from slgaussian.benchmark.pictures import encode_png
 from slgaussian.benchmark.protocols import load_protocol
 from slgaussian.errors import InputError
@@ -93,7 +91,6 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
     for result, predicted in zip(results, masks, strict=True):
         write_predictions(result.rows, predicted, out / "predictions")
     write_samples(rows, out)
-    (out / "times.parquet").unlink(missing_ok=True)  # of an earlier release
     return Scores(results, predictions, messages)
 
 
@@ -109,19 +106,18 @@ def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
     data, format = settings.data, settings.format or "nerfstudio"
     if data is None:
         raise InputError("data is missing; give the folder of the photographs with --data")
-    folder = data.resolve()
-    dataset = (folder.parent if folder.is_file() else folder).name
+    root = settings.labels or data
     places = list(label_places(data, settings.labels, format))
     if not places:
-        raise InputError(f"{settings.labels or data}: found no labels; give their folder")
+        raise InputError(f"{root}: found no labels; give their folder")
     for name, options, place in places:
         scene = datasets.load(format, data, **options)
-        texts_of_frame = labelled_frames((settings.labels or data) / place)
-        frames = [frame for frame, texts in texts_of_frame.items() if texts]
-        truth = Truth({}, {})
-        for frame, view in zip(frames, scene.views(frames, judged_at(settings.size)), strict=True):
-            view_truth = read_truth(
-                (settings.labels or data) / place, texts_of_frame[frame], [view]
-            )
-            truth = Truth({**truth.masks, **view_truth.masks}, {**truth.boxes, **view_truth.boxes})
-        yield JudgedScene(name, dataset, None, truth)
+        texts = {frame: of for frame, of in labelled_frames(root / place).items() if of}
+        views = scene.views(list(texts), judged_at(settings.size))
+        masks: dict[str, Any] = {}
+        boxes: dict[str, Any] = {}
+        for view, of_frame in zip(views, texts.values(), strict=True):
+            truth = read_truth(root / place, of_frame, [view])
+            masks |= truth.masks
+            boxes |= truth.boxes
+        yield JudgedScene(name, folder_of(data).name, None, Truth(masks, boxes))

@@ -53,11 +53,11 @@ def doctor(
 
     if components and schema:
         raise InputError("doctor: --components and --schema are two outputs; choose one")
-    if components or schema:
-        text = (
-            list_components() if components else json.dumps(Settings.model_json_schema(), indent=1)
-        )
-        typer.echo(text)
+    if components:
+        typer.echo(list_components())
+        return
+    if schema:
+        typer.echo(json.dumps(Settings.model_json_schema(), indent=1))
         return
     settings = make_settings(options.settings_from(ctx), "doctor")
     opened, tables = list[Any](), settings.component_values()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from flows.config import SceneSettings, Settings
+from flows.scenes import folder_of
 from slgaussian.datasets import unposed
 from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.sharpness import blur, choose_keyframes, glance, small
@@ -156,7 +157,7 @@ def held_out_scene(photos: Sequence[str], cameras: Path | None) -> SceneSettings
     target = names.pop(len(names) // 2)
     print(f"{target} is held out, to measure the error of a new view", file=sys.stderr)
     return SceneSettings(
-        name=(place if place.is_dir() else place.parent).resolve().name or "photographs",
+        name=folder_of(place).name or "photographs",
         dataset="photographs",
         format=format,
         options=options,

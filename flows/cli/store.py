@@ -16,8 +16,6 @@ from slgaussian.errors import InputError
 if TYPE_CHECKING:
     from slgaussian.storage.store import ArtifactStore
 
-DAY = 86400.0
-
 store_app = typer.Typer(
     name="store", cls=options.Group, no_args_is_help=True, help="Clean a store."
 )
@@ -73,7 +71,7 @@ def gc(
     from slgaussian.storage.housekeeping import collect
 
     with _opened(store) as opened:
-        garbage = collect(opened, age * DAY, _stage_versions(), yes)
+        garbage = collect(opened, age * 86400, _stage_versions(), yes)
     kinds = {
         "artifacts that nothing refers to": garbage.artifacts,
         "records of other versions of the stages, or unreadable": garbage.records,
