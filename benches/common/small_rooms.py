@@ -13,15 +13,15 @@ HEIGHT, WIDTH = 64, 80
 QUERIES = ("red crate", "wall", "floor")
 
 
-def write_rooms(folder: Path, count: int) -> Path:
-    """Write ``count`` rooms of two context views and a target; return the file for `run`."""
+def write_rooms(folder: Path, count: int, views: int = 3) -> Path:
+    """Write ``count`` rooms; return the file of `run`, for the first three views of each."""
     config = folder / "rooms.toml"
     if config.exists():
         return config
     entries = ["replicas = 1", "near = 0.8", "far = 12.0"]
     for seed in range(count):
         name = f"room_{seed:04d}"
-        _write_room(folder / name, seed)
+        _write_room(folder / name, seed, views)
         entries += [
             "[[scenes]]",
             f'name = "{name}"',
@@ -34,9 +34,9 @@ def write_rooms(folder: Path, count: int) -> Path:
     return config
 
 
-def _write_room(folder: Path, seed: int) -> None:
+def _write_room(folder: Path, seed: int, views: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    scene = datasets.load("procedural", seed=seed, views=3, height=HEIGHT, width=WIDTH)
+    scene = datasets.load("procedural", seed=seed, views=views, height=HEIGHT, width=WIDTH)
     frames = []
     for name, camera in scene.cameras.items():
         Image.fromarray(scene.read(name).image).save(folder / f"{name}.png")

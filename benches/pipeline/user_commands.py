@@ -181,21 +181,24 @@ def corpus(recorder: Recorder, _data: Path | None) -> None:
     """Make lessons and a training set of chunks, train, promote weights, and refuse others."""
     store = ["--store", "corpus/store"]
     chunks = ["-o", "corpus", *store]
-    recorder.run("pack", "ingest", "procedural:0-3", *chunks, out="corpus/chunks")
-    size = ["--size", "96x128", *store]
-    lessons = ["corpus/chunks", *size, "-o", "corpus/lessons"]
+    write_rooms(recorder.work / "corpus" / "rooms", 5, views=6)
+    rooms = [f"corpus/rooms/room_{number:04d}" for number in (2, 3, 4)]
+    # Of the rooms, the last is held out.
+    recorder.run("pack", "ingest", *rooms[1:], *chunks, out="corpus/chunks")
+    small = ["--set", "size=64x80", "--set", "most=1", "--set", "replicas=1", *store]
+    lessons = ["corpus/chunks", *small, "-o", "corpus/lessons"]
     recorder.run("supervise", "supervise", *lessons, out="corpus/lessons")
-    sources = ["corpus/set", "corpus/chunks", *size]
+    sources = ["corpus/set", "corpus/chunks", *small]
     recorder.run("dataset", "dataset", *sources, out="corpus/set")
-    training = ["--lessons", "corpus/lessons", "--steps", "50", *store, "-o", "corpus/trained"]
+    training = ["--lessons", "corpus/lessons", "--steps", "10", *store, "-o", "corpus/trained"]
     recorder.run("train", "train", *training, out="corpus/trained")
     retrain = ["--sources", "corpus/chunks", "--out", "corpus/new", "--models", "corpus/models"]
-    retrain += [*store, "--set", "size=96x128", "--set", "held_out=0.4"]
+    retrain += small
     models = "corpus/models"
-    recorder.run("retrain", "retrain", *retrain, "--steps", "40", out=models)
+    recorder.run("retrain", "retrain", *retrain, "--steps", "10", out=models)
     # So few clips never pass the promotion test, so an operator promotes the weights.
     recorder.run("promote", "versions", models, "--use", "1", out=models)
-    recorder.run("pack more", "ingest", "procedural:4-7", *chunks, out="corpus/chunks")
+    recorder.run("pack more", "ingest", rooms[0], *chunks, out="corpus/chunks")
     # One step of training does not improve the weights.
     recorder.run("retrain, refused", "retrain", *retrain, "--steps", "1", out=models)
     recorder.run("use none", "versions", models, "--use", "none", out=models)

@@ -109,26 +109,23 @@ def two_walls(folder: Path) -> Path:
     codes = np.array([[1, 0, 0], [0, 0, 1]], np.float32)
     n = len(points)
     features = np.concatenate([codes[np.where(is_red, 0, 1)], np.ones((n, 1))], 1)
-    gaussians = Gaussians.from_arrays(
-        {
-            "means": points.astype(np.float32),
-            "scales": np.full((n, 3), 0.04, np.float32),
-            "quats": np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-            "opacities": np.full(n, 0.95, np.float32),
-            "sh": ((color - 0.5) / 0.28209479177387814)[:, None],
-            "source": np.arange(n, dtype=np.int32),
-            "features": features.astype(np.float32),
-        }
-    )
+    gaussians = {
+        "means": points,
+        "scales": np.full((n, 3), 0.04),
+        "quats": np.tile([1.0, 0, 0, 0], (n, 1)),
+        "opacities": np.full(n, 0.95),
+        "sh": ((color - 0.5) / 0.28209479177387814)[:, None],
+        "features": features,
+    }
+    gaussians = {name: array.astype(np.float32) for name, array in gaussians.items()}
+    gaussians = Gaussians.from_arrays({**gaussians, "source": np.arange(n, dtype=np.int32)})
     image = np.rint(color.reshape(32, 48, 3) * 255).astype(np.uint8)
     masks = np.stack([is_red.reshape(32, 48), ~is_red.reshape(32, 48)])
     view = load_encoder("lexicon").encode_regions(image, masks)
-    bank = MemoryBank(
-        np.array([1, 2], np.int32),
-        codes,
-        np.stack([view, view], 1).astype(np.float32),
-        np.ones((2, 2), bool),
-    )
+    vectors = np.stack([view, view], 1).astype(np.float32)
+    boxes = np.array([[[0, 0, 24, 32]] * 2, [[24, 0, 48, 32]] * 2], np.int32)
+    ids, present = np.array([1, 2], np.int32), np.ones((2, 2), bool)
+    bank = MemoryBank(ids, codes, vectors, present, boxes)
     SemanticField(gaussians, bank, cameras, {"encoder": "lexicon"}).save(folder)
     return folder
 

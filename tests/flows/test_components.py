@@ -10,16 +10,15 @@ import command
 import numpy as np
 import pytest
 import torch
-from command import room_sample, run, said, save_photographs, score
+from command import room_sample, run, save_photographs, score, settings
 from PIL import Image
 
 from benches.predict.random_mvsplat_weights import recipe_weights
 from flows.config import Settings
-from flows.read_config import make_settings, read_toml
+from flows.read_config import make_settings
 from flows.runners.batches import SceneTask
 from flows.scene import scene_task
 from slgaussian.components.pretrained import model_digest
-from slgaussian.errors import InputError
 from slgaussian.field import SemanticField
 from slgaussian.masks.configs import folder_digest, geometry_digest
 from slgaussian.storage.store import ArtifactRef, ArtifactStore
@@ -117,11 +116,8 @@ def keyed(arguments: dict[str, Any]) -> dict[str, Any]:
 @pytest.mark.parametrize("name", CASES)
 def test_files_are_in_the_keys_of_their_stage_by_content(places, name, monkeypatch):
     kind, setting, local, added = CASES[name]
-    settings = settings_for(places, name)
-    scene = settings.scenes[0]
-    steps = calls_of(scene_task(settings, settings.built_by, scene), monkeypatch)
-    default = settings_for(places)
-    plain = calls_of(scene_task(default, default.built_by, scene), monkeypatch)
+    chosen, default = settings_for(places, name), settings_for(places)
+    steps, plain = (calls_of(scene_task(s, s.scenes[0]), monkeypatch) for s in (chosen, default))
     identity = {setting: digest_of(name, places[name]), **local, **added}
     stage = STAGE_OF[kind]
     assert keyed(steps[stage])[kind] == {name: identity}
@@ -130,21 +126,6 @@ def test_files_are_in_the_keys_of_their_stage_by_content(places, name, monkeypat
     changed = {stage for stage in plain if keyed(plain[stage]) != keyed(steps[stage])}
     assert changed - {"benchmark", "attribution"} == {stage, "field"}
     assert name not in keyed(plain["field"])["method"] and plain[stage][kind].places() == {}
-
-
-def change(name: str, place: Path, folder: Path) -> Path:
-    """A copy of the files of a component that is not the same."""
-    copy = folder / place.name
-    if name == "mvsplat":
-        copy.write_bytes(place.read_bytes()[:-1])
-    elif name == "precomputed":
-        shutil.copytree(place, copy)
-        np.save(copy / "view_00.npy", np.ones((64, 64), np.int32))
-    else:
-        shutil.copytree(place, copy)
-        config = json.loads((copy / "config.json").read_text())
-        (copy / "config.json").write_text(json.dumps({**config, "note": 1}))
-    return copy
 
 
 def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, capsys):
@@ -180,11 +161,6 @@ def test_a_run_is_known_by_the_content_of_its_files(places, tmp_path, server, ca
         assert not file.is_file() or str(places["sam"].parent).encode() not in file.read_bytes()
 
 
-def field_words(photos: Path, *words) -> list:
-    pair = (photos / "view_00.png", photos / "view_02.png")
-    return ["field", *pair, "--cameras", photos, "--set", "near=0.8", *words]
-
-
 def test_a_field_is_built_of_depth_and_cameras_of_a_file(tmp_path, monkeypatch):
     """An NPZ in the layout of Depth Anything 3, with its photographs beside it."""
     views = [command.room(*SIZE).read(name) for name in ROOM["context"]]
@@ -210,46 +186,44 @@ def test_a_field_is_built_of_depth_and_cameras_of_a_file(tmp_path, monkeypatch):
 def clip_field(places, photos, tmp_path_factory) -> Path:
     """A field that ``slgaussian field`` built with CLIP."""
     folder = tmp_path_factory.mktemp("made") / "field"
-    words = ["--set", "far=12", "--set", "replicas=1", "--encoder", "clip"]
-    words += ["--set", f"clip.model={places['clip']}", "--set", "clip.crops=context"]
+    pair = photos / "view_00.png", photos / "view_02.png", "--cameras", photos
+    model = {"clip.model": places["clip"], "clip.crops": "context"}
+    words = settings(near=0.8, far=12, replicas=1, encoder="clip", **model)
     with pytest.MonkeyPatch.context() as patch:
-        assert run(patch, *field_words(photos, *words, "-o", folder)) == 0
+        assert run(patch, "field", *pair, *words, "-o", folder) == 0
     return folder
 
 
 def test_a_field_answers_with_the_model_that_built_it_wherever_it_is(
-    clip_field, places, monkeypatch, capsys, tmp_path
+    clip_field, places, ask, slg, refusal, tmp_path
 ):
     info = json.loads((clip_field / "field.json").read_text())
     assert info["settings"]["clip"]["model"] == model_digest(places["clip"])
     assert info["places"] == {"model": str(places["clip"].resolve())}
     assert SemanticField.load(clip_field).bank.features.shape[1:] == (2, 24)
-    question = ["red basket", "--json"]
-    assert run(monkeypatch, "query", clip_field, *question) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert 0 < answer["score"] < 1 and answer["unknown"] == [] and answer["point"] is not None
+    status, (answer,) = ask("query", clip_field, "red basket")
+    assert status == 0 and 0 < answer["score"] < 1
+    assert answer["unknown"] == [] and answer["point"] is not None
 
     # The model has moved: the field still draws, and is asked with the place.
     model = ["--set", f"clip.model={shutil.copytree(places['clip'], tmp_path / 'moved')}"]
     info["places"] = {"model": str(tmp_path / "gone")}
     field = shutil.copytree(clip_field, tmp_path / "field")
     (field / "field.json").write_text(json.dumps(info))
-    assert run(monkeypatch, "render", field, "-o", tmp_path / "seen.png") == 0
-    capsys.readouterr()
-    assert run(monkeypatch, "query", field, *question) == 2
-    assert f"no longer at {tmp_path / 'gone'}; say where it is, as in --set clip" in said(capsys)
-    assert run(monkeypatch, "query", field, *question, *model) == 0
-    assert json.loads(capsys.readouterr().out) == answer
-    assert run(monkeypatch, "objects", "list", field, "red", "box", *model) == 0
-    second = change("clip", places["clip"], tmp_path)
-    for model, sentence in (
-        (second, f"model {second}: is not what the field was built"),
-        ("no/such/place", "model no/such/place: there is no such folder"),
+    assert slg("render", field, "-o", tmp_path / "seen.png")[0] == 0
+    error = refusal("query", field, "red basket")
+    assert f"no longer at {tmp_path / 'gone'}; say where it is, as in --set clip" in error
+    assert ask("query", field, "red basket", *model) == (0, [answer])
+    assert slg("objects", "list", field, "red", "box", *model)[0] == 0
+    second = shutil.copytree(places["clip"], tmp_path / "second")
+    config = json.loads((second / "config.json").read_text())
+    (second / "config.json").write_text(json.dumps({**config, "note": 1}))
+    for words, sentence in (
+        (["red", *settings(**{"clip.model": second})], f"{second}: is not what the field was"),
+        (["red", *settings(**{"clip.model": "no/where"})], "model no/where: there is no such"),
+        (["word " * 100], "tokens, but the model reads at most 77"),
     ):
-        assert run(monkeypatch, "query", clip_field, "red", "--set", f"clip.model={model}") == 2
-        assert sentence in said(capsys)
-    assert run(monkeypatch, "query", clip_field, "word " * 100) == 2
-    assert "tokens, but the model reads at most 77" in said(capsys)
+        assert sentence in refusal("query", clip_field, *words)
 
 
 @pytest.mark.parametrize(
@@ -266,7 +240,7 @@ def test_a_field_answers_with_the_model_that_built_it_wherever_it_is(
     ],
 )
 def test_a_run_that_cannot_be_does_not_begin(
-    places, tmp_path, monkeypatch, capsys, assignments, sentence
+    places, tmp_path, monkeypatch, refusal, assignments, sentence
 ):
     monkeypatch.chdir(tmp_path)
     Path("page.ckpt").write_text("<html>Sign in to download</html>")
@@ -275,50 +249,5 @@ def test_a_run_that_cannot_be_does_not_begin(
     for name in ("mvsplat", "clip", "sam"):
         assignments = assignments.replace(f"={name.upper()}", f"={places[name]}")
     words = [word for value in assignments.split() for word in ("--set", value)]
-    assert run(monkeypatch, "run", "run.toml", "--store", "store", *words) == 2
-    assert sentence in said(capsys)
+    assert sentence in refusal("run", "run.toml", "--store", "store", *words)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["page.ckpt", "run.toml"]
-
-
-TABLES = """
-predictor = "mvsplat"
-tracker = "sam2-video"
-[mvsplat]
-checkpoint = "weights/re10k.ckpt"
-precision = "bfloat16"
-[clip]
-model = "clip.bin"
-tokenizer = "a/b"
-[sam]
-model = "weights"
-[sam2]
-model = "facebook/sam2.1-hiera-tiny"
-[sam2_video]
-model = "weights"
-batch = 4
-[precomputed]
-folder = "ids"
-"""
-
-
-def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(tmp_path):
-    (tmp_path / "weights").mkdir()
-    (tmp_path / "clip.bin").touch()
-    file = tmp_path / "run.toml"
-    file.write_text(TABLES)
-    read = read_toml(file, {"mvsplat": {"precision": "float32"}})
-    weights = str(tmp_path / "weights")
-    assert read.mvsplat.model_dump() == {
-        "checkpoint": tmp_path / "weights/re10k.ckpt",
-        "precision": "float32",
-    }
-    assert (read.clip.model, read.clip.tokenizer) == (str(tmp_path / "clip.bin"), "a/b")
-    assert (read.sam.model, read.sam2.model) == (weights, "facebook/sam2.1-hiera-tiny")
-    assert read.component_values()["sam2-video"] == {"model": weights, "batch": 4}
-    assert read.precomputed.folder == tmp_path / "ids"
-    other = {"mvsplat": {"checkpoint": "elsewhere.ckpt"}}
-    assert read_toml(file, other).mvsplat.checkpoint == Path("elsewhere.ckpt")
-    # A file may keep the table of a part that is not chosen; an option without effect is a slip.
-    assert "mvsplat" not in read_toml(file, {"predictor": "planesweep"}).component_values()
-    with pytest.raises(InputError, match="settings of 'mvsplat' are given, but no part is"):
-        read_toml(file, {"predictor": "planesweep", **other})

@@ -1,10 +1,7 @@
 """One answer, said alike: sentence, JSON, exit status, picture; ``test_page.py`` has the page."""
 
-import json
-
 import numpy as np
 import pytest
-from command import run
 from PIL import Image
 
 from slgaussian.benchmark import pictures
@@ -31,25 +28,17 @@ def folder(field, tmp_path_factory):
     return place
 
 
-@pytest.fixture
-def ask(monkeypatch, capsys):
-    def call(*words):
-        capsys.readouterr()
-        return run(monkeypatch, *words), capsys.readouterr().out
-
-    return call
-
-
 @pytest.mark.parametrize(("text", "verdict", "status"), CASES)
-def test_who_reads_an_answer_reads_the_same(field, folder, tmp_path, ask, text, verdict, status):
+def test_who_reads_an_answer_reads_the_same(
+    field, folder, tmp_path, slg, ask, text, verdict, status
+):
     view = field.render(next(iter(field.cameras.values())))
     hit = view.query(text)
     assert (hit.verdict, hit.found) == (verdict, verdict == "found")
-    code, printed = ask("query", folder, text, "-o", tmp_path / "a.png")
+    code, printed, _ = slg("query", folder, text, "-o", tmp_path / "a.png")
     assert code == status and printed.splitlines()[0] == hit.summary
     assert hit.summary.removeprefix("probably ").startswith(verdict)
-    code, printed = ask("query", folder, text, "--json")
-    answer = json.loads(printed)
+    code, (answer,) = ask("query", folder, text)
     assert code == status and answer["found"] is (code == 0)
     assert (answer["verdict"], answer["summary"]) == (verdict, hit.summary)
     assert (answer["point"] is None) == (answer["pixels"] == 0) == (not hit.shown)
@@ -64,9 +53,7 @@ def test_who_reads_an_answer_reads_the_same(field, folder, tmp_path, ask, text, 
     width = view.rgb.shape[1] + 12
     drawn, expected = np.asarray(Image.open(tmp_path / "a.png")), pictures.side_by_side(panels)
     np.testing.assert_array_equal(drawn[:, -width:], expected[:, -width:])
-    _, printed = ask("segment", folder, text, "wall", "--json")
-    rows = [json.loads(line) for line in printed.splitlines()]
-    assert rows[0]["verdict"] == verdict
+    assert ask("segment", folder, text, "wall")[1][0]["verdict"] == verdict
 
 
 @pytest.mark.parametrize(
@@ -80,4 +67,4 @@ def test_who_reads_an_answer_reads_the_same(field, folder, tmp_path, ask, text, 
 )
 def test_the_status_of_several_texts_is_zero_if_each_is_found(folder, ask, texts, status):
     assert ask("query", folder, *texts)[0] == status
-    assert ask("query", folder, *texts, "--view", "0", "--view", "1", "--json")[0] == status
+    assert ask("query", folder, *texts, "--view", "0", "--view", "1")[0] == status

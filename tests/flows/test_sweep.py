@@ -6,7 +6,7 @@ from collections import Counter
 import command
 import pyarrow.parquet as pq
 import pytest
-from command import run, said, save_photographs, score
+from command import save_photographs, score
 
 from flows.read_config import make_settings
 from flows.sweep import combinations
@@ -75,18 +75,16 @@ def test_what_cannot_be_swept_is_one_sentence(sweep, sentence):
     assert sentence in str(error.value)
 
 
-def test_of_photographs_without_labels_the_middle_one_is_held_out(monkeypatch, capsys, tmp_path):
+def test_of_photographs_without_labels_the_middle_one_is_held_out(slg, refusal, tmp_path):
     folder = save_photographs(tmp_path, 64, 96, [f"view_{k:02d}" for k in range(3)])
     cameras = ["--cameras", folder / "transforms.json"]
     out = ["-o", tmp_path / "out", "--store", tmp_path / "store"]
     words = ["--sweep", f"{DEPTHS}=16", "--set", "near=0.8", "--set", "far=12"]
-    assert run(monkeypatch, "benchmark", folder, *cameras, *words, *out) == 0
-    assert "view_01.png is held out" in capsys.readouterr().err
+    status, _, errors = slg("benchmark", folder, *cameras, *words, *out)
+    assert status == 0 and "view_01.png is held out" in errors
     page = (tmp_path / "out" / "report.md").read_text("utf-8")
     errors = re.findall(r"^\| (slgaussian[^|]*) \| – \| ([\d.]+) \|", page, re.MULTILINE)
     assert len(dict(errors)) == 2 and all(float(psnr) > 15 for _, psnr in errors)
     two = [folder / "view_00.png", folder / "view_02.png"]
-    assert run(monkeypatch, "benchmark", *two, *out) == 2
-    assert "found 2 photographs, expected at least three" in said(capsys)
-    assert run(monkeypatch, "benchmark", *cameras, *out) == 2
-    assert "given without photographs" in said(capsys)
+    assert "found 2 photographs, expected at least three" in refusal("benchmark", *two, *out)
+    assert "given without photographs" in refusal("benchmark", *cameras, *out)

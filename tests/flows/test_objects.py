@@ -1,0 +1,118 @@
+"""Commands on objects: listed, extracted, removed, taught, named, and queried by a picture."""
+
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+from plyfile import PlyData
+
+from flows.cli import objects
+from slgaussian.field import SemanticField
+
+RED, BLUE = 1, 2
+
+
+@pytest.fixture
+def field(walls, tmp_path):
+    """The two walls, to be changed."""
+    return shutil.copytree(walls, tmp_path / "field")
+
+
+def labels_of(ply) -> set[int]:
+    return set(np.asarray(PlyData.read(ply)["vertex"]["label"]).tolist())
+
+
+def ids_of(answer) -> list[int]:
+    return [item["id"] for item in answer["objects"]]
+
+
+def test_what_is_in_a_field_is_listed(walls, ask, slg, monkeypatch):
+    status, out, _ = slg("objects", "list", walls)
+    lines = out.splitlines()
+    assert status == 0
+    assert [line.split()[0] for line in lines[:3]] == ["object", "1", "2"]
+    assert "red" in lines[1] and "blue" in lines[2]
+    assert lines[1].endswith("1.15 x 0.00 x 1.55  images/001.png, images/002.png")
+    assert lines[-1] == "Sizes are in scene units, those of the given cameras."
+    status, rows = ask("objects", "list", walls, "blue", "red wall")
+    assert status == 0 and [row["id"] for row in rows] == [RED, BLUE]
+    assert [row["words"][0] for row in rows] == ["red wall", "blue"]
+    monkeypatch.setattr(objects, "LARGEST", 1)
+    for words, count in (([], 1), (["--all"], 2)):
+        status, out, _ = slg("objects", "list", walls, "yellow", *words)
+        assert status == 0 and out.count("(yellow") == count
+        assert ("1 smaller ones are listed with --all" in out) == (count == 1)
+
+
+def test_an_object_is_extracted(walls, tmp_path, slg):
+    count = (SemanticField.load(walls).labels() == RED).sum()
+    for text in ("red wall", RED):
+        assert slg("objects", "extract", walls, text, "-o", tmp_path / "red.ply")[0] == 0
+        assert labels_of(tmp_path / "red.ply") == {RED}
+        assert PlyData.read(tmp_path / "red.ply")["vertex"].count == count
+    assert slg("objects", "extract", walls, "red", "-o", tmp_path / "red")[0] == 0
+    assert set(SemanticField.load(tmp_path / "red").labels().tolist()) == {RED}
+    status, out, _ = slg("objects", "extract", walls, "yellow", "-o", tmp_path / "x.ply")
+    assert status == 3 and "nothing found for 'yellow'" in out
+    assert not (tmp_path / "x.ply").exists()
+
+
+def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(walls, tmp_path, ask, slg):
+    out = tmp_path / "without"
+    status, printed, _ = slg("objects", "remove", walls, "red wall", "-o", out)
+    assert status == 0 and printed.startswith("'red wall': objects 1 (")
+    left = SemanticField.load(out)
+    assert left.removed == {RED} and RED not in left.labels()
+    assert SemanticField.load(walls).removed == frozenset()
+    status, (answer,) = ask("query", out, "red")
+    assert status == 3 and not answer["found"]
+    assert [row["id"] for row in ask("objects", "list", out)[1]] == [BLUE]
+    assert slg("render", out, "-o", tmp_path / "a.png")[0] == 0
+    opened = np.asarray(Image.open(tmp_path / "a.png")).astype(int)[4:-4, 4:18]
+    assert (np.ptp(opened, axis=2) == 0).all() and np.ptp(opened) > 40  # grey stripes
+    assert slg("export", out, "-o", tmp_path / "a.ply")[0] == 0
+    assert RED not in labels_of(tmp_path / "a.ply")
+
+
+def test_a_word_is_taught_by_a_click_queried_and_forgotten(field, ask, slg):
+    status, out, _ = slg("query", field, "zorp")
+    assert status == 3 and out.startswith("cannot tell: no word 'zorp' is known here")
+    status, out, _ = slg("objects", "teach", field, "Zorp", "--at", 8, 16)
+    assert status == 0 and out.splitlines()[:2] == ["'Zorp' is object 1", "examples  1"]
+    status, (taught, other) = ask("query", field, "zorp", "blue", "--view", 1)
+    assert status == 3 and ids_of(taught) == [RED]
+    assert (taught["kind"], taught["examples"]) == ("taught", 1)
+    assert (other["kind"], other["examples"]) == ("known", 0)
+    status, out, _ = slg("query", field, "zorp")
+    assert status == 0 and "a taught word: 1 example" in out
+    assert slg("objects", "teach", field, "blue", "--at", 8, 16, "--view", 1)[0] == 0
+    status, out, _ = slg("query", field, "blue")
+    assert status == 0 and "not as the encoder knows it: blue" in out
+    assert slg("objects", "teach", field, "blue", "--forget")[0] == 0
+    assert ask("query", field, "blue")[1][0]["kind"] == "known"
+
+
+def test_a_name_is_queried_and_extracted_like_a_word(field, tmp_path, ask, slg):
+    status, out, _ = slg("objects", "name", field, BLUE, "Anna's wall")
+    assert (status, out) == (0, 'object 2 is "Anna\'s wall"\n')
+    status, (answer,) = ask("query", field, "anna's  WALL")
+    assert status == 0 and ids_of(answer) == [BLUE]
+    assert (answer["kind"], answer["verdict"], answer["confidence"]) == ("named", "found", None)
+    assert "a name that you gave" in slg("query", field, "Anna's wall")[1]
+    file = tmp_path / "wall.ply"
+    assert slg("objects", "extract", field, "anna's wall", "-o", file)[0] == 0
+    assert labels_of(file) == {BLUE}
+    assert slg("objects", "name", field, BLUE)[1] == "object 2 has no name\n"
+    assert ask("query", field, "Anna's wall")[1][0]["kind"] != "named"
+
+
+def test_a_field_is_queried_by_picture(walls, tmp_path, ask, refusal):
+    Image.new("RGB", (20, 16), (10, 25, 205)).save(tmp_path / "crop.png")
+    status, (red, answer) = ask("query", walls, "--like", tmp_path / "crop.png", "red")
+    assert (answer["kind"], red["kind"]) == ("picture", "known")
+    assert ids_of(answer) == [BLUE] and status == 3
+    # The colour of the picture fits one object exactly; the word leaves some doubt.
+    assert (answer["verdict"], red["verdict"]) == ("found", "not sure")
+    (tmp_path / "broken.png").write_bytes(b"no picture")
+    assert "broken.png" in refusal("query", walls, "--like", tmp_path / "broken.png")
