@@ -11,15 +11,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from slgaussian.io import short_repr
-
-_LOCAL = 7
-"""Parameters of a camera that one observation depends on: rotation, t, log focal length."""
 
 _CHUNK = 1 << 21
 """Largest number of elements of the dense point-camera blocks in memory at once."""
@@ -123,11 +121,10 @@ class Adjusted:
         t = self.bundle.t[view]
         length = max(float(np.linalg.norm(t)), 1e-12)
         across = np.eye(3) - np.outer(t, t) / length**2
-        turned, moved = block[:3, :3], across @ block[3:, 3:] @ across / length**2
-        worst = [
-            float(np.sqrt(max(np.linalg.eigvalsh(matrix)[-1], 0.0))) for matrix in (turned, moved)
-        ]
-        return float(np.degrees(worst[0])), float(np.degrees(worst[1]))
+        moved = across @ block[3:, 3:] @ across / length**2
+        largest = np.linalg.eigvalsh([block[:3, :3], moved])[:, -1]
+        turned, shifted = np.degrees(np.sqrt(np.maximum(largest, 0))).tolist()
+        return turned, shifted
 
 
 def adjust(
@@ -147,41 +144,37 @@ def adjust(
             continues.
     """
     order = np.argsort(bundle.point, kind="stable")
-    bundle = replace(
-        bundle, view=bundle.view[order], point=bundle.point[order], xy=bundle.xy[order]
+    problem = _Problem(
+        replace(
+            bundle,
+            points=homogeneous(bundle.points),
+            view=bundle.view[order],
+            point=bundle.point[order],
+            xy=bundle.xy[order],
+        ),
+        scale,
     )
-    q = homogeneous(bundle.points)
-    projected = _project(bundle, q)
-    layout = _Layout.of(bundle)
-    cost = _cost(bundle, layout, projected.residuals, scale)
-    normal = _normal(bundle, layout, q, projected, scale)
+    state = problem.project(problem.start)
+    normal = problem.normal(state)
     damping, growth = 1e-4, 2.0
     for _ in range(iterations):
-        step, moved = _step(bundle, layout, normal, damping)
-        trial, trial_q = _moved(bundle, q, step, moved)
-        trial_projected = _project(trial, trial_q)
-        trial_cost = _cost(trial, layout, trial_projected.residuals, scale)
-        if not trial_cost < cost:
+        trial = problem.project(problem.moved(state.bundle, normal, damping))
+        gain = state.cost - trial.cost
+        if not gain > 0:
             damping, growth = damping * growth, growth * 2
             if damping > 1e12:
                 break
             continue
-        gain = cost - trial_cost
-        bundle, q, projected, cost = trial, trial_q, trial_projected, trial_cost
-        normal = _normal(bundle, layout, q, projected, scale)
+        state, normal = trial, problem.normal(trial)
         damping, growth = max(damping / 5, 1e-12), 2.0
-        if gain < tolerance * max(cost, 1e-300):
+        if gain < tolerance * max(state.cost, 1e-300):
             break
-    covariance = _covariance(bundle, layout, normal, projected.residuals, scale)
-    residuals, view, point, xy = (
-        np.empty_like(a) for a in (projected.residuals, bundle.view, bundle.point, bundle.xy)
-    )
-    residuals[order], view[order], point[order] = projected.residuals, bundle.view, bundle.point
-    xy[order] = bundle.xy
-    w = q[:, 3:]
-    points = q[:, :3] / np.where(np.abs(w) > 1e-12, w, 1e-12)
-    bundle = replace(bundle, points=points, view=view, point=point, xy=xy)
-    return Adjusted(bundle, cost, residuals, covariance)
+    residuals = np.empty_like(state.residuals)
+    residuals[order] = state.residuals
+    end, q = state.bundle, state.bundle.points
+    points = q[:, :3] / np.where(np.abs(q[:, 3:]) > 1e-12, q[:, 3:], 1e-12)
+    end = replace(bundle, R=end.R, t=end.t, focals=end.focals, points=points)
+    return Adjusted(end, state.cost, residuals, problem.covariance(state, normal))
 
 
 def homogeneous(points: np.ndarray) -> np.ndarray:
@@ -190,26 +183,190 @@ def homogeneous(points: np.ndarray) -> np.ndarray:
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
 
-@dataclass(frozen=True, eq=False)
-class _Projection:
-    """Projected points of all observations, with the intermediate values for derivatives."""
+class _State(NamedTuple):
+    """Cameras and points, and the values of their projection."""
 
+    bundle: Bundle
     turned: np.ndarray  # [M, 3] rotated, not translated
     inverse_depth: np.ndarray  # [M]
     uv: np.ndarray  # [M, 2] on the plane at depth 1
     residuals: np.ndarray  # [M, 2] pixels
+    cost: float  # minus twice the log posterior, up to a constant
 
 
-def _project(bundle: Bundle, q: np.ndarray) -> _Projection:
-    at = q[bundle.point]
-    turned = (bundle.R[bundle.view] @ at[:, :3, None])[..., 0]
-    X = turned + at[:, 3:] * bundle.t[bundle.view]
-    z = X[:, 2]
-    inverse_depth = 1 / np.where(np.abs(z) > 1e-12, z, 1e-12)
-    uv = X[:, :2] * inverse_depth[:, None]
-    focals = bundle.focals[bundle.group[bundle.view]]
-    residuals = uv * focals[:, None] + bundle.centers[bundle.view] - bundle.xy
-    return _Projection(turned, inverse_depth, uv, residuals)
+class _Normal(NamedTuple):
+    """Normal equations: blocks of cameras and points, and minus half the gradient of the cost."""
+
+    cameras: np.ndarray  # [P, P], without priors
+    camera_side: np.ndarray  # [P], with priors
+    points: np.ndarray  # [N, 3, 3]
+    point_side: np.ndarray  # [N, 3]
+    between: np.ndarray  # [M, 3, 7], point and camera of each observation
+    prior: np.ndarray  # [P, P], cameras
+
+
+class _Problem:
+    """Least squares of a bundle of V views, N points and G focal lengths, with P = 6 V + G.
+
+    The points of its bundles are unit homogeneous coordinates [N, 4], the observations sorted by
+    point. ``by_view``, ``by_point`` and ``by_lens`` [count, M] sum the rows of observations that
+    share a view, a point, or a point and a lens.
+    """
+
+    def __init__(self, start: Bundle, scale: float) -> None:
+        V, N, G, M = len(start.R), len(start.points), len(start.focals), len(start.view)
+
+        def sums(index: np.ndarray, count: int) -> csr_array:
+            return csr_array((np.ones(M), (index, np.arange(M))), (count, M))
+
+        self.start, self.scale = start, scale
+        self.poses = 6 * V  # number of their parameters, which precede those of the lenses
+        pose_columns = np.arange(self.poses).reshape(V, 6)
+        self.columns = np.concatenate([pose_columns, self.poses + start.group[:, None]], 1)
+        self.lens = start.group[start.view]
+        self.by_view, self.by_point = sums(start.view, V), sums(start.point, N)
+        self.by_lens = sums(start.point * G + self.lens, N * G)
+        self.lens_free = start.focal_sigma > 0
+        self.lens_prior = self.lens_free / np.where(self.lens_free, start.focal_sigma, 1) ** 2
+
+    def project(self, bundle: Bundle) -> _State:
+        at = bundle.points[bundle.point]
+        turned = (bundle.R[bundle.view] @ at[:, :3, None])[..., 0]
+        X = turned + at[:, 3:] * bundle.t[bundle.view]
+        z = X[:, 2]
+        inverse_depth = 1 / np.where(np.abs(z) > 1e-12, z, 1e-12)
+        uv = X[:, :2] * inverse_depth[:, None]
+        focals = bundle.focals[self.lens]
+        residuals = uv * focals[:, None] + bundle.centers[bundle.view] - bundle.xy
+        cost = 3 * np.log1p((residuals**2).sum(1) / self.scale**2).sum()
+        cost += (self.lens_prior * _off_prior(bundle) ** 2).sum()
+        if bundle.poses is not None:
+            cost += (bundle.poses.pull(bundle.R, bundle.t)[0] ** 2).sum()
+        return _State(bundle, turned, inverse_depth, uv, residuals, float(cost))
+
+    def derivatives(self, state: _State) -> tuple[np.ndarray, np.ndarray]:
+        """Return derivatives of the residuals by camera [M, 2, 7] and by point [M, 2, 3]."""
+        bundle = state.bundle
+        focals = bundle.focals[self.lens]
+        by_X = np.empty((len(focals), 2, 3))
+        by_X[:, :, :2] = (focals * state.inverse_depth)[:, None, None] * np.eye(2)
+        by_X[:, :, 2] = -(by_X[:, :, :2] @ state.uv[:, :, None])[..., 0]
+        camera = np.empty((len(focals), 2, 7))
+        # A small rotation w moves a point X by w x X, so the derivative of r . X by w is X x r.
+        camera[:, :, :3] = np.cross(state.turned[:, None, :], by_X)
+        camera[:, :, 3:6] = by_X * bundle.points[bundle.point, 3, None, None]
+        camera[:, :, 6] = state.uv * focals[:, None]
+        pose = np.concatenate([bundle.R, bundle.t[:, :, None]], 2)
+        return camera, by_X @ (pose[bundle.view] @ _tangents(bundle.points)[bundle.point])
+
+    def normal(self, state: _State) -> _Normal:
+        bundle, columns = state.bundle, self.columns
+        camera, point = self.derivatives(state)
+        weight = 3 / (self.scale**2 + (state.residuals**2).sum(1))[:, None, None]
+        weighted, minus = (weight * camera).transpose(0, 2, 1), -state.residuals[:, :, None]
+        of_points = (weight * point).transpose(0, 2, 1)
+        P, M = self.poses + len(bundle.focals), len(bundle.view)
+        H, side = np.zeros((P, P)), np.zeros(P)
+        blocks = (self.by_view @ (weighted @ camera).reshape(M, -1)).reshape(-1, 7, 7)
+        np.add.at(H, (columns[:, :, None], columns[:, None, :]), blocks)
+        np.add.at(side, columns, self.by_view @ (weighted @ minus)[..., 0])
+        side[self.poses :] -= self.lens_prior * _off_prior(bundle)
+        prior = np.diag(np.concatenate([np.zeros(self.poses), self.lens_prior]))
+        if bundle.poses is not None:
+            off, slopes = bundle.poses.pull(bundle.R, bundle.t)
+            poses = columns[:, :6]
+            prior[poses[:, :, None], poses[:, None, :]] = slopes.transpose(0, 2, 1) @ slopes
+            side[: self.poses] -= (off[:, None] @ slopes).ravel()
+        return _Normal(
+            H,
+            side,
+            (self.by_point @ (of_points @ point).reshape(M, -1)).reshape(-1, 3, 3),
+            self.by_point @ (of_points @ minus)[..., 0],
+            of_points @ camera,
+            prior,
+        )
+
+    def moved(self, bundle: Bundle, normal: _Normal, damping: float) -> Bundle:
+        """Return the bundle after the damped step of the cameras and of the points."""
+        S, side, inverse = self.reduced(normal, damping)
+        S += normal.prior
+        np.einsum("ii->i", S)[:] += damping * np.diag(normal.cameras + normal.prior)
+        free = self.free(bundle)
+        H = free.T @ S @ free
+        norm = _unit(np.diag(H))
+        H = H * norm[:, None] * norm + 1e-14 * np.eye(len(H))
+        step = free @ (norm * np.linalg.solve(H, norm * (free.T @ side)))
+        local = step[self.columns][bundle.view]
+        pulled = self.by_point @ (normal.between @ local[..., None])[..., 0]
+        along = inverse @ (normal.point_side - pulled)[..., None]
+        q = bundle.points + (_tangents(bundle.points) @ along)[..., 0]
+        q /= np.linalg.norm(q, axis=1, keepdims=True)
+        poses = step[: self.poses].reshape(-1, 6)
+        t = bundle.t + poses[:, 3:]
+        if bundle.poses is None:
+            t[1] *= np.linalg.norm(bundle.t[1]) / np.linalg.norm(t[1])
+        logs = np.clip(step[self.poses :], -1, 1)  # bound the change of the lens in one step
+        focals = bundle.focals * np.exp(logs)
+        return replace(bundle, R=_rotations(poses[:, :3]) @ bundle.R, t=t, focals=focals, points=q)
+
+    def reduced(self, normal: _Normal, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the cameras' Schur complement [P, P] and right side [P], and inverse blocks of
+        points."""
+        diagonal = np.einsum("nii->ni", normal.points)
+        damped = normal.points.copy()
+        floor = 1e-14 * diagonal.sum(1, keepdims=True) + 1e-300
+        np.einsum("nii->ni", damped)[:] += damping * diagonal + floor
+        inverse = np.linalg.inv(damped)
+        S, side = normal.cameras.copy(), normal.camera_side.copy()
+        P, N, G = len(side), len(damped), len(self.lens_free)
+        view, point = self.start.view, self.start.point
+        size = max(_CHUNK // (3 * P), 1)
+        for start in range(0, N, size):
+            stop = min(start + size, N)
+            some = slice(*np.searchsorted(point, (start, stop)))
+            W = np.zeros((stop - start, 3, P))
+            # A view observes a point once, but several views may share a lens: these are summed.
+            poses = W[:, :, : self.poses].reshape(stop - start, 3, -1, 6)
+            poses[point[some] - start, :, view[some]] = normal.between[some, :, :6]
+            lens = self.by_lens[start * G : stop * G] @ normal.between[:, :, 6]
+            W[:, :, self.poses :] = lens.reshape(-1, G, 3).transpose(0, 2, 1)
+            flat = W.reshape(-1, P)
+            S -= flat.T @ (inverse[start:stop] @ W).reshape(-1, P)
+            side -= flat.T @ (inverse[start:stop] @ normal.point_side[start:stop, :, None]).ravel()
+        return S, side, inverse
+
+    def free(self, bundle: Bundle) -> np.ndarray:
+        """Return an orthonormal basis [P, F] of the camera parameters without frame and scale."""
+        every = np.eye(self.poses + len(self.lens_free))
+        lenses = every[:, self.poses :][:, self.lens_free]
+        if bundle.poses is not None:
+            return np.concatenate([every[:, : self.poses], lenses], 1)
+        # t[1] moves orthogonally to itself.
+        across = np.linalg.svd(bundle.t[1:2])[2][1:]
+        second = every[:, 9:12] @ across.T
+        return np.concatenate([every[:, 6:9], second, every[:, 12 : self.poses], lenses], 1)
+
+    def covariance(self, state: _State, normal: _Normal) -> np.ndarray:
+        """Compute the covariance [P, P] of the cameras, with the noise level of the residuals.
+
+        The covariance is that of an M-estimator (Huber 1981, ch. 7.6). Points and cameras reduce
+        the degrees of freedom of the residuals.
+        """
+        S, _, _ = self.reduced(normal, 0.0)
+        free = self.free(state.bundle)
+        r2 = (state.residuals**2).sum(1)
+        weight = 3 / (self.scale**2 + r2)
+        left = max(2 * len(r2) - 3 * len(normal.points) - free.shape[1], 1)
+        slope = (weight**2 * self.scale**2 / 3).mean()
+        noise = weight.mean() * (weight**2 * r2).sum() / left / slope**2
+        H = free.T @ (S / max(noise, 1e-2)) @ free
+        H += free.T @ normal.prior @ free
+        norm = _unit(np.diag(H))
+        values, vectors = np.linalg.eigh(H * norm[:, None] * norm)
+        # Directions that no observation constrains get a large variance, not 0.
+        inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
+        free = free * norm
+        return free @ inverse @ free.T
 
 
 def _tangents(q: np.ndarray) -> np.ndarray:
@@ -222,185 +379,9 @@ def _tangents(q: np.ndarray) -> np.ndarray:
     return np.array(rows).transpose(2, 0, 1)
 
 
-def _derivatives(
-    bundle: Bundle, q: np.ndarray, projected: _Projection
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives of the residuals by camera [M, 2, 7] and by point [M, 2, 3]."""
-    focals = bundle.focals[bundle.group[bundle.view]]
-    by_X = np.empty((len(focals), 2, 3))
-    by_X[:, :, :2] = (focals * projected.inverse_depth)[:, None, None] * np.eye(2)
-    by_X[:, :, 2] = -(by_X[:, :, :2] @ projected.uv[:, :, None])[..., 0]
-    at = q[bundle.point]
-    camera = np.empty((len(focals), 2, _LOCAL))
-    # A small rotation w moves a point X by w x X, so the derivative of r . X by w is X x r.
-    camera[:, :, :3] = np.cross(projected.turned[:, None, :], by_X)
-    camera[:, :, 3:6] = by_X * at[:, 3, None, None]
-    camera[:, :, 6] = projected.uv * focals[:, None]
-    pose = np.concatenate([bundle.R, bundle.t[:, :, None]], 2)
-    point = by_X @ (pose[bundle.view] @ _tangents(q)[bundle.point])
-    return camera, point
-
-
-def _cost(bundle: Bundle, layout: _Layout, residuals: np.ndarray, scale: float) -> float:
-    """Return minus twice the log posterior, up to a constant."""
-    cost = 3 * np.log1p((residuals**2).sum(1) / scale**2).sum()
-    cost += (layout.prior * _off_prior(bundle) ** 2).sum()
-    if bundle.poses is not None:
-        cost += (bundle.poses.pull(bundle.R, bundle.t)[0] ** 2).sum()
-    return float(cost)
-
-
 def _off_prior(bundle: Bundle) -> np.ndarray:
     """Return the offsets of the log focal lengths from the prior means: float64 [G]."""
     return np.log(bundle.focals / bundle.focal_prior)
-
-
-@dataclass(frozen=True, eq=False)
-class _Normal:
-    """Normal equations: blocks of cameras and points, and minus half the gradient of the cost."""
-
-    cameras: np.ndarray  # [P, P], without priors
-    camera_side: np.ndarray  # [P], with priors
-    points: np.ndarray  # [N, 3, 3]
-    point_side: np.ndarray  # [N, 3]
-    between: np.ndarray  # [M, 3, 7], point and camera of each observation
-    prior: np.ndarray  # [P, P], cameras
-
-
-def _normal(
-    bundle: Bundle, layout: _Layout, q: np.ndarray, projected: _Projection, scale: float
-) -> _Normal:
-    camera, point = _derivatives(bundle, q, projected)
-    weight = 3 / (scale**2 + (projected.residuals**2).sum(1))[:, None, None]
-    weighted, minus = (weight * camera).transpose(0, 2, 1), -projected.residuals[:, :, None]
-    of_points = (weight * point).transpose(0, 2, 1)
-    V, G, M = len(bundle.R), len(bundle.focals), len(bundle.view)
-    P = 6 * V + G
-    blocks = (layout.by_view @ (weighted @ camera).reshape(M, -1)).reshape(V, _LOCAL, _LOCAL)
-    H, side = np.zeros((P, P)), np.zeros(P)
-    columns = layout.columns
-    np.add.at(H, (columns[:, :, None], columns[:, None, :]), blocks)
-    np.add.at(side, columns, layout.by_view @ (weighted @ minus)[..., 0])
-    side[6 * V :] -= layout.prior * _off_prior(bundle)
-    prior = np.diag(np.concatenate([np.zeros(6 * V), layout.prior]))
-    if bundle.poses is not None:
-        off, slopes = bundle.poses.pull(bundle.R, bundle.t)
-        pose_columns = columns[:, :6]
-        prior[pose_columns[:, :, None], pose_columns[:, None, :]] = (
-            slopes.transpose(0, 2, 1) @ slopes
-        )
-        side[: 6 * V] -= (off[:, None] @ slopes).ravel()
-    return _Normal(
-        H,
-        side,
-        (layout.by_point @ (of_points @ point).reshape(M, -1)).reshape(-1, 3, 3),
-        layout.by_point @ (of_points @ minus)[..., 0],
-        of_points @ camera,
-        prior,
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Layout:
-    """Indices of the parameters, constant over the iterations.
-
-    ``by_view``, ``by_point`` and ``by_lens`` [count, M] sum the rows of observations that share a
-    view, a point, or a point and a lens.
-    """
-
-    columns: np.ndarray  # [V, 7] indices of the parameters of each view
-    by_view: csr_array
-    by_point: csr_array
-    by_lens: csr_array
-    prior: np.ndarray  # [G] prior weights of the log focal lengths
-    free: np.ndarray  # [G] bool
-
-    @staticmethod
-    def of(bundle: Bundle) -> _Layout:
-        V, N, G, M = len(bundle.R), len(bundle.points), len(bundle.focals), len(bundle.view)
-
-        def sums(index: np.ndarray, count: int) -> csr_array:
-            return csr_array((np.ones(M), (index, np.arange(M))), (count, M))
-
-        pose = 6 * np.arange(V)[:, None] + np.arange(6)
-        sigma, free = bundle.focal_sigma, bundle.focal_sigma > 0
-        return _Layout(
-            np.concatenate([pose, 6 * V + bundle.group[:, None]], 1),
-            sums(bundle.view, V),
-            sums(bundle.point, N),
-            sums(bundle.point * G + bundle.group[bundle.view], N * G),
-            np.where(free, 1 / np.where(free, sigma, 1) ** 2, 0.0),
-            free,
-        )
-
-
-def _free(bundle: Bundle, layout: _Layout) -> np.ndarray:
-    """Return an orthonormal basis [P, F] of the camera parameters without frame and scale."""
-    V = len(bundle.R)
-    every = np.eye(6 * V + len(layout.free))
-    if bundle.poses is not None:
-        return every[:, np.concatenate([np.ones(6 * V, bool), layout.free])]
-    # t[1] moves orthogonally to itself.
-    _, _, across = np.linalg.svd(bundle.t[1:2])
-    second = every[:, 9:12] @ across[1:].T
-    parts = [every[:, 6:9], second, every[:, 12 : 6 * V], every[:, 6 * V :][:, layout.free]]
-    return np.concatenate(parts, 1)
-
-
-def _reduced(
-    bundle: Bundle, layout: _Layout, normal: _Normal, damping: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the cameras' Schur complement [P, P] and right side [P], and inverse point blocks."""
-    diagonal = np.einsum("nii->ni", normal.points)
-    damped = normal.points.copy()
-    floor = 1e-14 * diagonal.sum(1, keepdims=True) + 1e-300
-    np.einsum("nii->ni", damped)[:] += damping * diagonal + floor
-    inverse = np.linalg.inv(damped)
-    P, N = len(normal.cameras), len(bundle.points)
-    S = normal.cameras.copy()
-    side = normal.camera_side.copy()
-    size = max(_CHUNK // (3 * P), 1)
-    for start in range(0, N, size):
-        stop = min(start + size, N)
-        W = _wide(bundle, layout, normal.between, start, stop)
-        flat = W.reshape(-1, P)
-        S -= flat.T @ (inverse[start:stop] @ W).reshape(-1, P)
-        solved = inverse[start:stop] @ normal.point_side[start:stop, :, None]
-        side -= flat.T @ solved.ravel()
-    return S, side, inverse
-
-
-def _wide(
-    bundle: Bundle, layout: _Layout, between: np.ndarray, start: int, stop: int
-) -> np.ndarray:
-    """Return the blocks [n, 3, P] between points ``start`` to ``stop`` and all cameras."""
-    V, G = len(bundle.R), len(bundle.focals)
-    mine = slice(*np.searchsorted(bundle.point, (start, stop)))
-    point, view = bundle.point[mine] - start, bundle.view[mine]
-    W = np.zeros((stop - start, 3, 6 * V + G))
-    # A view observes a point once, but several views may share a lens, whose columns are summed.
-    W[:, :, : 6 * V].reshape(stop - start, 3, V, 6)[point, :, view] = between[mine, :, :6]
-    lens = layout.by_lens[start * G : stop * G] @ between[:, :, 6]
-    W[:, :, 6 * V :] = lens.reshape(-1, G, 3).transpose(0, 2, 1)
-    return W
-
-
-def _step(
-    bundle: Bundle, layout: _Layout, normal: _Normal, damping: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the damped step of the cameras [P] and of the points [N, 3] along their tangents."""
-    S, side, inverse = _reduced(bundle, layout, normal, damping)
-    S += normal.prior
-    np.einsum("ii->i", S)[:] += damping * np.diag(normal.cameras + normal.prior)
-    free = _free(bundle, layout)
-    H = free.T @ S @ free
-    norm = _unit(np.diag(H))
-    H = H * norm[:, None] * norm + 1e-14 * np.eye(len(H))
-    step = free @ (norm * np.linalg.solve(H, norm * (free.T @ side)))
-    local = step[layout.columns][bundle.view]
-    pulled = layout.by_point @ (normal.between @ local[..., None])[..., 0]
-    moved = (inverse @ (normal.point_side - pulled)[..., None])[..., 0]
-    return step, moved
 
 
 def _unit(diagonal: np.ndarray) -> np.ndarray:
@@ -408,34 +389,12 @@ def _unit(diagonal: np.ndarray) -> np.ndarray:
     return 1 / np.sqrt(np.maximum(diagonal, 1e-12 * max(float(diagonal.max()), 1e-100)))
 
 
-def _moved(
-    bundle: Bundle, q: np.ndarray, step: np.ndarray, moved: np.ndarray
-) -> tuple[Bundle, np.ndarray]:
-    V = len(bundle.R)
-    poses = step[: 6 * V].reshape(V, 6)
-    t = bundle.t + poses[:, 3:]
-    if bundle.poses is None:
-        t[1] *= np.linalg.norm(bundle.t[1]) / np.linalg.norm(t[1])
-    logs = np.clip(step[6 * V :], -1, 1)  # bound the change of the lens in one step
-    q = q + (_tangents(q) @ moved[..., None])[..., 0]
-    q /= np.linalg.norm(q, axis=1, keepdims=True)
-    return replace(
-        bundle,
-        R=_rotations(poses[:, :3]) @ bundle.R,
-        t=t,
-        focals=bundle.focals * np.exp(logs),
-    ), q
-
-
 def _rotations(vectors: np.ndarray) -> np.ndarray:
     """Return rotation matrices [V, 3, 3] of rotation vectors [V, 3], radians (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     cross = _cross_matrices(vectors)
-    return (
-        np.eye(3)
-        + np.sinc(angle / np.pi) * cross
-        + (np.sinc(angle / (2 * np.pi)) ** 2 / 2) * (cross @ cross)
-    )
+    sine, cosine = np.sinc(angle / np.pi), np.sinc(angle / (2 * np.pi)) ** 2 / 2
+    return np.eye(3) + sine * cross + cosine * (cross @ cross)
 
 
 def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
@@ -443,29 +402,3 @@ def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
-
-
-def _covariance(
-    bundle: Bundle, layout: _Layout, normal: _Normal, residuals: np.ndarray, scale: float
-) -> np.ndarray:
-    """Compute the covariance [P, P] of the cameras, with the noise level of the residuals.
-
-    The covariance is that of an M-estimator (Huber 1981, ch. 7.6). Points and cameras reduce the
-    degrees of freedom of the residuals.
-    """
-    S, _, _ = _reduced(bundle, layout, normal, 0.0)
-    free = _free(bundle, layout)
-    r2 = (residuals**2).sum(1)
-    weight = 3 / (scale**2 + r2)
-    count = 2 * len(r2)
-    left = max(count - 3 * len(bundle.points) - free.shape[1], 1)
-    slope = (weight**2 * scale**2 / 3).mean()
-    noise = weight.mean() * (weight**2 * r2).sum() / left / slope**2
-    H = free.T @ (S / max(noise, 1e-2)) @ free
-    H += free.T @ normal.prior @ free
-    norm = _unit(np.diag(H))
-    values, vectors = np.linalg.eigh(H * norm[:, None] * norm)
-    # Directions that no observation constrains get a large variance, not 0.
-    inverse = (vectors / np.maximum(values, 1e-13)) @ vectors.T
-    free = free * norm
-    return free @ inverse @ free.T
