@@ -8,7 +8,7 @@ only if enough matches are inliers of some fundamental matrix, whichever cameras
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -97,38 +97,28 @@ def refuse(scene: str, checks: Sequence[PairCheck], estimated: bool = False) -> 
     The message gives the correction if the cause is a common mistake. For ``estimated`` cameras it
     advises to take other photographs.
     """
-    bad = [check for check in checks if check.refuted]
-    if bad:
-        worst = min(bad, key=lambda check: check.coarse)
+    refuted = [check for check in checks if check.refuted]
+    if refuted:
+        worst = min(refuted, key=lambda check: check.coarse)
         raise InputError(f"scene {scene!r}: {_refusal(worst, estimated)}")
 
 
 def check_pairs(views: Sequence[View], graph: MatchGraph) -> list[PairCheck]:
-    """Check the cameras of the informative pairs of views (:func:`informative_pairs`)."""
-    return informative_pairs(
-        {(i, j): check_pair(views[i], views[j], *graph.points(i, j)) for i, j in graph.matches}
-    )
-
-
-def informative_pairs(checks: Mapping[tuple[int, int], PairCheck]) -> list[PairCheck]:
-    """Select the checks of pairs (i, j) that connect all views, in the order of the pairs.
+    """Check the cameras of the pairs of views that connect all views, in the order of the pairs.
 
     They form a maximum spanning tree of the agreeing matches. Most pairs of views along a walk show
     nothing in common, and their matches are wrong. A pair without enough agreement is used only to
     connect a view that has no other edge in the tree so far.
     """
-    piece = {view: view for pair in checks for view in pair}
-    sizes = dict.fromkeys(piece, 1)
+    checks = {(i, j): check_pair(views[i], views[j], *graph.points(i, j)) for i, j in graph.matches}
+    piece = {view: {view} for pair in checks for view in pair}
     selected = []
-    for pair, check in sorted(
-        checks.items(), key=lambda item: (-item[1].agreeing, -item[1].matches, item[0])
-    ):
-        into, away = (piece[view] for view in pair)
-        alone = min(sizes[into], sizes[away]) == 1
-        if into != away and (check.judged or alone):
+    for pair in sorted(checks, key=lambda p: (-checks[p].agreeing, -checks[p].matches, p)):
+        one, other = (piece[view] for view in pair)
+        if one is not other and (checks[pair].judged or 1 in (len(one), len(other))):
             selected.append(pair)
-            sizes[into] += sizes[away]
-            piece = {view: into if of == away else of for view, of in piece.items()}
+            one |= other
+            piece |= dict.fromkeys(other, one)
     return [checks[pair] for pair in sorted(selected)]
 
 
@@ -138,28 +128,25 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
     coarse, fine = COARSE * diagonal, max(FINE * diagonal, MIN_FINE)
     pair = a.camera, b.camera
     agreeing, finely = (int(agree(at_a, at_b, far).sum()) for far in (coarse, fine))
-    within_coarse, within_fine = (explained(*pair, at_a, at_b, far) for far in (coarse, fine))
+    near = explained(*pair, at_a, at_b, coarse)
     check = PairCheck(
         views=(a.name, b.name),
         matches=len(at_a),
         agreeing=agreeing,
-        coarse=float(within_coarse.mean()) if len(within_coarse) else 0.0,
+        coarse=float(near.mean()) if len(near) else 0.0,
         pixels=coarse,
-        angle=float(np.median(angles(*pair, at_a[within_coarse], at_b[within_coarse])))
-        if within_coarse.any()
-        else np.nan,
+        angle=float(np.median(angles(*pair, at_a[near], at_b[near]))) if near.any() else np.nan,
     )
     if not check.judged:
         return check
+    uncorrected = explained(*pair, at_a, at_b, fine).sum()
     counts = {
         advice: explained(*correct(*pair), at_a, at_b, fine).sum()
         for advice, correct in CORRECTIONS.items()
     }
     best = max(counts, key=counts.__getitem__)
-    enough_gain = counts[best] >= MIN_GAIN * max(within_fine.sum(), 1)
-    if enough_gain and counts[best] >= max(MIN_CORRECTED * finely, MIN_AGREEING / 2):
-        return replace(check, correction=best)
-    return check
+    least = max(MIN_GAIN * max(uncorrected, 1), MIN_CORRECTED * finely, MIN_AGREEING / 2)
+    return replace(check, correction=best) if counts[best] >= least else check
 
 
 def explained(
@@ -174,10 +161,8 @@ def explained(
     if not np.linalg.norm(relative.t) > 0:
         return np.zeros(len(at_a), bool)
     near = np.abs(relative.epipolar_distance(at_a, at_b)) < distance
-    front = (relative.triangulate(at_a, at_b) > 0) & (
-        relative.reversed().triangulate(at_b, at_a) > 0
-    )
-    return near & front
+    in_front_of_a = relative.triangulate(at_a, at_b) > 0
+    return near & in_front_of_a & (relative.reversed().triangulate(at_b, at_a) > 0)
 
 
 def agree(at_a: np.ndarray, at_b: np.ndarray, distance: float) -> np.ndarray:
@@ -219,11 +204,10 @@ def _refusal(check: PairCheck, estimated: bool) -> str:
             "other, or give their cameras with --cameras (--set trust_cameras=true goes on all the "
             "same)"
         )
-    cause = (
-        "no usual mistake explains it; check that each photograph has its own pose and intrinsics"
-        if check.correction is None
-        else f"they fit {check.correction}"
-    )
+    cause = "no usual mistake explains it; check that each photograph has its own pose and "
+    cause += "intrinsics"
+    if check.correction is not None:
+        cause = f"they fit {check.correction}"
     return (
         f"{explained}; {cause} (`slgaussian field` without --cameras finds them from the "
         "photographs, --set trust_cameras=true goes on all the same)"
@@ -248,6 +232,8 @@ def _times(factor: float) -> str:
     return f"multiplied by {factor:.3g}" if factor > 1 else f"divided by {1 / factor:.3g}"
 
 
+_INVERTED = "if every pose is inverted, in the axes of {}: world-to-camera for camera-to-world"
+
 CORRECTIONS: dict[str, Callable[[Camera, Camera], Pair]] = {
     "if the two poses are exchanged: give each photograph its own": lambda a, b: (
         replace(a, c2w=b.c2w),
@@ -255,12 +241,8 @@ CORRECTIONS: dict[str, Callable[[Camera, Camera], Pair]] = {
     ),
     "if the y and z axes of every pose are reversed, OpenCV's for OpenGL's or the other way round: "
     "multiply the second and the third column of each by -1": _posed(lambda c2w: c2w @ _YZ),
-    "if every pose is inverted, in the axes of OpenCV: world-to-camera for camera-to-world": _posed(
-        np.linalg.inv
-    ),
-    "if every pose is inverted, in the axes of OpenGL: world-to-camera for camera-to-world": _posed(
-        lambda c2w: _YZ @ np.linalg.inv(c2w) @ _YZ
-    ),
+    _INVERTED.format("OpenCV"): _posed(np.linalg.inv),
+    _INVERTED.format("OpenGL"): _posed(lambda c2w: _YZ @ np.linalg.inv(c2w) @ _YZ),
     **{
         f"if the focal length is {_times(factor)}": _scaled(factor, 2)
         for factor in (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4)

@@ -102,35 +102,37 @@ class TwoViews:
 
     def fundamental(self) -> np.ndarray:
         """Return F [3, 3] with ``(y, 1) @ F @ (x, 1) = 0``."""
+        return _cross_matrix(self.t) @ self.R / self.pixels
+
+    @property
+    def pixels(self) -> np.ndarray:
+        """Return the factors [3, 3] of F without and with focal lengths."""
         fa, fb = self.focals
-        return _cross_matrix(self.t) @ self.R / np.outer([fb, fb, 1], [fa, fa, 1])
+        return np.outer([fb, fb, 1], [fa, fa, 1])
 
     def fundamental_slopes(self, prior: FocalPrior) -> np.ndarray:
         """Return derivatives [5 + F, 3, 3] of :meth:`fundamental` by the steps of :meth:`moved`."""
-        F = self.fundamental()
-        fa, fb = self.focals
-        pixels = np.outer([fb, fb, 1], [fa, fa, 1])
-        turned = [_cross_matrix(self.t) @ _cross_matrix(axis) @ self.R for axis in np.eye(3)]
-        shifted = [_cross_matrix(axis) @ self.R for axis in _across(self.t)]
+        cross, F = _cross_matrix(self.t), self.fundamental()
+        turned = [cross @ _cross_matrix(axis) @ self.R / self.pixels for axis in np.eye(3)]
+        shifted = [_cross_matrix(axis) @ self.R / self.pixels for axis in _across(self.t)]
         in_a, in_b = np.array([-1.0, -1, 0]), np.array([[-1.0], [-1], [0]])
         zoomed = [F * (da * in_a + db * in_b) for da, db in prior.directions]
-        return np.stack([*(slope / pixels for slope in (*turned, *shifted)), *zoomed])
+        return np.stack([*turned, *shifted, *zoomed])
+
+    def rays(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return lines of sight [M, 3] and [M, 3] of matches in the axes of the second camera."""
+        return _homogeneous(x / self.focals[0]) @ self.R.T, _homogeneous(y / self.focals[1])
 
     def depths(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Compute z-depths [2, M] of matches in both cameras, in baselines; <= 0 if behind."""
-        a = _homogeneous(x / self.focals[0]) @ self.R.T
-        b = _homogeneous(y / self.focals[1])
+        a, b = self.rays(x, y)
         normal = np.cross(a, b)
-        square = np.maximum((normal**2).sum(1), 1e-18)
-        return (
-            np.stack([(np.cross(b, self.t) * normal).sum(1), (np.cross(a, self.t) * normal).sum(1)])
-            / square
-        )
+        numerators = [(np.cross(ray, self.t) * normal).sum(1) for ray in (b, a)]
+        return np.stack(numerators) / np.maximum((normal**2).sum(1), 1e-18)
 
     def angles(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Compute the angle [M] between the two lines of sight, degrees."""
-        a = _homogeneous(x / self.focals[0]) @ self.R.T
-        b = _homogeneous(y / self.focals[1])
+        a, b = self.rays(x, y)
         cross = np.linalg.norm(np.cross(a, b), axis=1)
         return np.degrees(np.arctan2(cross, (a * b).sum(1)))
 
@@ -160,15 +162,15 @@ def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
     x, y = x[:MOST], y[:MOST]
     if len(x) < 8:
         return []
-    subset = x[:ROUGHLY], y[:ROUGHLY]
-    rough = (_descended(start, *subset, prior, 2) for start in _starts(x, y, prior))
-    ends = _rated([end for end in rough if end is not None], *subset, prior)
-    fine = (_descended(end, x, y, prior, 3) for end in _unlike(ends, 1.0)[:FINELY])
-    ends = _rated([end for end in fine if end is not None], x, y, prior)
-    return [_with_covariance(end, x, y, prior) for end in _unlike(ends, 3.0)]
+    few = x[:ROUGHLY], y[:ROUGHLY]
+    rough = (_descended(start, *few, prior, 2) for start in _starts(x, y, prior))
+    ends = _unlike(_rated([end for end in rough if end is not None], *few), 1.0)
+    fine = (_descended(end, x, y, prior, 3) for end in ends[:FINELY])
+    ends = _unlike(_rated([end for end in fine if end is not None], x, y), 3.0)
+    return [_with_covariance(end, x, y, prior) for end in ends]
 
 
-def _rated(ends: list[TwoViews], x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
+def _rated(ends: list[TwoViews], x: np.ndarray, y: np.ndarray) -> list[TwoViews]:
     """Recompute the costs with one scale of the loss, the smallest; sort by cost."""
     scale = min((end.scale for end in ends), default=START)
     rated = [replace(end, cost=posterior(end, x, y, scale), scale=scale) for end in ends]
@@ -189,9 +191,8 @@ def posterior(views: TwoViews, x: np.ndarray, y: np.ndarray, scale: float) -> fl
 
     Matches behind a camera or farther off than ``FAR`` cost as much as matches ``FAR`` pixels off.
     """
-    distance = np.where(
-        (views.depths(x, y) > 0).all(0), np.minimum(np.abs(views.distance(x, y)), FAR), FAR
-    )
+    front = (views.depths(x, y) > 0).all(0)
+    distance = np.where(front, np.minimum(np.abs(views.distance(x, y)), FAR), FAR)
     loss = 0.5 * np.log1p((distance / scale) ** 2).sum()
     return float(loss / COUPLING + 0.5 * (views.moves**2).sum())
 
@@ -250,17 +251,15 @@ def _descent(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -
     damping, best = 1e-3, cost(views)
     for _ in range(15):
         hessian, gradient = _normal(views, x, y, prior)
-        better = None
         for _ in range(6):
             diagonal = np.diag(np.diag(hessian) * damping + 1e-12)
             trial = views.moved(-np.linalg.solve(hessian + diagonal, gradient), prior)
             if (value := cost(trial)) < best:
-                better = trial
                 break
             damping *= 8
-        if better is None:
+        else:
             break
-        gain, views, best, damping = best - value, better, value, max(damping / 10, 1e-9)
+        gain, views, best, damping = best - value, trial, value, max(damping / 10, 1e-9)
         if gain < 1e-5 * max(best, 1):
             break
     return views
@@ -284,13 +283,11 @@ def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -
     :meth:`TwoViews.moved`."""
     numerator, a, b = _sampson(views.fundamental(), x, y)
     square = (a**2).sum(1) + (b**2).sum(1)
-    slopes = views.fundamental_slopes(prior)
-    at_x, at_y = _homogeneous(x), _homogeneous(y)
+    slopes, at_x, at_y = views.fundamental_slopes(prior), _homogeneous(x), _homogeneous(y)
     slopes_b = at_x @ slopes.transpose(0, 2, 1)
     slopes_a = at_y @ slopes[:, :, :2]
     slope = (a * slopes_b[..., :2]).sum(2) + (b * slopes_a).sum(2)
-    columns = ((at_y * slopes_b).sum(2) - numerator * slope / square) / np.sqrt(square)
-    return columns.T
+    return (((at_y * slopes_b).sum(2) - numerator * slope / square) / np.sqrt(square)).T
 
 
 def _with_covariance(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:

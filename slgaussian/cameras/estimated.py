@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-import numpy as np
-
 from slgaussian.io import short_repr
 from slgaussian.scene import Camera
 
@@ -93,7 +91,7 @@ class EstimatedCameras:
             "doubt": self.doubt,
             "focals": {name: asdict(focal) for name, focal in self.focals.items()},
             "pairs": [
-                {key: _plain(value) for key, value in asdict(pair).items()} for pair in self.pairs
+                {k: None if v != v else v for k, v in asdict(pair).items()} for pair in self.pairs
             ],
             "warnings": list(self.warnings),
             "left_out": dict(self.left_out),
@@ -115,7 +113,3 @@ class EstimatedCameras:
             f"{high:.0f}, from {sources}); of two photographs, {weakest.inliers} of "
             f"{weakest.matches} matches agree at least"
         )
-
-
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not np.isfinite(value) else value

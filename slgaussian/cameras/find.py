@@ -4,12 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
 from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, Focal
-from slgaussian.cameras.multi_view import PairSolver, PlacedCameras, Unplaced, find_multi_view
-from slgaussian.cameras.two_view import EXIF_SPREAD, SPREAD, Described, Photograph, confidence
+from slgaussian.cameras.multi_view import PlacedCameras, Solve, Unplaced, find_multi_view
+from slgaussian.cameras.two_view import (
+    EXIF_SPREAD,
+    SPREAD,
+    Described,
+    Photograph,
+    confidence,
+    find_pair,
+)
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Estimated
 
@@ -56,14 +64,14 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
     if len(once) < 2:
         once, left = list(photographs), {}
     described = [Described.of(photograph) for photograph in once]
-    solver = PairSolver()
+    solve = cache(find_pair)
     remaining = described
     while True:
         try:
             solution = (
-                find_multi_view(remaining, solver)
+                find_multi_view(remaining, solve)
                 if len(remaining) > 2
-                else _find_two(remaining[0], remaining[1], solver)
+                else _find_two(remaining[0], remaining[1], solve)
             )
             break
         except Unplaced as gap:
@@ -76,18 +84,17 @@ def find_cameras(photographs: Sequence[Photograph]) -> EstimatedCameras:
     return replace(_estimated_cameras(solution, remaining), warnings=warnings, left_out=left)
 
 
-def _find_two(a: Described, b: Described, solver: PairSolver) -> PlacedCameras:
+def _find_two(a: Described, b: Described, solve: Solve) -> PlacedCameras:
     first, second = sorted((a, b), key=lambda item: item.digest)
-    pose = solver(first, second)
+    pose = solve(first, second)
     views = pose.views
     if pose.estimate.verdict == UNUSED or views is None or views.covariance is None:
         raise InputError(
             f"{a.photograph.name!r} and {b.photograph.name!r}: no cameras can be found: "
             f"{pose.estimate.said}; {pose.advice}"
         )
+    R, t, focals = views.R, views.t, views.focals
     moves = np.sqrt(np.diag(views.covariance)[5:])
-    R, t = views.R, views.t
-    focals = views.focals
     deviations = np.array([first.focal[1], second.focal[1]]) * (moves if len(moves) else 0)
     if first is not a:
         R, t = R.T, -R.T @ t
@@ -103,42 +110,31 @@ def _find_two(a: Described, b: Described, solver: PairSolver) -> PlacedCameras:
 
 
 def _estimated_cameras(solution: PlacedCameras, described: Sequence[Described]) -> EstimatedCameras:
-    photographs = [item.photograph for item in described]
-    if len(solution.pairs) == 1:
-        (pair,) = solution.pairs
-        doubt = pair.said if pair.verdict == DOUBTFUL else ""
-    else:
-        doubt = (
-            "some photographs share little with the others" if solution.confidence < SURE else ""
-        )
+    doubt = ""
+    if len(solution.pairs) > 1 and solution.confidence < SURE:
+        doubt = "some photographs share little with the others"
+    elif len(solution.pairs) == 1 and solution.pairs[0].verdict == DOUBTFUL:
+        doubt = solution.pairs[0].said
     cameras, focals = {}, {}
-    for k, (item, photograph) in enumerate(zip(described, photographs, strict=True)):
-        focal = focal_of(
-            solution.focals[k] / item.shrunk, float(solution.deviations[k]), photograph
-        )
+    for k, item in enumerate(described):
+        photograph = item.photograph
+        pixels = solution.focals[k] / item.shrunk
+        focal = focal_of(pixels, float(solution.deviations[k]), photograph)
         c2w = np.eye(4)
         c2w[:3, :3], c2w[:3, 3] = solution.R[k].T, -solution.R[k].T @ solution.t[k]
         focals[photograph.name] = focal
         cameras[photograph.name] = camera_of(photograph, focal, c2w, solution.confidence)
-    return EstimatedCameras(
-        cameras,
-        focals,
-        solution.pairs,
-        solution.confidence,
-        doubt,
-    )
+    return EstimatedCameras(cameras, focals, solution.pairs, solution.confidence, doubt)
 
 
 def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:
     """Return the focal length of the whole photograph with its interval, from the standard
     deviation of its logarithm."""
-    prior = EXIF_SPREAD if photograph.focal is not None else SPREAD
-    deviation = min(float(np.hypot(OPTIMISM * deviation, MODEL)), prior)
+    by_exif = photograph.focal is not None
+    deviation = float(np.hypot(OPTIMISM * deviation, MODEL))
+    deviation = min(deviation, EXIF_SPREAD if by_exif else SPREAD)
     wide = float(np.exp(Z_90 * deviation))
-    if photograph.focal is not None:
-        source = "EXIF"
-    else:
-        source = "matches" if deviation < NARROWED * SPREAD else "guess"
+    source = "EXIF" if by_exif else "matches" if deviation < NARROWED * SPREAD else "guess"
     return Focal(float(pixels), float(pixels / wide), float(pixels * wide), source)
 
 

@@ -5,7 +5,7 @@ SIFT (Lowe 2004) of OpenCV with RootSIFT descriptors (Arandjelovic and Zisserman
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -41,6 +41,9 @@ class Features:
 
     def __len__(self) -> int:
         return len(self.points)
+
+    def __getitem__(self, rows: np.ndarray) -> Features:
+        return Features(*(getattr(self, item.name)[rows] for item in fields(self)))
 
 
 def find_features(grey: np.ndarray, limit: int, contrast: float) -> Features:

@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
+from slgaussian.cameras.epipolar import COUPLING
 from slgaussian.cameras.estimated import UNUSED, EstimatedPair
 from slgaussian.cameras.incremental import Placed, Tie, place
-from slgaussian.cameras.matches import Features, match
-from slgaussian.cameras.two_view import (
-    ALIKE,
-    BLUNT,
-    LEAST,
-    Described,
-    PairPose,
-    confidence,
-    find_pair,
-)
+from slgaussian.cameras.matches import match
+from slgaussian.cameras.two_view import ALIKE, BLUNT, LEAST, Described, PairPose, confidence
 from slgaussian.errors import InputError, listed
 from slgaussian.io import short_repr
 
@@ -29,9 +22,6 @@ COARSE = 800
 
 NEIGHBOURS = 3
 """Number of photographs with which each is solved, those with most matches."""
-
-COUPLING = 3.0
-"""Errors of matches are correlated: this many matches count as one independent observation."""
 
 MIN_CONFIDENCE = 0.5
 """Cameras of less confidence are refused."""
@@ -42,6 +32,10 @@ right on two chains of a walk, and wrong where two rooms contained the same obje
 
 STILL = 1e-3
 """Smallest distance of the first two cameras, the unit of length, over the largest distance."""
+
+
+Solve = Callable[[Described, Described], PairPose]
+"""Estimation of a pair: :func:`slgaussian.cameras.two_view.find_pair`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +75,7 @@ class Unplaced(InputError):
         )
 
 
-class PairSolver:
-    """Relative poses of pairs, each solved once."""
-
-    def __init__(self) -> None:
-        self.poses: dict[tuple[str, str], PairPose] = {}
-
-    def __call__(self, a: Described, b: Described) -> PairPose:
-        """Return the pose of a pair, ordered by the digests of the two images."""
-        a, b = sorted((a, b), key=lambda item: item.digest)
-        names = a.photograph.name, b.photograph.name
-        if names not in self.poses:
-            self.poses[names] = find_pair(a, b)
-        return self.poses[names]
-
-
-def find_multi_view(described: Sequence[Described], solver: PairSolver) -> PlacedCameras:
+def find_multi_view(described: Sequence[Described], solve: Solve) -> PlacedCameras:
     """Estimate the cameras of three or more photographs.
 
     They are processed in the order of their digests, so the order of the arguments determines only
@@ -108,16 +87,18 @@ def find_multi_view(described: Sequence[Described], solver: PairSolver) -> Place
     """
     order = sorted(range(len(described)), key=lambda k: described[k].digest)
     ordered = [described[k] for k in order]
-    poses = {(i, j): solver(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
-    lenses = list(dict.fromkeys(item.lens for item in ordered))
-    group = np.array([lenses.index(item.lens) for item in ordered])
-    priors = [ordered[int(np.argmax(group == g))].focal for g in range(len(lenses))]
+    poses = {(i, j): solve(ordered[i], ordered[j]) for i, j in worth_solving(ordered)}
+    priors: dict[object, tuple[float, float]] = {}
+    for item in ordered:
+        priors.setdefault(item.lens, item.focal)
+    lenses = list(priors)
+    mean, sigma = np.array(list(priors.values())).T
     placed = place(
         [item.features.points for item in ordered],
         np.array([item.middle for item in ordered]),
-        group,
-        np.exp([mean for mean, _ in priors]),
-        np.array([sigma for _, sigma in priors]),
+        np.array([lenses.index(item.lens) for item in ordered]),
+        np.exp(mean),
+        sigma,
         [_tie(views, pose) for views, pose in poses.items() if len(pose.i) >= LEAST],
     )
     _all_placed(ordered, poses, placed)
@@ -126,7 +107,7 @@ def find_multi_view(described: Sequence[Described], solver: PairSolver) -> Place
     back = np.argsort(placed.order)[np.argsort(order)]
     R, t = bundle.R[back], bundle.t[back]
     R = R @ R[0].T
-    t = t - (R @ t[0])
+    t = t - R @ t[0]
     distances = np.linalg.norm(t, axis=1)
     scale = float(distances[1])
     if scale < STILL * distances.max():
@@ -153,7 +134,10 @@ def worth_solving(described: Sequence[Described]) -> list[tuple[int, int]]:
 
     All pairs are matched with few features; only the selected pairs are matched in full.
     """
-    subsets = [_largest(item.features) for item in described]
+    subsets = []
+    for item in described:
+        largest = np.argsort(-item.features.scales, kind="stable")[:COARSE]
+        subsets.append(item.features[largest])
     count = len(subsets)
     shared = np.zeros((count, count))
     for i in range(count):
@@ -165,31 +149,14 @@ def worth_solving(described: Sequence[Described]) -> list[tuple[int, int]]:
     return sorted({(min(i, j), max(i, j)) for i, j in pairs if i != j})
 
 
-def _largest(features: Features) -> Features:
-    largest = np.argsort(-features.scales, kind="stable")[:COARSE]
-    return Features(
-        features.points[largest],
-        features.descriptors[largest],
-        features.scales[largest],
-        features.angles[largest],
-    )
-
-
 def _tie(views: tuple[int, int], pose: PairPose) -> Tie:
     """Make the tie of a pair; without a pose if the pair is degenerate (one position, or a plane).
 
     A third photograph may show the same points from another position.
     """
-    relative = pose.views
-    return Tie(
-        views,
-        (pose.i, pose.j),
-        pose.y + pose.second.middle,
-        None if relative is None else (relative.R, relative.t),
-        None if relative is None else (float(relative.focals[0]), float(relative.focals[1])),
-        float(np.nan_to_num(pose.estimate.angle)),
-        confidence(pose),
-    )
+    angle = float(np.nan_to_num(pose.estimate.angle))
+    xy = pose.y + pose.second.middle
+    return Tie(views, (pose.i, pose.j), xy, pose.views, angle, confidence(pose))
 
 
 def _all_placed(

@@ -42,7 +42,7 @@ class Verdict(NamedTuple):
     """Verdict on a scene, with the reason and what to photograph instead, if it is not good."""
 
     level: str
-    reason: str
+    reason: str = ""
 
     def sentence(self) -> str:
         """Return the verdict as one line of text."""
@@ -125,7 +125,7 @@ class Quality:
             )
         if self.agreement >= MUCH_AGREEMENT and self.clash <= LITTLE_CLASH:
             if not self.apart:
-                return Verdict(GOOD, "")
+                return Verdict(GOOD)
             return Verdict(
                 USABLE,
                 f"views that share less than {LITTLE_SHARED:.0%} with any other: {self.apart}; "
@@ -136,15 +136,11 @@ class Quality:
         elif self.turn > TURNED:
             cause = f"cameras are turned by {self.turn:.0f} degrees; add a photograph from between"
         elif self.clash > LITTLE_CLASH:
-            cause = (
-                "something moved, shines or is thin; photograph what stands still, from places "
-                "nearer to each other"
-            )
+            cause = "something moved, shines or is thin; photograph what stands still, from places "
+            cause += "nearer to each other"
         else:
-            cause = (
-                "much of it is blank or looks alike, and its depth a guess; add a photograph from "
-                "between, with more texture in it"
-            )
+            cause = "much of it is blank or looks alike, and its depth a guess; add a photograph "
+            cause += "from between, with more texture in it"
         return Verdict(
             POOR if self.agreement < LEAST_AGREEMENT or self.clash > MOST_CLASH else USABLE,
             f"of what two views show, they confirm {self.agreement:.0%} and contradict "
@@ -177,16 +173,16 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
     shared = np.zeros(len(views))
     nearest = [(0, 0)] * len(views)  # the pair of each view with the largest overlap
     confirmed, met = np.zeros(depths.shape, bool), np.zeros(depths.shape, bool)
-    for a, b in neighbours(views):
+    for pair in neighbours(views):
         fractions = []
-        for view_index, source in ((a, b), (b, a)):
-            inside, same = geometry.seen_again(view_index, source)
-            confirmed[view_index] |= same
-            met[view_index] |= inside
-            fractions.append(float(inside.sum() / max((depths[view_index] > 0).sum(), 1)))
-        for view in (a, b):
+        for view, source in (pair, pair[::-1]):
+            inside, same = geometry.seen_again(view, source)
+            confirmed[view] |= same
+            met[view] |= inside
+            fractions.append(float(inside.sum() / max((depths[view] > 0).sum(), 1)))
+        for view in pair:
             if min(fractions) > shared[view]:
-                shared[view], nearest[view] = min(fractions), (a, b)
+                shared[view], nearest[view] = min(fractions), pair
     clash = {
         (a, b): max(geometry.clash(a, b), geometry.clash(b, a)) if a != b else 0.0
         for a, b in set(nearest)

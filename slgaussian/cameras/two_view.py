@@ -189,7 +189,9 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         prior: Prior of the two focal lengths, pixels of the images; default from EXIF or typical
             lenses.
     """
-    prior = prior or focal_prior(a, b)
+    if prior is None:
+        mean, sigma = np.array([a.focal, b.focal]).T
+        prior = FocalPrior(mean, sigma, shared=a.lens == b.lens)
     i, j, ratios = match(a.features, b.features, POSE_RATIO)
     order = np.argsort(ratios, kind="stable")
     i, j = i[order], j[order]
@@ -215,8 +217,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     pose = replace(every.of(inlier), views=best)
     if count < max(LEAST, SHARE * len(i)):
         return _refuse_few(pose)
-    flaw = _flaw_of_points(pose, SMALL, min)
-    if flaw is not None:
+    if (flaw := _flaw_of_points(pose, SMALL, min)) is not None:
         return _refused(pose, *flaw)
     assert best.covariance is not None
     # Standard deviation of rotation or direction, over all axes together.
@@ -233,22 +234,19 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
             "repeated patterns, flat things and little overlap",
             "take photographs that share more, with things at different distances in both",
         )
+    open_position = f"the matches leave the position open by {uncertainty:.0f} degrees"
     if uncertainty > BLUNT:
-        return _refused(
-            pose,
-            f"the matches leave the position open by {uncertainty:.0f} degrees",
-            "take photographs that share more, from a step farther apart",
-        )
+        advice = "take photographs that share more, from a step farther apart"
+        return _refused(pose, open_position, advice)
     doubts = []
     if probability < SURE:
         doubts.append("another position of the cameras would explain the matches almost as well")
     if uncertainty > SHARP:
-        doubts.append(f"the matches leave the position open by {uncertainty:.0f} degrees")
+        doubts.append(open_position)
     if count < 2 * LEAST:
         doubts.append(f"only {count} matches agree")
-    larger = float(
-        np.exp(abs(np.median(np.log(b.features.scales[pose.j] / a.features.scales[pose.i]))))
-    )
+    zoom = np.median(np.log(b.features.scales[pose.j] / a.features.scales[pose.i]))
+    larger = float(np.exp(abs(zoom)))
     if prior.sigma.max() > EXIF_SPREAD and larger > ENLARGED:
         doubts.append(
             f"things are {larger:.1f} times as large in one, by a zoom or a step forward, and no "
@@ -264,17 +262,8 @@ def confidence(pose: PairPose) -> float:
     if pose.estimate.verdict == UNUSED or pose.views is None:
         return 0.0
     enough = 1 - np.exp(-pose.estimate.inliers / LEAST)
-    return float(
-        pose.probability * enough * np.exp(-0.5 * (pose.estimate.uncertainty / BLUNT) ** 2)
-    )
-
-
-def focal_prior(a: Described, b: Described) -> FocalPrior:
-    """Return the prior of two focal lengths, pixels of the images."""
-    (mean_a, sigma_a), (mean_b, sigma_b) = a.focal, b.focal
-    return FocalPrior(
-        np.array([mean_a, mean_b]), np.array([sigma_a, sigma_b]), shared=a.lens == b.lens
-    )
+    certain = np.exp(-0.5 * (pose.estimate.uncertainty / BLUNT) ** 2)
+    return float(pose.probability * enough * certain)
 
 
 def _on_homography(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -333,9 +322,8 @@ def _spread(points: np.ndarray, of: Described) -> float:
 
 
 def _refused(pose: PairPose, reason: str, advice: str) -> PairPose:
-    return replace(
-        pose, estimate=replace(pose.estimate, verdict=UNUSED, said=reason), advice=advice
-    )
+    estimate = replace(pose.estimate, verdict=UNUSED, said=reason)
+    return replace(pose, estimate=estimate, advice=advice)
 
 
 def _refuse_few(pose: PairPose) -> PairPose:

@@ -167,25 +167,22 @@ def _column(parameters, column):
 
 
 @kernel(inline="always")
+def _three(parameters, first):
+    """Return three columns of parameters."""
+    x, y = _column(parameters, first), _column(parameters, first + 1)
+    return x, y, _column(parameters, first + 2)
+
+
+@kernel(inline="always")
 def _is_valid(parameters):
     """Test that parameters are finite, scales and opacities in range, and quaternions nonzero."""
-    scale_x, scale_y, scale_z = (
-        _column(parameters, 3),
-        _column(parameters, 4),
-        _column(parameters, 5),
-    )
+    x, y, z = _three(parameters, 0)
+    scale_x, scale_y, scale_z = _three(parameters, 3)
     # A sum is finite if all its terms are, in float64, where it cannot overflow; and NaN fails
     # every comparison.
-    total = (
-        _column(parameters, 0)
-        + _column(parameters, 1)
-        + _column(parameters, 2)
-        + scale_x
-        + scale_y
-        + scale_z
-    )
-    length = vabs(_column(parameters, 6)) + vabs(_column(parameters, 7))
-    length = length + vabs(_column(parameters, 8)) + vabs(_column(parameters, 9))
+    total = x + y + z + scale_x + scale_y + scale_z
+    a, b, c = _three(parameters, 6)
+    length = vabs(a) + vabs(b) + vabs(c) + vabs(_column(parameters, 9))
     opacity = _column(parameters, 10)
     fine = (vabs(total) < np.inf) & (length > 0.0) & (length < np.inf)
     fine = fine & (scale_x >= 0.0) & (scale_y >= 0.0) & (scale_z >= 0.0)
@@ -208,18 +205,12 @@ def _is_finite(numbers, start, end):
 @kernel(inline="always")
 def _project_vector(parameters, eye, outputs):
     """Convert columns of parameters to those of splats and boxes."""
-    x, y, z = _to_camera(
-        _column(parameters, 0), _column(parameters, 1), _column(parameters, 2), eye
-    )
-    A = _image_rows(x, y, z, eye)
-    R = _rotation(
-        _column(parameters, 6),
-        _column(parameters, 7),
-        _column(parameters, 8),
-        _column(parameters, 9),
-    )
-    px, py = _spread(A, R, _column(parameters, 3), _column(parameters, 4), _column(parameters, 5))
-    xx, xy, yy, det = _covariance(px, py)
+    x, y, z = _to_camera(*_three(parameters, 0), eye)
+    qw, qx, qy = _three(parameters, 6)
+    R = _rotation(qw, qx, qy, _column(parameters, 9))
+    (a, b, c), (d, e, f) = _axes(_image_rows(x, y, z, eye), R)
+    sx, sy, sz = _three(parameters, 3)
+    xx, xy, yy, det = _covariance((sx * a, sy * b, sz * c), (sx * d, sy * e, sz * f))
     wide = det + eye.low_pass * (xx + yy) + eye.low_pass * eye.low_pass
     opacity = _column(parameters, 10)
     xx = xx + eye.low_pass
@@ -290,103 +281,72 @@ def _project_backward(
     counter, means, scales, quats, opacities, eye, splats, firsts, grads, d_means, d_scales,
     d_quats, d_opacities, d_values,
 ):  # fmt: skip
-    n, start = len(means), take(counter) * SHARE
+    n, channels, W = len(means), d_values.shape[1], eye.R
+    m, dA, dR = np.empty(MOMENTS), np.empty((2, 3)), np.empty((3, 3))
+    start = take(counter) * SHARE
     while start < n:
         for i in range(start, min(n, start + SHARE)):
-            _gaussian_backward(
-                i, means, scales, quats, opacities, eye, splats, firsts, grads, d_means, d_scales,
-                d_quats, d_opacities, d_values,
-            )  # fmt: skip
+            if firsts[i] == firsts[i + 1]:
+                continue
+            m[:], dA[:], dz = 0, 0, 0.0
+            for row in range(firsts[i], firsts[i + 1]):
+                for k in range(MOMENTS):
+                    m[k] += grads[row, k]
+                for k in range(channels):
+                    d_values[i, k] += grads[row, MOMENTS + k]
+                dz += grads[row, MOMENTS + channels]
+            root, slope, row_root = splats[i, ROOT], splats[i, SLOPE], splats[i, ROW_ROOT]
+            row_precision = row_root * row_root / HALF_LOG2_E
+            du = root * m[1] / HALF_LOG2_E
+            dv = row_root * m[3] / HALF_LOG2_E - slope * du
+            # var = xx - xy^2 / yy, slope = xy / yy.
+            d_var = 0.5 * (root * root / HALF_LOG2_E) * m[2] / HALF_LOG2_E
+            d_slope = root / row_root * m[4] / HALF_LOG2_E
+            dxy = d_slope * row_precision - 2 * slope * d_var
+            dyy = slope * slope * d_var - slope * row_precision * d_slope
+            dyy += 0.5 * row_precision * m[5] / HALF_LOG2_E
+            d_opacities[i] = m[0] / math.exp2(splats[i, POWER])
+
+            x, y, z = _to_camera(
+                np.float64(means[i, 0]), np.float64(means[i, 1]), np.float64(means[i, 2]), eye
+            )
+            A = _image_rows(x, y, z, eye)
+            qw, qx, qy, qz = quats[i]
+            R = _rotation(np.float64(qw), np.float64(qx), np.float64(qy), np.float64(qz))
+            axes = _axes(A, R)
+            for k in range(3):
+                scale, axis_x, axis_y = scales[i, k], axes[0][k], axes[1][k]
+                px, py = scale * axis_x, scale * axis_y
+                dpx = 2 * d_var * px + dxy * py
+                dpy = 2 * dyy * py + dxy * px
+                d_scales[i, k] = dpx * axis_x + dpy * axis_y
+                for j in range(3):
+                    dA[0, j] += scale * dpx * R[j][k]
+                    dA[1, j] += scale * dpy * R[j][k]
+                    dR[j, k] = scale * dpx * A[0][j] + scale * dpy * A[1][j]
+            _rotation_backward(quats[i], dR, d_quats[i])
+
+            # A = J W with J = [[fx, skew, -(fx tx + skew ty)], [0, fy, -fy ty]] / z.
+            dJ00 = dA[0, 0] * W[0, 0] + dA[0, 1] * W[0, 1] + dA[0, 2] * W[0, 2]
+            dJ01 = dA[0, 0] * W[1, 0] + dA[0, 1] * W[1, 1] + dA[0, 2] * W[1, 2]
+            dJ02 = dA[0, 0] * W[2, 0] + dA[0, 1] * W[2, 1] + dA[0, 2] * W[2, 2]
+            dJ11 = dA[1, 0] * W[1, 0] + dA[1, 1] * W[1, 1] + dA[1, 2] * W[1, 2]
+            dJ12 = dA[1, 0] * W[2, 0] + dA[1, 1] * W[2, 1] + dA[1, 2] * W[2, 2]
+            tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
+            by_depth = dJ00 * eye.fx + dJ01 * eye.skew - dJ02 * (eye.fx * tx + eye.skew * ty)
+            by_depth = by_depth + dJ11 * eye.fy - dJ12 * eye.fy * ty
+            dz -= by_depth / (z * z)
+            dx = du * eye.fx
+            dy = du * eye.skew + dv * eye.fy
+            if tx == x:
+                dx -= dJ02 * eye.fx / z
+            if ty == y:
+                dy -= (dJ02 * eye.skew + dJ12 * eye.fy) / z
+            # x and y are divided by z already.
+            dz -= (dx * x + dy * y) / z
+            for k in range(3):
+                d_means[i, k] = (dx * W[0, k] + dy * W[1, k]) / z + dz * W[2, k]
         start = take(counter) * SHARE
-
-
-@kernel
-def _gaussian_backward(
-    i, means, scales, quats, opacities, eye, splats, firsts, grads, d_means, d_scales, d_quats,
-    d_opacities, d_values,
-):  # fmt: skip
-    channels = d_values.shape[1]
-    if firsts[i] == firsts[i + 1]:
-        return
-    m0 = m1 = m2 = m3 = m4 = m5 = dz = 0.0
-    for row in range(firsts[i], firsts[i + 1]):
-        m0 += grads[row, 0]
-        m1 += grads[row, 1]
-        m2 += grads[row, 2]
-        m3 += grads[row, 3]
-        m4 += grads[row, 4]
-        m5 += grads[row, 5]
-        for k in range(channels):
-            d_values[i, k] += grads[row, MOMENTS + k]
-        dz += grads[row, MOMENTS + channels]
-    root, slope, row_root = splats[i, ROOT], splats[i, SLOPE], splats[i, ROW_ROOT]
-    row_precision = row_root * row_root / HALF_LOG2_E
-    du = root * m1 / HALF_LOG2_E
-    dv = row_root * m3 / HALF_LOG2_E - slope * du
-    # var = xx - xy^2 / yy, slope = xy / yy.
-    d_var = 0.5 * (root * root / HALF_LOG2_E) * m2 / HALF_LOG2_E
-    d_slope = root / row_root * m4 / HALF_LOG2_E
-    dxx = d_var
-    dxy = d_slope * row_precision - 2 * slope * d_var
-    dyy = slope * slope * d_var - slope * row_precision * d_slope
-    dyy += 0.5 * row_precision * m5 / HALF_LOG2_E
-
-    x, y, z = _to_camera(*_three(means[i]), eye)
-    A = _image_rows(x, y, z, eye)
-    qw, qx, qy, qz = quats[i]
-    R = _rotation(np.float64(qw), np.float64(qx), np.float64(qy), np.float64(qz))
-    px, py = _spread(A, R, *_three(scales[i]))
-    d_opacities[i] = m0 / math.exp2(splats[i, POWER])
-
-    dAx0 = dAx1 = dAx2 = dAy0 = dAy1 = dAy2 = 0.0
-    dR = np.empty((3, 3))
-    for k in range(3):
-        dpx = 2 * dxx * px[k] + dxy * py[k]
-        dpy = 2 * dyy * py[k] + dxy * px[k]
-        sx, sy = scales[i, k] * dpx, scales[i, k] * dpy
-        dAx0 += sx * R[0][k]
-        dAx1 += sx * R[1][k]
-        dAx2 += sx * R[2][k]
-        dAy0 += sy * R[0][k]
-        dAy1 += sy * R[1][k]
-        dAy2 += sy * R[2][k]
-        d_scales[i, k] = dpx * (A[0][0] * R[0][k] + A[0][1] * R[1][k] + A[0][2] * R[2][k]) + dpy * (
-            A[1][0] * R[0][k] + A[1][1] * R[1][k] + A[1][2] * R[2][k]
-        )
-        for j in range(3):
-            dR[j, k] = sx * A[0][j] + sy * A[1][j]
-    _rotation_backward(quats[i], dR, d_quats[i])
-
-    # A = J W with J = [[fx, skew, -(fx tx + skew ty)], [0, fy, -fy ty]] / z.
-    W = eye.R
-    dJ00 = dAx0 * W[0, 0] + dAx1 * W[0, 1] + dAx2 * W[0, 2]
-    dJ01 = dAx0 * W[1, 0] + dAx1 * W[1, 1] + dAx2 * W[1, 2]
-    dJ02 = dAx0 * W[2, 0] + dAx1 * W[2, 1] + dAx2 * W[2, 2]
-    dJ11 = dAy0 * W[1, 0] + dAy1 * W[1, 1] + dAy2 * W[1, 2]
-    dJ12 = dAy0 * W[2, 0] + dAy1 * W[2, 1] + dAy2 * W[2, 2]
-    tx, ty = clamp(x, eye.left, eye.right), clamp(y, eye.top, eye.bottom)
-    dz -= (
-        dJ00 * eye.fx
-        + dJ01 * eye.skew
-        - dJ02 * (eye.fx * tx + eye.skew * ty)
-        + dJ11 * eye.fy
-        - dJ12 * eye.fy * ty
-    ) / (z * z)
-    dx = du * eye.fx
-    dy = du * eye.skew + dv * eye.fy
-    if tx == x:
-        dx -= dJ02 * eye.fx / z
-    if ty == y:
-        dy -= (dJ02 * eye.skew + dJ12 * eye.fy) / z
-    # x and y are divided by z already.
-    dz -= (dx * x + dy * y) / z
-    for k in range(3):
-        d_means[i, k] = (dx * W[0, k] + dy * W[1, k]) / z + dz * W[2, k]
-
-
-@kernel
-def _three(row):
-    return np.float64(row[0]), np.float64(row[1]), np.float64(row[2])
 
 
 # From here to the covariance, numbers are float64 scalars or vectors.
@@ -459,25 +419,12 @@ def _rotation_backward(quat, dR, out):
     w, x, y, z = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
     length = math.sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w / length, x / length, y / length, z / length
-    dw = 2 * (x * (dR[2, 1] - dR[1, 2]) + y * (dR[0, 2] - dR[2, 0]) + z * (dR[1, 0] - dR[0, 1]))
-    dx = 2 * (
-        y * (dR[0, 1] + dR[1, 0])
-        + z * (dR[0, 2] + dR[2, 0])
-        + w * (dR[2, 1] - dR[1, 2])
-        - 2 * x * (dR[1, 1] + dR[2, 2])
-    )
-    dy = 2 * (
-        x * (dR[0, 1] + dR[1, 0])
-        + z * (dR[1, 2] + dR[2, 1])
-        + w * (dR[0, 2] - dR[2, 0])
-        - 2 * y * (dR[0, 0] + dR[2, 2])
-    )
-    dz = 2 * (
-        x * (dR[0, 2] + dR[2, 0])
-        + y * (dR[1, 2] + dR[2, 1])
-        + w * (dR[1, 0] - dR[0, 1])
-        - 2 * z * (dR[0, 0] + dR[1, 1])
-    )
+    xy, xz, yz = dR[0, 1] + dR[1, 0], dR[0, 2] + dR[2, 0], dR[1, 2] + dR[2, 1]
+    wx, wy, wz = dR[2, 1] - dR[1, 2], dR[0, 2] - dR[2, 0], dR[1, 0] - dR[0, 1]
+    dw = 2 * (x * wx + y * wy + z * wz)
+    dx = 2 * (y * xy + z * xz + w * wx - 2 * x * (dR[1, 1] + dR[2, 2]))
+    dy = 2 * (x * xy + z * yz + w * wy - 2 * y * (dR[0, 0] + dR[2, 2]))
+    dz = 2 * (x * xz + y * yz + w * wz - 2 * z * (dR[0, 0] + dR[1, 1]))
     along = w * dw + x * dx + y * dy + z * dz
     out[0] = (dw - along * w) / length
     out[1] = (dx - along * x) / length
@@ -485,20 +432,20 @@ def _rotation_backward(quat, dR, out):
     out[3] = (dz - along * z) / length
 
 
-@kernel
-def _spread(A, R, s0, s1, s2):
-    """Project the three scaled axes of a Gaussian: x and y of each, in pixels."""
+@kernel(inline="always")
+def _axes(A, R):
+    """Project the three axes of a Gaussian of unit scales: x and y of each, in pixels."""
     (a, b, c), (d, e, f) = A
     return (
         (
-            s0 * (a * R[0][0] + b * R[1][0] + c * R[2][0]),
-            s1 * (a * R[0][1] + b * R[1][1] + c * R[2][1]),
-            s2 * (a * R[0][2] + b * R[1][2] + c * R[2][2]),
+            a * R[0][0] + b * R[1][0] + c * R[2][0],
+            a * R[0][1] + b * R[1][1] + c * R[2][1],
+            a * R[0][2] + b * R[1][2] + c * R[2][2],
         ),
         (
-            s0 * (d * R[0][0] + e * R[1][0] + f * R[2][0]),
-            s1 * (d * R[0][1] + e * R[1][1] + f * R[2][1]),
-            s2 * (d * R[0][2] + e * R[1][2] + f * R[2][2]),
+            d * R[0][0] + e * R[1][0] + f * R[2][0],
+            d * R[0][1] + e * R[1][1] + f * R[2][1],
+            d * R[0][2] + e * R[1][2] + f * R[2][2],
         ),
     )
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from slgaussian.cameras.epipolar import TwoViews
 from slgaussian.cameras.incremental import Placed, Tie, place
 
 CENTER = np.array([400.0, 300.0])
@@ -42,7 +43,8 @@ def walk(views: int, points: int = 300, focals: tuple[float, ...] = (600.0,)):
             turn = R[b] @ R[a].T @ Rotation.from_rotvec(rng.normal(0, 0.01, 3)).as_matrix()
             t = R[b] @ (C[a] - C[b]) + rng.normal(0, 0.02, 3)
             off = [focals[group[v]] * np.exp(rng.normal(0, 0.05)) for v in (a, b)]
-            ties.append(Tie((a, b), (i, j), keypoints[b][j], (turn, t), (off[0], off[1]), 8.0, 0.9))
+            relative = TwoViews(turn, t, np.array(off), np.zeros(0))
+            ties.append(Tie((a, b), (i, j), keypoints[b][j], relative, 8.0, 0.9))
     return keypoints, group, R, C, ties
 
 
@@ -122,8 +124,8 @@ def test_few_points_place_a_view_only_with_a_pair_that_is_trusted(confidence):
 def test_a_wrong_pair_does_not_spoil_the_others():
     keypoints, group, R, C, ties = walk(5)
     turned = Rotation.from_rotvec([0, 0.5, 0]).as_matrix()
-    R_first, t_first = ties[0].pose
-    ties[0] = replace(ties[0], pose=(turned @ R_first, -t_first))
+    first = ties[0].relative
+    ties[0] = replace(ties[0], relative=replace(first, R=turned @ first.R, t=-first.t))
     found = placed(keypoints, group, ties)
     assert len(found.order) == 5
     assert errors(found, R, C)[0] < 0.5
@@ -132,10 +134,7 @@ def test_a_wrong_pair_does_not_spoil_the_others():
 def test_matches_alone_hold_a_view_that_only_turned():
     """Of the last view only what it shares with its neighbours is known, not a pose."""
     keypoints, group, R, C, ties = walk(4)
-    ties = [
-        replace(tie, pose=None, focals=None, confidence=0.0) if 3 in tie.views else tie
-        for tie in ties
-    ]
+    ties = [replace(tie, relative=None, confidence=0.0) if 3 in tie.views else tie for tie in ties]
     found = placed(keypoints, group, ties)
     assert sorted(found.order) == [0, 1, 2, 3]
     assert errors(found, R, C)[0] < 0.5
