@@ -12,13 +12,6 @@ from slgaussian.rasterize.tiles import (
     ACROSS,
     BLOCK,
     DOWN,
-    LOCAL_CUT,
-    LOCAL_POWER,
-    LOCAL_ROOT,
-    LOCAL_ROW_ROOT,
-    LOCAL_SLANT,
-    LOCAL_X,
-    LOCAL_Y,
     STRIP,
     TILE_BLOCKS,
     TILE_HEIGHT,
@@ -207,10 +200,10 @@ def blend_weights(block, work, alpha_max, pass_min):
         for now in range(j, min(j + PATIENCE, count)):
             local = work.local[np.uint32(work.lists[first + now])]
             e, d = _offsets(left, top, local)
-            power = local[LOCAL_POWER] - e * e - d * d
+            power = local.power - e * e - d * d
             alpha = vexp2(power)
             alpha = vwhere(alpha < alpha_max, alpha, alpha_max)
-            drawn = (power >= local[LOCAL_CUT]) & (transmittance >= finished)
+            drawn = (power >= local.cut) & (transmittance >= finished)
             weight = vwhere(drawn, alpha * transmittance, np.float32(0))
             vstore(work.weights, now * LANES, weight)
             transmittance = transmittance - weight
@@ -231,10 +224,9 @@ def _offsets(left, top, local):
     """Return distances e and d of pixels: horizontal, from the splat's axis in their row, and
     vertical, from its centre, in units in which the Gaussian is ``2^-(e^2 + d^2)``.
     """
-    root, slant, row_root = local[LOCAL_ROOT], local[LOCAL_SLANT], local[LOCAL_ROW_ROOT]
-    e = vload(ACROSS, 0) * root + (root * (left - local[LOCAL_X]) - slant * top)
-    d = vload(DOWN, 0) * row_root + row_root * (top - local[LOCAL_Y])
-    return e - vload(DOWN, 0) * slant, d
+    e = vload(ACROSS, 0) * local.root + (local.root * (left - local.x) - local.slant * top)
+    d = vload(DOWN, 0) * local.row_root + local.row_root * (top - local.y)
+    return e - vload(DOWN, 0) * local.slant, d
 
 
 @kernel(inline="always")

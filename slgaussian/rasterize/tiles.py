@@ -62,10 +62,12 @@ MOST_BITS = 11
 AHEAD = 12
 """Prefetch distance in splats."""
 
-LOCAL_X, LOCAL_Y, LOCAL_ROOT, LOCAL_SLANT, LOCAL_ROW_ROOT, LOCAL_POWER, LOCAL_CUT = range(7)
-"""Columns of a splat in its tile. Its centre is in pixels from the first of the tile's middle row:
-x where it crosses that row, so that a long splat's far centre costs no digits. The slant is root
-times slope."""
+LOCAL = np.dtype(
+    [(name, np.float32) for name in ("x", "y", "root", "slant", "row_root", "power", "cut", "_")]
+)
+"""A splat in its tile. Its centre is in pixels from the first of the tile's middle row: x where it
+crosses that row, so that a long splat's far centre costs no digits. The slant is root times slope.
+"""
 
 
 class Bins(NamedTuple):
@@ -83,7 +85,7 @@ class Workspace(NamedTuple):
     Attributes:
         keys, more_keys: uint64 [n]. To sort, and to sort into: z in the upper half, the splat in
             the lower.
-        local: float32 [n, 8]. The splat in the tile's own pixels; see :data:`LOCAL_X` and so on.
+        local: :data:`LOCAL` [n]. The splat in the tile's own pixels.
         reach: uint32 [n]. A bit for each block of the tile that the splat may touch.
         carried: float32 [n (C + 1) + LANES]. The values and z of each splat.
         lists: int32 [TILE_BLOCKS n]. Block b lists its splats, front to back, in ``lists[b n : b n
@@ -108,7 +110,7 @@ def make_workspace(n, channels):
     return Workspace(
         np.empty(n, np.uint64),
         np.empty(n, np.uint64),
-        np.empty((n, 8), np.float32),
+        np.empty(n, LOCAL),
         np.empty(n, np.uint32),
         np.zeros(n * (channels + 1) + LANES, np.float32),
         np.empty(TILE_BLOCKS * n, np.int32),
@@ -209,13 +211,13 @@ def load_tile(tile, bins, splats, boxes, values, work):
         i = np.uint32(entries[start + k])
         y = splats[i, V] - (top + TILE_HEIGHT // 2) - 0.5
         x = splats[i, U] - left - 0.5 - splats[i, SLOPE] * y
-        local[k, LOCAL_X] = min(max(x, -FAR), FAR)
-        local[k, LOCAL_Y] = y
-        local[k, LOCAL_ROOT] = splats[i, ROOT]
-        local[k, LOCAL_SLANT] = splats[i, ROOT] * splats[i, SLOPE]
-        local[k, LOCAL_ROW_ROOT] = splats[i, ROW_ROOT]
-        local[k, LOCAL_POWER] = splats[i, POWER]
-        local[k, LOCAL_CUT] = splats[i, CUT]
+        local[k].x = min(max(x, -FAR), FAR)
+        local[k].y = y
+        local[k].root = splats[i, ROOT]
+        local[k].slant = splats[i, ROOT] * splats[i, SLOPE]
+        local[k].row_root = splats[i, ROW_ROOT]
+        local[k].power = splats[i, POWER]
+        local[k].cut = splats[i, CUT]
         x0, x1 = max(0, boxes[i, 0] - left) // BLOCK, min(TILE_WIDTH, boxes[i, 1] - left) - 1
         y0, y1 = max(0, boxes[i, 2] - top) // BLOCK, min(TILE_HEIGHT, boxes[i, 3] - top) - 1
         across = (2 << np.uint32(x1 // BLOCK)) - (1 << np.uint32(x0))
