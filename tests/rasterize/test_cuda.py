@@ -8,7 +8,7 @@ import torch
 
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
-from slgaussian.rasterize import PRESETS, Settings, rasterize
+from slgaussian.rasterize import Settings, rasterize
 from slgaussian.rasterize.cuda import load_gsplat
 from tests.rasterize.hard_cases import camera, case, cloud
 
@@ -31,22 +31,18 @@ def on_gpu(splats: Gaussians) -> Gaussians:
     return Gaussians(**{name: t.cuda() for name, t in splats.items()})
 
 
-def test_tensors_on_the_cpu_are_refused():
-    splats, values = cloud(5)
-    with pytest.raises(
-        InputError, match="gaussians means: found on device 'cpu', expected all tensors on one CUDA"
-    ):
-        rasterize(splats, values, camera(), backend="cuda")
-
-
-def test_what_gsplat_cannot_do_is_refused():
-    splats, values = cloud(5)
-    with pytest.raises(InputError, match="no median depth; use backend 'cpu'"):
-        rasterize(splats, values, camera(), backend="cuda", median=True)
-    with pytest.raises(InputError, match=r"camera K: found a skew of 1\.5 px, expected 0"):
-        rasterize(splats, values, camera(skew=1.5), backend="cuda")
-    with pytest.raises(InputError, match=r"alpha_max: found 0\.5, expected 0\.99 or more"):
-        rasterize(splats, values, camera(), backend="cuda", settings=Settings(alpha_max=0.5))
+@pytest.mark.parametrize(
+    ("view", "options", "sentence"),
+    [
+        (camera(), {}, "gaussians means: found on device 'cpu', expected all tensors on one CUDA"),
+        (camera(), {"median": True}, "no median depth; use backend 'cpu'"),
+        (camera(skew=1.5), {}, r"camera K: found a skew of 1\.5 px, expected 0"),
+        (camera(), {"settings": Settings(alpha_max=0.5)}, r"found 0\.5, expected 0\.99 or more"),
+    ],
+)
+def test_what_gsplat_cannot_do_is_refused(view, options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        rasterize(*cloud(5), view, backend="cuda", **options)
 
 
 @pytest.mark.skipif(find_spec("gsplat") is not None, reason="gsplat is installed")
@@ -58,14 +54,9 @@ def test_without_gsplat_the_sentence_says_how_to_get_it():
 @needs_gpu
 @pytest.mark.parametrize("name", CASES)
 def test_against_the_reference(name):
-    splats = case(name)
-    chosen = Settings()
-    true = rasterize(
-        splats.gaussians, splats.values, splats.camera, backend="reference", settings=chosen
-    )
-    drawn = rasterize(
-        on_gpu(splats.gaussians), splats.values.cuda(), splats.camera, settings=chosen
-    )
+    scene = case(name)
+    true = rasterize(*scene, backend="reference", settings=Settings())
+    drawn = rasterize(on_gpu(scene.gaussians), scene.values.cuda(), scene.camera)
     assert drawn.values.is_cuda
     assert drawn.values.shape == true.values.shape
     torch.testing.assert_close(drawn.values.cpu().double(), true.values, atol=TOLERANCE, rtol=0)
@@ -87,13 +78,8 @@ def test_gradients_against_the_reference():
         }
         carried = move(values).requires_grad_()
         rest = {"sh": move(splats.sh), "source": move(splats.source)}
-        drawn = rasterize(
-            replace(splats, **leaves, **rest),
-            carried,
-            camera(),
-            backend=backend,
-            settings=PRESETS["exact"],
-        )
+        moved = replace(splats, **leaves, **rest)
+        drawn = rasterize(moved, carried, camera(), backend=backend, settings="exact")
         (drawn.values.square().sum() + drawn.alpha.square().sum()).backward()
         result.append([leaf.grad.cpu().double() for leaf in (*leaves.values(), carried)])
     for true, fast in zip(*result, strict=True):
