@@ -122,14 +122,9 @@ def _facade() -> list[Photograph]:
 
 
 REFUSED = {
-    "one photograph twice": (lambda: photographs(*[motorcycle()[0]] * 2), "one place"),
     "another exposure": (_exposure, "one place"),
     "a pure rotation": (lambda: photographs(room(5, 0.0), room(5, 0.0, yaw=9.0)), "sideways"),
     "a plane": (_plane, "flat"),
-    "a blurred pair": (
-        lambda: photographs(*(cv2.GaussianBlur(room(5, x), (0, 0), 7) for x in (-0.3, 0.3))),
-        "blur|few|found",
-    ),
     "one corner in common": (_clustered, "part|few"),
     "two places": (
         lambda: photographs(room(3, -0.3), room(5, 0.3)),

@@ -1,3 +1,5 @@
+"""Views between two cameras, and turns among several."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -70,16 +72,8 @@ BALL = np.random.default_rng(0).normal(size=(4000, 3))
 BALL *= 0.05 / np.linalg.norm(BALL, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("t", [0.0, 0.25, 0.5, 1.0])
-@pytest.mark.parametrize(
-    "sizes",
-    [
-        ((320, 240), (240, 320)),
-        ((240, 320), (1280, 720)),
-        ((320, 240), (321, 240)),
-        ((300, 300), (900, 100)),
-    ],
-)
+@pytest.mark.parametrize("t", [0.25, 1.0])
+@pytest.mark.parametrize("sizes", [((240, 320), (1280, 720)), ((300, 300), (900, 100))])
 def test_a_ball_is_round_between_photographs_of_any_shapes(sizes, t):
     """By its outline at the principal point, of other places and zooms in each photograph."""
     ends, places = [], ((0.4, 0.7), (0.55, 0.3))
@@ -101,12 +95,6 @@ def test_a_ball_is_round_between_photographs_of_any_shapes(sizes, t):
     np.testing.assert_allclose(back.K[[0, 1], [0, 1]] * scale, made.K[[0, 1], [0, 1]])
 
 
-@pytest.mark.parametrize("t", [-0.1, 1.001, float("nan")])
-def test_beyond_the_two_is_refused(t):
-    with pytest.raises(InputError, match="from 0 to 1"):
-        between(at(), at(1.0), t)
-
-
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.05, 1.5), numbers, poses(), st.integers(2, 13))
 def test_a_turn_of_two_stays_by_the_baseline_and_aims_at_one_point(baseline, lift, world, n):
@@ -121,7 +109,7 @@ def test_a_turn_of_two_stays_by_the_baseline_and_aims_at_one_point(baseline, lif
         np.testing.assert_allclose(turn[n // 2].center, b, atol=1e-9)
     half = np.linalg.norm(b - a) / 2
     axis = (b - a) / (2 * half)
-    aims = []
+    aims, ways = np.array([one.center for one in turn]), np.array([one.c2w[:3, 2] for one in turn])
     for one in turn:
         offset = one.center - (a + b) / 2
         along = offset @ axis
@@ -129,19 +117,11 @@ def test_a_turn_of_two_stays_by_the_baseline_and_aims_at_one_point(baseline, lif
         assert (along / half) ** 2 + (across / (ROUND * half)) ** 2 == pytest.approx(1, abs=1e-6)
         rotation = one.c2w[:3, :3]
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
-        aims.append((one.center, rotation[:, 2]))
-    # All axes meet: each passes the point where the first two do, of points that are there to see.
+    # All axes meet in the point nearest to them, at the depth of points that are there to see.
+    sides = np.eye(3) - ways[:, :, None] * ways[:, None]
+    meeting = np.linalg.lstsq(sides.sum(0), (sides @ aims[..., None]).sum(0)[:, 0], rcond=None)[0]
     focus = np.median((points - world[:3, 3]) @ world[:3, :3], 0)[2]
-    for place, way in aims:
-        distance = np.linalg.norm(np.cross(_meeting(aims) - place, way))
-        assert distance < 1e-6 * focus
-
-
-def _meeting(rays) -> np.ndarray:
-    """The point nearest to all rays."""
-    sides = [np.eye(3) - np.outer(way, way) for _, way in rays]
-    where = [side @ place for side, (place, _) in zip(sides, rays, strict=True)]
-    return np.linalg.lstsq(np.sum(sides, 0), np.sum(where, 0), rcond=None)[0]
+    assert np.linalg.norm(np.cross(meeting - aims, ways), axis=1).max() < 1e-6 * focus
 
 
 def test_a_turn_among_many_reaches_as_far_as_they_do():
@@ -167,14 +147,18 @@ def test_a_turn_leaves_out_cameras_that_look_elsewhere():
 
 
 @pytest.mark.parametrize(
-    ("cameras", "points", "n", "sentence"),
+    ("path", "arguments", "sentence"),
     [
-        ([at(), at(1.0)], WALL, 1, "at least two"),
-        ([at()], WALL, 8, "at least two"),
-        ([at(), at()], WALL, 8, "in one place"),
-        ([at(), at(1.0)], -WALL, 8, "nothing lies before"),
+        (between, (at(), at(1.0), -0.1), "from 0 to 1"),
+        (between, (at(), at(1.0), 1.001), "from 0 to 1"),
+        (between, (at(), at(1.0), float("nan")), "from 0 to 1"),
+        (between, (at(), at(1.0, turned=180), 0.5), "half a turn"),
+        (orbit, ([at(), at(1.0)], WALL, 1), "at least two"),
+        (orbit, ([at()], WALL, 8), "at least two"),
+        (orbit, ([at(), at()], WALL, 8), "in one place"),
+        (orbit, ([at(), at(1.0)], -WALL, 8), "nothing lies before"),
     ],
 )
-def test_what_cannot_be_a_turn_is_refused(cameras, points, n, sentence):
+def test_refused(path, arguments, sentence):
     with pytest.raises(InputError, match=sentence):
-        orbit(cameras, points, n)
+        path(*arguments)

@@ -16,7 +16,6 @@ from slgaussian.rasterize.harmonics import colors
 from slgaussian.scene import Camera
 from tests.kernel_threads import kernels_on
 from tests.rasterize.hard_cases import (
-    ALL_CUT,
     CASES,
     bounds,
     camera,
@@ -38,18 +37,7 @@ EXACT = PRESETS["exact"]
 @pytest.mark.parametrize("name", CASES)
 def test_the_cpu_backend_is_the_reference(name, preset):
     """Without cut-offs but for rounding; with them but for what the preset leaves out."""
-    if (name, preset) != (ALL_CUT, "fast"):
-        assert np.all(np.array(measure(name, preset)) < bounds(name, preset))
-
-
-def test_fast_leaves_out_thousands_that_are_each_under_the_cut():
-    """The price of any cut-off, and the one case where it is not small; see ``exact``.
-
-    Where their alphas are above it, long sums hold: measured 1e-4, from the early stop.
-    """
-    assert measure(ALL_CUT, "fast").alpha > 0.5
-    fast, true = (rasterize(*case(ALL_CUT), backend=backend) for backend in BACKENDS)
-    assert (fast.values[11, 15] - true.values[11, 15]).abs().max() < 5e-4
+    assert np.all(np.array(measure(name, preset)) < bounds(name, preset))
 
 
 # The reference, and the cut-offs, against the formulas spelt out one number at a time.
@@ -148,7 +136,7 @@ def test_each_backend_is_the_formula_with_its_cut_offs(backend, chosen, toleranc
 
 @pytest.mark.parametrize(
     "name",
-    ["ordinary_cloud", "dense_overlap", "opacity_1", "a_gaussian_per_pixel", "scales_of_zero",
+    ["ordinary_cloud", "dense_overlap", "opacity_1", "scales_of_zero",
      "image_of_17x33", "astronomical_and_microscopic", "no_channel", "nothing"],
 )  # fmt: skip
 def test_median_depth(name):
