@@ -17,8 +17,6 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from slgaussian.io import short_repr
-
 _CHUNK = 1 << 21
 """Largest number of elements of the dense point-camera blocks in memory at once."""
 
@@ -37,8 +35,6 @@ class PosePrior:
     centers: np.ndarray
     turn: float
     move: np.ndarray
-
-    __repr__ = short_repr
 
     def pull(self, R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals of poses in standard deviations [V, 6], and derivatives [V, 6, 6]."""
@@ -86,8 +82,6 @@ class Bundle:
     focal_sigma: np.ndarray
     poses: PosePrior | None = None
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
@@ -106,8 +100,6 @@ class Adjusted:
     cost: float
     residuals: np.ndarray
     covariance: np.ndarray
-
-    __repr__ = short_repr
 
     @cached_property
     def focal_deviations(self) -> np.ndarray:

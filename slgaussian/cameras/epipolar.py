@@ -18,8 +18,6 @@ import cv2
 import numpy as np
 import poselib
 
-from slgaussian.io import short_repr
-
 FAR = 6.0
 """Distance to the epipolar line, pixels, from which on a match has no influence on the pose."""
 
@@ -92,8 +90,6 @@ class TwoViews:
     cost: float = np.inf
     scale: float = START
     covariance: np.ndarray | None = None
-
-    __repr__ = short_repr
 
     def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Compute signed Sampson distances [M] in pixels of matches [M, 2] and [M, 2]."""

@@ -19,7 +19,6 @@ from scipy.sparse.csgraph import connected_components
 from slgaussian.cameras.bundle import Adjusted, Bundle, adjust
 from slgaussian.cameras.epipolar import TwoViews
 from slgaussian.cameras.tracks import Tracks, join_tracks, triangulate
-from slgaussian.io import short_repr
 
 PIXELS = 3.0
 """Largest reprojection error of an inlier, pixels."""
@@ -68,8 +67,6 @@ class Tie:
     angle: float
     confidence: float
 
-    __repr__ = short_repr
-
 
 @dataclass(frozen=True, eq=False)
 class Placed:
@@ -83,8 +80,6 @@ class Placed:
 
     order: np.ndarray
     adjusted: Adjusted
-
-    __repr__ = short_repr
 
 
 def place(

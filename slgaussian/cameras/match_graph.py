@@ -54,29 +54,24 @@ class MatchGraph:
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by name, as specified in ``data_specs/matches.toml``."""
-        ends = np.cumsum([len(points) for points in self.keypoints])
-        pairs = np.array(list(self.matches), np.int32).reshape(-1, 2)
         counts = [len(first) for first, _ in self.matches.values()]
         both = [np.stack(match, 1) for match in self.matches.values()]
         return {
             "keypoints": np.concatenate([np.zeros((0, 2)), *self.keypoints]),
-            "view_ends": ends.astype(np.int64),
-            "pairs": pairs,
-            "match_ends": np.cumsum(counts).astype(np.int64),
+            "view_ends": np.cumsum([len(points) for points in self.keypoints], dtype=np.int64),
+            "pairs": np.array(list(self.matches), np.int32).reshape(-1, 2),
+            "match_ends": np.cumsum(counts, dtype=np.int64),
             "matches": np.concatenate([np.zeros((0, 2), int), *both]).astype(np.int32),
         }
 
     @staticmethod
     def from_arrays(arrays: Mapping[str, np.ndarray]) -> MatchGraph:
         """Rebuild a graph from the arrays of :meth:`to_arrays`."""
+        keypoints = np.split(arrays["keypoints"], arrays["view_ends"][:-1])
         matches = np.split(arrays["matches"], arrays["match_ends"][:-1])
-        return MatchGraph(
-            np.split(arrays["keypoints"], arrays["view_ends"][:-1]),
-            {
-                (i, j): (both[:, 0], both[:, 1])
-                for (i, j), both in zip(arrays["pairs"].tolist(), matches, strict=False)
-            },
-        )
+        pairs = map(tuple, arrays["pairs"].tolist())
+        split = zip(pairs, matches, strict=False)  # no pair: one empty part
+        return MatchGraph(keypoints, {pair: (both[:, 0], both[:, 1]) for pair, both in split})
 
 
 def neighbours(views: Sequence[View], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
@@ -88,13 +83,12 @@ def neighbours(views: Sequence[View], count: int = NEIGHBOURS) -> list[tuple[int
     axes = np.array([view.camera.c2w[:3, 2] for view in views])
     distances = _distances(views)
     same_way = axes @ axes.T > np.cos(np.radians(TURNED))
-    possible = distances > 0
     pairs = set()
-    for i in range(len(views)):
-        candidates = np.flatnonzero(possible[i] & same_way[i])
+    for i, away in enumerate(distances):
+        candidates = np.flatnonzero((away > 0) & same_way[i])
         if not len(candidates):
-            candidates = np.flatnonzero(possible[i])
-        nearest = candidates[np.argsort(distances[i, candidates], kind="stable")][:count]
+            candidates = np.flatnonzero(away)
+        nearest = candidates[np.argsort(away[candidates], kind="stable")][:count]
         pairs |= {(min(i, int(j)), max(i, int(j))) for j in nearest}
     return sorted(pairs)
 

@@ -10,8 +10,6 @@ from dataclasses import dataclass, fields
 import cv2
 import numpy as np
 
-from slgaussian.io import short_repr
-
 SIFT = 4000, 0.02
 """Largest number of features of an image, and OpenCV's contrast threshold."""
 
@@ -36,8 +34,6 @@ class Features:
     descriptors: np.ndarray
     scales: np.ndarray
     angles: np.ndarray
-
-    __repr__ = short_repr
 
     def __len__(self) -> int:
         return len(self.points)

@@ -47,12 +47,12 @@ def between(a: Camera, b: Camera, t: float) -> Camera:
         )
     from scipy.spatial.transform import Rotation, Slerp
 
-    turn = Slerp([0, 1], Rotation.from_matrix([a.c2w[:3, :3], b.c2w[:3, :3]]))
+    ends = Rotation.from_matrix([a.c2w[:3, :3], b.c2w[:3, :3]])
     # The axis of a half turn is ambiguous and would be determined by noise.
-    if (turn.rotations[0].inv() * Rotation.from_matrix(b.c2w[:3, :3])).magnitude() > np.pi - 1e-6:
+    if (ends[0].inv() * ends[1]).magnitude() > np.pi - 1e-6:
         raise InputError("between: the two views are half a turn apart, so no way leads between")
     c2w = np.eye(4)
-    c2w[:3, :3] = turn(t).as_matrix()
+    c2w[:3, :3] = Slerp([0, 1], ends)(t).as_matrix()
     c2w[:3, 3] = (1 - t) * a.center + t * b.center
     size, second_size = (np.array([camera.width, camera.height]) for camera in (a, b))
     scale = np.sqrt(size.prod() / second_size.prod())
@@ -96,10 +96,8 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     centers = np.stack([camera.center for camera in cameras])
     start = cameras[int(np.linalg.norm(centers - centers.mean(0), axis=1).argmin())]
     middle = np.eye(4)
-    middle[:3, :3] = (
-        Rotation.from_matrix([camera.c2w[:3, :3] for camera in cameras]).mean().as_matrix()
-    )
-    middle[:3, 3] = centers.mean(0)
+    turns = Rotation.from_matrix([camera.c2w[:3, :3] for camera in cameras])
+    middle[:3, :3], middle[:3, 3] = turns.mean().as_matrix(), centers.mean(0)
     start = replace(start, c2w=middle)
     along, across = _half_axes(centers - start.center, start.c2w[:3, :2].T)
     pixels, z = start.project(np.asarray(points, np.float64))

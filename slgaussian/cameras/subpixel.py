@@ -14,10 +14,8 @@ import numpy as np
 
 from slgaussian.cameras.matches import Features
 
-HALF = 7
-"""Samples of a patch on each side of its centre."""
-REACH = 3.0
-"""Half width of a patch in units of the feature's scale."""
+HALF, REACH = 7, 3.0
+"""Samples of a patch on each side of its centre; its half width in units of the feature's scale."""
 LEVELS = 5
 STEPS = 8
 LIKENESS = 0.8
@@ -27,11 +25,7 @@ FAR = 1.5
 
 
 def sharpen(
-    greys: tuple[np.ndarray, np.ndarray],
-    a: Features,
-    b: Features,
-    i: np.ndarray,
-    j: np.ndarray,
+    greys: tuple[np.ndarray, np.ndarray], a: Features, b: Features, i: np.ndarray, j: np.ndarray
 ) -> np.ndarray:
     """Locate features ``i`` of the first image in the second image, near their matches ``j``.
 
@@ -55,9 +49,8 @@ def sharpen(
     warp = np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], 1)
     warp = warp * (step * zoom)[:, None, None]
     fine = _level(step), _level(step * zoom)
-    wanted = _normalise(
-        _sampled(levels[0], fine[0], a.points[i], step[:, None, None] * grid), weight
-    )
+    offsets = step[:, None, None] * grid
+    wanted = _normalise(_sampled(levels[0], fine[0], a.points[i], offsets), weight)
     at, patches = initial.copy(), wanted
     side = 2 * HALF + 1
     for _ in range(STEPS):
@@ -102,9 +95,8 @@ def _sampled(
         selected = level == k if k < len(levels) - 1 else level >= k
         x, y = places[selected, :, 0], places[selected, :, 1]
         if selected.any():
-            out[selected] = cv2.remap(
-                image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-            )
+            border = cv2.BORDER_REPLICATE
+            out[selected] = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=border)
     return out
 
 

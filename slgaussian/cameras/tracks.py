@@ -9,8 +9,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from slgaussian.io import short_repr
-
 Join = tuple[int, int, np.ndarray, np.ndarray]
 """Two views and the indices of their matching keypoints, int [M] and int [M]."""
 
@@ -29,8 +27,6 @@ class Tracks:
     track: np.ndarray
     xy: np.ndarray
     count: int
-
-    __repr__ = short_repr
 
 
 def join_tracks(keypoints: Sequence[np.ndarray], joins: Sequence[Join]) -> Tracks:

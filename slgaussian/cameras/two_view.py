@@ -102,8 +102,6 @@ class Described:
     grey: np.ndarray
     features: Features
 
-    __repr__ = short_repr
-
     @staticmethod
     def of(photograph: Photograph) -> Described:
         """Detect the features of a photograph."""
@@ -128,23 +126,22 @@ class Described:
 
     @property
     def shrunk(self) -> float:
-        """Return the scale of the image: its size over that of the whole photograph."""
+        """Return the size of the image over that of the whole photograph."""
         return self.longer / max(self.photograph.width, self.photograph.height)
 
     @property
     def focal(self) -> tuple[float, float]:
         """Return the prior of the log focal length, pixels of the image: mean and deviation."""
-        stated = self.photograph.focal
-        if stated is None:
+        if self.photograph.focal is None:
             return float(np.log(USUAL * self.longer)), SPREAD
-        return float(np.log(stated * self.shrunk)), EXIF_SPREAD
+        return float(np.log(self.photograph.focal * self.shrunk)), EXIF_SPREAD
 
     @property
     def lens(self) -> tuple[str, int, int, float | None]:
         """Return the identity of the lens; photographs with equal values share a focal length."""
         photograph = self.photograph
-        sides = sorted((photograph.width, photograph.height))
-        return photograph.lens, sides[0], sides[1], photograph.focal
+        shorter, longer = sorted((photograph.width, photograph.height))
+        return photograph.lens, shorter, longer, photograph.focal
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,8 +168,6 @@ class PairPose:
     estimate: EstimatedPair
     advice: str = ""
     probability: float = 1.0
-
-    __repr__ = short_repr
 
     def of(self, mask: np.ndarray) -> PairPose:
         """Return the pose with the inliers restricted to ``mask``, bool [M]."""
@@ -269,10 +264,10 @@ def confidence(pose: PairPose) -> float:
 def _on_homography(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Find the matches [M, 2] and [M, 2] that fit the homography with most inliers: bool [M]."""
     try:
-        H, inliers = cv2.findHomography(x, y, cv2.USAC_ACCURATE, NEAR, None, 2000, 0.999)
+        _, inliers = cv2.findHomography(x, y, cv2.USAC_ACCURATE, NEAR, None, 2000, 0.999)
     except cv2.error:
-        H = None
-    return np.zeros(len(x), bool) if H is None else inliers.ravel() > 0
+        inliers = None
+    return np.zeros(len(x), bool) if inliers is None else inliers.ravel() > 0
 
 
 def _probability(answers: list[TwoViews]) -> float:

@@ -24,11 +24,7 @@ from slgaussian.scene import Camera
 
 
 def render(
-    gaussians: Gaussians,
-    values: torch.Tensor,
-    camera: Camera,
-    settings: Settings,
-    median: bool,
+    gaussians: Gaussians, values: torch.Tensor, camera: Camera, settings: Settings, median: bool
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32.
 

@@ -34,11 +34,7 @@ FAR = torch.finfo(torch.float32).max
 
 
 def render(
-    gaussians: Gaussians,
-    values: torch.Tensor,
-    camera: Camera,
-    settings: Settings,
-    median: bool,
+    gaussians: Gaussians, values: torch.Tensor, camera: Camera, settings: Settings, median: bool
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float32, on the device of the input.
 

@@ -51,11 +51,7 @@ def project(
 
 
 def render(
-    gaussians: Gaussians,
-    values: torch.Tensor,
-    camera: Camera,
-    settings: Settings,
-    median: bool,
+    gaussians: Gaussians, values: torch.Tensor, camera: Camera, settings: Settings, median: bool
 ) -> Render:
     """See :func:`slgaussian.rasterize.rasterize`; results are float64, without cut-offs."""
     check_inputs(gaussians, values)

@@ -17,17 +17,7 @@ import numpy as np
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, lowest_bit, prefetch
 from slgaussian.kernels.work_sharing import share, take
-from slgaussian.rasterize.project import (
-    CUT,
-    FAR,
-    POWER,
-    ROOT,
-    ROW_ROOT,
-    SLOPE,
-    U,
-    V,
-    Z,
-)
+from slgaussian.rasterize.project import CUT, FAR, POWER, ROOT, ROW_ROOT, SLOPE, U, V, Z
 
 BLOCK = 4
 """Side of a block in pixels; a block is one vector. Square blocks waste fewest lanes."""

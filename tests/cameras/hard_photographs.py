@@ -126,10 +126,7 @@ REFUSED = {
     "a pure rotation": (lambda: photographs(room(5, 0.0), room(5, 0.0, yaw=9.0)), "sideways"),
     "a plane": (_plane, "flat"),
     "one corner in common": (_clustered, "part|few"),
-    "two places": (
-        lambda: photographs(room(3, -0.3), room(5, 0.3)),
-        "overlap|place|few|found",
-    ),
+    "two places": (lambda: photographs(room(3, -0.3), room(5, 0.3)), "overlap|place|few|found"),
     "a repeated facade": (_facade, "repeat|flat"),
 }
 """By name: what makes the two photographs, and what the refusal says, a regular expression."""

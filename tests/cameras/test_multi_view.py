@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from slgaussian import datasets
 from slgaussian.cameras.estimated import UNUSED
-from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.multi_view import find_multi_view, worth_solving
+from slgaussian.cameras.find import find_cameras, find_multi_view, worth_solving
 from slgaussian.cameras.two_view import Described, Photograph, find_pair
 from slgaussian.errors import InputError
 

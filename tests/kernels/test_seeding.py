@@ -35,10 +35,7 @@ def test_a_sample_is_what_its_context_shows(room):
     first, second = room.context
     brighter = first.image.copy()
     brighter[0, 0, 0] ^= 1
-    rest = [
-        (second, first),
-        (replace(first, image=brighter), second),
-    ]
+    rest = [(second, first), (replace(first, image=brighter), second)]
     result = {replace(room, context=views).content for views in rest}
     assert len({room.content, *result}) == 3
 

@@ -15,16 +15,7 @@ from slgaussian.rasterize import PRESETS, Settings, rasterize
 from slgaussian.rasterize.harmonics import colors
 from slgaussian.scene import Camera
 from tests.kernel_threads import kernels_on
-from tests.rasterize.hard_cases import (
-    CASES,
-    bounds,
-    camera,
-    case,
-    cloud,
-    measure,
-    rotated,
-    splats,
-)
+from tests.rasterize.hard_cases import CASES, bounds, camera, case, cloud, measure, rotated, splats
 
 BACKENDS = ["cpu", "reference"]
 EXACT = PRESETS["exact"]
