@@ -11,6 +11,7 @@ Vectors can only be variables inside ``njit`` functions and arguments between th
 from __future__ import annotations
 
 import operator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,12 @@ from slgaussian.kernels.jit import kernel
 
 LANES = 16
 
+_LLVM = {
+    types.float32: ir.FloatType(), types.float64: ir.DoubleType(), types.boolean: ir.IntType(1),
+}  # fmt: skip
+_INT32 = ir.IntType(32)
+_INTS = ir.VectorType(_INT32, LANES)
+
 
 class _Vector(types.Type):
     """:data:`LANES` float32, float64 or bool values."""
@@ -31,19 +38,18 @@ class _Vector(types.Type):
         self.dtype = dtype
         super().__init__(name=f"Vector({dtype}, {LANES})")
 
+    @property
+    def llvm(self) -> ir.Type:
+        return ir.VectorType(_LLVM[self.dtype], LANES)
+
 
 _F32, _F64, _MASK = _Vector(types.float32), _Vector(types.float64), _Vector(types.boolean)
-_LLVM = {
-    types.float32: ir.FloatType(),
-    types.float64: ir.DoubleType(),
-    types.boolean: ir.IntType(1),
-}
 
 
 @register_model(_Vector)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: _Vector) -> None:
-        super().__init__(manager, kind, ir.VectorType(_LLVM[kind.dtype], LANES))
+        super().__init__(manager, kind, kind.llvm)
 
 
 def _floats(kind: types.Type) -> bool:
@@ -56,8 +62,8 @@ def _spread(context, builder, value, kind, target):
         return value
     scalar = context.cast(builder, value, kind, target.dtype)
     vector = ir.Constant(ir.VectorType(scalar.type, LANES), ir.Undefined)
-    vector = builder.insert_element(vector, scalar, ir.IntType(32)(0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    vector = builder.insert_element(vector, scalar, _INT32(0))
+    zeros = ir.Constant(_INTS, [0] * LANES)
     return builder.shuffle_vector(vector, vector, zeros)
 
 
@@ -67,8 +73,8 @@ def _float_operands(a: types.Type, b: types.Type) -> bool:
     )
 
 
-def _mask_operands(a: types.Type, b: types.Type) -> bool:
-    return a == b == _MASK
+def _compare(sign, builder, a, b):
+    return builder.fcmp_ordered(sign, a, b)
 
 
 def _install(function, emit, applies, mask=False):
@@ -109,10 +115,6 @@ def _(context, builder, signature, args):
     return builder.fneg(args[0])
 
 
-def _comparison(sign):
-    return lambda builder, a, b: builder.fcmp_ordered(sign, a, b)
-
-
 _fused = ("contract",)
 for _operator, _emit in {
     operator.add: lambda builder, a, b: builder.fadd(a, b, flags=_fused),
@@ -121,14 +123,11 @@ for _operator, _emit in {
     operator.truediv: lambda builder, a, b: builder.fdiv(a, b),
 }.items():
     _install(_operator, _emit, _float_operands)
-for _operator, _sign in {
-    operator.lt: "<",
-    operator.le: "<=",
-    operator.gt: ">",
-    operator.ge: ">=",
-}.items():
-    _install(_operator, _comparison(_sign), _float_operands, mask=True)
-_install(operator.and_, lambda builder, a, b: builder.and_(a, b), _mask_operands)
+for _operator, _sign in (
+    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">="),
+):  # fmt: skip
+    _install(_operator, partial(_compare, _sign), _float_operands, mask=True)
+_install(operator.and_, lambda builder, a, b: builder.and_(a, b), lambda a, b: a == b == _MASK)
 
 
 def _address(context, builder, array_type, array, index):
@@ -168,10 +167,9 @@ def prefetch(typing, array, index):
     def lower(context, builder, signature, args):
         data = context.make_array(array)(context, builder, args[0]).data
         place = builder.bitcast(builder.gep(data, [args[1]]), ir.IntType(8).as_pointer())
-        int32 = ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), [place.type, int32, int32, int32])
+        kind = ir.FunctionType(ir.VoidType(), [place.type, _INT32, _INT32, _INT32])
         function = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0i8")
-        builder.call(function, [place, int32(0), int32(3), int32(1)])
+        builder.call(function, [place, _INT32(0), _INT32(3), _INT32(1)])
         return context.get_dummy_value()
 
     return types.none(array, types.intp), lower
@@ -204,9 +202,8 @@ def vwhere(typing, mask, a, b):
     With a scalar mask, ``a`` and ``b`` are float64 scalars, so that formulas work for both.
     """
     if isinstance(mask, types.Boolean):
-        return types.float64(
-            mask, types.float64, types.float64
-        ), lambda _, builder, __, args: builder.select(*args)
+        number = types.float64
+        return number(mask, number, number), lambda _, builder, __, args: builder.select(*args)
     target = a if isinstance(a, _Vector) else b
 
     def lower(context, builder, signature, args):
@@ -219,78 +216,83 @@ def vwhere(typing, mask, a, b):
     return target(mask, a, b), lower
 
 
-@intrinsic
-def vsum(typing, vector):
-    """Return the sum of the elements, always in the same order."""
+def _unary(result, emit):
+    """Make an intrinsic of one vector.
 
-    def lower(context, builder, signature, args):
-        value, width = args[0], LANES
-        while width > 1:
-            width //= 2
-            upper = ir.Constant(
-                ir.VectorType(ir.IntType(32), width), [width + i for i in range(width)]
-            )
-            lower_half = ir.Constant(ir.VectorType(ir.IntType(32), width), list(range(width)))
-            value = builder.fadd(
-                builder.shuffle_vector(value, value, lower_half),
-                builder.shuffle_vector(value, value, upper),
-            )
-        return builder.extract_element(value, ir.IntType(32)(0))
+    ``result`` returns the type of its value from that of the vector, ``emit`` the value.
+    """
 
-    return vector.dtype(vector), lower
-
-
-def _reduction(emit):
-    @intrinsic
-    def reduction(typing, mask):
-        def lower(context, builder, signature, args):
-            return emit(builder, builder.bitcast(args[0], ir.IntType(LANES)))
-
-        return types.boolean(mask), lower
-
-    return reduction
-
-
-vany = _reduction(lambda builder, bits: builder.icmp_unsigned("!=", bits, bits.type(0)))
-"""``vany(mask)``: whether any element is true."""
-
-vall = _reduction(lambda builder, bits: builder.icmp_unsigned("==", bits, bits.type(-1)))
-"""``vall(mask)``: whether every element is true."""
-
-
-def _function(name):
     @intrinsic
     def function(typing, vector):
-        def lower(context, builder, signature, args):
-            kind = args[0].type
-            suffix = "f32" if vector.dtype == types.float32 else "f64"
-            callee = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(kind, [kind]), f"llvm.{name}.v{LANES}{suffix}"
-            )
-            return builder.call(callee, args)
-
-        return vector(vector), lower
+        return result(vector)(vector), lambda _, builder, __, args: emit(builder, args[0])
 
     return function
 
 
-vsqrt, vfloor, vceil, vabs = (_function(name) for name in ("sqrt", "floor", "ceil", "fabs"))
+def _sum(builder, value):
+    width = LANES
+    while width > 1:
+        width //= 2
+        kind = ir.VectorType(_INT32, width)
+        halves = (ir.Constant(kind, [k + i for i in range(width)]) for k in (0, width))
+        value = builder.fadd(*(builder.shuffle_vector(value, value, half) for half in halves))
+    return builder.extract_element(value, _INT32(0))
 
 
-@intrinsic
-def vwiden(typing, vector):
-    """Convert a float32 vector to float64."""
-    return _F64(vector), lambda _, builder, signature, args: builder.fpext(
-        args[0], ir.VectorType(ir.DoubleType(), LANES)
+def _call(name, builder, value):
+    suffix = "f32" if value.type.element == ir.FloatType() else "f64"
+    kind = ir.FunctionType(value.type, [value.type])
+    function = f"llvm.{name}.v{LANES}{suffix}"
+    return builder.call(cgutils.get_or_insert_function(builder.module, kind, function), [value])
+
+
+def _mask_equals(sign, bits, builder, mask):
+    every = builder.bitcast(mask, ir.IntType(LANES))
+    return builder.icmp_unsigned(sign, every, every.type(bits))
+
+
+ROOT_HALF = int(np.float32(np.sqrt(0.5)).view(np.int32))
+
+
+def _split(builder, value):
+    """Return the bits of floats, and the exponents that leave mantissas in [sqrt(1/2), sqrt(2))."""
+    bits = builder.bitcast(value, _INTS)
+    above = builder.sub(bits, ir.Constant(_INTS, [ROOT_HALF] * LANES))
+    return bits, builder.ashr(above, ir.Constant(_INTS, [23] * LANES))
+
+
+def _exponent_of(builder, value):
+    return builder.sitofp(_split(builder, value)[1], value.type)
+
+
+def _mantissa_of(builder, value):
+    bits, exponent = _split(builder, value)
+    shifted = builder.shl(exponent, ir.Constant(_INTS, [23] * LANES))
+    return builder.bitcast(builder.sub(bits, shifted), value.type)
+
+
+vsum = _unary(lambda vector: vector.dtype, _sum)
+"""``vsum(vector)``: the sum of the elements, always in the same order."""
+
+vany = _unary(lambda _: types.boolean, partial(_mask_equals, "!=", 0))
+"""``vany(mask)``: whether any element is true."""
+
+vall = _unary(lambda _: types.boolean, partial(_mask_equals, "==", -1))
+"""``vall(mask)``: whether every element is true."""
+
+vsqrt, vfloor, vceil, vabs, _exponent, _mantissa = (
+    _unary(lambda vector: vector, emit)
+    for emit in (
+        partial(_call, "sqrt"), partial(_call, "floor"), partial(_call, "ceil"),
+        partial(_call, "fabs"), _exponent_of, _mantissa_of,
     )
+)  # fmt: skip
 
+vwiden = _unary(lambda _: _F64, lambda builder, value: builder.fpext(value, _F64.llvm))
+"""``vwiden(vector)``: a float32 vector in float64."""
 
-@intrinsic
-def vnarrow(typing, vector):
-    """Round a float64 vector to float32."""
-    return _F32(vector), lambda _, builder, signature, args: builder.fptrunc(
-        args[0], ir.VectorType(ir.FloatType(), LANES)
-    )
+vnarrow = _unary(lambda _: _F32, lambda builder, value: builder.fptrunc(value, _F32.llvm))
+"""``vnarrow(vector)``: a float64 vector rounded to float32."""
 
 
 @intrinsic
@@ -298,9 +300,8 @@ def _shift_exponent(typing, vector, magic):
     """Return ``vector`` times 2^n, where n is the integer in the last bits of ``magic``."""
 
     def lower(context, builder, signature, args):
-        bits = ir.VectorType(ir.IntType(32), LANES)
-        n = builder.shl(builder.bitcast(args[1], bits), ir.Constant(bits, [23] * LANES))
-        return builder.bitcast(builder.add(builder.bitcast(args[0], bits), n), args[0].type)
+        n = builder.shl(builder.bitcast(args[1], _INTS), ir.Constant(_INTS, [23] * LANES))
+        return builder.bitcast(builder.add(builder.bitcast(args[0], _INTS), n), args[0].type)
 
     return vector(vector, magic), lower
 
@@ -325,34 +326,6 @@ def vexp2(x):
     p = t * p + np.float32(6.931469775989922e-1)
     p = t * p + np.float32(1)
     return _shift_exponent(p, magic)
-
-
-def _split(emit):
-    @intrinsic
-    def part(typing, vector):
-        def lower(context, builder, signature, args):
-            kind = ir.VectorType(ir.IntType(32), LANES)
-
-            def every(number):
-                return ir.Constant(kind, [number] * LANES)
-
-            bits = builder.bitcast(args[0], kind)
-            exponent = builder.ashr(builder.sub(bits, every(ROOT_HALF)), every(23))
-            return emit(builder, bits, exponent, every, args[0].type)
-
-        return vector(vector), lower
-
-    return part
-
-
-ROOT_HALF = int(np.float32(np.sqrt(0.5)).view(np.int32))
-
-_exponent = _split(lambda builder, bits, exponent, every, kind: builder.sitofp(exponent, kind))
-_mantissa = _split(
-    lambda builder, bits, exponent, every, kind: builder.bitcast(
-        builder.sub(bits, builder.shl(exponent, every(23))), kind
-    )
-)
 
 
 @kernel

@@ -35,10 +35,8 @@ LARGE = 20_000_000
 less time than thread synchronisation."""
 
 LARGE_THREADS = 4
-"""Number of threads inside a large network, whatever the number of cores. With fewer cores it costs
-nothing: CLIP ViT-B/16 took 2.1 s of CPU for four pictures on two busy cores with one thread and
-with four."""
-
+"""Number of threads inside a large network, whatever the number of cores: with fewer cores it costs
+no more CPU time than one thread."""
 
 _local = threading.local()
 
@@ -64,17 +62,6 @@ def sources() -> Sources:
     return Sources(kernels.hexdigest(), package_digest.hexdigest())
 
 
-def kernel_folder() -> Path:
-    """Return the folder in the user's cache for the compiled kernels of exactly this source code.
-
-    Numba recompiles a function when its own file changes, but not when a function that it calls
-    from another file does, so an update could run stale code. Therefore the folder's name is a
-    digest of all sources with kernels.
-    """
-    caches = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(caches).expanduser() / "slgaussian" / "kernels" / sources().kernels[:16]
-
-
 # NumPy's linear algebra has a pool whose threads spin while they wait: two concurrent workers lost
 # a fifth of their time to it, and no operation here is large enough to gain by it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -85,10 +72,14 @@ os.environ.setdefault("MKL_CBWR", "AUTO")
 # Virtual machines may report AMX and not run it: then bfloat16 ends with an illegal instruction.
 os.environ.setdefault("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_FP16")
 if "NUMBA_CACHE_DIR" not in os.environ:
+    # Numba recompiles a function when its own file changes, but not when a function that it calls
+    # from another file does. Therefore the folder's name is a digest of all sources with kernels.
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    folder = caches / "slgaussian" / "kernels" / sources().kernels[:16]
     # Without a home that can be written, Numba keeps its own default, beside the sources.
     with contextlib.suppress(OSError):
-        kernel_folder().mkdir(parents=True, exist_ok=True)
-        os.environ["NUMBA_CACHE_DIR"] = str(kernel_folder())
+        folder.mkdir(parents=True, exist_ok=True)
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
 
 
 @cache
@@ -127,12 +118,10 @@ def fixed(count: int = 1) -> Iterator[None]:
     """
     import torch
 
-    before = torch.get_num_threads()
+    before, cudnn = torch.get_num_threads(), torch.backends.cudnn
     torch.set_num_threads(count)
     try:
-        with torch.backends.cudnn.flags(
-            enabled=True, deterministic=torch.backends.cudnn.deterministic, allow_tf32=False
-        ):
+        with cudnn.flags(enabled=True, deterministic=cudnn.deterministic, allow_tf32=False):
             yield
     finally:
         torch.set_num_threads(before)
