@@ -113,7 +113,5 @@ def test_a_pair_that_the_others_contradict_is_not_used(photographs):
     result = find_multi_view([Described.of(item) for item in photographs[0]], wrong_once)
     (wrong,) = (pair for pair in result.pairs if set(pair.views) == {"view_00", "view_02"})
     assert wrong.verdict == UNUSED and "contradict" in wrong.said
-    true = [w2c[:3, :3] @ photographs[1][0][:3, :3].T for w2c in photographs[1]]
-    assert (
-        np.degrees(Rotation.from_matrix(result.R @ np.swapaxes(true, 1, 2)).magnitude()).max() < 4
-    )
+    cameras = [result.cameras[item.name] for item in photographs[0]]
+    assert degrees_off(cameras, photographs[1]) < 4
