@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from dataclasses import field as dataclass_field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +33,6 @@ from slgaussian.labels import LabelMaps
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Sample
 from slgaussian.storage.specs import load_spec
-
-Returned = TypeVar("Returned")
 
 ALONG_THE_WAY = {"quarter way": 0.25, "halfway": 0.5, "three-quarter way": 0.75}
 """Rendered viewpoints between the first two context cameras, by frame name. Queries without ground
@@ -187,7 +185,7 @@ def evaluate(
     return recorder.result()
 
 
-def _timed(call: Callable[..., Returned], *arguments: Any) -> tuple[Returned, float]:
+def _timed(call: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
     """Return the result of a call, and its seconds without compiling."""
     start = compiling.clock()
     returned = call(*arguments)

@@ -21,9 +21,7 @@ MANIFEST = {"slgaussian": "0.1.0", "settings": {"replicas": 5}}
 
 @pytest.fixture(scope="module")
 def truth(room):
-    masks = room.truth["view_01"]
-    mask = next(iter(masks.values()))
-    return {"view_01": masks | {"qqwx": mask, "red sofa": np.zeros_like(mask)}}
+    return room.strange_truth
 
 
 def scene_of(result: SceneResult, truth, *rivals, name: str = "") -> Scene:

@@ -13,12 +13,9 @@ STEPS = st.integers(0, 4)  # few, so that many are equal
 
 @given(st.lists(st.tuples(STEPS, STEPS), max_size=8))
 def test_the_front_is_what_no_other_beats(points):
-    front = pareto_front(points)
-    for point in points:
-        beaten = False
-        for other in points:
-            beaten |= other != point and other[0] <= point[0] and other[1] >= point[1]
-        assert (point in front) == (not beaten)
+    for x, y in points:
+        beaten = any((a, b) != (x, y) and a <= x and b >= y for a, b in points)
+        assert ((x, y) in pareto_front(points)) == (not beaten)
 
 
 def test_scores_stand_beside_costs_and_the_papers_beside_ours(result):

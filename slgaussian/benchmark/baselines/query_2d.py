@@ -26,11 +26,8 @@ class Query2d:
     """Render colours, then process the image like a photograph.
 
     Nothing is prepared: proposals and encoding are part of the first query of a view, as in the
-    paper's 18 s per query. Empty pixels are not segmented.
-
-    Attributes:
-        depth: Whether proposer and encoder get the rendered depth and groups of objects, as in the
-            field. The paper's proposer and encoder get the image only.
+    paper's 18 s per query. Empty pixels are not segmented. With ``depth``, proposer and encoder get
+    the rendered depth and groups of objects, as in the field; the paper's get the image only.
     """
 
     depth: bool = False

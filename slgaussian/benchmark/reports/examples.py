@@ -94,7 +94,10 @@ def example_section(scene: Scene, rows: Sequence[Row], images: Images) -> Sectio
     inputs = {name: images[f"input/{name}"] for name in _frames(images, "input")}
     blocks: list[Block] = []
     small = {f"context view {name}": image for name, image in inputs.items()}
-    if answers := _rows_of_best_frame(rows, images):
+    drawn = [row for row in rows if f"mask/{row['frame']}/{row['query']}" in images]
+    scored = [row for row in drawn if row["iou"] is not None]
+    # The frame with most scored answers, else most answers.
+    if answers := max(grouped(scored or drawn, "frame").values(), key=len, default=[]):
         frame, is_scored = answers[0]["frame"], answers[0]["iou"] is not None
         ground = images.get(f"photo/{frame}", images[f"render/{frame}"])
         masks, truth = scene.masks(), scene.truth().get(frame, {})
@@ -137,13 +140,6 @@ def _gallery(images: Images, width: int, layout: str) -> Gallery:
 
 def _frames(images: Images, kind: str) -> list[str]:
     return [name.split("/", 1)[1] for name in images if name.startswith(f"{kind}/")]
-
-
-def _rows_of_best_frame(rows: Sequence[Row], images: Images) -> list[Row]:
-    """Return the answers with pictures of the frame with most scored answers, else most answers."""
-    drawn = [row for row in rows if f"mask/{row['frame']}/{row['query']}" in images]
-    scored = [row for row in drawn if row["iou"] is not None]
-    return max(grouped(scored or drawn, "frame").values(), key=len, default=[])
 
 
 def _draw_masks(
