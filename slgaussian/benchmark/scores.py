@@ -51,37 +51,26 @@ def of_first_protocol(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row["protocol"] == rows[0]["protocol"]]
 
 
-@dataclass(frozen=True)
-class Metric:
-    """A metric, its column of the spec ``samples``, and whether frames are averaged first."""
+METRICS = {
+    "iou": "iou",
+    "boundary_iou": "boundary_iou",
+    "miou": "class_iou",
+    "accuracy": "accuracy",
+    "hit_mask": "hit_mask",
+    "hit_box": "hit_box",
+    "hit_peak": "hit_peak",
+}
+"""Column of the samples of each metric; the protocol of a row determines which of them it has."""
 
-    name: str
-    column: str
-    by_frame: bool = False
-
-    def of(self, row: Row) -> float | None:
-        """Return the value of a row; None if it has none."""
-        value = row[self.column]
-        return None if value is None else float(value)
-
-
-METRICS = (
-    Metric("iou", "iou"),
-    Metric("boundary_iou", "boundary_iou"),
-    Metric("miou", "class_iou", by_frame=True),
-    Metric("accuracy", "accuracy", by_frame=True),
-    Metric("hit_mask", "hit_mask"),
-    Metric("hit_box", "hit_box"),
-    Metric("hit_peak", "hit_peak"),
-)
-"""Metrics that are means; the protocol of a row determines which of them exist."""
+BY_FRAME = ("miou", "accuracy")
+"""Metrics that are averaged over the samples of a frame first."""
 
 
 def scene_means(rows: Iterable[Row]) -> dict[str, float]:
     """Return the scores of one scene, method and protocol by name, without those of no sample."""
     rows = list(rows)
-    means = {metric.name: _scene_mean(rows, metric) for metric in METRICS}
-    return {name: mean for name, mean in means.items() if mean is not None}
+    present = {name: _with_value(rows, column) for name, column in METRICS.items()}
+    return {metric: _mean(samples, metric) for metric, samples in present.items() if samples}
 
 
 def score_table(rows: Iterable[Row]) -> pa.Table:
@@ -93,17 +82,15 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
     table: list[dict[str, Any]] = []
     for names, group in grouped(rows, *GROUPS).items():
         common = {**dict(zip(GROUPS, names, strict=True)), "level": LEVEL, **_settings(group)}
-        scenes = list(grouped(group, "scene").values())
-        for metric in METRICS:
-            means = [(_scene_mean(scene, metric), scene) for scene in scenes]
-            scored = [(mean, scene) for mean, scene in means if mean is not None]
-            if not scored:
+        for metric, column in METRICS.items():
+            samples = _with_value(group, column)
+            if not samples:
                 continue
-            values = np.array([mean for mean, _ in scored])
-            places = [place_of(scene[0]) for _, scene in scored]
-            row = common | {"metric": metric.name, "value": float(values.mean())}
-            row |= {"scenes": len(places), "places": len(set(places)), "note": ONE_PLACE}
-            row["samples"] = sum(metric.of(r) is not None for _, scene in scored for r in scene)
+            scenes = grouped(samples, "scene").values()
+            values = np.array([_mean(scene, metric) for scene in scenes])
+            places = [place_of(scene[0]) for scene in scenes]
+            row = common | {"metric": metric, "value": float(values.mean()), "note": ONE_PLACE}
+            row |= {"scenes": len(places), "places": len(set(places)), "samples": len(samples)}
             if row["places"] > 1:
                 row["low"], row["high"] = interval_of_mean(values, places)
                 row["note"] = FEW_PLACES if row["places"] < LEAST else ""
@@ -141,17 +128,17 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
     gains = []
     groups = grouped(pairs, "dataset", "protocol", row_of=itemgetter(0))
     for (dataset, protocol), group in groups.items():
-        for metric in METRICS:
-            shared = [pair for pair in group if None not in map(metric.of, pair)]
-            scenes = grouped(shared, "scene", row_of=itemgetter(0)).values()
+        for metric, column in METRICS.items():
+            shared = [pair for pair in group if None not in (row[column] for row in pair)]
             if not shared:
                 continue
-            means: list[list[Any]] = [
-                [_scene_mean([pair[side] for pair in scene], metric) for scene in scenes]
+            scenes = grouped(shared, "scene", row_of=itemgetter(0)).values()
+            first, second = (
+                [_mean([pair[side] for pair in scene], metric) for scene in scenes]
                 for side in (0, 1)
-            ]
-            gain = compare(means[0], means[1], [place_of(scene[0][0]) for scene in scenes])
-            gains.append(Difference(dataset, protocol, metric.name, gain, len(shared)))
+            )
+            gain = compare(first, second, [place_of(scene[0][0]) for scene in scenes])
+            gains.append(Difference(dataset, protocol, metric, gain, len(shared)))
     return gains
 
 
@@ -160,15 +147,15 @@ def place_of(row: Row) -> str:
     return row.get("place") or row["scene"]
 
 
-def _scene_mean(rows: Sequence[Row], metric: Metric) -> float | None:
-    """Compute the mean of a metric over one scene; None without a sample."""
-    if not metric.by_frame:
-        values = [value for row in rows if (value := metric.of(row)) is not None]
-    else:
-        frames = grouped(rows, "frame").values()
-        once = Metric(metric.name, metric.column)
-        values = [mean for members in frames if (mean := _scene_mean(members, once)) is not None]
-    return float(np.mean(values)) if values else None
+def _with_value(rows: Iterable[Row], column: str) -> list[Row]:
+    return [row for row in rows if row[column] is not None]
+
+
+def _mean(rows: Sequence[Row], metric: str) -> float:
+    """Compute the mean of a metric over samples of one scene, all of which have it."""
+    frames = grouped(rows, "frame").values() if metric in BY_FRAME else [rows]
+    means = [np.mean([float(row[METRICS[metric]]) for row in frame]) for frame in frames]
+    return float(np.mean(means))
 
 
 def _settings(rows: Sequence[Row]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import jinja2
 import numpy as np
@@ -75,7 +75,6 @@ class Table:
     notes: Sequence[str] = ()
     style: str = ""
     has_total: bool = False
-    kind: ClassVar[str] = "table"
 
     def __post_init__(self) -> None:
         self.columns = [
@@ -122,7 +121,6 @@ class Prose:
 
     text: str
     style: str = "soft"
-    kind: ClassVar[str] = "prose"
 
 
 def terms(definitions: Mapping[str, str]) -> Prose:
@@ -158,7 +156,6 @@ class Gallery:
 
     pictures: Sequence[Picture]
     layout: str
-    kind: ClassVar[str] = "gallery"
 
 
 @dataclass(frozen=True)
@@ -176,7 +173,6 @@ class Cards:
     """Answers side by side."""
 
     cards: Sequence[Card]
-    kind: ClassVar[str] = "cards"
 
 
 @dataclass(frozen=True)
@@ -186,7 +182,6 @@ class Fold:
     summary: str
     blocks: Sequence[Block]
     id: str = ""
-    kind: ClassVar[str] = "fold"
 
 
 Block = Table | Prose | Gallery | Cards | Fold
@@ -280,5 +275,6 @@ def _template(name: str) -> jinja2.Template:
     )
     inline = MarkdownIt("commonmark", {"html": False})
     environment.filters["cell"] = escape
+    environment.filters["kind"] = lambda block: type(block).__name__.lower()
     environment.filters["prose"] = lambda text: Markup(inline.renderInline(text))
     return environment.get_template(name)
