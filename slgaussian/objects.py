@@ -14,7 +14,6 @@ from slgaussian.io import short_repr
 from slgaussian.language import Encoder
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.vocabulary import load_vocabulary
-from slgaussian.scene import Camera
 
 if TYPE_CHECKING:
     from slgaussian.field import SemanticField
@@ -68,7 +67,11 @@ def list_objects(
     ``words`` are the best texts of each object of the bank.
     """
     bank, views = field.bank, list(field.cameras)
-    cameras = [_small(camera) for camera in field.cameras.values()]
+    cameras = []
+    for camera in field.cameras.values():
+        shrink = min(1.0, LOOK / max(camera.width, camera.height))
+        size = round(camera.width * shrink), round(camera.height * shrink)
+        cameras.append(camera.resized(*size))
     looks = [field.render(camera) for camera in cameras]
     sums, areas = np.zeros(len(bank)), np.zeros(len(bank))
     for look in looks:
@@ -109,9 +112,3 @@ def words_for(encoder: Encoder) -> tuple[str, ...]:
         return COMMON_OBJECTS
     vocabulary = load_vocabulary()
     return tuple(sorted([*vocabulary.colours, *vocabulary.naming]))
-
-
-def _small(camera: Camera) -> Camera:
-    """Shrink the image of a camera to a longest side of at most :data:`LOOK`."""
-    shrink = min(1.0, LOOK / max(camera.width, camera.height))
-    return camera.resized(round(camera.width * shrink), round(camera.height * shrink))

@@ -74,20 +74,17 @@ class RunContext:
         self.notify(StageEvent(self.scene, self.stage, "running", message))
 
 
-_context: ContextVar[RunContext | None] = ContextVar("run_context", default=None)
+_context: ContextVar[RunContext] = ContextVar("run_context")
 
 
 def current_run() -> RunContext:
     """Return the context that stages are called in; LookupError outside :func:`run_context`."""
-    context = _context.get()
-    if context is None:
-        raise LookupError("stages are called within tasks.context.run_context")
-    return context
+    return _context.get()
 
 
 def enclosing_run() -> RunContext | None:
     """Return the context that this code runs in, None in a process that has none."""
-    return _context.get()
+    return _context.get(None)
 
 
 @contextmanager

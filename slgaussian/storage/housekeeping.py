@@ -72,10 +72,8 @@ def collect(
         gone = []
         for file in files:
             old = file.written < bound
-            if (
-                _UNFINISHED.fullmatch(file.uri)
-                and file.uri.rpartition("/")[0].split("/")[0] in _OURS
-            ):
+            folder = file.uri.rpartition("/")[0].split("/")[0]
+            if _UNFINISHED.fullmatch(file.uri) and folder in _OURS:
                 garbage.unfinished += old
                 gone += [file] * old
             elif ref_of(file.uri) is None:

@@ -79,10 +79,5 @@ def _read(path: Path) -> dict[str, Any]:
         raise mismatch(file, "digest", digest[:12], "that of its name")
     entries = {**spec.fields, **spec.columns, **spec.keys}
     fields = {name: f"[{entry.unit or entry.type}] {entry.doc}" for name, entry in entries.items()}
-    return {
-        "spec": spec.label,
-        "meaning": spec.doc,
-        "fields": fields,
-        "digest": digest,
-        "made": origin,
-    }
+    row = {"spec": spec.label, "meaning": spec.doc, "fields": fields}
+    return {**row, "digest": digest, "made": origin}

@@ -89,11 +89,6 @@ class Entry:
     high: float | None = None
     values: tuple[str | int, ...] = ()
 
-    @property
-    def is_bounded(self) -> bool:
-        """Whether only some values of the type are allowed."""
-        return bool(self.values) or self.low is not None or self.high is not None
-
     def describe(self, plain: bool = False) -> dict[str, Any]:
         """Return meaning, unit, bounds and values, as text for Arrow or as ``plain`` data."""
         entries: dict[str, Any] = {"meaning": self.doc, "unit": self.unit}
@@ -198,7 +193,8 @@ class Spec:
                 raise mismatch(file, name, f"{data.null_count} empty cells", "a value in each row")
             if pa.types.is_list(data.type):
                 data = pc.list_flatten(data)
-            if pa.types.is_floating(data.type) or column.is_bounded:
+            has_bounds = column.values or column.low is not None or column.high is not None
+            if pa.types.is_floating(data.type) or has_bounds:
                 _check_values(data.drop_null().to_numpy(), column, name, file, ROUNDING)
         unknown = [name for name in table.column_names if name not in self.columns]
         if unknown:
@@ -270,12 +266,10 @@ def _check_array(
         if isinstance(axis, int):
             needed, reason = axis, f"{axis} entries"
         else:
-            needed, first = sizes.get(axis, (size, name))
+            needed, first = sizes.setdefault(axis, (size, name))
             reason = f"{axis} = {needed} as in {first}"
         if size != needed:
             raise mismatch(file, name, actual, f"{expected} with {reason}")
-    for axis, size in zip(field.shape, array.shape, strict=True):
-        sizes.setdefault(str(axis), (size, name))
     _check_values(array, field, name, file)
 
 
