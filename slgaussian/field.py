@@ -455,10 +455,6 @@ class SemanticField:
         settings = {name: value for name, value in self.settings.items() if name not in results}
         return Provenance("build_field", settings=json.loads(json.dumps(settings, sort_keys=True)))
 
-    def about(self, digests: Mapping[str, str]) -> About:
-        """Return the metadata of the field, with the digests of its contents by spec."""
-        return About(self.settings, self.cameras, digests)
-
     def save(self, path: str | Path, beside: Mapping[str, bytes] | None = None) -> None:
         """Write the field atomically to the folder ``path``, replacing a field that is there.
 
@@ -474,7 +470,8 @@ class SemanticField:
                 spec: encode_artifact(spec, content, field_folder.FILES[spec])
                 for spec, content in self.contents().items()
             }
-        about = self.about({spec: digest for spec, (digest, _) in files.items()})
+        digests = {spec: digest for spec, (digest, _) in files.items()}
+        about = About(self.settings, self.cameras, digests)
         field_folder.write(
             Path(path),
             about.to_json(self.places),

@@ -175,7 +175,8 @@ def put_field(store: ArtifactStore, field: SemanticField) -> ArtifactRef:
     counts = {"gaussians": len(field.gaussians), "objects": len(field.bank)}
     with record_provenance(current_provenance() or field.made()):
         refs = {spec: store.put(spec, content) for spec, content in field.contents().items()}
-        description = field.about({spec: ref.digest for spec, ref in refs.items()}).to_json()
+        digests = {spec: ref.digest for spec, ref in refs.items()}
+        description = About(field.settings, field.cameras, digests).to_json()
         parts = [ref.uri for ref in refs.values()]
         extra = {"account": field.settings.get("account"), "parts": parts}
         return store.put("field", {"about": np.array(description)}, counts | extra)
