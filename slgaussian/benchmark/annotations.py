@@ -124,7 +124,8 @@ def label_files(folder: str | Path, view_name: str) -> list[Path]:
     """Return the files from which the labels of a frame are read; they may be missing."""
     folder, name = Path(folder), Path(view_name)
     if (folder / CLASSES).is_file():
-        return [folder / CLASSES, *(folder / name.stem / f"{of}.png" for of in _classes(folder))]
+        masks = (folder / name.stem / f"{category}.png" for category in _classes(folder))
+        return [folder / CLASSES, *masks]
     nested = folder / name.with_suffix(".json")
     return [nested if nested.is_file() else folder / f"{name.stem}.json"]
 

@@ -69,8 +69,9 @@ def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
         return Verdict(False, f"worse than {hardest}: {numbers}")
     if comparison.low <= 0:
         return Verdict(False, f"no gain over {hardest} beyond noise: {numbers}")
-    rest = " and ".join(name for name in gains if name != hardest)
-    return Verdict(True, f"better than {hardest}: {numbers}" + f"; and than {rest}" * bool(rest))
+    others = " and ".join(name for name in gains if name != hardest)
+    rest = f"; and than {others}" if others else ""
+    return Verdict(True, f"better than {hardest}: {numbers}{rest}")
 
 
 def regression(judgements: pa.Table, rivals: Mapping[str, str], name: str) -> str:

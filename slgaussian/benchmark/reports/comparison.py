@@ -112,13 +112,10 @@ def _runs_table(named: Mapping[str, Run]) -> model.Table:
     first = named["A"]
     rows = []
     for letter, run in named.items():
-        pairs = [
-            (row, theirs[sample_key(row)])
-            for _, mine, baseline in _pair_methods(first, run)
-            for theirs in [{sample_key(row): row for row in baseline}]
-            for row in mine
-            if sample_key(row) in theirs
-        ]
+        pairs: list[tuple[Row, Row]] = []
+        for _, mine, baseline in _pair_methods(first, run):
+            theirs = {sample_key(row): row for row in baseline}
+            pairs += [(row, theirs[key]) for row in mine if (key := sample_key(row)) in theirs]
         changed = sum({**a, "method": ""} != {**b, "method": ""} for a, b in pairs)
         scenes = len({row["scene"] for row in run.rows})
         counts = (scenes, len(run.by_method), len(run.rows), len(pairs), changed)
