@@ -22,15 +22,10 @@ def test_lerf_ovs(tmp_path):
         write_pictures(tmp_path / scene / "images", NAMES)
     labels = tmp_path / "label/teatime"
     write_pictures(labels, [NAMES[1]])
-    record = {
-        "info": {"name": NAMES[1], "width": WIDTH, "height": HEIGHT, "depth": 3, "note": ""},
-        "objects": [
-            {
-                "category": "sheep", "group": 1, "layer": 1.0, "iscrowd": 0, "area": 9.0,
-                "segmentation": [[10, 10], [30, 10], [30, 30]], "bbox": [10, 10, 30, 30],
-            }
-        ],
-    }  # fmt: skip
+    area = {"segmentation": [[10, 10], [30, 10], [30, 30]], "bbox": [10, 10, 30, 30]}
+    sheep = {"category": "sheep", "group": 1, "layer": 1.0, "iscrowd": 0, "area": 9.0, **area}
+    info = {"name": NAMES[1], "width": WIDTH, "height": HEIGHT, "depth": 3, "note": ""}
+    record = {"info": info, "objects": [sheep]}
     (labels / "frame_00002.json").write_text(json.dumps(record))
     assert scenes("lerf_ovs", tmp_path) == {s: {"scene": s} for s in ("ramen", "teatime")}
     scene = load("lerf_ovs", tmp_path, "teatime")
@@ -42,12 +37,9 @@ def test_lerf_ovs(tmp_path):
         load("lerf_ovs", tmp_path, "bouquet")
 
 
-def ring() -> np.ndarray:
-    """A mask with a hole, uint8 [HEIGHT, WIDTH]."""
-    mask = np.zeros((HEIGHT, WIDTH), np.uint8)
-    mask[10:50, 20:70] = 255
-    mask[20:40, 30:60] = 0
-    return mask
+RING = np.zeros((HEIGHT, WIDTH), np.uint8)
+RING[10:50, 20:70] = 255
+RING[20:40, 30:60] = 0
 
 
 @pytest.fixture
@@ -57,7 +49,7 @@ def bed(tmp_path):
     np.save(bed / "poses_bounds.npy", [llff_row((0.1 * i, 0, 0)) for i in range(3)])
     (bed / "segmentations/01").mkdir(parents=True)
     (bed / "segmentations/classes.txt").write_text("\n".join(CLASSES) + "\n\n")
-    for name, mask in zip(CLASSES, (ring(), ring(), 0 * ring()), strict=True):
+    for name, mask in zip(CLASSES, (RING, RING, 0 * RING), strict=True):
         Image.fromarray(mask).save(bed / f"segmentations/01/{name}.png")
     return bed
 
@@ -72,12 +64,12 @@ def test_cameras_of_3d_ovs_are_those_of_a_model_if_there_is_one(bed):
 
 def test_masks_of_3d_ovs_have_holes_and_count_only_white(bed):
     labels = bed / "segmentations"
-    Image.fromarray(np.where(ring() > 0, 255, 254).astype(np.uint8)).save(
+    Image.fromarray(np.where(RING > 0, 255, 254).astype(np.uint8)).save(
         labels / f"01/{CLASSES[1]}.png"
     )
     masks = read_labels(labels, "01.jpg", WIDTH, HEIGHT)
     assert list(masks) == sorted(CLASSES)
-    assert all(np.array_equal(masks[name], ring() > 0) for name in CLASSES[:2])
+    assert all(np.array_equal(masks[name], RING > 0) for name in CLASSES[:2])
     assert not masks["hand"].any()
     assert labelled_frames(labels) == {"01": tuple(sorted(CLASSES))}
 
@@ -87,7 +79,7 @@ def test_masks_of_3d_ovs_have_holes_and_count_only_white(bed):
     [
         (lambda f: (f / "01/hand.png").unlink(), r"hand\.png: no such mask; every labelled"),
         (lambda f: (f / "01/hand.png").write_text("no"), r"hand\.png: cannot be read"),
-        (lambda f: Image.fromarray(ring() // 255).save(f / "01/hand.png"), "brightest pixel is 1"),
+        (lambda f: Image.fromarray(RING // 255).save(f / "01/hand.png"), "brightest pixel is 1"),
         (lambda f: (f / "classes.txt").write_text("hand\nhand"), r"classes\.txt: found"),
         (lambda f: (f / "classes.txt").write_bytes(b"\xff\xfe\x00"), r"classes\.txt: cannot"),
     ],

@@ -30,17 +30,12 @@ def write(root: Path, frames: list, images=("a.png",), **top) -> Path:
     return file
 
 
-def test_a_frame_overrides_the_file_and_blender_files_need_only_an_angle(tmp_path):
-    frames = [frame("a.png"), frame("b.png", fl_x=200.0, cx=10.0)]
-    cameras = nerfstudio.read(write(tmp_path, frames, ("a.png", "b.png"))).cameras
-    assert cameras["a.png"].K[0].tolist() == [80, 0, 47.3]
-    assert cameras["b.png"].K[0].tolist() == [200, 0, 10]
-    assert cameras["b.png"].K[1].tolist() == [0, 82, 33.1]
-
-    file = tmp_path / "transforms_train.json"
-    file.write_text(json.dumps({"camera_angle_x": np.pi / 2, "frames": [frame("./a")]}))
-    scene = nerfstudio.read(file)
-    assert pytest.approx(np.array([[48, 0, 48], [0, 48, 32], [0, 0, 1]])) == scene.cameras["./a"].K
+def test_a_frame_overrides_the_file_and_photographs_give_their_size(tmp_path):
+    frames = [frame("./a", cx=10.0), frame("b.png", fl_x=200.0)]
+    scene = nerfstudio.read(write(tmp_path, frames, ("a.png", "b.png"), w=None, cy=None))
+    first, second = scene.cameras.values()
+    assert first.K.tolist() == [[80, 0, 10], [0, 82, 32], [0, 0, 1]]
+    assert second.K.tolist() == [[200, 0, 47.3], [0, 82, 32], [0, 0, 1]]
     assert (scene.read(scene.find("a")).image == picture()).all()
 
 

@@ -1,6 +1,7 @@
 """A folder of photographs and nothing else is a scene, however they were stored."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,17 +19,15 @@ from slgaussian.scene import Camera, Estimated
 def made_up(photographs):
     """Cameras side by side, looking ahead: what is found is the finder's own affair."""
     cameras, focals = {}, {}
-    for number, photograph in enumerate(photographs):
-        f = photograph.focal or 0.8 * max(photograph.width, photograph.height)
+    for number, photo in enumerate(photographs):
+        f = photo.focal or 0.8 * max(photo.width, photo.height)
+        K = np.array([[f, 0, photo.width / 2], [0, f, photo.height / 2], [0, 0, 1]])
         pose = np.eye(4)
         pose[0, 3] = number
-        K = [[f, 0, photograph.width / 2], [0, f, photograph.height / 2], [0, 0, 1]]
-        said = Estimated((0.9, 1.1), "guess", 0.75)
-        size = photograph.width, photograph.height
-        cameras[photograph.name] = Camera(np.array(K), pose, *size, estimated=said)
-        focals[photograph.name] = Focal(f, 0.9 * f, 1.1 * f, "guess")
-    names = list(cameras)
-    pairs = (EstimatedPair((names[0], names[1]), 200, 150, float("nan"), 1.0, GOOD, ""),)
+        camera = Camera(K, pose, photo.width, photo.height)
+        cameras[photo.name] = replace(camera, estimated=Estimated((0.9, 1.1), "guess", 0.75))
+        focals[photo.name] = Focal(f, 0.9 * f, 1.1 * f, "guess")
+    pairs = (EstimatedPair(tuple(cameras)[:2], 200, 150, float("nan"), 1.0, GOOD, ""),)
     return EstimatedCameras(cameras, focals, pairs, 0.75)
 
 
