@@ -35,18 +35,17 @@ class Understood:
 
     Attributes:
         read_as: The words that count, in the encoder's spelling.
-        unknown: tuple of str. Unknown words, which are ignored.
-        unused: {word: reason}. Other ignored words, such as "plant" of "plant pot".
-        kind: ``known``: answered by the encoder, which knows every word that counts. ``unknown``:
-            answered by the encoder without the unknown words. ``named``: answered by the objects
-            with this name. ``taught``: answered by the examples of a taught word. ``picture``: the
-            query is a picture or an object, not a text.
+        unknown: Unknown words, which are ignored.
+        unused: Other ignored words with the reason, such as "plant" of "plant pot".
+        kind: What answers: ``known``, the encoder, which knows every word that counts; ``unknown``,
+            the encoder without the unknown words; ``named``, the objects with this name;
+            ``taught``, the examples of a taught word; ``picture``, no text but a picture or object.
         examples: Number of examples of a taught word.
         instead_of: For a name or a taught word, the encoder's reading of it, if it has one.
         measurements: Number of measurements that the text asks for, or the typical number.
         named: Evidence of the classifier; see :class:`slgaussian.language.confidence.Signs`.
         describing: Number of words that describe the noun.
-        classes: tuple of int. ImageNet classes of the noun.
+        classes: ImageNet classes of the noun.
         untold: Reason why the text cannot be answered; empty if it can.
         question: Suggestions for unknown words, as the end of a sentence.
     """

@@ -27,21 +27,17 @@ class MemoryBank:
     """``{ID: {L_1 ... L_V}}`` of section 3.2, as arrays over N objects.
 
     The paper stores a zero vector where a view does not show the object. A zero vector would score
-    0.5 against every text, so here such a view is marked absent and is not scored.
-
-    Features are stored in half precision. :func:`build_bank` rounds them accordingly, so that a
-    loaded bank gives the same answers as the one just built.
+    0.5 against every text, so here such a view is marked absent and is not scored. Features are
+    stored in half precision, and :func:`build_bank` rounds them accordingly.
 
     Attributes:
         ids: int32 [N]. Object ids as in the label maps, positive and ascending.
         codes: float32 [N, 3]. ID codes in [0, 1], all different.
-        features: float32 [N, V, C]. Unit vectors of the encoder that built the bank; zero where
-            absent. Lengths differ from 1 by less than
-            :data:`slgaussian.language.relevancy.UNIT_TOLERANCE`.
+        features: float32 [N, V, C]. Unit vectors of the encoder, within
+            :data:`slgaussian.language.relevancy.UNIT_TOLERANCE`; zero where absent.
         present: bool [N, V]. True where the view shows the object.
         boxes: int32 [N, V, 4], optional. Bounding box of the object in each view, in pixels: first
-            column and row, then last column and row plus one; zeros where absent. Used to crop
-            pictures of the object.
+            column and row, then last column and row plus one; zeros where absent.
         levels: int32 [L, N], optional. Group of each object at L levels: its own row n if it is
             alone, else N + g for group g. Texts are then scored on groups too; see
             :class:`slgaussian.language.relevancy.Scorer`.
@@ -51,8 +47,7 @@ class MemoryBank:
             after them, groups, quantised by :func:`slgaussian.language.classifier.quantised`;
             zeros where absent.
         photograph_scores: uint8 [V, 1000], with ``class_scores``. Means over whole photographs.
-        wholes: Candidate sets of objects for answers; without it, an answer is all near-best
-            objects.
+        wholes: Candidates for answers; without it, an answer is all near-best objects.
 
     Raises:
         InputError: If an array is invalid; the message names the array and the object.
@@ -140,11 +135,10 @@ def build_bank(
     """Encode every object, and every group of objects, in each view that shows it.
 
     Args:
-        views: sequence of V View. The photographs that the label maps belong to, in the same order.
+        views: The V photographs of the label maps, in the same order.
         label_maps: labels [V, H, W].
         codes: float32 [N, 3]. One code for each of ``label_maps.ids``, in that order.
-        surroundings: sequence of V Surroundings, optional. 3D positions of the pixels of each view,
-            for encoders that use them.
+        surroundings: 3D positions of the pixels of each view, for encoders that use them.
         groups: int [L, N], optional. Group of each object at each level, from
             :func:`slgaussian.masks.levels.group_objects`. Groups of a single object are dropped,
             and equal groups of several levels are merged.
@@ -232,9 +226,7 @@ def _check_lengths(
 ) -> None:
     """Raise InputError unless vectors [N, V, C] have length 1 where present, and 0 elsewhere."""
     lengths = np.linalg.norm(features.astype(np.float64), axis=2)
-    wrong = ~(np.abs(lengths - present) <= UNIT_TOLERANCE)
-    if wrong.any():
-        row, view = np.argwhere(wrong)[0]
+    for row, view in np.argwhere(~(np.abs(lengths - present) <= UNIT_TOLERANCE)):
         raise InputError(
             f"memory bank {kind} {names[row]} in view {view} has length "
             f"{lengths[row, view]:.4g}, expected {float(present[row, view]):g}"

@@ -91,24 +91,15 @@ class Classifier:
 
 @cache
 def load() -> Classifier | None:
-    """Load the classifier; return None if the package of its weights is not installed.
-
-    Raises:
-        InputError: If the SHA-256 of the package's file is not the expected one.
-    """
+    """Load the classifier, None if its weights are not installed; InputError for wrong ones."""
     file = find_weights()
     return None if file is None else Classifier(file)
 
 
 def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
-    """Average a class map over regions.
+    """Average a class map float32 [h, w, C] over regions: float32 [N, C].
 
-    Args:
-        class_map: float32 [h, w, C]
-        masks: bool [N, H, W]. Regions of the same photograph, at any resolution; none empty.
-
-    Returns:
-        float32 [N, C]
+    ``masks`` bool [N, H, W] are of the same photograph, at any resolution, and none is empty.
     """
     h, w, classes = class_map.shape
     shares = np.zeros((len(masks), h, w), np.float32)
@@ -127,15 +118,12 @@ def quantised(log_probabilities: np.ndarray) -> np.ndarray:
 
 
 def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int]) -> np.ndarray:
-    """Compute the log-ratio of class probabilities in regions and in whole photographs.
+    """Compute the log-ratio of class probabilities in regions and in whole photographs, nats.
 
     Args:
         regions: uint8 [..., V, 1000]. Scores of regions of V photographs, from :func:`quantised`.
         photographs: uint8 [V, 1000]. Mean scores of whole photographs.
-        classes: sequence of int. The classes of a noun.
-
-    Returns:
-        float64 [..., V]: In nats.
+        classes: The classes of a noun.
     """
     lead: np.ndarray = log_probability(regions, classes) - log_probability(photographs, classes)
     return lead

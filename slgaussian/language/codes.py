@@ -45,9 +45,6 @@ class Grid(GridConfig):
 
     With ``decode="settled"`` views are decoded by :class:`slgaussian.semantic.decode.Decoder`, with
     ``nearest`` by :class:`slgaussian.semantic.decode.NearestCode`, as the paper does.
-
-    Raises:
-        InputError: If a setting is out of its range.
     """
 
     def __call__(self, label_maps: LabelMaps, rng: np.random.Generator) -> np.ndarray:
@@ -69,21 +66,11 @@ class Separated:
 
 
 def grid_codes(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw ``n`` distinct codes from the paper's even grid.
+    """Draw distinct codes of ``n`` > 0 objects from the paper's even grid, float32 [n, 3].
 
-    Args:
-        n: Number of objects, at least 1.
-        rng: numpy Generator. Draws the grid points and their order.
-
-    Returns:
-        float32 [n, 3]: Points of a grid on [0, 1]^3, ends included, with k points per axis, k the
-            smallest integer with k^3 >= n. A single object gets the centre.
-
-    Raises:
-        InputError: If ``n`` is less than 1.
+    The grid on [0, 1]^3, ends included, has k points per axis, k the smallest integer with
+    k^3 >= n. A single object gets the centre.
     """
-    if n < 1:
-        raise InputError(f"ID codes: asked for {n}, expected at least one object")
     k = math.ceil(round(math.cbrt(n), 9))  # rounded, as the root of a cube may be slightly larger
     levels = np.linspace(0, 1, k, dtype=np.float32) if k > 1 else np.array([0.5], np.float32)
     chosen = rng.choice(k**3, n, replace=False)
@@ -158,8 +145,7 @@ def checkerboard(n: int) -> np.ndarray:
 def _anneal(points, assignment, pairs, weights, movers, targets, randoms):
     """Reduce the energy, the weighted depth of codes in balls, by simulated annealing.
 
-    A move puts an object on a free point or swaps two objects. ``assignment`` [n], the point of
-    each object, is changed in place; ``randoms`` are uniform in [0, 1).
+    A move puts an object on a free point or swaps two. ``assignment`` [n] is changed in place.
     """
     owners = np.full(len(points), -1)
     owners[assignment] = np.arange(len(assignment))
@@ -239,10 +225,7 @@ def _code_energy(c, codes, balls):
 
 @kernel
 def _energy_of(i, j, pairs, codes, balls, most):
-    """Compute the part of the energy that depends on the codes of i and j; j may be -1.
-
-    Stops above ``most``, as the remaining terms are positive.
-    """
+    """Compute the energy that depends on the codes of i and j (-1: none); stop above ``most``."""
     total = _code_energy(i, codes, balls)
     if j >= 0:
         total += _code_energy(j, codes, balls)

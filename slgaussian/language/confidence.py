@@ -101,17 +101,16 @@ def signs(
 ) -> Signs:
     """Compute the features of an answer.
 
+    ``stands_out`` is the mean gap of the selected objects minus that of the others, in standard
+    deviations of the others; :data:`TYPICAL_STAND_OUT` with fewer than two others. For S selected
+    objects and R < S - 1 others it is multiplied by (R + 1) / S.
+
     Args:
-        gaps: float64 [M]. Gaps of the visible objects that some photograph shows; M at least 1.
+        gaps: float64 [M]. Gaps of the M > 0 visible objects that some photograph shows.
         selected: bool [M]. Objects of the answer; if none is, the best one is used.
         measurements: Number of measurements that the text asks for.
-        parts: Number of connected parts of the selected objects; less than 1 counts as 1.
+        parts: Number of connected parts of the selected objects; 0 counts as 1.
         named: See :class:`Signs`.
-
-    Returns:
-        Signs: ``stands_out`` is the mean gap of the selected objects minus that of the others, in
-            standard deviations of the others; :data:`TYPICAL_STAND_OUT` with fewer than two others.
-            For S selected objects and R < S - 1 others it is multiplied by (R + 1) / S.
     """
     best = float(gaps.max())
     if not selected.any():

@@ -176,11 +176,7 @@ class Lexicon:
         return vectors.astype(np.float32)
 
     def understand(self, text: str, by_class: bool = False) -> Understood:
-        """Return which words of ``text`` count, and what is known of it.
-
-        ``by_class`` is true if a classifier has classified the regions. InputError as in
-        :meth:`encode_text`.
-        """
+        """See :meth:`slgaussian.language.Encoder.understand`."""
         reading = self._read(text)
         near = map(self._vocabulary.nearest, reading.unknown[:MAX_LISTED])
         suggestion = " and ".join(repr(word) for word in near if word is not None)

@@ -45,11 +45,9 @@ class QueryResult:
     _chosen: np.ndarray = field(repr=False)
     """bool [N]: objects that the rules select, visible or not."""
     confidence: Confidence | None = None
-    """Probabilities that mask and point are right. None without a calibration: for other encoders,
-    or the user's own canonical phrases; and for names, which are always right."""
+    """Probabilities that mask and point are right; None without a calibration, and for names."""
     uncalibrated: str = ""
-    """Reason of a missing calibration, such as ``the encoder clip``; empty if it exists or is not
-    needed."""
+    """Reason of a missing calibration, such as ``the encoder clip``; empty if none is missing."""
 
     def __repr__(self) -> str:
         ids = short([id_ for id_, _ in self.objects])
@@ -125,12 +123,11 @@ class QueryResult:
             return f"not here: {reason if len(self._ranked) else 'this view shows no object'}"
         if self.confidence is None:
             return f"found, uncalibrated for {self.uncalibrated}" if self.uncalibrated else "found"
-        mask, point = self.confidence.mask, self.confidence.point
+        mask, point = self.confidence
         if self.verdict == "not here":
             return f"probably not here: {point:.2f} that the best object is it"
-        alone = self.understood.alone
         sure = f"{mask:.2f} that the mask is right, {point:.2f} that the point is"
-        return f"{self.verdict}: {sure}{alone}"
+        return f"{self.verdict}: {sure}{self.understood.alone}"
 
     @property
     def point(self) -> tuple[int, int] | None:
@@ -138,8 +135,8 @@ class QueryResult:
 
         It is the :func:`slgaussian.language.objectmap.central_point` of the largest of the selected
         objects that fit about as well as the best of them (:data:`AS_GOOD`): small ones are more
-        likely to fit by chance. If no object is selected, all visible objects are considered; None
-        if the image shows no object.
+        likely to fit by chance. If none is selected, all visible objects are considered; None
+        without any.
         """
         if not len(self._ranked):
             return None
@@ -168,8 +165,7 @@ def _answer(
     rules: Rules,
 ) -> QueryResult:
     """Answer a text from its gaps float64 [N] (-inf: impossible) and the selected objects [N]."""
-    calibration = reader.encoder.calibration
-    uncalibrated = unmeasured(reader.encoder, rules)
+    calibration, uncalibrated = reader.encoder.calibration, unmeasured(reader.encoder, rules)
     visible = np.flatnonzero(seen.areas)
     ranked = visible[np.argsort(-gaps[visible], kind="stable")]
     ranked = ranked[gaps[ranked] > -np.inf]
@@ -178,12 +174,13 @@ def _answer(
     as_good = as_good[gaps[as_good] >= min(AS_GOOD * best, best)]
     scores = sigmoid(rules.temperature * gaps)
     read, sure = reader.understood(text), None
-    reason = "" if read.kind == "named" else uncalibrated
-    if calibration is not None and not uncalibrated and len(ranked) and read.kind != "named":
+    if read.kind == "named":
+        calibration, uncalibrated = None, ""
+    if calibration is not None and not uncalibrated and len(ranked):
         parts = seen.parts(chosen & (gaps > -np.inf))
         at = signs(gaps[ranked], chosen[ranked], read.measurements, parts, read.named)
         sure = calibration(at)
-    selection = ranked, as_good, chosen, sure, reason
+    selection = ranked, as_good, chosen, sure, uncalibrated
     return QueryResult(text, scores, read, reader.bank.ids, seen, *selection)
 
 

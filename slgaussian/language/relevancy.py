@@ -40,23 +40,19 @@ LOG_MOST = math.log(np.finfo(np.float64).max)
 class Scorer:
     """Scores texts against a fixed set of objects.
 
-    Normalisation and the scores of the canonical phrases are computed once.
-
     Args:
         features: float [M, V, C]. Unit vectors of M objects in V views; rows of absent views are
             ignored. With ``levels``, of objects and groups.
         present: bool [M, V]. True where the view shows the object.
-        canonical: float [K, C]. Unit vectors of the phrases that every query competes with, K at
-            least 1.
+        canonical: float [K, C]. Unit vectors of the K > 0 phrases that every query competes with.
         absent: One of :data:`slgaussian.language.rules.ABSENT`.
         levels: int [L, N], optional. For each of the N objects, which are the first rows, the row
-            of its group at L levels, or its own row. By default all rows are objects, without
-            groups.
+            of its group at L levels, or its own row. By default all rows are objects.
         soft: Temperature of the soft maximum, positive; used only with groups.
 
     Attributes:
-        looks: float64 [P, C]. The present vectors, in order of rows and views, normalised to length
-            1 in float64, so that features rounded to half precision give true cosines.
+        looks: float64 [P, C]. The present vectors, in order of rows and views, normalised in
+            float64, so that features rounded to half precision give true cosines.
     """
 
     def __init__(
@@ -114,7 +110,7 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
     """Compute ``1 / (1 + exp(-x))``, float64 in the shape of ``x``.
 
     Uses the exponential of the C library (as SciPy does): the last digit of NumPy's depends on the
-    CPU. The loop is short, as there are few values.
+    CPU.
     """
     values = [1 / (1 + math.exp(-v)) if -v < LOG_MOST else 0.0 for v in np.ravel(x).tolist()]
     return np.array(values, np.float64).reshape(np.shape(x))

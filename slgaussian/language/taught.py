@@ -4,9 +4,9 @@ An encoder may not know the user's word for an object. A taught word has example
 objects that the user pointed at, and rivals, the features of the other objects of that scene. The
 score of an object is its similarity to the most similar example.
 
-Features of regions are close to each other, so plain cosines discriminate badly: two objects of one
-photograph easily have 0.95. Their common part is therefore subtracted: with m the mean of the
-word's rivals, and u(x) = (x - m) / |x - m|,
+Features of regions are close to each other: the cosine of two objects of one photograph easily is
+0.95. Their common part is therefore subtracted: with m the mean of the word's rivals, and u(x) =
+(x - m) / |x - m|,
 
     likeness(L, e) = u(L) . u(e)
     lead(L) = SCALE ( max_e likeness(L, e) - EVEN )
@@ -98,8 +98,7 @@ class TaughtWords:
             encoder: From :func:`encoder_identity`.
 
         Raises:
-            InputError: If the word is empty or too long, or the existing words have another
-                encoder.
+            InputError: If the word is empty or too long, or the words have another encoder.
         """
         word = normal(word)
         self.check_encoder(encoder)
@@ -125,10 +124,7 @@ class TaughtWords:
         return replace(self, lessons=left) if left else TaughtWords()
 
     def leads(self, word: str, looks: np.ndarray) -> np.ndarray:
-        """Compute the module's lead, float64 [P], of regions with unit vectors ``looks`` [P, C].
-
-        The word must be taught.
-        """
+        """Compute the module's lead, float64 [P], of unit vectors [P, C] to a taught word."""
         examples, rivals = self.lessons[normal(word)]
         common = rivals.astype(np.float64).mean(0) if len(rivals) else np.zeros(looks.shape[1])
         directions = _directions(looks, common)
@@ -165,8 +161,7 @@ class TaughtWords:
         """Decode :meth:`to_bytes`; ``file`` is the name for messages.
 
         Raises:
-            SpecError: If the file is damaged, or its words are not of ``encoder``
-                (:func:`encoder_identity`).
+            SpecError: If the file is damaged, or its words are of another encoder.
         """
         arrays = decode_arrays(data, load_spec(SPEC), file, repair=REPAIR)
         for name in ("features", "rivals"):
@@ -174,12 +169,10 @@ class TaughtWords:
             if not (np.abs(lengths - 1) <= UNIT_TOLERANCE).all():
                 raise SpecError(f"{file}: {name} hold a vector that is no unit vector; {REPAIR}")
         features, rivals = (arrays[name].astype(np.float32) for name in ("features", "rivals"))
-        of_word = {
-            str(word): Lesson(
-                features[arrays["words"] == word], rivals[arrays["rival_words"] == word]
-            )
-            for word in np.unique(arrays["words"])
-        }
+        of_word = {}
+        for word in np.unique(arrays["words"]):
+            examples, others = arrays["words"] == word, arrays["rival_words"] == word
+            of_word[str(word)] = Lesson(features[examples], rivals[others])
         words = TaughtWords(str(arrays["encoder"]), of_word)
         try:
             words.check_encoder(encoder)
@@ -208,8 +201,7 @@ def spelled(word: str) -> str:
 def encoder_identity(settings: Mapping[str, Any]) -> str:
     """Return the identity of the encoder of a field's features, as JSON.
 
-    Files are identified by content, so that words can be used on other machines. Unset fields are
-    omitted, and so is the lexicon's classifier, which does not affect features.
+    Unset fields are omitted, and so is the lexicon's classifier, which does not affect features.
     """
     name = settings["encoder"]
     identity = {"encoder": name, **dict(settings.get(name, {}))}

@@ -84,10 +84,7 @@ class Candidates(NamedTuple):
     possible: np.ndarray
 
     def best(self, ranking: Ranking) -> np.ndarray:
-        """Return the objects of the highest-ranked set of each text, bool [Q, N].
-
-        Empty only if no set is visible.
-        """
+        """Return the objects of each text's best set, bool [Q, N]; empty if no set is visible."""
         scores = np.einsum("qgf,f->qg", self.features, np.array(ranking))
         scores[~self.possible] = -np.inf
         winners: np.ndarray = self.objects[np.arange(len(scores)), scores.argmax(1)]
@@ -100,13 +97,11 @@ class Wholes:
 
     Attributes:
         members: bool [W, N]. Objects of each whole, at least two.
-        standing: float32 [N + W]. Persistence of objects and, after them, wholes; see
-            :class:`Ranking`.
+        standing: float32 [N + W]. Persistence of objects, then wholes; see :class:`Ranking`.
         shares: float32 [N, V]. Fraction of the pixels of each view that show the object.
-        at_edge: float32 [N]. Number of pixels of each object along the image edges, over all views.
+        at_edge: float32 [N]. Pixels of each object along the image edges, over all views.
         borders: int32 [E, 2]. Rows of adjacent objects, the lower first.
-        border_sums: float32 [E, 2]. Length in pixels and summed strength of each border, over all
-            views.
+        border_sums: float32 [E, 2]. Length in pixels and summed strength, over all views.
     """
 
     members: np.ndarray
@@ -238,17 +233,14 @@ class Wholes:
 
 def near_best(gaps: np.ndarray, best: np.ndarray | float, share: float = NEAR_BEST) -> np.ndarray:
     """Select objects with a gap above 0 and at least ``share`` of the ``best``: bool [..., N]."""
-    selected: np.ndarray = (gaps > 0) & (gaps >= share * best)
-    return selected
+    return np.asarray((gaps > 0) & (gaps >= share * best))
 
 
 def _times(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Sum ``values`` [Q, N] over sets [1 or Q, G, N]; not by BLAS, which varies with threads."""
-    sums: np.ndarray = np.einsum("qgn,qn->qg", sets, values)
-    return sums
+    return np.asarray(np.einsum("qgn,qn->qg", sets, values))
 
 
 def _beside(sets: np.ndarray, table: np.ndarray) -> np.ndarray:
     """Sum the rows of ``table`` [N, N] over sets [G, N], as :func:`_times`."""
-    sums: np.ndarray = np.einsum("gn,nm->gm", sets, table)
-    return sums
+    return np.asarray(np.einsum("gn,nm->gm", sets, table))

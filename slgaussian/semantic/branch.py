@@ -34,8 +34,7 @@ class Architecture:
     """Layers of a branch; weights of one architecture do not fit another.
 
     Attributes:
-        widths: tuple of int. Channels at full resolution, then after each residual block, at 1/2,
-            1/4 ... of it.
+        widths: Channels at full resolution, then after each residual block that halves it.
         hidden: Width of the MLP's one hidden layer.
     """
 
@@ -130,14 +129,11 @@ def load_branch_lifting(weights: str | Path | None = None) -> BranchLifting:
 
 
 def input_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> torch.Tensor:
-    """Make the input images of a branch: codes, (0, 0, 0) where a pixel has no object.
+    """Make the input images of a branch, float32 [V, H, W, 3]: codes, 0 where there is no object.
 
     Args:
         labels: int32 [V, H, W]. Object ids of the views.
         ids, codes: int32 [N], float32 [N, 3]. The ID code of each object.
-
-    Returns:
-        float32 [V, H, W, 3]
     """
     return torch.from_numpy(code_images(labels, ids, codes)[..., :DIMENSION])
 
@@ -152,14 +148,10 @@ def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> t
 
 
 def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> bytes:
-    """Encode weights and architecture as a safetensors file, deterministically.
-
-    ``trained`` is the provenance of the weights, as JSON data.
-    """
+    """Encode weights, architecture and provenance (JSON data) as bytes of a safetensors file."""
     tensors = {name: t.detach().contiguous() for name, t in branch.state_dict().items()}
-    statement: dict[str, Any] = {"architecture": asdict(branch.architecture)}
-    if trained is not None:
-        statement["trained"] = dict(trained)
+    about = {} if trained is None else {"trained": dict(trained)}
+    statement = {"architecture": asdict(branch.architecture), **about}
     # One entry only: safetensors writes several in an order that differs from run to run.
     note = {"slgaussian": json.dumps(statement, sort_keys=True)}
     return safetensors.torch.save(dict(sorted(tensors.items())), note)

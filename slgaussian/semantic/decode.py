@@ -55,12 +55,11 @@ class Decoder:
         Returns:
             ids: int32 [H, W]. Ids of the bank, 0 where the weight is below :data:`VISIBLE`.
             confidence: float32 [H, W]. In [0, 1]; approximates the blending weight of the object
-                minus that of the next one. At a settled pixel it is the weight times ``1 - 2 d /
-                g``, with ``d`` the distance to its code and ``g`` that from this code to the next;
-                elsewhere the weight times ``(e - d) / (e + d)``, with ``e`` the distance to the
-                second nearest candidate. A mixture with fraction s of a second object lies at s of
-                the way between the codes, so both are at most ``1 - 2 s``. 0 without an object, or
-                without a second candidate.
+                minus that of the next one, ``1 - 2 s`` for a mixture with fraction s. At a settled
+                pixel it is the weight times ``1 - 2 d / g``, with ``d`` the distance to its code
+                and ``g`` that from this code to the next; elsewhere the weight times ``(e - d) /
+                (e + d)``, with ``e`` the distance to the second nearest candidate. 0 without an
+                object, or without a second candidate.
 
         Raises:
             InputError: If the shape is wrong, or a value is NaN or infinite.

@@ -71,10 +71,8 @@ def fill_from_other_views(labels: np.ndarray, gaussians: Gaussians) -> np.ndarra
 def code_images(labels: np.ndarray, ids: np.ndarray, codes: np.ndarray) -> np.ndarray:
     """Compute the code images M_i of the paper (section 3.1), with an additional weight channel.
 
-    The last channel is 1 where the pixel has an object, else 0; the others are its code.
-
-    The paper's images have the three code channels only, and cannot distinguish a pixel without an
-    object from one whose code is (0, 0, 0).
+    The last channel is 1 where the pixel has an object, else 0; the others are its code. Without
+    it, as in the paper, a pixel without an object looks as one whose code is (0, 0, 0).
 
     Args:
         labels: int32 [...]. Object ids; 0 and ids that are not in ``ids`` mean no object.

@@ -155,10 +155,9 @@ class Versions:
             self._use(version)
 
     def _use(self, version: Version | None) -> None:
-        number = 0
         if version is not None:
             self.weights(version)
-            number = version.number
+        number = 0 if version is None else version.number
         write_file(self.folder / POINTER, json.dumps({"version": number}).encode())
 
     def _current_number(self) -> int:
