@@ -42,12 +42,6 @@ class ObjectMap:
 
     def spread(self, values: np.ndarray, nothing: object = 0) -> np.ndarray:
         """Map ``values`` [N] of objects to an image [H, W], with ``nothing`` where no object is."""
-        if self.rows.dtype == np.uint8 and values.dtype.itemsize in (1, 4):
-            # OpenCV's lookup takes half the time; its table must have 256 entries.
-            table = np.zeros(256, values.dtype)
-            table[0], table[1 : len(values) + 1] = nothing, values
-            plain = table.view({1: np.uint8, 4: np.float32}[values.dtype.itemsize])
-            return cv2.LUT(self.rows, plain).view(values.dtype)
         table = np.concatenate([np.array([nothing], values.dtype), values])
         return table.take(self._index)
 
@@ -86,23 +80,15 @@ class ObjectMap:
 
 
 def _look_up(ids_map: np.ndarray, ids: np.ndarray) -> np.ndarray:
-    """Convert ids to rows [H, W], 1 + the index in ``ids``; InputError for an id not in it.
-
-    Only the first pixel of each run of equal ids is searched for.
-    """
-    flat = ids_map.ravel()
-    starts = np.flatnonzero(np.concatenate([[len(flat) > 0], flat[1:] != flat[:-1]]))
-    run_ids = flat[starts]
-    places = np.searchsorted(ids, run_ids)
-    in_bank = np.append(ids, 0)[places] == run_ids
-    strange = run_ids[(run_ids != 0) & ~in_bank]
+    """Convert ids to rows [H, W], 1 + the index in ``ids``; InputError for an id not in it."""
+    places = np.searchsorted(ids, ids_map)
+    strange = ids_map[(ids_map != 0) & (np.append(ids, 0)[places] != ids_map)]
     if len(strange):
         if strange[0] < 0:
             raise InputError(f"id map: found the negative id {strange[0]}")
         raise InputError(f"id map: object {strange[0]} is not in the memory bank")
-    rows = np.where(run_ids == 0, 0, places + 1)
-    rows = rows.astype(np.min_scalar_type(len(ids)) if len(ids) < 2**16 else np.int32)
-    return np.repeat(rows, np.diff(starts, append=len(flat))).reshape(ids_map.shape)
+    rows = np.where(ids_map == 0, 0, places + 1)
+    return rows.astype(np.min_scalar_type(len(ids)) if len(ids) < 2**16 else np.int32)
 
 
 def central_point(region: np.ndarray) -> tuple[int, int]:

@@ -1,8 +1,4 @@
-"""Pictures drawn for these tests, with a mask for every object: simple, flat and unshaded.
-
-Drawn here rather than taken from the procedural scenes, so that the vocabulary is tested on things
-it was not tried on.
-"""
+"""Pictures with a mask for every object: flat, and not those that the vocabulary was tried on."""
 
 from __future__ import annotations
 
@@ -23,13 +19,8 @@ from slgaussian.language.relevancy import Scorer, sigmoid
 from slgaussian.language.rules import Rules
 from slgaussian.scene import Camera, View
 
-RED, GREEN, BLUE, WHITE, GREY = (
-    (200, 30, 35),
-    (40, 140, 60),
-    (35, 75, 190),
-    (238, 238, 235),
-    (125, 125, 127),
-)
+RED, GREEN, BLUE = (200, 30, 35), (40, 140, 60), (35, 75, 190)
+WHITE, GREY = (238, 238, 235), (125, 125, 127)
 HEIGHT, WIDTH = 240, 320
 
 
@@ -41,15 +32,8 @@ def ball(x: int, y: int, radius: int) -> np.ndarray:
 def box(x: int, y: int, half: int) -> np.ndarray:
     """Mask of an upright box seen a little from above, at a corner."""
     up, side = int(half * 0.35), int(half * 0.9)
-    corners = [
-        (-side, -half),
-        (0, -half - up),
-        (side, -half),
-        (side, half),
-        (0, half + up),
-        (-side, half),
-    ]
-    points = np.array(corners) + (x, y)
+    top = [(-side, -half), (0, -half - up), (side, -half)]
+    points = np.array([*top, (side, half), (0, half + up), (-side, half)]) + (x, y)
     return cv2.fillConvexPoly(np.zeros((HEIGHT, WIDTH), np.uint8), points, 1).view(bool)
 
 

@@ -1,7 +1,4 @@
-"""CLIP with random weights, small enough for tests, and with a real byte-pair tokenizer.
-
-Weights are drawn larger than usual: with the usual ones, all texts and all pictures are alike.
-"""
+"""A small CLIP with random weights, large ones so that texts differ, and a byte-pair tokenizer."""
 
 import json
 from pathlib import Path
