@@ -54,15 +54,13 @@ def _converted(files: ModelFiles) -> Any:
 class Clip(ClipConfig):
     """CLIP embeddings of regions and texts, ``projection_dim`` axes (512 for a ViT-B).
 
-    Results are reproducible to the byte on one machine, whatever else is encoded in the same call:
-    texts are encoded one by one, regions in padded batches. Another ``batch`` changes vectors by
-    about 1e-7.
+    Results are the same bytes on one machine, whatever else is encoded in the same call: texts are
+    encoded one by one, regions in padded batches. Another ``batch`` changes vectors by about 1e-7.
 
-    Fields are those of :class:`slgaussian.language.configs.ClipConfig`. With crops ``context``,
-    which is not in the paper and takes twice the time, a vector is the normalised mean of those of
-    the masked region and of its whole bounding box: walls and similar regions are hard to recognise
-    without context. ``bfloat16`` takes a third of the time on CPUs with native support, is slower
-    on others, and changes cosines by up to 1e-3.
+    With crops ``context``, which is not in the paper and takes twice the time, a vector is the
+    normalised mean of those of the masked region and of its whole bounding box: walls are hard to
+    recognise without context. ``bfloat16`` takes a third of the time on CPUs with native support,
+    is slower on others, and changes cosines by up to 1e-3.
 
     Attributes:
         device: PyTorch device; "auto" is "cuda" if available, else "cpu". On other devices than the

@@ -117,18 +117,10 @@ class BankReader(TextReader):
             elif who == "taught":
                 gaps[k] = scorer.combined(self.taught.leads(text, scorer.looks)[None])[0]
             else:
-                class_leads = self.class_leads(text)[self._present]
-                gaps[k] = scorer.gaps(self.vectors([text]), class_leads)[0]
+                strength = CLASS_LEAD / (1 + DESCRIBED * self.understood(text).describing)
+                class_leads = strength * np.tanh(self.class_evidence(text) / CLASS_SCALE)
+                gaps[k] = scorer.gaps(self.vectors([text]), class_leads[self._present])[0]
         return gaps
-
-    def class_leads(self, text: str) -> np.ndarray:
-        """Compute the leads of a text from class evidence, float64 [M, V].
-
-        Zero if the noun has no classes, or nothing was classified.
-        """
-        strength = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
-        leads: np.ndarray = strength * np.tanh(self.class_evidence(text) / CLASS_SCALE)
-        return leads
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         vector, read = super()._encode(text)
@@ -144,8 +136,7 @@ class BankReader(TextReader):
         See :func:`slgaussian.language.classifier.evidence`; zeros if the noun has no classes or
         nothing was classified. InputError if the text cannot be used.
         """
-        bank = self.bank
-        classes = super().understood(text).classes
+        bank, classes = self.bank, super().understood(text).classes
         if not classes or bank.class_scores is None or bank.photograph_scores is None:
             return np.zeros(self._present.shape)
         return evidence(bank.class_scores, bank.photograph_scores, classes)

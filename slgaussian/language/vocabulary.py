@@ -212,11 +212,10 @@ class Vocabulary:
         return families
 
     def _take_phrases(self, spelled: list[str]) -> tuple[list[str], list[Word]]:
-        """Return the spellings without those of phrases, and the phrases' words.
+        """Join noun phrases to one spelling, and take out phrases for places: (spellings, places).
 
-        A noun phrase becomes one spelling among the others. A phrase after a relation ("on the
-        table on the left") may describe the other object and is not taken, and before "of" ("to the
-        left of the door") it is a relation itself.
+        A phrase after a relation ("on the table on the left") may describe the other object and
+        stays, and so does one before "of" ("to the left of the door"), a relation itself.
         """
         left: list[str] = []
         places: list[Word] = []

@@ -131,8 +131,8 @@ def train(
     """Train a branch, or resume an interrupted training in ``folder``.
 
     Args:
-        lessons: sequence of Lesson. Indexed one at a time, so it may read them from disk. The
-            caller must pass the same lessons to a resumed training: only their number is checked.
+        lessons: Indexed one at a time, so it may read them from disk. A resumed training needs the
+            same lessons: only their number is checked.
         folder: For ``checkpoint.pt``; created if missing.
         start: Initial weights; by default random ones from the seed.
         progress: Called after every step.
@@ -153,11 +153,9 @@ def train(
                 f"{architecture}; choose that architecture, or begin without"
             )
         branch.load_state_dict(start.state_dict())
-    run = dict(settings) | {
-        "architecture": asdict(architecture),
-        "lessons": len(lessons),
-        "start": hashlib.sha256(save_branch(branch)).hexdigest(),
-    }
+    start_digest = hashlib.sha256(save_branch(branch)).hexdigest()
+    about = {"architecture": asdict(architecture), "lessons": len(lessons), "start": start_digest}
+    run = dict(settings) | about
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -254,14 +252,8 @@ def _step(
     for group in optimiser.param_groups:
         group["lr"] = rate
     optimiser.step()
-    return {
-        "step": step + 1,
-        "epoch": drawn[0].epoch,
-        "sample": names,
-        "loss": value,
-        "norm": length,
-        "rate": rate,
-    }
+    row = {"step": step + 1, "epoch": drawn[0].epoch, "sample": names}
+    return row | {"loss": value, "norm": length, "rate": rate}
 
 
 def _schedule(done: float) -> float:
