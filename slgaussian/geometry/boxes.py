@@ -1,9 +1,4 @@
-"""Upright bounding boxes of objects, robust to outliers.
-
-Wrongly matched points lie in front of an object or behind it, some far away. So points much
-farther from the median than most are dropped, and the box spans from a low to a high percentile
-along each axis.
-"""
+"""Upright bounding boxes of objects, robust to wrongly matched points, some of them far away."""
 
 from __future__ import annotations
 

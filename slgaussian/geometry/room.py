@@ -143,20 +143,14 @@ def _normals(camera: Camera, depth: np.ndarray, step: int = 1) -> np.ndarray:
     (x, y, z), (u, v, w) = low - high, right - left
     normal = np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
     with np.errstate(invalid="ignore", divide="ignore"):
-        normal /= np.sqrt(_dot(normal, normal))
+        normal /= np.sqrt((normal * normal).sum(0))
     eye = camera.c2w[:3, 3, None, None]
-    away = _dot(points[:, inner[0], inner[1]] - eye, normal) >= 0
+    away = ((points[:, inner[0], inner[1]] - eye) * normal).sum(0) >= 0
     np.negative(normal, out=normal, where=away)
     out[first : first + len(middle), first : first + middle.shape[1]] = np.moveaxis(
         np.where(flat, normal, np.nan), 0, -1
     )
     return out
-
-
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return dot products of vectors along the first axis, [3, ...]."""
-    product: np.ndarray = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    return product
 
 
 def _up(cameras: Sequence[Camera], normals: np.ndarray) -> np.ndarray:
@@ -174,8 +168,7 @@ def _up(cameras: Sequence[Camera], normals: np.ndarray) -> np.ndarray:
 def _find_up(normals: np.ndarray, upright: np.ndarray, prior: np.ndarray | None) -> np.ndarray:
     """Find the direction near ``upright`` with most evidence in the normals [N, 3].
 
-    ``prior`` is preferred unless another direction has :data:`TWICE` times its evidence. Without
-    a prior the normals decide, or ``upright`` if there are too few horizontal surfaces.
+    ``prior`` is preferred unless another direction has :data:`TWICE` times its evidence.
     """
     near = upright if prior is None else prior
     if len(normals) == 0:

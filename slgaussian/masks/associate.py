@@ -12,13 +12,7 @@ from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.masks import MaskProposer, MaskTracker
 from slgaussian.masks.consensus import vote_on_objects
-from slgaussian.masks.flatten import (
-    CRUMB_SHARE,
-    flatten,
-    nearest_pixel,
-    renumbered,
-    without_crumbs,
-)
+from slgaussian.masks.flatten import CRUMB_SHARE, flatten, nearest_pixel, renumbered, without_crumbs
 
 SAME_IOU = 0.5
 """IoU with a propagated object above which a detection is that object."""
@@ -37,18 +31,11 @@ def associate(
 ) -> LabelMaps:
     """Compute label maps of a sequence of views with consistent object ids.
 
-    Views of one object need not be consecutive: the tracker remembers all views.
-
-    The paper repeats every view five times, in block order (view 1 x 5, then view 2 x 5), tracks
-    the sequence and votes per pixel. Here, as there, the first copy of a view is its detection: the
-    labels propagated from all earlier views, merged with fresh proposals (:func:`match_detections`)
-    and then remembered. The later copies are propagations from that memory.
-
-    With a ``repeatable`` tracker, such as ``geometric`` and ``sam2-video``, all later copies are
-    identical, so one is computed and given the weight of all of them; :attr:`LabelMaps.computed` is
-    the number of computed copies. If the tracker returns remembered labels for a remembered image,
-    as ``geometric`` does, the vote is unanimous; if it segments the image anew, its labels outvote
-    the detection from three copies on; if it is not repeatable, the vote reduces its noise.
+    As in the paper, every view is repeated, in block order, and its copies vote per pixel. The
+    first copy is its detection: the labels propagated from all earlier views, merged with fresh
+    proposals (:func:`match_detections`) and then remembered. The later copies are propagations from
+    that memory. Those of a ``repeatable`` tracker are identical, so one is computed
+    (:attr:`LabelMaps.computed`) and has the weight of all of them.
 
     Errors that a tracker cannot avoid, because it has not yet seen later views, are corrected
     afterwards by a vote of all views, if there are three or more and all have a depth
@@ -62,11 +49,9 @@ def associate(
             copies are computed, and their vote is final.
 
     Returns:
-        LabelMaps: Ids from 1 in order of appearance, in the first view by falling area. A
-            photograph that is added at the end changes ids only of objects that its votes join or
-            split. With two views ids have no gaps. Objects in one view only are kept
-            (:attr:`LabelMaps.seen_once`). Pixels without a proposal are 0. The ids of a tracker
-            that is ``final`` are returned unchanged. The result is deterministic.
+        LabelMaps: Ids from 1 in order of appearance, in the first view by falling area; 0 without a
+            proposal. Objects in one view only are kept. The ids of a ``final`` tracker are returned
+            unchanged.
 
     Raises:
         InputError: If there is no view, views differ in size, or ``replicas`` is below 1.
@@ -108,17 +93,14 @@ def associate(
 def match_detections(propagated: np.ndarray, detected: np.ndarray, next_id: int) -> np.ndarray:
     """Assign every detected region the id of a propagated object, or a new one.
 
-    A region takes the id of an object if their IoU is above 0.5, or if most of the region is known
-    and most known pixels are of that object: views are segmented differently, and a part of an
-    object has its id. A region with few known pixels is a new object. A region of several objects
-    is an under-segmentation: known pixels keep their object, and other pixels take the nearest
-    one in the region. Pixels without detection keep their propagated label. New ids count up from
-    ``next_id`` in the order of the detected labels.
+    A region takes the id of an object if their IoU is above :data:`SAME_IOU`, or if it is known
+    (:data:`KNOWN`) and most known pixels are of that object (:data:`DOMINANT`). A region with few
+    known pixels is a new object. In a region of several objects known pixels keep their object, and
+    others take the nearest one. Pixels without detection keep their propagated label.
 
     Args:
-        propagated, detected: int32 [H, W]. Propagated labels and detected regions, 0 where there is
-            none.
-        next_id: First id that is not in use.
+        propagated, detected: int32 [H, W]. Labels and regions, 0 where there is none.
+        next_id: First id that is not in use; new ids count up in the order of the regions.
     """
     out = propagated.copy()
     regions, objects = int(detected.max(initial=0)) + 1, int(propagated.max(initial=0)) + 1
@@ -173,18 +155,15 @@ def _copies(
 def vote(stack: np.ndarray, times: Sequence[int] | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Compute the per-pixel majority of label maps of R replicas (paper, equation 4).
 
-    Label 0 (no object) counts like any other, as in the paper's formula. Ties go to the first label
-    in replica order: that of the detection, then of its earliest propagation.
+    Label 0 (no object) counts like any other. Ties go to the first label in replica order.
 
     Args:
         stack: int32 [R, H, W]. One label map per replica, R at least 1.
-        times: sequence of int, optional. Weight of each map, if it stands for several equal
-            replicas; R is then the sum of weights.
+        times: sequence of int, optional. Number of equal replicas that each map stands for.
 
     Returns:
         labels: int32 [H, W]
-        margin: float32 [H, W]. (votes for the winner - votes for the runner-up) / R, in [0, 1]; 1
-            if unanimous.
+        margin: float32 [H, W]. (votes for the winner - votes for the runner-up) / R, 0 to 1.
     """
     weights = np.ones(len(stack), np.int32) if times is None else np.array(times, np.int32)
     counts = np.stack([np.tensordot(weights, stack == replica, 1) for replica in stack])

@@ -123,12 +123,9 @@ def _mask_prompts(
 class AutomaticProposer(AutomaticConfig, ABC):
     """A mask proposer that prompts a pretrained model with points.
 
-    An image is encoded once, even if the next call has the same image with another ``region``.
-    Points are prompted in batches. The same input gives the same bytes on the same machine.
-
-    Fields are those of :class:`slgaussian.masks.configs.AutomaticConfig`. Time grows with the
-    square of ``points``. A prompted point takes 30 to 40 MiB; a batch of 4 takes half as long
-    again as one of 16.
+    An image is encoded once, even if the next call has the same image with another ``region``. Time
+    grows with the square of ``points``. A prompted point takes 30 to 40 MiB; a batch of 4 takes
+    half as long again as one of 16.
 
     Attributes:
         device: "auto" is "cuda" if available, else "cpu". On a CPU everything is float32; on
@@ -182,10 +179,9 @@ class AutomaticProposer(AutomaticConfig, ABC):
 def mostly_visible(masks: np.ndarray, share: float) -> np.ndarray:
     """Select masks that larger masks leave visible by at least ``share``; ascending int64 [K].
 
-    Every pixel belongs to the largest mask that contains it (of equals, the earlier); a mask is
-    selected if at least the fraction ``share`` of its pixels belong to it. Empty masks are dropped.
-    Objects thus take precedence over their parts: this is the small-object suppression of DEVA, as
-    used by Gaussian Grouping (Ye et al., ECCV 2024).
+    Every pixel belongs to the largest mask that contains it (of equals, the earlier). Empty masks
+    are dropped. This is the small-object suppression of DEVA, as used by Gaussian Grouping (Ye et
+    al., ECCV 2024).
     """
     areas = masks.sum((1, 2))
     winner = np.full(masks.shape[1:], -1)

@@ -66,13 +66,10 @@ class AutomaticConfig(ComponentConfig):
 
     model: Annotated[str | Path | None, File(model_digest)] = Field(None, description=MODEL)
     preset: Program | SkipJsonSchema[InstanceOf[Automatic]] = Field(
-        "grouping",
-        description="Settings of mask generation: sam, sam2 or grouping.",
+        "grouping", description="Settings of mask generation: sam, sam2 or grouping."
     )
     points: int | None = Field(
-        None,
-        ge=1,
-        description="Points prompted along each side; by default those of the preset.",
+        None, ge=1, description="Points prompted along each side; by default those of the preset."
     )
     level: Literal["s", "m", "l", "all"] = Field(
         "all", description="Level of masks: s (parts), m (objects), l (groups) or all."

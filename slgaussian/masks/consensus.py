@@ -1,9 +1,9 @@
 """Consensus of many views on objects: every view votes on which surface points are one object.
 
-Views are segmented differently: one joins objects that another splits, and an object that is new in
-a view may already have an id from a view without overlap. The label maps are therefore divided into
-atoms, the pixels of one view with one label in one detected region, and each view votes on all
-visible points of the atoms of all views. The votes on atoms p and q are
+One view joins objects that another splits, and an object that is new in a view may already have an
+id from a view without overlap. So the label maps are divided into atoms, the pixels of one view
+with one label in one detected region, and each view votes on all visible points of the atoms of all
+views. The votes on atoms p and q are
 
     sum over views v of  f_pv . f_qv - MAJORITY c_pv c_qv,
 
@@ -114,7 +114,7 @@ def votes_on(atoms: Atoms, points: Sequence[SurfacePoints]) -> np.ndarray:
     all_atoms = np.arange(len(atoms))
     rows, columns, weights = [all_atoms], [atoms.region], [np.ones(len(atoms))]
     for view, voters in enumerate(_voters(points)):
-        pixels = points[view].pixels
+        pixels = points[view].pixels()
         view_atoms = atoms.maps[view][pixels]
         area = np.bincount(view_atoms[view_atoms >= 0], minlength=len(atoms))
         for voter in voters:

@@ -47,16 +47,11 @@ class GeometricTracker:
     """Propagates labels from remembered frames to a view by cameras and predicted depth.
 
     Pixels of the view are matched with those of remembered frames by depth and colour
-    (:func:`slgaussian.masks.shared.match_points`). Given poses are accurate enough, even if the
-    predictor refined them.
-
-    Labels are assigned to the watershed leaves of the view, not to pixels, by majority of their
-    matched pixels, so that label borders lie on image edges. A leaf without matches, occluded or
-    outside the frames, takes the label of a neighbour if it has that object's colours in all
-    remembered frames; other leaves stay 0.
-
-    The same memory and view give the same labels, whatever the number of threads. A view whose
-    image equals a remembered one gets the labels of the latest such frame exactly.
+    (:func:`slgaussian.masks.shared.match_points`). Labels are assigned to the watershed leaves of
+    the view by majority of their matched pixels, so that label borders lie on image edges. A leaf
+    without matches takes the label of a neighbour if it has that object's colours in all remembered
+    frames; other leaves stay 0. A view whose image equals a remembered one gets the labels of the
+    latest such frame exactly.
     """
 
     final: ClassVar[bool] = False
@@ -92,10 +87,10 @@ class GeometricTracker:
         size = np.bincount(leaves.ravel())
         id_count = max(int(past.labels.max()) for past in self._frames) + 1
         votes = np.zeros((len(size), id_count))
-        matched_once = np.zeros(labels.shape, bool)
+        matched_once, all_pixels = np.zeros(labels.shape, bool), new.pixels(1)
         for past in self._nearest(new):
-            which, place = match_points(new, past, new.all_pixels)
-            pixels = new.all_pixels[which]
+            which, place = match_points(new, past, all_pixels)
+            pixels = all_pixels[which]
             past_labels = past.labels.ravel()[place]
             keys = leaves.ravel()[pixels].astype(np.int64) * id_count + past_labels
             votes += np.bincount(keys, minlength=votes.size).reshape(votes.shape)

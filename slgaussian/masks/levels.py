@@ -1,10 +1,8 @@
 """Groups of the objects of label maps, as further candidates for the answer to a text.
 
-A label map is one partition, and no partition fits every text: the cushions of a sofa may be
-separate objects. Objects of all views are merged into trees, as leaves of one view are
-(:mod:`slgaussian.masks.merge`). Cuts of these trees are levels, comparable to the three
-granularities of SAM, and every node is a candidate. Object ids do not change; a level only assigns
-each object to a group.
+No partition fits every text: the cushions of a sofa may be separate objects. Objects of all views
+are merged into trees (:mod:`slgaussian.masks.merge`). Cuts of these trees are levels, comparable to
+the three granularities of SAM, and every node is a candidate.
 """
 
 from __future__ import annotations
@@ -17,20 +15,12 @@ import numpy as np
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
 from slgaussian.language.wholes import LEAST_SHARE, Wholes
-from slgaussian.masks.merge import (
-    Cues,
-    LeafSums,
-    MergeTree,
-    build_tree,
-    joint_sums,
-    leaf_sums,
-)
+from slgaussian.masks.merge import Cues, LeafSums, MergeTree, build_tree, joint_sums, leaf_sums
 from slgaussian.masks.segmentation import CUES
 
 CUTS = ((Cues(), 0.4), (Cues(plane=0.25, fill=0.5, size_power=0.1), 0.8))
 """Tree and height of the cut of each level: regions of similar appearance and position, and compact
 ones. About 90 objects in two photographs of an office make 25 and 45 groups."""
-
 
 MOST_OBJECTS = 1000
 """Largest number of objects for which wholes are computed, as their table is quadratic in it."""

@@ -1,9 +1,7 @@
 """Binary merge tree over the leaves of an over-segmentation.
 
-Adjacent regions are merged in order of cost. The cost combines the strength of their border, the
-differences of colour and texture, the empty share of their joint bounding box and, where depth is
-known, the misfit of a joint plane. It grows with the size of the smaller region, so that small
-pieces merge early and objects late. :class:`Cues` has the weights.
+Adjacent regions are merged in order of cost, which combines the cues that :class:`Cues` weights. It
+grows with the size of the smaller region, so that small pieces merge early and objects late.
 """
 
 from __future__ import annotations

@@ -48,8 +48,8 @@ def join_patterns(
     index = regions[inside]
     size = np.bincount(index, minlength=count)
     # Medians: up to half of a small element's pixels can be blurred with its surroundings.
-    pixels = lab[inside]
-    color = np.stack([_medians(channel, index, size) for channel in pixels.T], 1)
+    pixels = lab[inside][np.argsort(index, kind="stable")]
+    color = np.array([np.median(part, 0) for part in np.split(pixels, np.cumsum(size)[:-1])])
     contrast = np.linalg.norm(color[:, None] - color[None], axis=-1)
     similar = contrast < ALIKE
 
@@ -67,27 +67,10 @@ def join_patterns(
     return np.where(inside, joined[regions], -1)
 
 
-def _medians(values: np.ndarray, index: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Compute the median of float32 ``values`` [P] in each region ``index`` [P] of ``size`` [N].
-
-    Region and value are packed into one integer, because integers sort fast. The bits of a float,
-    read as an integer, are in the order of the values once the bits of negative ones are flipped.
-    """
-    bits = values.view(np.int32)
-    keys = (index.astype(np.int64) << 32) + (bits ^ ((bits >> 31) & 0x7FFFFFFF))
-    keys.sort()
-    bits = keys.astype(np.int32)  # the lower half
-    values = (bits ^ ((bits >> 31) & 0x7FFFFFFF)).view(np.float32)
-    first = np.cumsum(size) - size
-    return (values[first + (size - 1) // 2] + values[first + size // 2]) / 2
-
-
 def _chains(edges: np.ndarray, weight: np.ndarray, similar: np.ndarray) -> np.ndarray:
     """Return the group of every region, int64 [N]: its own number, or N + k in the pattern k.
 
-    Every region joins the chain with the longest common border, weighted by contrast. White checks
-    of two adjacent patterns thus stay in their pattern, and blurred regions at the corners of
-    checks join none.
+    Every region joins the chain with the longest common border, weighted by contrast.
     """
     count = len(similar)
     group = np.arange(count)
@@ -116,10 +99,7 @@ def _chains(edges: np.ndarray, weight: np.ndarray, similar: np.ndarray) -> np.nd
 
 
 def _take_ends(group: np.ndarray, edges: np.ndarray, similar: np.ndarray, size: np.ndarray) -> None:
-    """Add to patterns, in place, the elements that the outline truncates.
-
-    Such an element touches a member and looks like a member beyond it.
-    """
+    """Add truncated elements, in place: they touch a member and look like one beyond it."""
     count = len(group)
     ends = np.concatenate([edges, edges[:, ::-1]])
     neighbours = coo_matrix((np.ones(len(ends), bool), tuple(ends.T)), (count, count)).tocsr()

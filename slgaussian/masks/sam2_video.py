@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -20,23 +19,14 @@ if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
 
 
-@dataclass(frozen=True, eq=False)
-class _Frame:
-    labels: np.ndarray
-    features: dict[str, Any]
-
-
 class Sam2Video(Sam2VideoConfig):
     """Tracks objects from view to view as SAM 2 tracks objects through a video.
 
     Remembered frames are its conditioning frames; the mask of each object there is a prompt. A new
     view is the frame after them. Objects are tracked independently, so each pixel takes the object
     with the largest logit, and none where no logit is positive; ties go to the lowest id. Neither
-    camera nor depth is used. Views may differ in size.
-
-    Each image is encoded once. Objects are tracked in batches, so memory does not grow with their
-    number: 100 MiB for each remembered view and 60 MiB for each object of a batch. The same view
-    gives the same labels until another frame is remembered.
+    camera nor depth is used. Memory: 100 MiB for each remembered view, 60 MiB for each object of a
+    batch.
 
     Attributes:
         device: PyTorch device; "auto" is "cuda" if available, else "cpu".
@@ -54,8 +44,9 @@ class Sam2Video(Sam2VideoConfig):
     final: ClassVar[bool] = False
     repeatable: ClassVar[bool] = True
     _network: Any = PrivateAttr()
-    _frames: list[_Frame] = PrivateAttr(default_factory=list)
-    _encoded: list[tuple[np.ndarray, dict[str, Any]]] = PrivateAttr(default_factory=list)
+    _labels: list[np.ndarray] = PrivateAttr(default_factory=list)
+    _remembered: list[dict[str, Any]] = PrivateAttr(default_factory=list)
+    _encoded: tuple[np.ndarray, dict[str, Any]] | None = PrivateAttr(None)
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
@@ -63,7 +54,8 @@ class Sam2Video(Sam2VideoConfig):
 
     def add(self, frame: SeenView, labels: np.ndarray) -> None:
         """Remember a frame; see :class:`slgaussian.masks.MaskTracker`."""
-        self._frames.append(_Frame(labels.copy(), self._features(frame.image)))
+        self._labels.append(labels.copy())
+        self._remembered.append(self._features(frame.image))
 
     @torch.inference_mode()
     def propagate(self, frame: SeenView) -> np.ndarray:
@@ -83,12 +75,10 @@ class Sam2Video(Sam2VideoConfig):
     def _features(self, image: np.ndarray) -> dict[str, Any]:
         """Encode an image uint8 [H, W, 3], resized to the network's square input.
 
-        Features of frames and of the latest other image are cached: the labels of that image are
-        usually remembered next.
+        Those of the latest image are cached: its labels are usually remembered next.
         """
-        for cached_image, features in self._encoded:
-            if np.array_equal(cached_image, image):
-                return features
+        if self._encoded is not None and np.array_equal(self._encoded[0], image):
+            return self._encoded[1]
         side = self._network.image_size
         pixels = normalised(image, (side, side)).to(self._network.device)
         with torch.inference_mode(), inside(self._network):
@@ -97,9 +87,7 @@ class Sam2Video(Sam2VideoConfig):
             "vision_feats": out.fpn_hidden_states,
             "vision_pos_embeds": out.fpn_position_encoding,
         }
-        used = [frame.features for frame in self._frames]
-        self._encoded = [entry for entry in self._encoded if any(entry[1] is u for u in used)]
-        self._encoded.append((image.copy(), features))
+        self._encoded = image.copy(), features
         return features
 
     def _track(self, features: dict[str, Any]) -> dict[int, torch.Tensor]:
@@ -112,14 +100,10 @@ class Sam2Video(Sam2VideoConfig):
         return logits
 
     def _groups(self) -> dict[tuple[int, ...], list[int]]:
-        """Group objects by the set of frames that show them: frames -> ascending ids.
-
-        The network runs each frame for all objects of a session. The objects of a group are
-        prompted in all of its frames, so none is tracked into an earlier frame.
-        """
+        """Group objects by the frames that show them, so that none is tracked into another."""
         frames_of: dict[int, list[int]] = {}
-        for index, frame in enumerate(self._frames):
-            for number in np.unique(frame.labels[frame.labels > 0]).tolist():
+        for index, labels in enumerate(self._labels):
+            for number in np.unique(labels[labels > 0]).tolist():
                 frames_of.setdefault(number, []).append(index)
         groups: dict[tuple[int, ...], list[int]] = {}
         for number in sorted(frames_of):
@@ -133,7 +117,7 @@ class Sam2Video(Sam2VideoConfig):
         from transformers.models.sam2_video.modeling_sam2_video import Sam2VideoInferenceSession
 
         device, side = self._network.device, self._network.image_size
-        encoded = [self._frames[index].features for index in frames] + [features]
+        encoded = [self._remembered[index] for index in frames] + [features]
         session = Sam2VideoInferenceSession(
             inference_device=device,
             inference_state_device=device,
@@ -145,7 +129,7 @@ class Sam2Video(Sam2VideoConfig):
             session.add_new_frame(torch.empty(0), position)
             session.cache.cache_vision_features(position, frame_features)
         for position, index in enumerate(frames):
-            labels = torch.from_numpy(self._frames[index].labels)
+            labels = torch.from_numpy(self._labels[index])
             for number in numbers:
                 mask = (labels == number)[None, None].float()
                 mask = F.interpolate(mask, (side, side), mode="bilinear", antialias=True) >= 0.5

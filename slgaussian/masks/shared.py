@@ -38,20 +38,11 @@ class SurfacePoints:
         """CIELAB float32 [H, W, 3] by which colours are compared."""
         return self.frame.view.lab
 
-    @cached_property
-    def all_pixels(self) -> np.ndarray:
-        """Indices in the flat image of all pixels with depth, int64."""
-        return _lattice(self.frame.require_depth(), 1)
-
-    @cached_property
-    def pixels(self) -> np.ndarray:
-        """Indices in the flat image of the L lattice pixels with depth, int64 [L]."""
-        return _lattice(self.frame.require_depth(), STRIDE)
-
-    @cached_property
-    def coarse_pixels(self) -> np.ndarray:
-        """Indices in the flat image of the pixels of a coarser lattice, int64."""
-        return _lattice(self.frame.require_depth(), STRIDE * COARSE)
+    def pixels(self, stride: int = STRIDE) -> np.ndarray:
+        """Return indices in the flat image of the L lattice pixels with depth, int64 [L]."""
+        depth, first = self.frame.require_depth(), stride // 2
+        rows, columns = np.nonzero(depth[first::stride, first::stride] > 0)
+        return (rows * stride + first) * depth.shape[1] + columns * stride + first
 
     def lifted(self, pixels: np.ndarray) -> np.ndarray:
         """Unproject ``pixels`` int64 [L] of the flat image to world points, float64 [L, 3]."""
@@ -60,11 +51,6 @@ class SurfacePoints:
         rays = np.stack([column + 0.5, row + 0.5, np.ones(len(pixels))], 1)
         rays = rays @ np.linalg.inv(camera.K).T @ camera.c2w[:3, :3].T
         return camera.center + rays * depth.ravel()[pixels, None]
-
-
-def _lattice(depth: np.ndarray, stride: int) -> np.ndarray:
-    rows, columns = np.nonzero(depth[stride // 2 :: stride, stride // 2 :: stride] > 0)
-    return (rows * stride + stride // 2) * depth.shape[1] + columns * stride + stride // 2
 
 
 def match_points(
@@ -108,4 +94,5 @@ def reproject(
 
 def overlap(a: SurfacePoints, b: SurfacePoints) -> float:
     """Estimate the fraction of the surface in view ``a`` that is visible in ``b``."""
-    return len(match_points(a, b, a.coarse_pixels)[0]) / max(len(a.coarse_pixels), 1)
+    pixels = a.pixels(STRIDE * COARSE)
+    return len(match_points(a, b, pixels)[0]) / max(len(pixels), 1)

@@ -106,10 +106,7 @@ def _blocks_beyond_borders(color: np.ndarray, inverse_depth: np.ndarray) -> tupl
 def _blocks_behind_edges(
     color: np.ndarray, inverse_depth: np.ndarray, step: float
 ) -> tuple[np.ndarray, ...]:
-    """Return blocks behind depth edges likewise, each with a pixel of the farther surface.
-
-    ``step`` is the distance between candidates of inverse depth.
-    """
+    """Return blocks behind depth edges likewise, each with a pixel of the farther surface."""
     H, W = (-(-size // BLOCK) for size in inverse_depth.shape)
     ragged = [(0, -size % BLOCK) for size in inverse_depth.shape]
     padded = np.pad(inverse_depth, ragged, "edge").reshape(H, BLOCK, W, BLOCK)

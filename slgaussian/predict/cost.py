@@ -134,11 +134,8 @@ def _count_ones(typing, bits):
 
 @kernel
 def _warp_row(squares, A, e, w, y, at, du, dv, out, inside):
-    """Warp the source into row ``y`` of the reference at inverse depth ``w``.
-
-    Writes the samples to ``out`` [W] and to ``inside`` [W] whether they lie inside the source and
-    in front of it; ``at``, ``du`` and ``dv`` are scratch.
-    """
+    """Warp the source into row ``y`` of the reference at inverse depth ``w``: ``out`` [W], and
+    whether ``inside`` [W] the source; ``at``, ``du`` and ``dv`` are scratch."""
     H, W = squares.shape
     flat = squares.ravel()
     right, bottom = np.float32(W - 1), np.float32(H - 1)
@@ -176,10 +173,7 @@ def _warp_row(squares, A, e, w, y, at, du, dv, out, inside):
 
 @kernel(inline="always")
 def _census(rows, x):
-    """Census transform of a window: a bit for each pixel darker than the centre.
-
-    Explicitly inlined: as a call it would keep the enclosing loop from being vectorised.
-    """
+    """Return a bit for each pixel of a window darker than the centre; a call is not vectorised."""
     bits = np.uint32(0)
     centre = rows[RADIUS, x + RADIUS]
     for j in range(_SIDE):
@@ -191,11 +185,8 @@ def _census(rows, x):
 
 @kernel
 def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, columns, cost):
-    """Compute the costs of one row and candidate from the windows ``near`` and ``here``.
-
-    ``near`` are rows of the warped source, ``here`` of the reference; ``total``, ``deviation`` and
-    ``bits`` are window sums, variances and census bits of the reference; ``columns`` is scratch.
-    """
+    """Compute the costs of a row from rows ``near`` of the warped source and ``here`` of the
+    reference, whose window sums, variances and census bits are given; ``columns`` is scratch."""
     W = cost.shape[0]
     sums, squares, products = columns[0], columns[1], columns[2]
     for x in range(W + 2 * RADIUS):

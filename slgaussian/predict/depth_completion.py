@@ -146,8 +146,7 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
 def _square_planes(
     y: np.ndarray, x: np.ndarray, inverse_depth: np.ndarray, size: int
 ) -> np.ndarray:
-    """Fit least-squares planes to the squares of ``size`` pixels that have enough of the pixels in
-    rows ``y`` and columns ``x``, float64 [K, 3]."""
+    """Fit planes [K, 3] to squares of ``size`` pixels with enough of the pixels (``x``, ``y``)."""
     across = -(-inverse_depth.shape[1] // size)
     square = y // size * across + x // size
     numbers = np.arange(square.max() + 1)
@@ -160,11 +159,8 @@ def _square_planes(
 
 
 def _refit(planes: np.ndarray, points: np.ndarray, w: np.ndarray, tolerance: float) -> np.ndarray:
-    """Refit planes [P, 3] to their inliers among the points [M, 3] :data:`REFITS` times.
-
-    Planes of collinear inliers stay. No BLAS product: so few unknowns are not worth waking its
-    threads for, and its last digit depends on them.
-    """
+    """Refit planes [P, 3] to their inliers among the points [M, 3]; without BLAS, whose last digit
+    depends on threads."""
     x, y, _ = points.T
     middle_x, middle_y = x.mean(), y.mean()
     terms = np.stack(_moments(x - middle_x, y - middle_y, w))
@@ -183,12 +179,10 @@ def _moments(u: np.ndarray, v: np.ndarray, w: np.ndarray) -> tuple[np.ndarray, .
 
 
 def _planes_of_moments(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solve centred normal equations for planes ``w = p @ (u, v, 1)`` from sums [9, P].
+    """Solve centred normal equations for planes ``w = p @ (u, v, 1)`` [P, 3] from sums [9, P].
 
-    Returns:
-        planes: float64 [P, 3]
-        roundness: float64 [P]. Determinant over squared trace of the scatter of the points: 0 where
-            they are collinear or none, 0.25 in a disc. Planes of roundness 0 mean nothing.
+    Also returns determinant over squared trace of the scatter of the points [P]: 0 where they are
+    collinear or none, 0.25 in a disc.
     """
     count, u, v, w, uu, uv, vv, uw, vw = sums
     mean_u, mean_v, mean_w = (axis / np.maximum(count, 1) for axis in (u, v, w))

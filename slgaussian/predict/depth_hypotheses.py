@@ -42,11 +42,7 @@ def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[fl
 
 
 def inverse_depth_candidates(
-    relative: Relative,
-    size: tuple[int, int],
-    low: float,
-    high: float,
-    maximum: int,
+    relative: Relative, size: tuple[int, int], low: float, high: float, maximum: int
 ) -> np.ndarray:
     """Return ascending, evenly spaced inverse depths from ``low`` to ``high``, float64 [D].
 
@@ -54,11 +50,8 @@ def inverse_depth_candidates(
     one pixel, with at least :data:`MIN_CANDIDATES` and at most ``maximum`` candidates; the latter
     takes precedence. ``size`` is (height, width).
     """
-    grid = pixel_grid(size, 16)
     count = 512
-    path = np.linspace(low, high, count)
-    tracks, ratio = relative.project(grid[:, None], path)
-    inside = (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= size[::-1]).all(-1)
+    tracks, inside = _tracks(relative, size, np.linspace(low, high, count))
     steps = np.linalg.norm(np.diff(tracks, axis=1), axis=-1)
     visible = inside[:, 1:] & inside[:, :-1]
     longest = np.percentile(steps[visible], 90) * (count - 1) if visible.any() else 0
@@ -67,13 +60,16 @@ def inverse_depth_candidates(
 
 
 def visible_share(relative: Relative, size: tuple[int, int], inverse_depths: np.ndarray) -> float:
-    """Return the share of pixels that lie inside the source view at some candidate, 0 to 1.
+    """Return the share of pixels that lie inside the source view at some candidate, 0 to 1."""
+    return float(_tracks(relative, size, inverse_depths)[1].any(1).mean())
 
-    Evaluated on a coarse grid.
-    """
+
+def _tracks(
+    relative: Relative, size: tuple[int, int], inverse_depths: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixels in the source of a coarse grid at all candidates, and which are inside it."""
     tracks, ratio = relative.project(pixel_grid(size, 16)[:, None], inverse_depths)
-    inside = (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= size[::-1]).all(-1)
-    return float(inside.any(1).mean())
+    return tracks, (ratio > 0) & (tracks >= 0).all(-1) & (tracks <= size[::-1]).all(-1)
 
 
 def pixel_grid(size: tuple[int, int], cells: int) -> np.ndarray:

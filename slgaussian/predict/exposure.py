@@ -37,12 +37,10 @@ def color_gains(
 ) -> np.ndarray:
     """Estimate gains of the RGB values of each view that equalise exposure, float64 [V, 3].
 
-    For every linked pair the median ratio is taken over the answered pixels of the first view and
-    their projections in the second. Log exposures are fitted to the log ratios by least squares.
-    Each view is brought to the mean exposure of its neighbourhood
-    (:meth:`slgaussian.predict.view_graph.ViewGraph.closeness`), so that novel views along a walk
-    from the dark into the light look like the photographs near them. The mean is robust
-    (:data:`USUAL`): an outlier adapts to the others.
+    Log exposures are fitted by least squares to the median ratios over the answered pixels of a
+    view and their projections in a linked one. Each view is brought to the mean exposure of its
+    neighbourhood (:meth:`slgaussian.predict.view_graph.ViewGraph.closeness`), so that novel views
+    along a walk look like the photographs near them. The mean is robust (:data:`USUAL`).
 
     Args:
         images: V of uint8 [H, W, 3]

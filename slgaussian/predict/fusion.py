@@ -29,10 +29,9 @@ def select_drawn(
 
     With two views all pixels are selected. With more, a view without confirmed depth is skipped,
     and a guessed pixel is dropped where any view has confirmed a surface behind it. The first two
-    views keep the rest. Every later view, in the given order, keeps the pixels of surfaces that
-    earlier views draw less than :data:`COPIES` times, unless they lie in front of confirmed depth
-    of an earlier view (guessed pixels: of drawn depth). So adding a photograph changes little of
-    what is drawn already.
+    views keep the rest. Every later view keeps the pixels of surfaces that earlier views draw less
+    than :data:`COPIES` times, unless they lie in front of confirmed depth of an earlier view
+    (guessed pixels: of drawn depth).
 
     Args:
         inverse_depths: V of float32 [H, W]
@@ -71,10 +70,9 @@ def blend(
 ) -> list[np.ndarray]:
     """Blend the colours of every view with those of linked views that show the same surface.
 
-    A surface then has one colour, whichever view's copy is in front. The weight of a view falls
-    off within :data:`FEATHER` of its border and is zero where its depth disagrees. The nearest
-    source has the same weight as the view itself; the weight of further sources falls with the
-    square of their distance, because specular surfaces look different from elsewhere.
+    The weight of a view falls off within :data:`FEATHER` of its border and is zero where its depth
+    disagrees. The nearest source has the same weight as the view itself; the weight of further
+    sources falls with the square of their distance, because specular surfaces look different.
 
     Args:
         images: V of float32 [H, W, 3]

@@ -87,10 +87,8 @@ class PlaneSweep(PlaneSweepConfig):
     ) -> tuple[Gaussians, Depths]:
         """Predict as by a call, and count the depth candidates; raises as a call."""
         views = sample.context
-        matches = graph or MatchGraph.of(views)
-        linked = link_views(
-            views, matches, all(None not in (v.camera.near, v.camera.far) for v in views)
-        )
+        ranged = all(None not in (view.camera.near, view.camera.far) for view in views)
+        linked = link_views(views, graph or MatchGraph.of(views), ranged)
         swept = sweep(self, sample, linked.links)
         depths = Depths(sum(len(s.steps) for s in swept), len(swept) * self.depth_candidates)
         return assemble(sample, linked, swept), depths
@@ -117,9 +115,7 @@ def assemble(sample: Sample, linked: ViewGraph, swept: Sequence[SweptView]) -> G
     cameras = anchor_cameras(given_cameras, linked.cameras, linked.closeness())
     visible = unproject(cameras, colors, depths, opacities)
     confirmed = [s.confirmed for s in swept]
-    drawn = np.concatenate(
-        [keep.ravel() for keep in select_drawn(linked, depths, confirmed, steps)]
-    )
+    drawn = np.ravel(select_drawn(linked, depths, confirmed, steps))
     beyond = continue_surfaces(cameras, colors, depths, steps)
     visible, beyond = (
         part.with_arrays(guessed=np.full(len(part), part is beyond)) for part in (visible, beyond)
@@ -233,20 +229,16 @@ def _complete_depths(
 
 
 def _opacity(
-    i: int,
-    links: Sequence[Link],
-    swept: Sequence[SweptView],
-    depths: Sequence[np.ndarray],
+    i: int, links: Sequence[Link], swept: Sequence[SweptView], depths: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Return the opacity of the pixels of view ``i``, float32 [H, W]."""
-    own_sweep = swept[i]
-    refuted = np.zeros(own_sweep.answered.shape, bool)
-    doubled = np.zeros(own_sweep.answered.shape, bool)
+    step, shape = swept[i].step, depths[i].shape
+    refuted, doubled = np.zeros(shape, bool), np.zeros(shape, bool)
     for link in links:
         confirmed = swept[link.source].confirmed
-        refuted |= cross_check(depths[i], confirmed, link.relative, own_sweep.step) == IN_FRONT
-        verdict = cross_check(depths[i], depths[link.source], link.relative, own_sweep.step)
+        refuted |= cross_check(depths[i], confirmed, link.relative, step) == IN_FRONT
+        verdict = cross_check(depths[i], depths[link.source], link.relative, step)
         doubled |= (verdict == AGREES) | (verdict == IN_FRONT)
-    cases = [own_sweep.answered, refuted, doubled]
+    cases = [swept[i].answered, refuted, doubled]
     values = [OPACITY_SHARED, OPACITY_REFUTED, OPACITY_SHARED]
     return np.select(cases, values, OPACITY_ALONE).astype(np.float32)

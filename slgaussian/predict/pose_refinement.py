@@ -42,8 +42,7 @@ def refine(prior: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
     """Refine rotation and translation direction by the Sampson distance of matches.
 
     Robust least squares with the given pose as a prior. The baseline length does not change; with
-    fewer than :data:`MIN_REFINE` matches neither does the pose. The result serves to select
-    inliers; :func:`refine_cameras` corrects inaccurate cameras.
+    fewer than :data:`MIN_REFINE` matches neither does the pose.
 
     Args:
         prior: The given pose.

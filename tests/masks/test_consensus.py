@@ -124,13 +124,13 @@ def same_partition(a, b):
     return min(table.max(0).sum(), table.max(1).sum()) / a.size
 
 
-@pytest.mark.parametrize("order", [(4, 3, 2, 1, 0), (0, 4, 2, 1, 3), (2, 0, 4, 3, 1)])
+@pytest.mark.parametrize("order", [(4, 3, 2, 1, 0), (2, 0, 4, 3, 1)])
 def test_the_order_of_views_does_not_matter(order):
     # Where regions are cut differs with what was known before: 0.96 to 1 on other rooms.
     assert same_partition(labelled((0, 1, 2, 3, 4)), labelled(order)) > 0.93
 
 
-@pytest.mark.parametrize("place", [0, 2, 4])
+@pytest.mark.parametrize("place", [0, 2])
 def test_a_view_of_another_place_keeps_to_itself(place):
     frames = list(room()[1][:4])
     away = np.eye(4)
@@ -144,12 +144,7 @@ def test_a_view_of_another_place_keeps_to_itself(place):
     # Colours alone may carry an id to it while the tracker looks; the votes are none.
     shared = np.intersect1d(labels[place], rest)
     assert np.isin(labels[place], shared[shared > 0]).mean() < 0.35
-    assert same_partition(rest, labelled_four()) > 0.93
-
-
-@cache
-def labelled_four():
-    return associate(room()[1][:4], Regions(), GeometricTracker()).labels
+    assert same_partition(rest, labelled((0, 1, 2, 3))) > 0.93
 
 
 def plain_contraction(votes):

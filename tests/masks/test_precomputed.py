@@ -6,7 +6,6 @@ from PIL import Image
 from slgaussian.errors import InputError
 from slgaussian.masks import load_tracker
 from slgaussian.masks.associate import associate
-from slgaussian.masks.configs import folder_digest
 from slgaussian.masks.precomputed import Precomputed
 
 
@@ -85,20 +84,10 @@ def test_nested_names_go_before_bare_ones(tmp_path):
         tracker.propagate(view(canvas(), "up/1.jpg"))
 
 
-def test_the_digest_follows_the_maps_and_nothing_else(tmp_path):
-    write_grey(tmp_path / "a.png", ids_of(9))
-    before = folder_digest(tmp_path)
-    (tmp_path / "notes.txt").write_text("made elsewhere")
-    assert folder_digest(tmp_path) == before
-    write_grey(tmp_path / "a.png", ids_of(9, seed=1))
-    assert folder_digest(tmp_path) != before
-
-
 def test_what_is_no_folder_is_refused(tmp_path):
-    with pytest.raises(InputError, match="none given"):
-        Precomputed()
-    with pytest.raises(InputError, match="there is no folder"):
-        Precomputed(folder=tmp_path / "nowhere")
+    for settings, says in ({}, "none given"), ({"folder": tmp_path / "no"}, "there is no folder"):
+        with pytest.raises(InputError, match=says):
+            Precomputed(**settings)
 
 
 def _two_maps(file):

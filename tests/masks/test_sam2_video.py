@@ -91,7 +91,6 @@ def test_objects_of_several_frames_and_a_view_asked_for_again(folder):
     assert tracker._groups() == {(0, 1): [9, 300, 70_000], (0,): [5], (1,): [71_000]}
     carried = tracker.propagate(view(canvas(seed=3)))
     assert set(np.unique(carried)) <= {0, *np.unique(labels()), 71_000}
-    assert len(tracker._encoded) == 3
 
 
 def test_each_pixel_goes_to_the_largest_logit_above_zero_and_of_equals_to_the_lowest_id(folder):

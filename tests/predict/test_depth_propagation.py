@@ -3,17 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from textured_planes import camera, sample
+from textured_planes import camera, links_of, sample
 
-from slgaussian.cameras.relative import Relative
 from slgaussian.predict.depth_propagation import SweptView, propagate_depth
-from slgaussian.predict.view_graph import Link
 
 CAMERAS = (camera(), camera(x=0.3))
-LINKS = [
-    [Link(1, Relative.between(*CAMERAS), np.zeros(0))],
-    [Link(0, Relative.between(*CAMERAS[::-1]), np.zeros(0))],
-]
+LINKS = links_of(*CAMERAS)
 HOLE = (slice(50, 70), slice(60, 90))
 
 

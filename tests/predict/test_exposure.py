@@ -1,28 +1,17 @@
 """One exposure for all views."""
 
 import numpy as np
-from textured_planes import camera, sample
+from textured_planes import camera, links_of, sample
 
-from slgaussian.cameras.relative import Relative
 from slgaussian.predict.exposure import color_gains
-from slgaussian.predict.view_graph import Link, ViewGraph
+from slgaussian.predict.view_graph import ViewGraph
 
 CAMERAS = (camera(turn=0.2, focal=140, principal=(70, 50)), camera(x=0.4, y=0.1, turn=-0.1))
 
 
 def graph_of(*cameras):
     """Each view linked with those beside it."""
-    none = np.zeros(0)
-    count = len(cameras)
-    links = [
-        [
-            Link(j, Relative.between(cameras[i], cameras[j]), none)
-            for j in (i - 1, i + 1)
-            if 0 <= j < count
-        ]
-        for i in range(count)
-    ]
-    return ViewGraph(cameras, links)
+    return ViewGraph(cameras, links_of(*cameras, reach=1))
 
 
 def gains_of(cameras, bright):

@@ -2,27 +2,14 @@
 
 import numpy as np
 import pytest
-from textured_planes import camera, sample
+from textured_planes import camera, links_of, sample
 
-from slgaussian.cameras.relative import Relative
 from slgaussian.predict.depth_completion import AGREES, cross_check
 from slgaussian.predict.fusion import blend, select_drawn
-from slgaussian.predict.view_graph import Link, ViewGraph
+from slgaussian.predict.view_graph import ViewGraph
 
 # Written out, not imported: a slip in the module must show here.
 FEATHER = 16.0
-
-
-def links_of(*cameras):
-    """Every view linked with every other, with the poses of these cameras."""
-    return [
-        [
-            Link(j, Relative.between(first, second), np.zeros(0))
-            for j, second in enumerate(cameras)
-            if j != i
-        ]
-        for i, first in enumerate(cameras)
-    ]
 
 
 def plainly_blended(images, inverse_depths, steps, links):

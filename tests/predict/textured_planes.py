@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from slgaussian.cameras.relative import Relative
+from slgaussian.predict.view_graph import Link
 from slgaussian.scene import Camera, Sample, View
 
 NORMAL = np.array([0.15, -0.1, 1.0])
@@ -56,6 +58,18 @@ def camera(
     c2w[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
     c2w[:3, 3] = x, y, z
     return Camera(K, c2w, W, H, **settings)
+
+
+def links_of(*cameras: Camera, reach: int = 9) -> list[list[Link]]:
+    """Every view linked with the others up to ``reach`` before and after it."""
+    return [
+        [
+            Link(j, Relative.between(first, second), np.zeros(0))
+            for j, second in enumerate(cameras)
+            if 0 < abs(j - i) <= reach
+        ]
+        for i, first in enumerate(cameras)
+    ]
 
 
 def sample(*cameras: Camera, plane: Plane | None = None) -> Sample:

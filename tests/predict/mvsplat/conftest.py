@@ -10,7 +10,6 @@ from benches.predict.random_mvsplat_weights import recipe_weights
 from slgaussian.predict.mvsplat.checkpoint import load_network
 from slgaussian.predict.mvsplat.network import Network
 from slgaussian.scene import Camera
-from tests.predict.mvsplat.make_reference import FILE
 
 
 @pytest.fixture(autouse=True)
@@ -40,7 +39,7 @@ def network(checkpoint) -> Network:
 
 @pytest.fixture(scope="session")
 def reference() -> dict[str, np.ndarray]:
-    return dict(np.load(FILE))
+    return dict(np.load(Path(__file__).with_name("reference.npz")))
 
 
 @pytest.fixture(scope="session")

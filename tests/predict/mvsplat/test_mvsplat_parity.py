@@ -1,6 +1,15 @@
-"""Every stage gives the numbers of the published implementation."""
+"""Every stage gives the numbers of the published implementation.
 
+``reference.npz`` has inputs and outputs of github donydchen/mvsplat 175b17a, float32 on the CPU, at
+64 x 64 with the weights of ``benches/predict/random_mvsplat_weights.py``: of each stage
+:data:`COUNT` values, and the largest difference between two ways to compute it ("floor": oneDNN on
+and off); a digest of the names and shapes of all weights; rotations of harmonics by e3nn 0.6.
+"""
+
+import hashlib
+import zlib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,10 +18,11 @@ import torch
 from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.predict.mvsplat import adapter
 from slgaussian.rasterize import harmonics
-from tests.predict.mvsplat.make_reference import FILE, digest, places
 from tests.predict.textured_planes import camera
 from tests.rasterize.test_harmonics import scipy_basis
 
+COUNT = 2000
+FILE = Path(__file__).with_name("reference.npz")
 LEFT_OUT = {"floor/disparity_head", "floor/rotations_xyzw_local"}
 STAGES = [name[6:] for name in np.load(FILE).files if "floor/" in name and name not in LEFT_OUT]
 
@@ -58,9 +68,7 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     fields = {name: torch.cat([view[name] for view in lifted]) for name in lifted[0]}
     count = len(fields["means"])
     gaussians = Gaussians(
-        **fields,
-        opacities=message.opacity.flatten(),
-        source=torch.arange(count, dtype=torch.int32),
+        **fields, opacities=message.opacity.flatten(), source=torch.arange(count, dtype=torch.int32)
     )
     # Ours are coefficients of another basis, and without those that nothing draws.
     cycled = torch.from_numpy(harmonics.rotation_matrix(adapter.CYCLE)).float()
@@ -82,7 +90,9 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("stage", STAGES)
 def test_a_stage_is_the_reference(result, reference, stage):
-    ours = result[stage].ravel()[places(stage, result[stage].size)]
+    # The places were drawn at random by the name of the stage.
+    rng = np.random.default_rng(zlib.crc32(stage.encode()))
+    ours = result[stage].ravel()[rng.integers(0, result[stage].size, COUNT)]
     left_out = np.isnan(ours)
     assert left_out.mean() < 0.4
     off = np.abs(ours - reference[stage])[~left_out].max()
@@ -94,7 +104,7 @@ def test_names_and_shapes_are_the_published(network, reference):
     assert len(state) == 471
     assert sum(value.numel() for value in state.values()) == 11_955_734
     lines = [f"{name} {tuple(value.shape)}" for name, value in state.items()]
-    assert digest(lines) == str(reference["names"])
+    assert hashlib.sha256("\n".join(lines).encode()).hexdigest() == str(reference["names"])
 
 
 def e3nn_basis(directions: np.ndarray) -> np.ndarray:
