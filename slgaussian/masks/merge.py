@@ -28,11 +28,9 @@ class Cues:
     Attributes:
         color, texture, plane, fill: Weights of the distance of mean colours, of the chi-squared
             distance of texture histograms, of the misfit of a joint plane (0 where depth is
-            unknown), and of the empty share of the joint bounding box, which favours compact
-            regions.
+            unknown), and of the empty share of the joint bounding box.
         size_power: Power of the harmonic size of the two regions, a share of the image, that
-            multiplies the cost. A high power grows regions evenly; with a low one, small objects
-            with strong borders survive longest.
+            multiplies the cost. A high power grows regions evenly.
     """
 
     color: float = 0.3

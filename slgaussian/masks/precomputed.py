@@ -83,10 +83,8 @@ class Precomputed(PrecomputedConfig):
     def _find(self, name: str) -> Path:
         assert self.folder is not None  # checked at construction
         folder, view = self.folder, Path(name)
-        nested = folder / view.with_suffix("")
-        for base in dict.fromkeys((nested, folder / view.stem)):
-            files = [base.with_name(base.name + s) for s in MAPS]
-            files = [file for file in files if file.is_file()]
+        for base in dict.fromkeys((folder / view.with_suffix(""), folder / view.stem)):
+            files = [f for s in MAPS if (f := base.with_name(base.name + s)).is_file()]
             if len(files) > 1:
                 raise InputError(f"{files[0]}: {files[1].name} is there too; remove one of them")
             if files:
@@ -105,13 +103,10 @@ def map_names(views: Sequence[str]) -> dict[str, str]:
     Raises:
         InputError: If two views would have one map, or a map would lie outside the folder.
     """
-    for names in (
-        {view: Path(view).stem for view in views},
-        {view: Path(view).with_suffix("").as_posix() for view in views},
-    ):
-        if len(set(names.values())) == len(names):
-            break
-    else:
+    names = {view: Path(view).stem for view in views}
+    if len(set(names.values())) < len(names):
+        names = {view: Path(view).with_suffix("").as_posix() for view in views}
+    if len(set(names.values())) < len(names):
         raise InputError(f"views {', '.join(views)}: two would have one id map; rename one of them")
     for view, name in names.items():
         if Path(name).is_absolute() or ".." in Path(name).parts:

@@ -16,9 +16,8 @@ STRIDE = 3
 COARSE = 4
 """Spacing of the coarser lattice, in points of the finer one, that measures overlap."""
 AGREE_PIXELS = 4.0
-"""Largest forward-backward reprojection error of corresponding pixels. Occluded pixels have much
-larger errors, errors of depth smaller ones, the more so where the parallax is small. With 2 and
-with 8, the geometric tracker matches fewer objects or pixels."""
+"""Largest forward-backward reprojection error of corresponding pixels. With 2 and with 8, the
+geometric tracker matches fewer objects or pixels."""
 LOOK = 25.0
 """Largest CIELAB distance of corresponding pixels, after compensation of exposure."""
 

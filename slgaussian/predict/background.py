@@ -27,9 +27,8 @@ MARGIN = 0.07
 REACH = 12
 EDGE = 6.0
 """Largest number of blocks by which a surface is extrapolated behind a nearer one, and the smallest
-difference of their depths, in candidate steps. One step is about one pixel of parallax, and between
-the views no more is disoccluded than the parallax: a block that is farther from the edge, in
-pixels, than the difference in steps is left out."""
+difference of their depths, in candidate steps. One step is about one pixel of parallax, and a block
+farther from the edge than the parallax is never disoccluded between the views."""
 
 BEHIND = 0.03
 """Relative depth by which a point must lie behind the surface of a view to count as occluded."""
@@ -77,13 +76,8 @@ def continue_surfaces(
         turn = Rotation.from_matrix(camera.c2w[:3, :3]).as_quat()[[3, 0, 1, 2]]
         scales = width[:, None] * (1, 1, THICKNESS)
         source = (i * camera.height + row) * camera.width + column
-        fields = {
-            "means": means,
-            "scales": scales,
-            "quats": np.tile(turn, (len(means), 1)),
-            "opacities": opacity,
-            "sh": rgb,
-        }
+        quats = np.tile(turn, (len(means), 1))
+        fields = {"means": means, "scales": scales, "quats": quats, "opacities": opacity, "sh": rgb}
         arrays = {name: values[unseen].astype(np.float32) for name, values in fields.items()}
         arrays["sh"] = rgb_to_sh(arrays["sh"])
         arrays["source"] = source[unseen].astype(np.int32)

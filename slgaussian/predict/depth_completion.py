@@ -30,8 +30,7 @@ REFITTED = 10
 REFITS = 15
 """Largest number of planes; smallest share of answered pixels on one; sides in pixels of the
 squares that provide hypotheses; approximate number of pixels that score them; number of best
-hypotheses that are refitted, and number of refits. Sides of 12 and 32 or of 16 alone serve as
-well."""
+hypotheses that are refitted, and number of refits."""
 
 MEDIAN_RADIUS = 7
 MEDIAN_COLOR = 40.0
@@ -106,10 +105,9 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
     """Fit planes to the answered pixels one after the other, float64 [P, 3].
 
     A plane in space is linear in inverse depth: ``w = p @ (x, y, 1)`` with x the column and y the
-    row. Hypotheses are the least-squares planes of all squares of a grid, so nothing is random.
-    The best are refitted to their inliers, and the one with most inliers is accepted; its inliers
-    are removed before the next is sought. The search ends at :data:`MAX_PLANES` planes, or when a
-    plane has less than :data:`MIN_SUPPORT` of the answered pixels.
+    row. Hypotheses are the least-squares planes of all squares of a grid. The best are refitted to
+    their inliers, and the one with most inliers is accepted; its inliers are removed before the
+    next is sought.
 
     Args:
         inverse_depth: float32 [H, W]
@@ -224,10 +222,9 @@ def fill_depth(
     """Assign the inverse depth of one plane to every unanswered pixel, float32 [H, W].
 
     A Potts model over plane labels, minimised by semi-global matching, selects the plane. The data
-    term of an answered pixel is its distance from the plane. Unanswered pixels have no photometric
-    evidence; their data term penalises planes in the free space of another view. A label change is
-    cheap at edges of the guide image. Without any plane the median of the answered pixels is
-    assigned, or the middle of the candidates.
+    term of an answered pixel is its distance from the plane; that of another penalises planes in
+    the free space of another view. Without any plane the median of the answered pixels is assigned,
+    or the middle of the candidates.
 
     Args:
         inverse_depth: float32 [H, W]
@@ -262,10 +259,9 @@ def weighted_median(
 ) -> np.ndarray:
     """Filter with a median weighted by colour similarity to the window's centre, float32 [H, W].
 
-    Moves depth edges onto colour edges and removes outliers (Ma et al., ICCV 2013). The window is
-    sampled in a checkerboard pattern. The median of a histogram with bins of half a candidate is
-    replaced by the weighted mean of the values within one and a half candidates of it: on a slope
-    these lie symmetrically, so the slope is preserved.
+    Moves depth edges onto colour edges and removes outliers (Ma et al., ICCV 2013). The median of a
+    histogram with bins of half a candidate is replaced by the weighted mean of the values within
+    one and a half candidates of it, which preserves slopes.
 
     Args:
         inverse_depth: float32 [H, W]

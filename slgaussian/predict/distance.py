@@ -27,9 +27,8 @@ STRIDE = 20
 def typical_depths(greys: Sequence[np.ndarray], cameras: Sequence[Camera]) -> np.ndarray:
     """Estimate the median z-depth of each view of a clip.
 
-    Views at regular intervals are matched with a later view (SIFT, gated by the epipolar lines of
-    the given poses), as far ahead as there are matches, and the matches are triangulated. The
-    depths of views between are interpolated in the logarithm.
+    Views at regular intervals are matched with a later view, as far ahead as there are matches, and
+    the matches are triangulated. Depths of views between are interpolated in the logarithm.
 
     Args:
         greys: sequence of N uint8 [h, w]. In temporal order.
@@ -56,12 +55,9 @@ def typical_depths(greys: Sequence[np.ndarray], cameras: Sequence[Camera]) -> np
             log_depths.setdefault(b, []).append(depths[1])
     if not log_depths:
         return np.full(n, np.nan)
-    matched_views = sorted(log_depths)
-    return np.exp(
-        np.interp(
-            np.arange(n), matched_views, [np.mean(np.log(log_depths[k])) for k in matched_views]
-        )
-    )
+    matched = sorted(log_depths)
+    means = [np.mean(np.log(log_depths[view])) for view in matched]
+    return np.exp(np.interp(np.arange(n), matched, means))
 
 
 def _median_depths(

@@ -52,9 +52,9 @@ OPACITY_SHARED = 0.5
 OPACITY_ALONE = 0.9
 OPACITY_REFUTED = 0.02
 """Opacities of three kinds of pixels. A surface that another view shows as well is drawn by both,
-so no copy is opaque: 0.6 costs 0.2 dB in novel views; at 0.4 more of the background shines through,
-and 1.2 instead of 1.0 % of the pixels decode to a wrong object. A surface of one view must be
-closed by that view. A pixel in the free space of another view is almost invisible."""
+so no copy is opaque: 0.6 costs 0.2 dB in novel views; at 0.4 more of the background shines through.
+A surface of one view must be closed by that view. A pixel in the free space of another view is
+almost invisible."""
 
 
 class PlaneSweep(PlaneSweepConfig):
@@ -62,10 +62,8 @@ class PlaneSweep(PlaneSweepConfig):
 
     Each view is matched against its best source views. Depth that a source confirms is kept;
     other pixels take propagated depth of their sources or the depth of fitted planes. A surface
-    that enough earlier views draw is not drawn again.
-
-    A pair of views has at most one candidate for each pixel of motion. Time and memory are
-    proportional to ``depth_candidates``.
+    that enough earlier views draw is not drawn again. Time and memory are proportional to
+    ``depth_candidates``.
     """
 
     def __call__(self, sample: Sample, seed: int = 0, graph: MatchGraph | None = None) -> Gaussians:
@@ -165,9 +163,8 @@ def choose_steps(
 ) -> tuple[list[Link], np.ndarray]:
     """Choose the candidates of a view of ``size`` (height, width) between two inverse depths.
 
-    Of the candidates of all sources the coarsest are taken: poses of many views have errors of
-    about a pixel, and with steps finer than a pixel of motion noise would decide which depths
-    agree.
+    Of the candidates of all sources the coarsest are taken: with steps finer than the errors of the
+    poses, noise would decide which depths agree.
 
     Returns:
         list of Link: The links whose source sees a large enough part of the view.

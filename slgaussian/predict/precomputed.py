@@ -35,8 +35,7 @@ from slgaussian.scene import Camera, Sample, View
 
 FITS = 0.5
 """Share of the matches whose reprojection error must be within
-:data:`slgaussian.cameras.check.COARSE`. Right readings reach 0.8 and more; the rest lies on depth
-edges."""
+:data:`slgaussian.cameras.check.COARSE`. Right readings reach 0.8 and more."""
 
 INFORMED = 0.85
 PARALLAX = 0.3
@@ -214,10 +213,7 @@ def z_at(depth: np.ndarray, at: np.ndarray) -> Depth:
 
 
 def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) -> Fitted:
-    """Reproject matches by the z-depth of V views, and scale it if the error falls much.
-
-    Tried in order: no scale, one scale for all views, one scale for each view.
-    """
+    """Reproject matches by the z-depth of V views, with one scale or one a view if better."""
     bound = COARSE * float(np.hypot(cameras[0].height, cameras[0].width))
     seen = []
     for (i, j), (p, q) in matches.items():

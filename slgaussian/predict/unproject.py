@@ -65,51 +65,49 @@ def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ..
 
     Local axes of a disc: across the line of sight, along the slope, and the normal.
     """
-    depth = 1 / inverse_depth.ravel().astype(np.float64)
-    n = normals(inverse_depth, camera.K).reshape(-1, 3)
+    depth, R = 1 / inverse_depth.ravel().astype(np.float64), camera.c2w[:3, :3]
+    n = np.ascontiguousarray(normals(inverse_depth, camera.K).reshape(-1, 3).T)
     row, column = np.indices(inverse_depth.shape).reshape(2, -1) + 0.5
-    sight = _turned(np.linalg.inv(camera.K), np.stack([column, row, np.ones(len(depth))], 1))
-    means = camera.center + depth[:, None] * _turned(camera.c2w[:3, :3], sight)
+    sight = _turned(np.linalg.inv(camera.K), np.stack([column, row, np.ones(len(depth))]))
+    means = camera.center[:, None] + depth * _turned(R, sight)
     sight /= _length(sight)
-    across = np.cross(n, sight)
+    across = np.cross(n, sight, axis=0)
     # Where the surface faces the camera any axis in its plane will do.
     facing = _length(across) < 1e-6
-    across = np.where(facing, np.cross(n, [0.0, 1.0, 0.0]), across)
+    across[:, facing] = np.cross(n[:, facing], [[0.0], [1.0], [0.0]], axis=0)
     across /= _length(across)
-    axes = np.stack(
-        [_turned(camera.c2w[:3, :3], axis) for axis in (across, np.cross(n, across), n)], 2
-    )
-    cosine = np.where(facing[:, 0], 1.0, np.abs((n * sight).sum(1)))
+    axes = np.stack([_turned(R, axis) for axis in (across, np.cross(n, across, axis=0), n)], 1)
+    cosine = np.where(facing, 1.0, np.abs((n * sight).sum(0)))
     width = FOOTPRINT / np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * depth
-    scales = np.stack([width, width / np.maximum(cosine, MIN_COSINE), width * THICKNESS], 1)
+    scales = np.stack([width, width / np.maximum(cosine, MIN_COSINE), width * THICKNESS])
     quats = _quaternions(axes)
     parts = means, scales, quats / _length(quats)
-    return tuple(part.astype(np.float32) for part in parts)
+    return tuple(part.T.astype(np.float32, order="C") for part in parts)
 
 
 def _turned(R: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Multiply vectors [N, 3] by a matrix, without BLAS: bitwise equal on any CPU."""
-    x, y, z = vectors.T[..., None]
-    return x * R[:, 0] + y * R[:, 1] + z * R[:, 2]
+    """Multiply a matrix by vectors [3, N], without BLAS: bitwise equal on any CPU."""
+    x, y, z = vectors
+    return R[:, :1] * x + R[:, 1:2] * y + R[:, 2:] * z
 
 
 def _length(vectors: np.ndarray) -> np.ndarray:
-    return np.sqrt((vectors * vectors).sum(1, keepdims=True))
+    return np.sqrt((vectors * vectors).sum(0))
 
 
 def _quaternions(R: np.ndarray) -> np.ndarray:
-    """Return quaternions wxyz of rotations [N, 3, 3], times 4 times the largest component (Shepperd
-    1978)."""
-    trace = R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2]
-    table = np.empty((len(R), 4, 4))
-    table[:, 0, 0] = 1 + trace
+    """Return quaternions wxyz [4, N] of rotations [3, 3, N], times 4 times their largest component
+    (Shepperd 1978)."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    table = np.empty((4, 4, R.shape[2]))
+    table[0, 0] = 1 + trace
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
-        table[:, 0, 1 + i] = table[:, 1 + i, 0] = R[:, k, j] - R[:, j, k]
-        table[:, 1 + i, 1 + i] = 1 + 2 * R[:, i, i] - trace
-        table[:, 1 + j, 1 + i] = table[:, 1 + i, 1 + j] = R[:, j, i] + R[:, i, j]
-    largest = np.argmax([R[:, 0, 0], R[:, 1, 1], R[:, 2, 2], trace], 0)
-    return table[np.arange(len(R)), (largest + 1) % 4]
+        table[0, 1 + i] = table[1 + i, 0] = R[k, j] - R[j, k]
+        table[1 + i, 1 + i] = 1 + 2 * R[i, i] - trace
+        table[1 + j, 1 + i] = table[1 + i, 1 + j] = R[j, i] + R[i, j]
+    largest = np.argmax([R[0, 0], R[1, 1], R[2, 2], trace], 0)
+    return np.take_along_axis(table, (largest + 1)[None, None] % 4, 0)[0]
 
 
 def normals(inverse_depth: np.ndarray, K: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from PIL import Image
 from slgaussian.errors import InputError
 from slgaussian.masks import load_tracker
 from slgaussian.masks.associate import associate
+from slgaussian.masks.configs import folder_digest
 from slgaussian.masks.precomputed import Precomputed
 
 
@@ -82,6 +83,12 @@ def test_nested_names_go_before_bare_ones(tmp_path):
     assert (tracker.propagate(view(canvas(), "right/1.jpg")) == 9).all()
     with pytest.raises(InputError, match=r"both 'right/1.jpg' and 'up/1.jpg'"):
         tracker.propagate(view(canvas(), "up/1.jpg"))
+
+
+def test_other_files_do_not_change_the_digest(tmp_path):
+    before = folder_digest(tmp_path)
+    (tmp_path / "notes.txt").write_text("made elsewhere")
+    assert folder_digest(tmp_path) == before
 
 
 def test_what_is_no_folder_is_refused(tmp_path):
