@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from slgaussian.kernels.jit import kernel
@@ -28,23 +30,25 @@ PATIENCE = 8
 """Splats composited between two tests whether all pixels of a block are opaque."""
 
 
-def draw(
-    splats: np.ndarray,
-    boxes: np.ndarray,
-    values: np.ndarray,
-    bins: Bins,
-    width: int,
-    height: int,
-    alpha_max: np.float32,
-    pass_min: np.float32,
-    with_median: bool,
-) -> tuple[np.ndarray, ...]:
-    """Composite front to back.
+class Splatted(NamedTuple):
+    """Splats of an image, as the first arguments of kernels.
 
-    Args:
-        splats, boxes: as :func:`slgaussian.rasterize.project.project` returns them
+    Attributes:
+        splats, boxes: As :func:`slgaussian.rasterize.project.project` returns them.
         values: float32 [N, C]
         alpha_max, pass_min: float32. See :class:`slgaussian.rasterize.render_settings.Settings`.
+    """
+
+    splats: np.ndarray
+    boxes: np.ndarray
+    values: np.ndarray
+    bins: Bins
+    alpha_max: np.float32
+    pass_min: np.float32
+
+
+def draw(scene: Splatted, width: int, height: int, with_median: bool) -> tuple[np.ndarray, ...]:
+    """Composite front to back.
 
     Returns:
         image: float32 [H, W, C]
@@ -52,14 +56,11 @@ def draw(
         depth: float32 [H, W]. Mean z; 0 where alpha is 0.
         median: float32 [H, W], or [0, 0] without ``with_median``
     """
-    image = np.empty((height, width, values.shape[1]), np.float32)
+    image = np.empty((height, width, scene.values.shape[1]), np.float32)
     alpha = np.empty((height, width), np.float32)
     depth = np.zeros((height, width), np.float32)
     median = np.zeros((height, width) if with_median else (0, 0), np.float32)
-    share(
-        _draw, strips_of(bins), splats, boxes, values, bins, alpha_max, pass_min, image, alpha,
-        depth, median,
-    )  # fmt: skip
+    share(_draw, strips_of(scene.bins), *scene, image, alpha, depth, median)
     return image, alpha, depth, median
 
 
@@ -102,15 +103,7 @@ def _draw(counter, splats, boxes, values, bins, alpha_max, pass_min, image, alph
 
 
 def draw_backward(
-    splats: np.ndarray,
-    boxes: np.ndarray,
-    values: np.ndarray,
-    bins: Bins,
-    firsts: np.ndarray,
-    limits: tuple[np.float32, np.float32],
-    d_image: np.ndarray,
-    d_alpha: np.ndarray,
-    d_z: np.ndarray,
+    scene: Splatted, firsts: np.ndarray, d_image: np.ndarray, d_alpha: np.ndarray, d_z: np.ndarray
 ) -> np.ndarray:
     """Compute the gradients of the splats, one row for each tile that they touch.
 
@@ -121,24 +114,20 @@ def draw_backward(
 
     Args:
         firsts: int64 [N + 1]. See :func:`slgaussian.rasterize.project.project_backward`.
-        limits: float32, float32. alpha_max and pass_min, as :func:`draw` takes them.
         d_image, d_alpha, d_z: float32 [H, W, C], [H, W], [H, W]. Upstream gradients; the last of
             the composited, not the mean, z.
 
     Returns:
         float32 [firsts[N], MOMENTS + C + 1]
     """
-    grads = np.empty((firsts[-1], MOMENTS + values.shape[1] + 1), np.float32)
-    share(
-        _draw_backward, strips_of(bins), splats, boxes, values, bins, firsts, *limits, d_image,
-        d_alpha, d_z, grads,
-    )  # fmt: skip
+    grads = np.empty((firsts[-1], MOMENTS + scene.values.shape[1] + 1), np.float32)
+    share(_draw_backward, strips_of(scene.bins), *scene, firsts, d_image, d_alpha, d_z, grads)
     return grads
 
 
 @kernel
 def _draw_backward(
-    counter, splats, boxes, values, bins, firsts, alpha_max, pass_min, d_image, d_alpha, d_z, grads
+    counter, splats, boxes, values, bins, alpha_max, pass_min, firsts, d_image, d_alpha, d_z, grads
 ):
     height, width, channels = d_image.shape
     channels += 1

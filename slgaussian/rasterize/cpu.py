@@ -56,13 +56,11 @@ class _Splatting(torch.autograd.Function):
         median: bool,
     ) -> tuple[torch.Tensor, ...]:
         arrays = [t.detach().numpy() for t in (means, scales, quats, opacities)]
-        drawn, splats, boxes, bins, limits = splatted(
-            gaussians, arrays, values.detach().numpy(), eye, settings, median
-        )
+        drawn, scene = splatted(gaussians, arrays, values.detach().numpy(), eye, settings, median)
         image, alpha, depth, middle = (torch.from_numpy(array) for array in drawn)
         if any(ctx.needs_input_grad):
             ctx.save_for_backward(means, scales, quats, opacities, values, alpha, depth)
-            ctx.drawn = splats, boxes, bins, limits, eye
+            ctx.drawn = scene, eye
         ctx.mark_non_differentiable(middle)
         return image, alpha, depth, middle
 
@@ -75,15 +73,13 @@ class _Splatting(torch.autograd.Function):
         d_depth: torch.Tensor,
         *_: torch.Tensor,
     ) -> tuple[torch.Tensor | None, ...]:
-        *geometry, values, alpha, depth = (t.detach().numpy() for t in ctx.saved_tensors)
-        splats, boxes, bins, limits, eye = ctx.drawn
+        *geometry, _, alpha, depth = (t.detach().numpy() for t in ctx.saved_tensors)
+        scene, eye = ctx.drawn
         # The mean depth is the composited z over alpha.
         d_z = np.divide(d_depth.numpy(), alpha, out=np.zeros_like(alpha), where=alpha > 0)
         d_accumulated = d_alpha.numpy() - d_z * depth
-        firsts = count_tiles(boxes)
-        grads = draw_backward(
-            splats, boxes, values, bins, firsts, limits,
-            np.ascontiguousarray(d_image.numpy()), d_accumulated, d_z,
-        )  # fmt: skip
-        gradients = project_backward(geometry, eye, splats, firsts, grads)
+        firsts = count_tiles(scene.boxes)
+        upstream = np.ascontiguousarray(d_image.numpy()), d_accumulated, d_z
+        grads = draw_backward(scene, firsts, *upstream)
+        gradients = project_backward(geometry, eye, scene.splats, firsts, grads)
         return *(torch.from_numpy(array) for array in gradients), None, None, None, None

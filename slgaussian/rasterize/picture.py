@@ -6,13 +6,12 @@ Fields are queried and rendered with it, without the import of torch.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 
 from slgaussian.gaussians import SH_C0, Gaussians
 from slgaussian.rasterize.api import Render, check_inputs
-from slgaussian.rasterize.blend import draw
+from slgaussian.rasterize.blend import Splatted, draw
 from slgaussian.rasterize.project import Eye, eye_of, project
 from slgaussian.rasterize.render_settings import PRESETS, Settings
 from slgaussian.rasterize.tiles import bin_splats
@@ -49,7 +48,7 @@ def picture(gaussians: Gaussians, values: np.ndarray, camera: Camera) -> Picture
     """
     settings, arrays = PRESETS["fast"], gaussians.to_arrays()
     geometry = [np.ascontiguousarray(arrays[name], np.float32) for name in GEOMETRY]
-    drawn, *_ = splatted(
+    drawn, _ = splatted(
         gaussians, geometry, np.ascontiguousarray(values, np.float32), eye_of(camera, settings),
         settings, False,
     )  # fmt: skip
@@ -75,9 +74,8 @@ def splatted(
     eye: Eye,
     settings: Settings,
     median: bool,
-) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, Any, tuple[np.float32, np.float32]]:
-    """Project, bin and draw; return the images of :func:`slgaussian.rasterize.blend.draw`, splats,
-    boxes, bins and limits.
+) -> tuple[tuple[np.ndarray, ...], Splatted]:
+    """Project, bin and draw; return the images of :func:`slgaussian.rasterize.blend.draw` too.
 
     ``geometry`` are the arrays :data:`GEOMETRY` of ``gaussians``, contiguous float32. Raises
     InputError naming the first Gaussian with an invalid number.
@@ -87,5 +85,5 @@ def splatted(
         check_inputs(gaussians, values)
     bins = bin_splats(boxes, eye.width, eye.height)
     limits = np.float32(settings.alpha_max), np.float32(settings.pass_min)
-    drawn = draw(splats, boxes, values, bins, eye.width, eye.height, *limits, median)
-    return drawn, splats, boxes, bins, limits
+    scene = Splatted(splats, boxes, values, bins, *limits)
+    return draw(scene, eye.width, eye.height, median), scene

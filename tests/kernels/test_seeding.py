@@ -35,23 +35,17 @@ def test_a_sample_is_what_its_context_shows(room):
     first, second = room.context
     brighter = first.image.copy()
     brighter[0, 0, 0] ^= 1
-    rest = [(second, first), (replace(first, image=brighter), second)]
-    result = {replace(room, context=views).content for views in rest}
-    assert len({room.content, *result}) == 3
-
-
-def test_the_last_digits_of_a_camera_change_nothing_that_is_drawn(room):
-    first, second = room.context
+    others = [(second, first), (replace(first, image=brighter), second)]
+    assert len({room.content, *(replace(room, context=views).content for views in others)}) == 3
+    # The last digits of a camera change nothing that is drawn.
     moved = second.camera.c2w.copy()
     moved[0, 3] += 1e-15
-    alternative = (first, replace(second, camera=replace(second.camera, c2w=moved)))
-    assert replace(room, context=alternative).content == room.content
-
-
-def test_names_truths_targets_and_the_store_change_no_content(room):
+    second = replace(second, camera=replace(second.camera, c2w=moved))
+    assert replace(room, context=(first, second)).content == room.content
+    # Nor do names, truths, targets and the store.
     blind = tuple(replace(view, name=view.name + "x", depth=None) for view in room.context)
-    alternative = replace(room, scene="other", context=blind, targets=())
-    assert alternative.content == sample_from_arrays(sample_to_arrays(room)).content == room.content
+    renamed = replace(room, scene="other", context=blind, targets=())
+    assert renamed.content == sample_from_arrays(sample_to_arrays(room)).content == room.content
 
 
 SHARES = st.floats(0, 1)

@@ -1,6 +1,8 @@
 """What networks say depends on numbers alone: not on threads, nor on where weights begin."""
 
+import re
 import threading
+from pathlib import Path
 
 import pytest
 import torch
@@ -86,3 +88,13 @@ def test_what_one_thread_fixes_another_does_not_see():
         assert torch.get_num_threads() == 3
     worker.join()
     assert view == {"before": 2, "while": 2}
+
+
+def test_every_module_with_a_kernel_imports_what_makes_it_one_at_its_top():
+    """By that the digest of :func:`slgaussian.kernels.threads.sources` knows it."""
+    kernels = re.compile(rb"^@(kernel|(numba\.)?njit|intrinsic)\b", re.MULTILINE)
+    for file in Path(threads.__file__).parents[1].rglob("*.py"):
+        source = file.read_bytes()
+        if kernels.search(source):
+            made_by = rb"^(import|from) (numba|slgaussian\.kernels\.jit)\b"
+            assert re.search(made_by, source, re.MULTILINE), file
