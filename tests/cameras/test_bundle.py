@@ -118,6 +118,8 @@ def test_as_low_a_cost_as_scipy_finds(views, points, outliers, lenses, posed):
     result = adjust(start, scale=1.0, iterations=200, tolerance=1e-13)
     assert result.cost == pytest.approx(reference_cost(result.bundle, 1.0), rel=1e-6, abs=1e-6)
     assert result.cost <= reference_cost(start, 1.0) * (1 + 1e-6)
+    if posed:
+        assert (np.sqrt(np.diag(result.covariance)[:3]) < 0.01).all()
 
 
 def test_the_prior_of_poses_is_in_its_deviations():
