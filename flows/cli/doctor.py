@@ -38,9 +38,9 @@ def doctor(
     """Check the requirements of a run, and give advice.
 
     Checks packages, threads, the store, the Prefect server, and the files and models of options;
-    prints for each ok, or BAD with advice. A model is checked by its digest on the hub, if it has
-    one, else by loading and testing it. Nothing is downloaded. The exit status is 1 if anything is
-    BAD. --components and --schema print components or the schema of configuration files instead.
+    prints for each ok, or BAD with advice. Models are loaded and tested. Nothing is downloaded. The
+    exit status is 1 if anything is BAD. --components and --schema print components or the schema of
+    configuration files instead.
 
     \b
     slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786

@@ -54,7 +54,7 @@ def test_a_store_that_cannot_be_used_is_one_line(server, tmp_path, monkeypatch, 
         status, told = examined(monkeypatch, capsys, "--store", store)
         assert status == 1 and len(told["BAD"]) == 1
         assert said in told["BAD"][0]
-        assert len(told["ok"]) == 5
+        assert len(told["ok"]) == 4
 
 
 def test_a_server_that_does_not_answer(tmp_path, monkeypatch, capsys):
