@@ -26,22 +26,14 @@ def seen():
     return target.instances, views
 
 
-def test_codes_add_little_to_what_the_geometry_gets_wrong(seen):
-    """Measured: 2.7 % wrong without codes, 0.1 and 0.3 % more by codes."""
+def test_few_pixels_are_wrong_and_those_are_less_sure(seen):
+    """Measured: 2.7 % wrong without codes, 0.1 and 0.3 % more by codes; chance 0.97."""
     truth, views = seen
     for view in views.values():
         assert (view.ids != truth).mean() < 0.04
-
-
-@pytest.mark.parametrize("codes", ["grid", "separated"])
-def test_wrong_pixels_are_less_sure(seen, codes):
-    """The chance that a wrong pixel is less sure than a right one. Measured: 0.97."""
-    truth, views = seen
-    view = views[codes]
-    shown = view.ids > 0
-    wrong = (view.ids != truth)[shown]
-    ranks = rankdata(-view.confidence[shown])
-    many = wrong.sum()
-    chance = (ranks[wrong].sum() - many * (many + 1) / 2) / (many * (~wrong).sum())
-    assert chance > 0.9
-    assert ((view.confidence > 0) <= shown).all()
+        shown = view.ids > 0
+        wrong = (view.ids != truth)[shown]
+        # The chance that a wrong pixel is less sure than a right one.
+        ranks, count = rankdata(-view.confidence[shown]), wrong.sum()
+        assert (ranks[wrong].sum() - count * (count + 1) / 2) / (count * (~wrong).sum()) > 0.9
+        assert ((view.confidence > 0) <= shown).all()

@@ -40,12 +40,12 @@ def test_a_gain_within_noise_is_none():
 
 
 def test_few_clips_never_are_enough():
-    clips = list("abcdefgh")[: LEAST - 1]
-    scores = {"branch": [0.9] * len(clips), "hard": [0.1] * len(clips)}
-    found = gate(judged(scores, clips), {"hard": "no branch"})
-    assert not found.better and found.why.startswith("too few clips to tell it from no branch")
-    more = {name: [*own, own[0]] for name, own in scores.items()}
-    assert gate(judged(more, [*clips, "z"]), {"hard": "no branch"}).better
+    few, enough = (
+        gate(judged({"branch": [0.9] * n, "hard": [0.1] * n}, list("abcdefgh"[:n])), {"hard": "it"})
+        for n in (LEAST - 1, LEAST)
+    )
+    assert not few.better and few.why.startswith("too few clips to tell it from it")
+    assert enough.better
 
 
 NOISE = [0.01, -0.01, 0.008, -0.008, 0.011, -0.011, 0.003, -0.003]
