@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from command import write_photographs
+from command import files_below, write_photographs
 
 from flows import dataset
 from flows.config import DatasetSettings
@@ -48,11 +48,6 @@ def settings_for(folder: Path, *sources, **extra):
     return make_settings(
         {**SMALL, "out": folder / "set", "sources": inputs, **extra}, "dataset", DatasetSettings
     )
-
-
-def files_of(folder: Path) -> dict[str, bytes]:
-    stored = (p for p in sorted(folder.iterdir()) if not p.name.startswith("log"))
-    return {file.name: file.read_bytes() for file in stored}
 
 
 def made_set(settings, store: ArtifactStore) -> dataset.TrainingSetResult:
@@ -160,17 +155,17 @@ def test_workers_and_shuffling_change_no_byte(output):
 def test_the_same_again_writes_nothing_and_more_only_new_shards(output, tmp_path):
     folder, store, settings, _ = output
     shutil.copytree(folder / "set", tmp_path / "set")
-    before = files_of(tmp_path / "set")
+    before = files_below(tmp_path / "set")
     rerun = settings_for(tmp_path, *settings.sources)
     assert made_set(rerun, store).new_shards == 0
-    assert files_of(tmp_path / "set") == before
+    assert files_below(tmp_path / "set") == before
     afresh = settings_for(tmp_path / "other", *settings.sources)
     made_set(afresh, store)
-    assert files_of(tmp_path / "other/set") == before
+    assert files_below(tmp_path / "other/set") == before
 
     extra = folder_of(room(6), tmp_path / "hall")
     grown = made_set(settings_for(tmp_path, *settings.sources, extra), store)
-    after = files_of(tmp_path / "set")
+    after = files_below(tmp_path / "set")
     shards = {name for name in before if name.endswith(".tar")}
     assert grown.samples == 4 and grown.new_shards == 1
     assert all(after[name] == before[name] for name in shards)
@@ -180,7 +175,7 @@ def test_the_same_again_writes_nothing_and_more_only_new_shards(output, tmp_path
 def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, tmp_path):
     folder, store, settings, _ = output
     shutil.copytree(folder / "set", tmp_path / "set")
-    before = files_of(tmp_path / "set")
+    before = files_below(tmp_path / "set")
     rows = pq.read_table(tmp_path / "set/index.parquet").to_pylist()
     row = next(row for row in rows if row["clip"] != "kitchen")
     shard = tmp_path / "set" / row["shard"]
@@ -193,7 +188,9 @@ def test_what_is_withdrawn_is_gone_and_a_damaged_shard_is_written_anew(output, t
     assert result["shard"] != row["shard"] and result["digest"] == row["digest"]
     assert not shard.exists()
     assert TrainingSet(tmp_path / "set").members(0)
-    full = b"".join(data for name, data in files_of(tmp_path / "set").items() if name[-3:] == "tar")
+    full = b"".join(
+        data for name, data in files_below(tmp_path / "set").items() if name[-3:] == "tar"
+    )
     assert b"kitchen" not in full and any(b"kitchen" in data for data in before.values())
 
 

@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from command import ROOM, room_sample, run, said, save_photographs
+from command import ROOM, files_below, room_sample, save_photographs
 from PIL import Image
 
-import slgaussian as slg
 from flows.cli.app import app
+from slgaussian.field import SemanticField
 from slgaussian.geometry import SeenView
 from slgaussian.masks.precomputed import Precomputed, encode_ids, read_ids
 
@@ -22,11 +22,10 @@ def words(tmp_path, monkeypatch):
     return [*PHOTOS, "--cameras", "transforms.json", "--set", "near=0.8", "--set", "far=12"]
 
 
-def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, monkeypatch, capsys):
-    assert run(monkeypatch, "masks", *words, "-o", "ids") == 0
-    printed = capsys.readouterr().out
+def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, slg):
+    status, printed, _ = slg("masks", *words, "-o", "ids")
     files = sorted(file.name for file in (tmp_path / "ids").iterdir())
-    assert files == ["look.jpg", "masks.json", *PHOTOS]
+    assert status == 0 and files == ["look.jpg", "masks.json", *PHOTOS]
     maps = np.stack([read_ids(tmp_path / "ids" / name) for name in PHOTOS])
     assert maps.shape == (2, 64, 64) and maps.max() > 2
     assert Image.open(tmp_path / "ids" / PHOTOS[0]).mode.startswith("I;16")
@@ -41,8 +40,8 @@ def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, mo
     for view, ids in zip(sample.context, maps, strict=True):
         np.testing.assert_array_equal(rerun.propagate(SeenView(view)), ids)
     tracker = ["--tracker", "precomputed", "--set", "precomputed.folder=ids"]
-    assert run(monkeypatch, "field", *words, *tracker, "-o", "given") == 0
-    inputs = slg.SemanticField.load("given")
+    assert slg("field", *words, *tracker, "-o", "given")[0] == 0
+    inputs = SemanticField.load("given")
     assert inputs.bank.ids.tolist() == objects.tolist()
     present = np.stack([[(first == i).any() for first in maps] for i in objects])
     np.testing.assert_array_equal(inputs.bank.present, present)
@@ -53,26 +52,24 @@ def test_masks_that_are_written_are_those_that_a_field_reads(words, tmp_path, mo
     assert info["settings"]["votes"] == "views"
 
 
-def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, capsys):
-    second = tmp_path / "kept"
-    second.mkdir()
-    (second / "letter.txt").write_text("dear")
-    assert run(monkeypatch, "masks", *words, "-o", "kept") == 2
-    assert "exists and is not a folder of masks" in said(capsys)
-    assert run(monkeypatch, "masks", *words, "--tracker", "swiss", "-o", "ids") == 2
-    assert "swiss" in said(capsys)
+def test_masks_replace_masks_and_nothing_else(words, tmp_path, monkeypatch, slg, refusal):
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "letter.txt").write_text("dear")
+    error = refusal("masks", *words, "-o", "letters")
+    assert "exists and is not a folder of masks" in error
+    assert "swiss" in refusal("masks", *words, "--tracker", "swiss", "-o", "ids")
     assert not (tmp_path / "ids").exists()
     for _ in range(2):
-        assert run(monkeypatch, "masks", *words, "-o", "ids") == 0
+        assert slg("masks", *words, "-o", "ids")[0] == 0
     # What fails half way leaves what was there.
-    before = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}
+    before = files_below(tmp_path / "ids")
     with monkeypatch.context() as patched:
         patched.setattr("slgaussian.benchmark.pictures.encode_jpeg", lambda *a: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             app(["masks", *words, "-o", "ids"], standalone_mode=False)
-    after = {file.name: file.read_bytes() for file in (tmp_path / "ids").iterdir()}
-    assert after == before
-    assert sorted(f.name for f in tmp_path.iterdir()) == ["ids", "kept", "transforms.json", *PHOTOS]
+    assert files_below(tmp_path / "ids") == before
+    names = sorted(file.name for file in tmp_path.iterdir())
+    assert names == ["ids", "letters", "transforms.json", *PHOTOS]
 
 
 @pytest.mark.parametrize(("top", "suffix"), [(0, ".png"), (65535, ".png"), (65536, ".npy")])

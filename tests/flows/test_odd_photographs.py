@@ -1,9 +1,9 @@
 """Photographs on the command line of which one is there twice, or shows another place."""
 
 import pytest
-from command import run, write_photographs
+from command import write_photographs
 
-import slgaussian as slg
+from slgaussian.field import SemanticField
 from tests.predict import twists
 
 SIZE = 96, 128
@@ -21,12 +21,12 @@ def photos(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_copy_and_a_stranger_are_left_out_by_name(photos, monkeypatch, capsys):
-    words = ("--cameras", "transforms.json", "-o")
-    assert run(monkeypatch, "field", *NAMES, "copy.png", "elsewhere.png", "-v", *words, "odd") == 0
-    output = [line for line in capsys.readouterr().err.splitlines() if "left out" in line]
-    assert output == [
+def test_a_copy_and_a_stranger_are_left_out_by_name(photos, slg):
+    words = (*NAMES, "copy.png", "elsewhere.png", "--cameras", "transforms.json")
+    status, _, errors = slg("field", *words, "-v", "-o", "odd")
+    assert status == 0
+    assert [line for line in errors.splitlines() if "left out" in line] == [
         "warning: copy.png is left out: it is the same picture as b.png, from the same place",
         "warning: elsewhere.png is left out: fewer than 12 matches with any other tell its depth",
     ]
-    assert list(slg.SemanticField.load("odd").cameras) == list(NAMES)
+    assert list(SemanticField.load("odd").cameras) == list(NAMES)

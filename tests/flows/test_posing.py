@@ -5,16 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command import ROOM, room, run, save_photographs
+from command import ROOM, room, save_photographs
 from PIL import Image
 
-import slgaussian as slg
 from slgaussian import datasets
 from slgaussian.cameras.estimated import DOUBTFUL, EstimatedCameras, EstimatedPair, Focal
 from slgaussian.cameras.quality import Quality
 from slgaussian.datasets import unposed
 from slgaussian.datasets.recognise import cameras_in
 from slgaussian.errors import InputError
+from slgaussian.field import SemanticField
 from slgaussian.scene import Estimated
 
 SIZE = 96, 128
@@ -52,10 +52,9 @@ def truth(photographs) -> EstimatedCameras:
 
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
-    """A folder, which is the current one, of two photographs, and the right cameras apart."""
+    """A folder, which is the current one, of two photographs without cameras."""
     save_photographs(tmp_path, *SIZE)
-    (tmp_path / "given").mkdir()
-    (tmp_path / "transforms.json").rename(tmp_path / "given.json")
+    (tmp_path / "transforms.json").unlink()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(unposed, "find_cameras", truth)
     unposed._find.cache_clear()
@@ -63,14 +62,13 @@ def photos(tmp_path, monkeypatch):
     unposed._find.cache_clear()
 
 
-def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, monkeypatch, capsys):
-    assert run(monkeypatch, "field", *PHOTOS, "-o", "field") == 0
-    output = capsys.readouterr().err
+def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, slg):
+    status, _, output = slg("field", *PHOTOS, "-o", "field")
     lines = [line for line in output.splitlines() if "compiling kernels" not in line]
-    assert len(lines) <= 9
+    assert status == 0 and len(lines) <= 9
     assert "warning: the poses may be off by some degrees" in output
     assert "from matches); of two photographs, 60 of 90 matches agree" in output
-    field = slg.SemanticField.load("field")
+    field = SemanticField.load("field")
     first, second = field.cameras.values()
     np.testing.assert_allclose(first.c2w, np.eye(4), atol=1e-12)
     assert np.linalg.norm(second.center) == pytest.approx(1)
@@ -82,12 +80,11 @@ def test_a_field_of_photographs_alone_says_how_its_cameras_were_found(photos, mo
     assert f"right with a probability of {confidence:.0%}: few matches" in output
 
 
-def test_cameras_that_are_written_are_those_that_were_found(photos, monkeypatch, capsys):
+def test_cameras_that_are_written_are_those_that_were_found(photos, slg, refusal):
     out = "there/transforms.json"
-    assert run(monkeypatch, "cameras", *PHOTOS, "-o", out) == 0
-    printed = capsys.readouterr()
-    assert "60" in printed.out and "doubtful: few matches" in printed.out
-    assert "cameras found: " in printed.err
+    status, printed, errors = slg("cameras", *PHOTOS, "-o", out)
+    assert status == 0 and "cameras found: " in errors
+    assert "60" in printed and "doubtful: few matches" in printed
     result = unposed.find(unposed.named(PHOTOS))
     valid = cameras_in(photos / out)
     assert len(valid) == 2
@@ -95,29 +92,29 @@ def test_cameras_that_are_written_are_those_that_were_found(photos, monkeypatch,
         np.testing.assert_allclose(mine.K, alternative.K, atol=1e-9)
         np.testing.assert_allclose(mine.c2w, alternative.c2w, atol=1e-9)
         assert alternative.estimated == mine.estimated
-    assert run(monkeypatch, "cameras", *PHOTOS, "-o", out) == 0  # its own are replaced
-    assert run(monkeypatch, "masks", *PHOTOS, "--cameras", out, "-o", "ids") == 0
-    assert run(monkeypatch, "cameras", *PHOTOS, "-o", "there") == 2
-    assert "error: there: cannot be written (Is a directory)" in capsys.readouterr().err
+    assert slg("cameras", *PHOTOS, "-o", out)[0] == 0  # its own are replaced
+    assert slg("masks", *PHOTOS, "--cameras", out, "-o", "ids")[0] == 0
+    error = refusal("cameras", *PHOTOS, "-o", "there")
+    assert "error: there: cannot be written (Is a directory)" in error
 
 
-def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, monkeypatch, capsys):
+def test_others_go_on_without_a_photograph_that_cannot_be_placed(photos, slg):
     all_three = [PHOTOS[0], ELSEWHERE, PHOTOS[1]]
     Image.fromarray(np.zeros((*SIZE, 3), np.uint8)).save(ELSEWHERE)
-    assert run(monkeypatch, "field", *all_three, "-o", "field") == 0
-    assert "cameras found of 2 of 3 photographs: " in capsys.readouterr().err
-    field = slg.SemanticField.load("field")
+    status, _, errors = slg("field", *all_three, "-o", "field")
+    assert status == 0 and "cameras found of 2 of 3 photographs: " in errors
+    field = SemanticField.load("field")
     assert list(field.cameras) == PHOTOS
     assert field.settings["cameras"]["left_out"] == {ELSEWHERE: "of another place"}
 
-    assert run(monkeypatch, "cameras", *all_three, "-o", "there/t.json", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["left_out"] == {ELSEWHERE: "of another place"}
+    status, out, _ = slg("cameras", *all_three, "-o", "there/t.json", "--json")
+    assert status == 0 and json.loads(out)["left_out"] == {ELSEWHERE: "of another place"}
     content = json.loads((photos / "there/t.json").read_text())
     assert [frame["file_path"] for frame in content["frames"]] == [f"../{n}" for n in PHOTOS]
     assert content["slgaussian"]["left_out"] == {f"../{ELSEWHERE}": "of another place"}
-    assert run(monkeypatch, "masks", *all_three, "--cameras", "there/t.json", "-o", "ids") == 0
+    status, _, errors = slg("masks", *all_three, "--cameras", "there/t.json", "-o", "ids")
     warned = f"warning: {ELSEWHERE} has no camera, as it could not be estimated, and is left out"
-    assert warned in capsys.readouterr().err
+    assert status == 0 and warned in errors
     valid = datasets.load("nerfstudio", photos / "there/t.json")
     with pytest.raises(InputError, match=r"was left out when cameras were found \(of another"):
         valid.sample([PHOTOS[0], ELSEWHERE])

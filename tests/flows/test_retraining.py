@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from command import run, said
 from prefect.client.orchestration import get_client
 
 from flows.retraining import ARTIFACT, LOCK, RECORD, STATUS
@@ -70,7 +69,7 @@ def named(folder: Path, table: str) -> set[str]:
     return set(pq.read_table(folder / "corpus" / f"{table}.parquet")["clip"].to_pylist())
 
 
-def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch, capsys):
+def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkeypatch, slg):
     first, second, judged = clips
     monkeypatch.delenv(NO_EVENTS, raising=False)  # the server is the user's
     config = tmp_path / "night.toml"
@@ -79,9 +78,9 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     versions = Versions(tmp_path / "models")
 
     def retrain(expected: str) -> str:
-        status, heard = run(monkeypatch, "retrain", config), capsys.readouterr()
-        assert status == STATUS[expected], heard
-        return heard.out + heard.err
+        status, out, errors = slg("retrain", config)
+        assert status == STATUS[expected], errors
+        return out + errors
 
     # A first one, of too few clips to promote anything.
     for clip in (first, judged):
@@ -101,7 +100,7 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     assert "chunks/broken.torch: " in artifact()
 
     # A person puts version 1 to use. Then what it learnt is withdrawn, and something else comes.
-    assert run(monkeypatch, "versions", tmp_path / "models", "--use", "1") == 0
+    assert slg("versions", tmp_path / "models", "--use", "1")[0] == 0
     (tmp_path / "withdrawn.txt").write_text(f"{first.key}\n")
     arrive(tmp_path, second)
     retrain("refused")
@@ -120,13 +119,11 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     assert "nothing new since version 2; version 1 is in use" in retrain("nothing new")
 
 
-def test_settings_that_do_not_fit_are_one_sentence(tmp_path, monkeypatch, capsys):
+def test_settings_that_do_not_fit_are_one_sentence(tmp_path, refusal):
     config = tmp_path / "night.toml"
     config.write_text(CONFIG)
     (tmp_path / "chunks").mkdir()
     (tmp_path / "chunks" / "one.torch").touch()
-    assert run(monkeypatch, "retrain", config) == 2
-    assert "withdrawn.txt: cannot be read" in said(capsys)
+    assert "withdrawn.txt: cannot be read" in refusal("retrain", config)
     config.write_text(CONFIG.replace("replicas", "copies"))
-    assert run(monkeypatch, "retrain", config) == 2
-    assert "night.toml: unknown key 'copies'" in said(capsys)
+    assert "night.toml: unknown key 'copies'" in refusal("retrain", config)

@@ -14,7 +14,7 @@ from PIL import Image
 
 from slgaussian.benchmark.external_predictions import SCORABLE
 from slgaussian.benchmark.protocols import PROTOCOLS
-from tests.flows.command import ROOM, room, run, said, settings, write_photographs
+from tests.flows.command import ROOM, room, settings, write_photographs
 from tests.run_lengths import encode
 
 ROOT = Path(__file__).parents[2]
@@ -115,13 +115,10 @@ def test_another_version_of_its_code_is_asked_again(labelled, made, tmp_path):
     assert changed == {"colours"}
 
 
-def test_scores_of_the_masks_of_a_run_are_those_of_the_run(
-    labelled, made, tmp_path, monkeypatch, capsys
-):
+def test_scores_of_the_masks_of_a_run_are_those_of_the_run(labelled, made, tmp_path, slg):
     out = tmp_path / "scored"
-    assert run(monkeypatch, "score", made, *data(labelled), "-o", out) == 0
-    told = capsys.readouterr()
-    assert "missing" not in told.err and "left out" not in told.err
+    status, printed, errors = slg("score", made, *data(labelled), "-o", out)
+    assert status == 0 and "missing" not in errors and "left out" not in errors
     of_run, again = samples(made), samples(out)
     kept = {key for key in of_run if key[1].partition("@")[0] in SCORABLE}
     assert again.keys() == kept
@@ -133,18 +130,17 @@ def test_scores_of_the_masks_of_a_run_are_those_of_the_run(
         mask = np.asarray(Image.open(file))
         twin = np.asarray(Image.open(out / "predictions" / file.relative_to(made / "predictions")))
         assert np.array_equal(mask, twin)
-    table = {line.split("  ")[0]: line for line in told.out.split("\n\n")[0].splitlines()}
+    table = {line.split("  ")[0]: line for line in printed.split("\n\n")[0].splitlines()}
     ious = [row["iou"] for key, row in again.items() if key[:2] == ("colours", "slgaussian@2")]
     assert f"{np.mean([iou for iou in ious if iou is not None]):.3f}" in table["colours"]
-    assert "protocol slgaussian@2" in told.out
+    assert "protocol slgaussian@2" in printed
     # The folder is one that compare reads, and it finds no difference.
-    assert run(monkeypatch, "compare", made, out) == 0
-    told = capsys.readouterr().out
-    assert "IoU that changed most" not in told
-    assert "+0.000" in told and "+0.001" not in told
+    status, printed, _ = slg("compare", made, out)
+    assert status == 0 and "IoU that changed most" not in printed
+    assert "+0.000" in printed and "+0.001" not in printed
 
 
-def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monkeypatch, capsys):
+def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, slg):
     entries = []
     for key, row in samples(made).items():
         method, protocol, scene, frame, query = key
@@ -160,11 +156,10 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
     (tmp_path / "mine.json").write_text(json.dumps(entries[:-1] + [{**entries[0], "frame": "x"}]))
     out = tmp_path / "out"
     words = ("score", tmp_path / "mine.json", *data(labelled, pairs=False), "-o", out)
-    assert run(monkeypatch, *words) == 0
-    told = capsys.readouterr().err
+    status, _, errors = slg(*words)
     last = entries[-1]["query"]
-    assert f"missing: 1 of {len(entries)} samples have no mask and count as an empty one: " in told
-    assert f" in x of {labelled.name}\n" in told
+    count = f"missing: 1 of {len(entries)} samples have no mask and count as an empty one: "
+    assert status == 0 and count in errors and f" in x of {labelled.name}\n" in errors
     of_run = samples(made)
     for key, row in samples(out).items():
         assert key[:3] == ("mine", "slgaussian@2", labelled.name)
@@ -177,11 +172,11 @@ def test_run_lengths_and_labels_without_an_index(labelled, made, tmp_path, monke
         assert [row[name] for name in names] == [theirs[name] for name in names]
     # A second time with fewer masks leaves none of the first.
     (tmp_path / "mine.json").write_text(json.dumps(entries[:1]))
-    assert run(monkeypatch, *words) == 0
+    assert slg(*words)[0] == 0
     assert len(list((out / "predictions").rglob("*.png"))) == 1
 
 
-def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeypatch, capsys):
+def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, refusal):
     empty, other, out = tmp_path / "empty", tmp_path / "other.json", tmp_path / "out"
     empty.mkdir()
     entry = {"scene": "a", "frame": "b", "query": "c", "size": [1, 1], "counts": [1]}
@@ -197,10 +192,8 @@ def test_what_cannot_be_scored_is_one_sentence(labelled, made, tmp_path, monkeyp
         ((made, "--data", labelled), "data format 'nerfstudio' has no labels of its own"),
         ((made,), "nothing to do"),
     ):
-        assert run(monkeypatch, "score", *words, "-o", out) == 2
-        assert sentence in said(capsys)
+        assert sentence in refusal("score", *words, "-o", out)
         assert not out.exists()
     before = (made / "samples.parquet").read_bytes()
-    assert run(monkeypatch, "score", made, *asked, "-o", made) == 2
-    assert "has the results of a run" in said(capsys)
+    assert "has the results of a run" in refusal("score", made, *asked, "-o", made)
     assert (made / "samples.parquet").read_bytes() == before

@@ -13,10 +13,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from command import run
+from command import files_below, run
 
 from flows.config import RetrainSettings
 from flows.read_config import read_toml
+from flows.training import FILES
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels.seeding import held_out
@@ -87,21 +88,12 @@ def command(folder: Path, out: str = "out", *more: str) -> list[str]:
     return ["train", *map(str, given), *more]
 
 
-def files_in(folder: Path) -> dict[str, bytes]:
-    """Those that are the same from run to run."""
-    files = (file for file in sorted(folder.iterdir()) if file.suffix != ".jsonl")
-    return {file.name: file.read_bytes() for file in files}
-
-
-def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, capsys):
+def test_a_training_leaves_all_and_is_not_done_again(tmp_path, slg):
     table = lessons_of(tmp_path, range(12))
-    assert run(monkeypatch, *command(tmp_path, "out", *FEW)) == 0
-    said = capsys.readouterr()
-    assert "branch  train  cached" not in said.err
-    made = files_in(tmp_path / "out")
-    assert list(made) == [
-        "branch.safetensors", "judgements.parquet", "metrics.parquet", "report.html"
-    ]  # fmt: skip
+    status, _, errors = slg(*command(tmp_path, "out", *FEW))
+    assert status == 0 and "branch  train  cached" not in errors
+    made = files_below(tmp_path / "out")
+    assert made.keys() == set(FILES.values())
     assert load_branch(tmp_path / "out" / "branch.safetensors").architecture == Architecture()
     for name in ("metrics", "judgements"):
         found = pq.read_table(tmp_path / "out" / f"{name}.parquet")
@@ -119,12 +111,11 @@ def test_a_training_leaves_all_and_is_not_done_again(tmp_path, monkeypatch, caps
     # Another order, and other chunks, are no other lessons.
     again = table.take(np.arange(12)[::-1]).set_column(0, table.schema.field(0), [["x"] * 12])
     (tmp_path / "corpus" / "lessons.parquet").write_bytes(encode_table(again, load_spec("lessons")))
-    assert run(monkeypatch, *command(tmp_path, "again", *FEW)) == 0
-    assert "branch  train  cached" in capsys.readouterr().err
-    assert files_in(tmp_path / "again") == made
+    assert "branch  train  cached" in slg(*command(tmp_path, "again", *FEW))[2]
+    assert files_below(tmp_path / "again") == made
 
 
-def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, capsys):
+def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch):
     for name in ("killed", "whole"):
         (tmp_path / name).mkdir()
         lessons_of(tmp_path / name, range(6))
@@ -146,7 +137,7 @@ def test_a_killed_training_goes_on_to_the_same_bytes(tmp_path, monkeypatch, caps
     assert run(monkeypatch, *command(tmp_path / "killed", "out", *long)) == 0
     assert len(steps) in (4, 24)  # after the second checkpoint, or more likely the first
     assert run(monkeypatch, *command(tmp_path / "whole", "out", *long)) == 0
-    assert files_in(tmp_path / "killed" / "out") == files_in(tmp_path / "whole" / "out")
+    assert files_below(tmp_path / "killed" / "out") == files_below(tmp_path / "whole" / "out")
 
 
 def count_steps(monkeypatch) -> list[int]:
@@ -162,19 +153,14 @@ def count_steps(monkeypatch) -> list[int]:
     return steps
 
 
-@pytest.mark.parametrize(
-    ("more", "expected"),
-    [
-        (("--set", "held_out=0.001"), "found 6 training clips and 0 held-out clips"),
-        (("--store", "elsewhere"), "give the --store of `slgaussian supervise`"),
-    ],
-)
-def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, capsys, more, expected):
+def test_what_cannot_be_trained_is_said(tmp_path, monkeypatch, refusal):
     lessons_of(tmp_path, range(6))
     monkeypatch.chdir(tmp_path)
-    few = FEW[:2] if "held_out=0.001" in more else FEW
-    assert run(monkeypatch, *command(tmp_path, "out", *few, *more)) == 2
-    assert expected in capsys.readouterr().err
+    for words, expected in (
+        (("--set", "held_out=0.001"), "found 6 training clips and 0 held-out clips"),
+        (("--store", "elsewhere"), "give the --store of `slgaussian supervise`"),
+    ):
+        assert expected in refusal(*command(tmp_path, "out", *words))
 
 
 def retrain_settings(folder: Path, **more):
@@ -224,18 +210,17 @@ def test_only_better_weights_are_put_to_use(tmp_path):
     assert load_lifting("branch", weights=tmp_path / "models").branch.architecture.hidden == 8
 
 
-def test_versions_are_listed_and_put_to_use(tmp_path, monkeypatch, capsys):
+def test_versions_are_listed_and_put_to_use(tmp_path, slg, refusal):
     versions = Versions(tmp_path / "models")
     for _ in range(2):
         versions.add(bad_branch(), {"asked": {"held_out": 0.4}}, False, "too few clips")
     models = ["versions", tmp_path / "models"]
-    assert run(monkeypatch, *models, "--use", "2") == 0
-    listed = capsys.readouterr().out.splitlines()
-    assert listed[2].startswith("2 *  ") and "  held  too few clips" in listed[2]
+    status, out, _ = slg(*models, "--use", "2")
+    listed = out.splitlines()
+    assert status == 0 and listed[2].startswith("2 *  ") and "  held  too few clips" in listed[2]
     assert listed[-1] == "* in use: version 2"
     for choice in ("7", "two"):
-        assert run(monkeypatch, *models, "--use", choice) == 2
-        assert "expected one of the versions there (1, 2), or none" in capsys.readouterr().err
+        error = refusal(*models, "--use", choice)
+        assert "expected one of the versions there (1, 2), or none" in error
     for choice, last in (("1", "* in use: version 1"), ("none", "none is in use")):
-        assert run(monkeypatch, *models, "--use", choice) == 0
-        assert capsys.readouterr().out.splitlines()[-1] == last
+        assert slg(*models, "--use", choice)[1].splitlines()[-1] == last
