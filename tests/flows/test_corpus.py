@@ -234,9 +234,9 @@ def test_scenes_become_clips_of_chunks(clips, tmp_path, monkeypatch):
     expected = datasets.load("nerfstudio", tmp_path / "kitchen").cameras["view_00.png"]
     np.testing.assert_allclose(clip.view(0).camera.c2w, expected.c2w, atol=1e-6)
     assert len(clip.images) == 2 and output.rows["views"] == 6 + 2
-    reasons = {row["scene"]: row["reason"] for row in table(tmp_path, "failures")}
-    assert "view_01.png: cannot be read" in reasons["kitchen"]
-    assert "transforms.json" in reasons["bad"]
+    reasons = {(row["scene"], row["stage"]): row["reason"] for row in table(tmp_path, "failures")}
+    assert "view_01.png: cannot be read" in reasons["kitchen", "packed"]
+    assert "transforms.json" in reasons["bad", "packed"]
     # What is there stays as it is, and what was withdrawn is not added.
     before = (out / "000000.torch").read_bytes()
     sources = [*(str(tmp_path / name) for name in ("kitchen", "hall")), "procedural:7"]
