@@ -206,7 +206,10 @@ def test_a_bad_scene_costs_itself_alone(output, tmp_path):
     reason = {row["scene"]: row["reason"] for row in rows}
     assert set(reason) == {"bad", "few"} and "transforms.json" in reason["bad"]
     assert "too few for a sample" in reason["few"]
-    card = (tmp_path / "set/README.md").read_text()
+    card = " ".join((tmp_path / "set/README.md").read_text().split())
+    splits = pq.read_table(tmp_path / "set/index.parquet")["split"].to_pylist()
+    counts = f"{splits.count('train')} train and {splits.count('test')} test samples"
+    assert f"The splits have {counts}" in card
     assert "2 frames, clips and samples were refused;" in card
     assert str(tmp_path) not in card
     with pytest.raises(InputError, match="no sample is left of the sources; the reasons are in"):
