@@ -30,7 +30,7 @@ def gaussians_of(
 
     Args:
         disparity: float32 [H, W]
-        raw: float [H, W, 84]. As in :class:`slgaussian.predict.mvsplat.depth.Pixelwise`.
+        raw: float [H, W, 57]. As in :class:`slgaussian.predict.mvsplat.depth.Pixelwise`.
         camera: Of size (H, W).
 
     Returns:
@@ -46,7 +46,7 @@ def gaussians_of(
         "means": _means(offset, depth, camera),
         "scales": size * (depth * pixel),
         "quats": _quats(quat, camera),
-        "sh": (sh.view(len(sh), 3, -1)[..., : len(to_world)] @ to_world.T).mT,
+        "sh": (sh.view(len(sh), 3, -1) @ to_world.T).mT,
     }
 
 

@@ -8,6 +8,7 @@ from itertools import permutations
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
@@ -15,6 +16,9 @@ from slgaussian.scene import Camera
 
 MIN_DEPTH = np.float32(1e-3)
 """Lower bound of depth in the target view, against division by zero."""
+
+CHUNK = 1024
+"""Pixels warped at a time: their samples at all depths take 64 MB."""
 
 REORDERED = {"reassoc", "contract", "nsz"}
 """Fast-math flags for sums, without those that assume away NaN and infinity."""
@@ -32,7 +36,7 @@ def correlate(
 
     A pixel of the reference is unprojected to each depth and projected into the other view, whose
     features are sampled bilinearly with zero padding. Pixel centres have integer coordinates, as
-    in the training of the published networks. Computed on the CPU, whatever the device.
+    in the training of the published networks.
 
     Args:
         features: float [V, C, h, w]
@@ -43,12 +47,15 @@ def correlate(
         float32 [V, h, w, D]: Inner products over sqrt(C).
     """
     views, channels, h, w = features.shape
-    maps = features.permute(0, 2, 3, 1).float().contiguous().cpu().numpy()
-    volume = np.zeros((views, h, w, len(disparities)), np.float32)
+    maps = features.permute(0, 2, 3, 1).float().contiguous()
+    volume = maps.new_zeros(views, h, w, len(disparities))
     for i, j in permutations(range(views), 2):
-        lines = _paths(cameras[i], cameras[j], (h, w))
-        share(_add_products, h, *lines, maps[i], maps[j], disparities.cpu().numpy(), volume[i])
-    return torch.from_numpy(volume).to(features.device).mul_(1 / (channels**0.5 * (views - 1)))
+        lines, arrays = _paths(cameras[i], cameras[j], (h, w)), (maps[i], maps[j], disparities)
+        if features.is_cpu:
+            share(_add_products, h, *lines, *(a.numpy() for a in arrays), volume[i].numpy())
+        else:
+            volume[i] += warped_products(*lines, *arrays)
+    return volume.mul_(1 / (channels**0.5 * (views - 1)))
 
 
 def _paths(
@@ -65,6 +72,30 @@ def _paths(
     pixels = np.stack([u, v, np.ones_like(u)])
     start = K_target @ motion[:3, :3] @ np.linalg.inv(K_reference) @ pixels
     return start.astype(np.float32), (K_target @ motion[:3, 3]).astype(np.float32)
+
+
+def warped_products(
+    start: np.ndarray,
+    offset: np.ndarray,
+    reference: torch.Tensor,
+    target: torch.Tensor,
+    disparities: torch.Tensor,
+) -> torch.Tensor:
+    """Compute what :func:`_add_products` adds, float32 [h, w, D], on any device by warping."""
+    h, w, channels = reference.shape
+    lines = torch.from_numpy(start).to(disparities.device)[..., None]
+    x, y, z = (a + disparities * b for a, b in zip(lines, offset.tolist(), strict=True))
+    z = torch.maximum(z, float(MIN_DEPTH) * disparities)
+    # ``grid_sample`` has the outermost pixel centres at -1 and 1. It gives 0 beyond one pixel
+    # outside, and NaN for infinite positions, which are therefore clamped.
+    grid = torch.stack([x / z / (w - 1), y / z / (h - 1)], -1).mul_(2).sub_(1).clamp_(-3, 3)
+    parts = []
+    for places, features in zip(
+        grid.split(CHUNK), reference.view(h * w, channels).split(CHUNK), strict=True
+    ):
+        warped = F.grid_sample(target.permute(2, 0, 1)[None], places[None], align_corners=True)[0]
+        parts.append(torch.einsum("pc,cpd->pd", features, warped))
+    return torch.cat(parts).view(h, w, -1)
 
 
 @kernel(fastmath=REORDERED)

@@ -20,8 +20,19 @@ CANDIDATES = 128
 DETAIL = 32
 """Channels of the U-Net at full resolution."""
 
-PARAMETERS = 2, 3, 4, 3 * 25
-"""Raw channels of a Gaussian: offset, scale, rotation, and harmonics of degree 0 to 4."""
+PARAMETERS = 2, 3, 4, 3 * 16
+"""Raw channels of a Gaussian: offset, scale, rotation, and harmonics of degree 0 to 3."""
+
+PREDICTED = 25
+"""Harmonics of a colour that the checkpoint predicts; no renderer evaluates the last nine."""
+
+COMPUTED = [*range(9), *(9 + PREDICTED * colour + k for colour in range(3) for k in range(16))]
+"""Channels of the checkpoint's last layer that are :data:`PARAMETERS`."""
+
+STRIP, HALO = 64, 2
+"""Image rows that the last layers process at a time, and rows around them that two 3x3 convolutions
+read. The activations are then small enough for the allocator to reuse memory; fresh memory costs
+more than many layers."""
 
 
 class Pixelwise(NamedTuple):
@@ -30,7 +41,7 @@ class Pixelwise(NamedTuple):
     Attributes:
         disparity: float32 [V, H, W]. Inverse depth.
         opacity: float32 [V, H, W]. In (0, 1).
-        raw: float [V, H, W, 84]. :data:`PARAMETERS`: offset, scale and rotation before their
+        raw: float [V, H, W, 57]. :data:`PARAMETERS`: offset, scale and rotation before their
             activations, and the harmonics of red, green and blue in the camera's frame.
     """
 
@@ -65,7 +76,7 @@ class DepthPredictor(nn.Module):
             Gelu(),
             UNet(DETAIL, levels=5, attention=(16,)),
         )
-        raw = sum(PARAMETERS)
+        raw = 9 + 3 * PREDICTED
         self.to_gaussians = _two_layers(DETAIL + 3 + WIDTH, 2 * raw, raw)
         self.to_disparity = _two_layers(DETAIL, 2 * DETAIL, 2)
 
@@ -90,12 +101,30 @@ class DepthPredictor(nn.Module):
         images = images.to(features.dtype)
         hints = torch.cat([coarse, certainty], 1).to(features.dtype)
         detail = self.refine_unet(torch.cat([images, self.proj_feature(features), hints], 1))
-        raw = self.to_gaussians(torch.cat([detail, images, features], 1)).permute(0, 2, 3, 1)
+        strips = []
+        for top in range(0, images.shape[2], STRIP):
+            first = max(top - HALO, 0)
+            inputs = [x[:, :, first : top + STRIP + HALO] for x in (detail, images, features)]
+            heads = self._heads(inputs[0], torch.cat(inputs, 1))
+            strips.append([head[:, top - first :][:, :STRIP] for head in heads])
+        depth, raw = (torch.cat(parts, 1) for parts in zip(*strips, strict=True))
+        disparity = (coarse[:, 0] + depth[..., 0]).clamp(disparities[0], disparities[-1])
+        return Pixelwise(disparity, depth[..., 1].sigmoid(), raw)
+
+    def _heads(self, detail: torch.Tensor, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return change of disparity and logit of opacity, [V, h, W, 2], and raw [V, h, W, 57]."""
         # Depth in float32, whatever the precision of other layers.
         with torch.autocast(detail.device.type, enabled=False):
-            delta, density = self.to_disparity(detail.float()).unbind(1)
-        disparity = (coarse[:, 0] + delta).clamp(disparities[0], disparities[-1])
-        return Pixelwise(disparity, density.sigmoid(), raw)
+            depth = self.to_disparity(detail.float())
+        first, activation, last = self.to_gaussians
+        assert isinstance(last, nn.Conv2d) and last.bias is not None
+        # Zeros up to a multiple of 16: the convolution is twice as fast with whole vectors.
+        padding = -len(COMPUTED) % 16
+        weight = F.pad(last.weight[COMPUTED], (0, 0, 0, 0, 0, 0, 0, padding))
+        raw = F.conv2d(
+            activation(first(x)), weight, F.pad(last.bias[COMPUTED], (0, padding)), padding=1
+        )
+        return depth.permute(0, 2, 3, 1), raw.permute(0, 2, 3, 1)[..., : len(COMPUTED)]
 
     def _coarse(
         self, matched: torch.Tensor, correlation: torch.Tensor, disparities: torch.Tensor

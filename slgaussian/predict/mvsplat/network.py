@@ -33,5 +33,6 @@ class Network(nn.Module):
         """
         disparities = spread(near, far, CANDIDATES).to(images.device)
         local, matched = self.backbone(images)
-        correlation = correlate(matched, cameras, disparities).permute(0, 3, 1, 2)
+        with torch.autocast(images.device.type, enabled=False):
+            correlation = correlate(matched, cameras, disparities).permute(0, 3, 1, 2)
         return self.depth_predictor(images, local, matched, correlation, disparities)

@@ -17,6 +17,7 @@ import torch
 
 from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.predict.mvsplat import adapter
+from slgaussian.predict.mvsplat.depth import COMPUTED
 from slgaussian.rasterize import harmonics
 from tests.predict.textured_planes import camera
 from tests.rasterize.test_harmonics import scipy_basis
@@ -70,7 +71,10 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     gaussians = Gaussians(
         **fields, opacities=message.opacity.flatten(), source=torch.arange(count, dtype=torch.int32)
     )
-    # Ours are coefficients of another basis, and without those that nothing draws.
+    # Of 84 and 25 numbers ours leaves out those that nothing draws.
+    raw = torch.full((count, 84), torch.nan)
+    raw[:, COMPUTED] = message.raw.reshape(count, -1)
+    # And ours are coefficients of another basis.
     cycled = torch.from_numpy(harmonics.rotation_matrix(adapter.CYCLE)).float()
     sh = torch.full((count, 3, 25), torch.nan)
     sh[..., :16] = gaussians.sh.mT @ cycled.T
@@ -78,7 +82,7 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     observed |= {
         "depths": 1 / message.disparity,
         "densities": message.opacity,
-        "raw_gaussians": message.raw,
+        "raw_gaussians": raw,
         "scales_local": gaussians.scales,
         "means": gaussians.means,
         "covariances": factor @ factor.mT,
@@ -112,8 +116,8 @@ def e3nn_basis(directions: np.ndarray) -> np.ndarray:
 
     y is the polar axis and the azimuth goes from z to x; without the phase, degree 1 is (x, y, z).
     """
-    x, y, z = directions.T
-    return scipy_basis(np.arccos(y), np.arctan2(x, z), 3, phase=False)
+    phase = [(-1) ** m for degree in range(4) for m in range(-degree, degree + 1)]
+    return scipy_basis(directions[:, [2, 0, 1]], 3) * phase
 
 
 def test_the_basis_is_that_of_e3nn(reference):
@@ -126,7 +130,7 @@ def test_lifted_gaussians_have_these_colours():
     """As the renderer sees them, in float32: positions, order of channels and 0.5 included."""
     first = camera(size=(8, 8), focal=10.0, x=0.4, y=-0.2, turn=0.5)
     generator = torch.Generator().manual_seed(0)
-    raw = torch.randn(8, 8, 84, generator=generator)
+    raw = torch.randn(8, 8, 57, generator=generator)
     fields = adapter.gaussians_of(torch.full((8, 8), 0.5), raw, first)
     rest = {"opacities": torch.ones(64), "source": torch.arange(64, dtype=torch.int32)}
     gaussians, eye = Gaussians(**fields, **rest), np.array([0.3, 1.0, -0.7])
@@ -135,7 +139,7 @@ def test_lifted_gaussians_have_these_colours():
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     Y = e3nn_basis(d * [-1, 1, -1] @ first.c2w[:3, :3])
     Y *= np.repeat([1, 0.025, 0.00625, 0.0015625], [1, 3, 5, 7])
-    predicted = raw.double().numpy().reshape(64, 84)[:, 9:].reshape(64, 3, 25)[..., :16]
+    predicted = raw.double().numpy().reshape(64, 57)[:, 9:].reshape(64, 3, 16)
     published = np.maximum(0, 0.5 + np.einsum("nk,nck->nc", Y, predicted))
     # Measured 2e-7.
     np.testing.assert_allclose(harmonics.colors(gaussians, window), published, atol=1e-6)

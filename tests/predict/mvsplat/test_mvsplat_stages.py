@@ -1,5 +1,8 @@
 """Fast ways against obvious ones: windows, correlation."""
 
+from functools import partial
+from itertools import permutations
+
 import pytest
 import torch
 import torch.nn.functional as F
@@ -63,3 +66,22 @@ def test_correlation_is_that_of_warped_features(rig):
     # Values are up to 5. float32 positions are 2e-6 pixels off, and 2e-5 where a point is beside
     # the other camera and flies through its image.
     assert (fast - plain).abs().max() < 2e-4
+    anywhere = torch.zeros_like(fast)
+    maps = features.permute(0, 2, 3, 1).contiguous()
+    for i, j in permutations(range(len(cameras)), 2):
+        lines = cost_volume._paths(cameras[i], cameras[j], (15, 20))
+        anywhere[i] += cost_volume.warped_products(*lines, maps[i], maps[j], disparities)
+    assert (anywhere / (32**0.5 * (len(cameras) - 1)) - plain).abs().max() < 2e-4
+
+
+def test_strips_leave_no_seams(network, monkeypatch):
+    generator = torch.Generator().manual_seed(0)
+    sizes = (3, 48, 32), (128, 12, 8), (128, 12, 8), (128, 12, 8)
+    inputs = [torch.rand(2, *size, generator=generator) for size in sizes]
+    predict = partial(network.depth_predictor, *inputs, cost_volume.spread(1.0, 100.0, 128))
+    with torch.no_grad():
+        whole = predict()
+        monkeypatch.setattr("slgaussian.predict.mvsplat.depth.STRIP", 20)
+        strips = predict()
+    for first, second in zip(whole, strips, strict=True):
+        torch.testing.assert_close(first, second, rtol=0, atol=5e-6)
