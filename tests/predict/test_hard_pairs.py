@@ -7,6 +7,7 @@ stands what was measured, with about half of it again as a margin.
 from collections.abc import Iterator
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -66,16 +67,42 @@ def pair(left=(), right=(), **settings) -> Sample:
     return stage(camera(**LEFT | dict(left)), camera(**RIGHT | dict(right)), **settings)
 
 
-def another_white_balance() -> Sample:
-    """One view has half as much red again and a third less blue."""
+def exposed(gain: float | tuple[float, float, float]) -> Sample:
+    """One view has so many times the light; some of it may be clipped."""
     first = photograph("view0", camera(**LEFT))
-    return Sample("stage", (first, photograph("view1", camera(**RIGHT), gain=(1.5, 1.0, 0.67))))
+    return Sample("stage", (first, photograph("view1", camera(**RIGHT), gain=gain)))
+
+
+def out_of_focus() -> Sample:
+    """One view blurred by 1.5 pixels."""
+    first, second = pair().context
+    blurred = replace(second, image=cv2.GaussianBlur(second.image, (0, 0), 1.5))
+    return Sample("stage", (first, blurred))
 
 
 CROP, FAR = {"yaw": -15, "pitch": -10}, {"forward": -20, "focal": 900}
 PROMISED = {
     # Nothing: what the others are compared with.
     "side_by_side": (pair, 0.03, 0.011, 0.96),  # .020 .0064 .977
+    "vertical_baseline": (
+        lambda: stage(camera(down=-0.2), camera(down=0.2)),
+        *(0.025, 0.011, 0.97),  # .014 .0062 .988
+    ),
+    # 0.7 m apart, each turned inwards by 8 degrees.
+    "converging_views": (
+        lambda: pair({"right": -0.35, "yaw": 8}, {"right": 0.35, "yaw": -8}),
+        *(0.04, 0.01, 0.93),  # .024 .0048 .954
+    ),
+    # One camera 1.2 m behind the other, so that everything is half as large again in one.
+    "one_view_far_behind": (
+        lambda: stage(camera(right=0.1, forward=0.4), camera(forward=-0.8)),
+        *(0.04, 0.02, 0.945),  # .026 .012 .969
+    ),
+    # 1.4 m apart at 1.8 to 3.5 m: what is seen from 30 degrees aside looks different.
+    "wide_angle_between_the_views": (
+        lambda: pair({"right": -0.7, "yaw": 4}, {"right": 0.7, "yaw": -4}),
+        *(0.055, 0.005, 0.91),  # .036 .0020 .939
+    ),
     # Straight ahead: the epipole, where nothing moves, is in the middle of both images.
     "forward_motion": (
         lambda: stage(camera(forward=-0.3), camera(forward=0.3)),
@@ -93,9 +120,16 @@ PROMISED = {
     ),
     # One camera held upright, the other across.
     "quarter_turn": (lambda: pair((), {"roll": 90}), 0.03, 0.012, 0.96),  # .019 .0067 .979
+    "upside_down": (lambda: pair((), {"roll": 180}), 0.037, 0.016, 0.955),  # .024 .010 .976
     "poses_a_little_wrong": (poses_a_little_wrong, 0.07, 0.06, 0.96),  # .047 .042 .977
-    # The baseline is 4e3.
-    "scene_units": (lambda: in_units(1e4), 0.03, 0.011, 0.96),  # .020 .0064 .975
+    # The baseline is 4e-4 and 4e3.
+    "units_of_a_kilometre": (lambda: in_units(1e-3), 0.03, 0.011, 0.96),  # .020 .0064 .977
+    "units_of_a_tenth_of_a_mm": (
+        lambda: in_units(1e4),
+        0.03,
+        0.011,
+        0.96,
+    ),  # .020 .0064 .975
     # One more to the right and one above.
     "three_views": (
         lambda: stage(camera(), camera(right=0.35), camera(right=-0.1, down=-0.25)),
@@ -116,6 +150,16 @@ PROMISED = {
         lambda: pair({"focal": (150, 100)}, {"focal": (160, 105)}),
         *(0.032, 0.011, 0.955),  # .021 .0066 .975
     ),
+    # Higher than wide.
+    "portrait_images": (
+        lambda: pair({"size": (160, 120)}, {"size": (160, 120)}),
+        *(0.027, 0.011, 0.98),  # .016 .0061 .994
+    ),
+    # 116 degrees across.
+    "wide_angle_lens": (
+        lambda: pair({"focal": 50}, {"focal": 50}),
+        *(0.05, 0.04, 0.98),  # .030 .023 .993
+    ),
     # 10 degrees across, from 22 m, 150 baselines away.
     "long_lens": (
         lambda: pair({"right": -0.075, **FAR}, {"right": 0.075, **FAR}),
@@ -123,7 +167,11 @@ PROMISED = {
     ),
     # A twentieth of the light: the brightest parts are at 60 of 255.
     "dark_photographs": (lambda: pair(gain=0.05), 0.03, 0.01, 0.955),  # .020 .0054 .972
-    "another_white_balance": (another_white_balance, 0.03, 0.011, 0.96),  # .020 .0066 .976
+    # A standard deviation of 5 % of full scale.
+    "sensor_noise": (lambda: pair(noise=0.05), 0.04, 0.014, 0.935),  # .025 .0077 .958
+    "out_of_focus": (out_of_focus, 0.05, 0.022, 0.94),  # .032 .013 .962
+    "exposure_change": (lambda: exposed(2.0), 0.03, 0.011, 0.96),  # .020 .0066 .976
+    "white_balance": (lambda: exposed((1.5, 1.0, 0.67)), 0.03, 0.011, 0.96),  # .020 .0066 .976
 }
 """Bounds of the mean and median relative error and of the share within 1.25 of the truth."""
 
