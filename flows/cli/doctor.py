@@ -37,10 +37,10 @@ def doctor(
 ) -> None:
     """Check the requirements of a run, and give advice.
 
-    Checks packages, threads, the store, the Prefect server, and the files and models of options;
-    prints for each ok, or BAD with advice. Models are loaded and tested. Nothing is downloaded. The
-    exit status is 1 if anything is BAD. --components and --schema print components or the schema of
-    configuration files instead.
+    Checks packages, threads, the store, the Prefect server, numerical errors of hard cases on this
+    machine, and the files and models of options; prints for each ok, or BAD with advice. Models are
+    loaded and tested. Nothing is downloaded. The exit status is 1 if anything is BAD. --components
+    and --schema print components or the schema of configuration files instead.
 
     \b
     slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786
@@ -67,6 +67,7 @@ def doctor(
         _passes("threads", lambda: f"{threads.cores()} cores"),
         _passes("store", _store, settings.store, opened),
         _passes("server", _server, *opened),
+        _passes("numerics", _numerics),
     ]
     if "runner" in settings.model_fields_set:
         checks.append(_passes("runner", _runner, settings.runner))
@@ -154,6 +155,21 @@ def _server(store: Any = None) -> str:
     ):
         ready()
     return "Prefect's server starts and answers"
+
+
+def _numerics() -> str:
+    """Compare the kernels with float64 on hard cases."""
+    from slgaussian.benchmark.hard_cases import measure_hard_cases
+
+    cases = measure_hard_cases()
+    wrong = [
+        f"{case.part}, {case.case}: {case.error:.1e} {case.measure}, expected {case.bound:.0e}"
+        for case in cases
+        if not case.good
+    ]
+    if wrong:
+        raise InputError(f"{'; '.join(wrong)}; report this, with `lscpu` and `pip list`")
+    return f"{len(cases)} hard cases are within their bounds of float64"
 
 
 def _runner(runner: str) -> str:

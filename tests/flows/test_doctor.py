@@ -30,7 +30,7 @@ def test_a_healthy_installation(server, tmp_path, examined):
     status, told = examined("--store", tmp_path / "store")
     assert told["BAD"] == [] and status == 0
     names = [line.split()[0] for line in told["ok"]]
-    assert names == ["slgaussian", "packages", "threads", "store", "server"]
+    assert names == ["slgaussian", "packages", "threads", "store", "server", "numerics"]
     assert f"torch {torch.__version__}, numpy {np.__version__}" in told["ok"][1]
     assert f"server Prefect's server {version('prefect')} answers at {server.url}" in told["ok"]
 
@@ -58,7 +58,7 @@ def test_a_store_that_cannot_be_used_is_one_line(server, tmp_path, examined):
         status, told = examined("--store", store)
         assert status == 1 and len(told["BAD"]) == 1
         assert said in told["BAD"][0]
-        assert len(told["ok"]) == 4
+        assert len(told["ok"]) == 5
 
 
 def test_a_server_that_does_not_answer(tmp_path, monkeypatch, examined):
