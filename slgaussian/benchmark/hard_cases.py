@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -65,7 +66,7 @@ def _renderings() -> Iterator[HardCase]:
     z = rng.uniform(2, 6, n)
     at = (rng.uniform(-0.1, 1.1, (n, 2)) - 0.5) * (WIDTH, HEIGHT) / K[0, 0]
     sight = np.column_stack([at, np.ones(n)])
-    cloud = {
+    cloud: dict[str, Any] = {
         "means": sight * z[:, None],
         "scales": rng.uniform(0.01, 0.3, (n, 3)),
         "quats": rng.normal(size=(n, 4)),
