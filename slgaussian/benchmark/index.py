@@ -157,12 +157,15 @@ def _read_published(path: Path, content: Mapping[str, Any]) -> Index:
         if entry is None:
             continue
         clip = check_document(_Clip, entry, f"{path}: clip {key!r}")
-        context, targets = (list(map(str, frames)) for frames in (clip.context, clip.target))
+        context, targets = (
+            [str(frame) for frame in dict.fromkeys(frames)]
+            for frames in (clip.context, clip.target)
+        )
         for name in targets:
             if name in context:
                 left_out[f"{key}/{name}"] = "is both context and target; a target must be held out"
         held_out = [name for name in targets if name not in context]
-        if len(set(context)) < 2 or not held_out:
+        if len(context) < 2 or not held_out:
             left_out[key] = (
                 f"context {context} and target {targets}: expected two views and a third"
             )

@@ -95,6 +95,9 @@ def test_clips_of_a_published_index_are_pairs_without_categories(tmp_path):
     index = read_index(write(file, clips))
     assert [pair.target for pair in index.scenes.values()] == [("53",)]
     assert sorted(index.left_out) == ["ab/81", "cd", "cd/1", "cd/9"]
+    # A frame that is listed twice is one view.
+    twice = {"context": [58, 58, 133], "target": [84, 102, 84]}
+    assert read_index(write(file, {"ab": twice})) == expected
     for change in ({"context": [-1]}, {"target": ["a"]}):
         message = r"clip 'a': (context|target).0: found (-1|'a'); "
         with pytest.raises(InputError, match=message):
