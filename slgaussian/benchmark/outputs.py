@@ -79,8 +79,8 @@ def clear_predictions(rows: Sequence[Row], out: str | Path) -> None:
         return
     for path in obsolete:
         (out / "predictions" / path).unlink(missing_ok=True)
-        with suppress(OSError):  # not empty, or missing
-            for folder in list(path.parents)[:-1]:
+        for folder in list(path.parents)[:-1]:
+            with suppress(OSError):  # not empty, or missing
                 (out / "predictions" / folder).rmdir()
 
 

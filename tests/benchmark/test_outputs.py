@@ -39,18 +39,21 @@ def test_masks_of_an_earlier_run_go_and_nothing_else(tmp_path, result):
     other = [row | {"method": "other"} for row in result.rows]
     for rows in (result.rows, other):
         write_predictions(rows, masks_of(result), tmp_path / "predictions")
-    write_samples([*result.rows, *other], tmp_path)
+    write_samples([*result.rows, *other, {**result.rows[0], "method": "third"}], tmp_path)
     before = set(tmp_path.rglob("*.png"))
     notes = tmp_path / "predictions" / "other" / "notes.txt"
     foreign = tmp_path / "predictions" / "yet another" / "a.png"
     foreign.parent.mkdir()
     for file in (notes, foreign):
         file.write_text("mine")
+    emptied = tmp_path / "predictions" / "third" / "slgaussian"
+    emptied.mkdir(parents=True)  # the user deleted what was in it
     few = [row for row in result.rows if row["query"] == result.rows[0]["query"]]
     clear_predictions(few, tmp_path)
     left = {tmp_path / "predictions" / mask_path(row) for row in few} & before
     assert left and set(tmp_path.rglob("*.png")) == left | {foreign} and notes.exists()
     assert not (tmp_path / "predictions" / "other" / "slgaussian").exists()
+    assert not emptied.parent.exists()
     # Again, or without a table of samples, nothing happens.
     clear_predictions(few, tmp_path)
     for table in (b"no table", None):
