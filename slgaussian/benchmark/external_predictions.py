@@ -108,7 +108,8 @@ class Predictions:
         A frame may lack its folder and suffix, and names may be file names.
         """
         path = Path(frame)
-        names = [(scene, name, query) for name in (frame, str(path.with_suffix("")), path.stem)]
+        frames = frame, path.with_suffix("").as_posix(), path.stem
+        names = [(scene, name, query) for name in frames]
         names.append((file_name(scene), file_name(path.stem), file_name(query)))
         keys = ((method, of, *name) for of in (protocol, "") for name in names)
         return next((key for key in keys if key in self.masks), None)

@@ -54,10 +54,12 @@ def exact_accuracy(labels: np.ndarray, truths: Sequence[np.ndarray]) -> float:
     This is scikit-learn's multilabel accuracy: the pixel must belong to exactly one true class, and
     that class must win. Arguments are those of :func:`class_ious`.
     """
-    stack = np.array(truths)
-    wins = labels == np.arange(1, len(stack) + 1)[:, None, None]
-    right = (wins & stack).any(0) & (stack.sum(0) == 1)
-    return float(np.count_nonzero(right) / labels.size)
+    right = np.zeros(labels.shape, bool)
+    claims = np.zeros(labels.shape, np.int32)
+    for k, truth in enumerate(truths, start=1):
+        right |= (labels == k) & truth
+        claims += truth
+    return float(np.count_nonzero(right & (claims == 1)) / labels.size)
 
 
 def point_in_mask(point: tuple[float, float] | None, mask: np.ndarray) -> bool:

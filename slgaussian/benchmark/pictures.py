@@ -199,9 +199,9 @@ def spotlight(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 def draw_outline(image: np.ndarray, mask: np.ndarray, color: tuple[int, int, int]) -> np.ndarray:
     """Return a copy with the outline of ``mask`` and a dark rim, visible on any background."""
     out = image.copy()
-    width = max(2, round(image.shape[1] / 290))
-    cv2.drawContours(out, _contours(mask), -1, (0, 0, 0), width + 1, cv2.LINE_AA)
-    cv2.drawContours(out, _contours(mask), -1, color, width, cv2.LINE_AA)
+    contours, width = _contours(mask), max(2, round(image.shape[1] / 290))
+    cv2.drawContours(out, contours, -1, (0, 0, 0), width + 1, cv2.LINE_AA)
+    cv2.drawContours(out, contours, -1, color, width, cv2.LINE_AA)
     return out
 
 

@@ -59,6 +59,9 @@ def test_a_hole_is_cut_out_of_its_own_object_only(tmp_path):
     inside = np.zeros((24, 40), bool)
     inside[10:15, 11:20] = True  # the edge of a hole belongs to the object
     cut = read(tmp_path, ring)["crate"]
+    # Even-odd: the middle of a star, which two of its points overlap, is outside.
+    star = read(tmp_path, thing("star", [[20, 1], [27, 22], [6, 8], [34, 8], [13, 22]]))["star"]
+    assert star[[4, 9, 12, 20], [20, 11, 20, 24]].tolist() == [True, True, False, True]
     assert np.array_equal(cut, read(tmp_path, thing("crate", outer))["crate"] & ~inside)
     # Another piece of the category, seen through the hole.
     piece = thing("crate", [[12, 11], [16, 11], [16, 13], [12, 13]])

@@ -32,8 +32,7 @@ def scene_of(result: SceneResult, truth, *rivals, name: str = "") -> Scene:
     return Scene(name, result.dataset, rows, result.scene_metrics, *data)
 
 
-@pytest.fixture(scope="module")
-def both(result, truth) -> Report:
+def make_report(result, truth) -> Report:
     """Make the report of one scene by two methods, of which the other has half the scores."""
     half = [
         {**row, "method": "query-2d"}
@@ -41,6 +40,16 @@ def both(result, truth) -> Report:
         for row in result.rows
     ]
     return run_report([scene_of(result, truth, half)], MANIFEST)
+
+
+@pytest.fixture(scope="module")
+def both(result, truth) -> Report:
+    return make_report(result, truth)
+
+
+def test_the_same_results_give_the_same_bytes(both, result, truth):
+    again = make_report(result, truth)
+    assert (again.as_html(), again.as_markdown()) == (both.as_html(), both.as_markdown())
 
 
 def leading(result):
