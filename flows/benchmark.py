@@ -26,6 +26,7 @@ from flows.runners.session import (
     completed,
     publish,
     run_session,
+    stages_to_refresh,
     writing,
 )
 from flows.runners.task_runners import Workers, open_workers
@@ -60,6 +61,9 @@ from tasks.stage import Stage
 
 BUILDING = ("geometry", "masks", "supervision", "field")
 """Stages that build a field from a sample."""
+
+REFRESHABLE = [stage.name for stage in (*STAGES, baselines, report)]
+"""Stages that ``refresh`` may name."""
 
 SWEPT = len(STAGES) - 1
 """Number of stages of a scene in a sweep: all but attribution."""
@@ -120,6 +124,7 @@ def check(config: Settings, store: ArtifactStore) -> None:
     for settings in (config, *(variant.settings for variant in combinations(config))):
         settings.built_by.check()
     chosen_baselines(config.against)
+    stages_to_refresh(config, REFRESHABLE)
     store.check_writable()
     check_folder(config.out)
     check_places([scene.name for scene in scenes], config.out)
@@ -129,7 +134,8 @@ def _score(config: Settings, store: ArtifactStore, verbose: bool) -> RunResult:
     check(config, store)
     scenes, notes = scenes_of(config)
     variants, method = combinations(config), config.built_by
-    with open_workers(config.runner, config.workers, store) as workers:
+    refresh = stages_to_refresh(config, REFRESHABLE)
+    with open_workers(config.runner, config.workers, store, refresh) as workers:
         progress = Progress(len(scenes), len(STAGES), verbose=verbose)
         for text in (f"with {', '.join(part.name for part in method.components)}", *notes):
             progress.line(text)

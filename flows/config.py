@@ -221,6 +221,9 @@ class Engine(Config):
     workers: int = Field(
         min(2, threads.cores()), ge=1, description="Number of concurrent scenes (or chunks)."
     )
+    refresh: list[str] = Field(
+        [], description="Stages to recompute, with all stages that depend on them."
+    )
 
 
 class Settings(Engine, Method):

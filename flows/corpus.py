@@ -15,7 +15,7 @@ from prefect.states import State
 from flows.clip_sources import Clips, choose_samples, map_sources, sources_of
 from flows.config import CorpusSettings
 from flows.runners.batches import Failure, write_failures
-from flows.runners.session import check_folder, completed, run_session, writing
+from flows.runners.session import check_folder, completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import open_workers
 from slgaussian.components.method import Method
 from slgaussian.datasets import re10k
@@ -116,7 +116,8 @@ def _prepare(
 ) -> tuple[Prepared, Clips]:
     """Run a pipeline with these stages on all sources, and write their tables."""
     check(config, store)
-    with open_workers(config.runner, config.workers, store) as workers:
+    refresh = stages_to_refresh(config, (packed.name, *stages))
+    with open_workers(config.runner, config.workers, store, refresh) as workers:
         clips = map_sources(config, workers, pipeline, arguments, len(stages), verbose)
     with writing(config.out):
         rows = {

@@ -19,7 +19,7 @@ from flows.clip_sources import Clips, choose_samples, map_sources
 from flows.config import DatasetSettings
 from flows.data_card import write_card
 from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
-from flows.runners.session import completed, run_session, writing
+from flows.runners.session import completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import open_workers
 from flows.shard_writing import Finished, write_shards
 from slgaussian.components.method import Method
@@ -74,7 +74,9 @@ def check(config: DatasetSettings, store: ArtifactStore) -> None:
 
 def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> TrainingSetResult:
     check(config, store)
-    with open_workers(config.runner, config.workers, store) as workers:
+    stages = packed, views, pairs, *SAMPLES
+    refresh = stages_to_refresh(config, [stage.name for stage in stages])
+    with open_workers(config.runner, config.workers, store, refresh) as workers:
         arguments = Bounds.of(config), config.targets
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
         places = Places()
@@ -88,7 +90,6 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
             f"{config.out}: no sample is left of the sources; the reasons are in "
             f"{config.out / 'failures.parquet'}"
         )
-    stages = packed, views, pairs, *SAMPLES
     versions = {stage.name: stage.version for stage in stages}
     with writing(config.out):
         written = write_shards(config.out, finished, store, int(config.shard_mb * 1e6))

@@ -44,6 +44,8 @@ class RunContext:
         scene: Name of the scene in events and in Prefect's page.
         workers: Number of concurrent scenes on this machine.
         notify: callable. Receives every :class:`StageEvent`.
+        refresh: frozenset of str. Names of stages to recompute, with the stages that depend on
+            them.
         refs: {stage: ArtifactRef}. Results of the stages so far.
         stage, key: The running stage and its cache key.
         results: {digest: StageResult}. The same results as Prefect task results.
@@ -53,6 +55,7 @@ class RunContext:
     scene: str = ""
     workers: int = 1
     notify: Notify = lambda event: None
+    refresh: frozenset[str] = frozenset()
     refs: dict[str, ArtifactRef] = field(default_factory=dict)
     stage: str = ""
     key: str = ""

@@ -143,9 +143,9 @@ class Stage:
         bound.apply_defaults()
         arguments = dict(list(bound.arguments.items())[1:])
         start = time.perf_counter()
-        digests = [ref.digest for ref in refs_in(arguments)]
-        edges = [run.results[digest] for digest in digests if digest in run.results]
-        result = self.task(edges, quote(arguments))  # type: ignore[call-overload]
+        refs = list(refs_in(arguments))
+        edges = [run.results[ref.digest] for ref in refs if ref.digest in run.results]
+        result = self.task(edges, quote(refs), quote(arguments))  # type: ignore[call-overload]
         cached = isinstance(result, State)
         stage_result = result.result() if cached else result
         run.refs[self.name] = ref = stage_result.ref
@@ -155,17 +155,20 @@ class Stage:
         return ref
 
     def _find_or_compute(
-        self, inputs: list[StageResult], arguments: dict[str, Any]
+        self, inputs: list[StageResult], refs: list[ArtifactRef], arguments: dict[str, Any]
     ) -> State | StageResult:
-        """Run as a Prefect task: ``inputs``, results of other stages, are for its graph."""
+        """Run as a Prefect task: ``inputs`` are for its graph, ``refs`` those in the arguments."""
         run = current_run()
         run.key = cache_key(self.name, self.version, arguments)
         records = Records(run.store)
-        if (stored := records.find(run.key)) is not None:
+        refresh = self.name in run.refresh or any(ref.meta.get("refreshed") for ref in refs)
+        if not refresh and (stored := records.find(run.key)) is not None:
             message = "found in the store"
             return Completed(name="Cached", message=message, data=StageResult(stored))
         ref = self._computed(run, arguments)
         records.keep(run.key, ref)
+        if refresh:
+            ref = replace(ref, meta={**ref.meta, "refreshed": True})
         return StageResult(ref)
 
     def _computed(self, run: RunContext, arguments: Mapping[str, Any]) -> ArtifactRef:

@@ -98,29 +98,33 @@ class StoppedError(SLGaussianError):
 def run_batch(label: str, pickled: bytes) -> list[SceneResult]:
     """Run the pipelines of a batch of scenes sequentially.
 
-    ``pickled`` are the store's root, the scene tasks and the number of workers. Arguments are
-    pickled for threads too, so that all task runners behave alike. Events are sent to the flow if
-    it is in this process. DamagedError if a scene needs a damaged artifact.
+    ``pickled`` are the store's root, the scene tasks, the number of workers and the stages to
+    recompute. Arguments are pickled for threads too, so that all task runners behave alike. Events
+    are sent to the flow if it is in this process. DamagedError if a scene needs a damaged artifact.
     """
-    root, scene_tasks, workers = pickle.loads(pickled)
+    root, scene_tasks, workers, refresh = pickle.loads(pickled)
     store, enclosing = ArtifactStore(root), enclosing_run()
     results = []
     for scene_task in scene_tasks:
         events: list[StageEvent] = []
         notify = events.append if enclosing is None else enclosing.notify
-        refs, failure = compute_scene(scene_task, store, workers, notify)
+        refs, failure = compute_scene(scene_task, store, workers, notify, refresh)
         results.append(SceneResult(scene_task.scene, refs, failure, events))
     return results
 
 
 def compute_scene(
-    scene_task: SceneTask, store: ArtifactStore, workers: int, notify: Notify
+    scene_task: SceneTask,
+    store: ArtifactStore,
+    workers: int,
+    notify: Notify,
+    refresh: frozenset[str] = frozenset(),
 ) -> tuple[dict[str, ArtifactRef], Failure | None]:
     """Return the refs of all stages, or of those before the one that failed, and its failure.
 
     DamagedError if it needs a damaged artifact.
     """
-    run = RunContext(store, scene_task.scene, workers, notify, stage=scene_task.first)
+    run = RunContext(store, scene_task.scene, workers, notify, refresh, stage=scene_task.first)
     try:
         with run_context(run):
             scene_task.pipeline(*scene_task.arguments)
@@ -160,7 +164,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
         news.put(event)
 
     def submit(scenes: list[SceneTask]) -> None:
-        batch = workers.store.root, scenes, workers.count
+        batch = workers.store.root, scenes, workers.count, workers.refresh
         label = scenes[0].scene + (f" and {len(scenes) - 1} more" if scenes[1:] else "")
         future = workers.submit(run_batch, {"label": label, "pickled": pickle.dumps(batch)})
         running[future] = scenes, workers.runner

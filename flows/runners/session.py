@@ -18,7 +18,7 @@ from prefect.states import Completed, State
 from flows.runners import logger
 from flows.runners.batches import Failure
 from flows.runners.task_runners import NO_EVENTS
-from slgaussian.errors import InputError
+from slgaussian.errors import InputError, did_you_mean
 from slgaussian.io import write_atomic
 from slgaussian.storage.provenance import Provenance, record_provenance
 from slgaussian.storage.store import ArtifactStore, DamagedError
@@ -89,6 +89,17 @@ def completed(
         message += f"; left out: {', '.join(names[:NAMED])}{rest}"
     RESULTS[:] = [result]
     return Completed(name=name, message=message, data=result)
+
+
+def stages_to_refresh(config: Any, stages: Sequence[str]) -> frozenset[str]:
+    """Return ``config.refresh``; InputError if an element is no stage of the flow."""
+    for name in config.refresh:
+        if name not in stages:
+            raise InputError(
+                f"refresh: found {name!r}, expected one of the stages {', '.join(stages)}"
+                f"{did_you_mean(name, stages)}"
+            )
+    return frozenset(config.refresh)
 
 
 @contextmanager

@@ -57,10 +57,12 @@ class Workers:
     Attributes:
         store: Store of the results.
         count: Number of concurrent tasks.
+        refresh: frozenset of str. Stages to recompute.
     """
 
     store: ArtifactStore
     count: int
+    refresh: frozenset[str]
     runner: TaskRunner[Any]
     stack: ExitStack
 
@@ -83,7 +85,9 @@ class Workers:
 
 
 @contextmanager
-def open_workers(name: str, count: int, store: ArtifactStore) -> Iterator[Workers]:
+def open_workers(
+    name: str, count: int, store: ArtifactStore, refresh: frozenset[str] = frozenset()
+) -> Iterator[Workers]:
     """Open the task runner of a name, within a Prefect flow.
 
     When a signal ends the block, workers are killed, so that the program ends immediately.
@@ -96,7 +100,7 @@ def open_workers(name: str, count: int, store: ArtifactStore) -> Iterator[Worker
     with ExitStack() as stack:
         try:
             runner = stack.enter_context(_task_runner(name, count))
-            workers = Workers(store, count, runner, stack)
+            workers = Workers(store, count, refresh, runner, stack)
             if "://" in name:
                 _check_workers(name, workers)
             yield workers

@@ -79,6 +79,17 @@ def test_a_raised_version_recomputes_the_stage(runs, monkeypatch):
     assert runs()[1] == ["a add", "b add"]
 
 
+def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
+    log = tmp_path / "log"
+    first = run_tiny(store, {"a": tiny(6, 1, log)})
+    log.write_text("")
+    rerun = run_tiny(store, {"a": tiny(6, 1, log)}, refresh=("halve",))
+    assert log.read_text().splitlines() == ["a halve", "a add"] and rerun.refs == first.refs
+    log.write_text("")
+    run_tiny(store, {"a": tiny(6, 1, log)})
+    assert log.read_text() == ""
+
+
 def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
     log = tmp_path / "log"
     scenes = {

@@ -20,6 +20,7 @@ def run_tiny(
     stream=None,
     runner: str = "threads",
     progress: Progress | None = None,
+    refresh: tuple[str, ...] = (),
 ):
     """Run ``{scene: what its pipeline is called with}``; returns the outcome."""
     from tiny_flow import WORK, tiny_flow
@@ -37,7 +38,7 @@ def run_tiny(
             SceneTask(scene, tiny_pipeline, arguments, first="make")
             for scene, arguments in scenes.items()
         ]
-        with open_workers(runner, workers, store) as opened:
+        with open_workers(runner, workers, store, frozenset(refresh)) as opened:
             return map_scenes(scene_tasks, opened, progress)
 
     WORK.append(work)

@@ -101,5 +101,5 @@ def test_a_stage_of_another_version_works_anew(tmp_path):
 
     for version in (1, 1, 2, 2, 1):
         with run_context(RunContext(ArtifactStore(str(tmp_path)))):
-            of_version(version).task.fn([], {"number": 4})
+            of_version(version).task.fn([], [], {"number": 4})
     assert versions == [1, 2]
