@@ -74,11 +74,11 @@ RUNNERS = ("threads", "processes")
 
 def _parse_runner(value: Any) -> str:
     text = str(value)
-    if text in RUNNERS or re.fullmatch(r"dask://.+:\d+", text):
+    if text in RUNNERS or re.fullmatch(r"(dask|ray)://.+:\d+", text):
         return text
     raise ValueError(
-        "expected threads, processes, or for a cluster that runs dask://host:port"
-        f"{did_you_mean(text.partition('://')[0], (*RUNNERS, 'dask'))}",
+        "expected threads, processes, or for a cluster that runs dask://host:port or "
+        f"ray://host:port{did_you_mean(text.partition('://')[0], (*RUNNERS, 'dask', 'ray'))}",
     )
 
 

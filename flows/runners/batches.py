@@ -36,7 +36,13 @@ from tasks.context import Notify, RunContext, StageEvent, enclosing_run, run_con
 MAX_BATCH = 16
 """Largest number of scenes of a batch: with all stages cached a batch takes a second."""
 
-DEAD = {"BrokenProcessPool", "KilledWorker"}
+DEAD = {
+    "BrokenProcessPool",
+    "KilledWorker",
+    "NodeDiedError",
+    "OutOfMemoryError",
+    "WorkerCrashedError",
+}
 """Names of the errors by which task runners report a dead worker; a worker raised any other."""
 
 

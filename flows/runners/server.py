@@ -7,6 +7,7 @@ the reading end of a pipe whose writing end only the parent has: when the parent
 
 from __future__ import annotations
 
+import hashlib
 import os
 import socket
 import sqlite3
@@ -120,7 +121,10 @@ def _lay_database(home: Path) -> bool:
     Prefect creates a database by hundreds of migrations, which take longer than the server's start.
     """
     place, cache = home / DATABASE, LocalCache.from_environment()
-    if not place.exists() and cache is not None and (data := cache.get(_kept_at())):
+    if not place.exists() and cache is not None and (cached := cache.get(_kept_at())):
+        digest, data = cached[:32], cached[32:]
+        if hashlib.sha256(data).digest() != digest:
+            return False
         with suppress(OSError), tempfile.NamedTemporaryFile(dir=home, prefix=".database-") as file:
             file.write(data)
             file.flush()
@@ -139,7 +143,8 @@ def _keep_database(home: Path) -> None:
         closing(sqlite3.connect(":memory:")) as copy,
     ):
         live.backup(copy)
-        cache.put(_kept_at(), copy.serialize())
+        data = copy.serialize()
+        cache.put(_kept_at(), hashlib.sha256(data).digest() + data)
 
 
 def _kept_at() -> str:

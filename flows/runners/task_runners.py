@@ -1,4 +1,4 @@
-"""Prefect task runners by name: threads, processes, or the workers of a Dask cluster."""
+"""Prefect task runners by name: threads, processes, or the workers of a Dask or Ray cluster."""
 
 from __future__ import annotations
 
@@ -6,14 +6,20 @@ import asyncio
 import logging
 import multiprocessing
 import os
+import secrets
+import signal
 import socket
+import tempfile
 import threading
 import uuid
+import warnings
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, chdir, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from multiprocessing.connection import wait
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -35,6 +41,12 @@ CONNECT = 5.0
 
 PATIENCE = 120.0
 """Timeout of the first task on a cluster, seconds."""
+
+CLUSTERS = {
+    "dask": ("Dask scheduler", "8786, and 8787 that of its dashboard"),
+    "ray": ("head of Ray", "10001"),
+}
+"""Name of the server of each cluster, and its usual port."""
 
 NO_EVENTS = "SLGAUSSIAN_NO_EVENTS"
 """Environment variable that disables Prefect's task events, which cost worker and server some 25 ms
@@ -112,11 +124,13 @@ def open_workers(
             raise
 
 
-def _task_runner(name: str, count: int) -> TaskRunner[Any]:
+def _task_runner(name: str, count: int) -> AbstractContextManager[TaskRunner[Any]]:
     if name == "threads":
         return ThreadPoolTaskRunner(max_workers=count)
     if name == "processes":
         return ProcessPoolTaskRunner(max_workers=count, initializer=become_worker)
+    if name.startswith("ray"):
+        return _ray(name)
     from prefect_dask import DaskTaskRunner
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -162,21 +176,26 @@ def check_runner(runner: str) -> None:
         InputError: If the package of the runner is not installed, or its cluster does not answer.
     """
     place = urlsplit(runner)
-    if not place.port:
+    kind = place.scheme
+    if kind not in CLUSTERS:
         return
+    server, port = CLUSTERS[kind]
+    if kind == "ray":
+        _set_ray_variables()
     try:
-        import_module("prefect_dask")
+        import_module(f"prefect_{kind}")
     except ImportError as error:
         raise InputError(
-            f"runner: dask is not installed ({error}); install it with {install_line('dask')}"
+            f"runner: {kind} is not installed ({error}); install it with {install_line(kind)}"
         ) from error
     try:
         socket.create_connection((place.hostname, place.port), CONNECT).close()
-        asyncio.run(_greet(f"tcp://{place.netloc}"))
+        if kind == "dask":
+            asyncio.run(_greet(f"tcp://{place.netloc}"))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"runner: no Dask scheduler answers at {runner} ({error}); start the cluster, or "
-            "correct the address: its port is often 8786, and 8787 that of its dashboard"
+            f"runner: no {server} answers at {runner} ({error}); start the cluster, or correct the "
+            f"address: its port is often {port}"
         ) from error
 
 
@@ -204,6 +223,68 @@ def become_worker() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def _set_ray_variables() -> None:
+    """Set the environment variables that Ray reads on import, unless they are set already."""
+    variables = {
+        "RAY_USAGE_STATS_ENABLED": "0",
+        # Suppresses a warning at every fork.
+        "GRPC_VERBOSITY": "ERROR",
+        # Ray hides all GPUs from tasks that do not request one.
+        "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+        # Access to Ray allows code execution. By default its token is readable by all users.
+        "RAY_AUTH_MODE": "token",
+    }
+    if (
+        "RAY_AUTH_TOKEN_PATH" not in os.environ
+        and not Path("~/.ray/auth_token").expanduser().exists()
+    ):
+        variables["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
+    for name, value in variables.items():
+        os.environ.setdefault(name, value)
+
+
+@contextmanager
+def _ray(url: str) -> Iterator[TaskRunner[Any]]:
+    import ray
+    from prefect_ray import RayTaskRunner
+    from prefect_ray.context import remote_options
+
+    with ExitStack() as stack:
+        variables = {NO_EVENTS: os.environ[NO_EVENTS]} if NO_EVENTS in os.environ else {}
+        connect = partial(
+            ray.init,
+            url,
+            namespace="slgaussian",
+            runtime_env={"env_vars": variables},
+            log_to_driver=False,
+            logging_level=logging.CRITICAL,
+        )
+        before = signal.getsignal(signal.SIGTERM)  # Ray replaces the handler
+        try:
+            # Ray's workers import from the client's working directory first: use an empty one.
+            with (
+                tempfile.TemporaryDirectory() as empty,
+                chdir(empty),
+                warnings.catch_warnings(action="ignore"),
+            ):
+                try:
+                    connect()
+                except ConnectionAbortedError:
+                    # The server process that Ray forks for a client may crash in gRPC's threads.
+                    connect()
+        except Exception as error:  # Ray's own, and any
+            raise InputError(
+                f"runner: the Ray cluster at {url} refuses us ({last_line(str(error))}); if it "
+                "wants a token, give it in RAY_AUTH_TOKEN"
+            ) from error
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        stack.callback(ray.shutdown)
+        # flows.runners.batches retries scenes whose worker died.
+        stack.enter_context(remote_options(max_retries=0))
+        yield stack.enter_context(RayTaskRunner())
 
 
 def last_line(text: str) -> str:

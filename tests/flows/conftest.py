@@ -51,6 +51,6 @@ def walls(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def home() -> Iterator[Path]:
-    """Home and temporary folder of a program."""
+    """Home and temporary folder of a program; the paths of Ray's sockets must be short."""
     with tempfile.TemporaryDirectory(prefix="slg-") as folder:
         yield Path(folder)

@@ -72,7 +72,7 @@ def test_a_server_that_does_not_answer(tmp_path, monkeypatch, examined):
 def test_the_runner_is_looked_at(server, tmp_path, examined):
     status, told = examined("--store", tmp_path, "--runner", "processes")
     assert status == 0 and told["ok"][-1] == "runner processes can be started"
-    status, told = examined("--store", tmp_path, "--runner", "dask://[::1]:9")
+    status, told = examined("--store", tmp_path, "--runner", "ray://[::1]:9")
     assert status == 1 and "runner" in told["BAD"][0]
 
 

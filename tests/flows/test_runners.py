@@ -1,4 +1,4 @@
-"""Threads, processes and a real cluster of Dask: the same work, the same results."""
+"""Threads, processes and real clusters of Dask and Ray: the same work, the same results."""
 
 import importlib.util
 import io
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from command import files_below
-from tiny_clusters import dask_cluster, free_port
+from tiny_clusters import dask_cluster, free_port, ray_cluster
 from tiny_run import run_tiny, tiny
 
 from flows.runners import task_runners
@@ -19,10 +19,14 @@ from slgaussian.storage.store import ArtifactStore
 
 pytestmark = pytest.mark.usefixtures("server")
 
-needs_dask = pytest.mark.skipif(
-    importlib.util.find_spec("prefect_dask") is None, reason="needs the extra `dask`"
+needs_dask, needs_ray = (
+    pytest.mark.skipif(
+        importlib.util.find_spec(f"prefect_{kind}") is None, reason=f"needs the extra `{kind}`"
+    )
+    for kind in ("dask", "ray")
 )
 ANY = ["processes", pytest.param("dask", marks=needs_dask)]
+RAY = pytest.param("ray", marks=[needs_ray, pytest.mark.whole])
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +36,15 @@ def dask(server):
         yield address
 
 
+@pytest.fixture(scope="module")
+def ray(server):
+    with ray_cluster() as address:
+        yield address
+
+
 @pytest.fixture
 def runner(kind, request):
-    return request.getfixturevalue("dask") if kind == "dask" else kind
+    return request.getfixturevalue(kind) if kind in ("dask", "ray") else kind
 
 
 def artifacts(store: ArtifactStore) -> dict[str, bytes]:
@@ -69,7 +79,7 @@ def expected(server, tmp_path_factory):
     return store, outcome
 
 
-@pytest.mark.parametrize("kind", ANY)
+@pytest.mark.parametrize("kind", [*ANY, RAY])
 def test_every_runner_makes_the_same_of_it_though_a_worker_dies(
     kind, runner, expected, tmp_path, monkeypatch
 ):
@@ -148,8 +158,9 @@ def test_an_error_of_a_worker_is_told_and_is_no_death(kind, runner, tmp_path):
 def test_a_server_that_is_no_scheduler_is_not_waited_for_for_ever(tmp_path, monkeypatch):
     monkeypatch.setattr(task_runners, "CONNECT", 0.5)
     message = "no Dask scheduler answers at"
-    with pytest.raises(InputError, match=f"{message}.*refused"):
-        run_tiny(ArtifactStore(tmp_path), {}, runner=f"dask://127.0.0.1:{free_port()}")
+    for port, reason in ((free_port(), "refused"), (0, "refused"), (99999, "out of range")):
+        with pytest.raises(InputError, match=f"{message}.*{reason}"):
+            run_tiny(ArtifactStore(tmp_path), {}, runner=f"dask://127.0.0.1:{port}")
     with socket.create_server(("127.0.0.1", 0)) as server, pytest.raises(InputError, match=message):
         runner = f"dask://127.0.0.1:{server.getsockname()[1]}"
         run_tiny(ArtifactStore(tmp_path), {}, runner=runner)

@@ -24,8 +24,8 @@ def tables(home) -> list:
 
 def test_a_new_database_is_kept_for_others_to_begin_with(tmp_path, monkeypatch):
     monkeypatch.setenv("SLGAUSSIAN_CACHE", str(tmp_path / "cache"))
-    first, second = tmp_path / "first", tmp_path / "second"
-    for home in (first, second):
+    first, second, third = (tmp_path / name for name in ("first", "second", "third"))
+    for home in (first, second, third):
         home.mkdir()
     assert not local._lay_database(first) and not any(first.iterdir())
     with closing(sqlite3.connect(first / local.DATABASE)) as database:
@@ -33,3 +33,6 @@ def test_a_new_database_is_kept_for_others_to_begin_with(tmp_path, monkeypatch):
         local._keep_database(first)  # while a server has it open
     assert local._lay_database(second) and tables(second) == [("runs",)]
     assert [file.name for file in second.iterdir()] == [local.DATABASE]
+    (stored,) = (tmp_path / "cache" / "prefect").iterdir()
+    stored.write_bytes(stored.read_bytes()[:-1] + b"x")
+    assert not local._lay_database(third) and not any(third.iterdir())

@@ -1,6 +1,7 @@
-"""Clusters of Dask as their users start them, on loopback, for the tests to run on."""
+"""Clusters of Dask and Ray as their users start them, on loopback, for the tests to run on."""
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -17,11 +18,16 @@ LOOPBACK = "127.0.0.1"
 
 
 def environment() -> dict[str, str]:
-    """What a worker finds: our packages, and nothing of the run's own settings."""
+    """What a worker finds: our packages, and nothing of the run's own settings but Ray's token."""
     local = {k: v for k, v in os.environ.items() if not k.startswith(("PREFECT_", "SLGAUSSIAN_"))}
     path = os.pathsep.join([str(HERE), str(HERE.parent.parent)])
-    # So often Dask itself tries what its worker died of; three times, if not told.
-    return {**local, "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1", "PYTHONPATH": path}
+    variables = {
+        # With it, some servers that Ray's head forks for its clients die at once.
+        "GRPC_ENABLE_FORK_SUPPORT": "0",
+        # So often Dask itself tries what its worker died of; three times, if not told.
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+    }
+    return {**local, **variables, "PYTHONPATH": path}
 
 
 @contextmanager
@@ -42,6 +48,33 @@ def dask_cluster(workers: int = 1) -> Iterator[str]:
             stack.enter_context(begun(log, "dask", "worker", *local))
         wait_for(place)
         yield f"dask://{place}"
+
+
+@contextmanager
+def ray_cluster() -> Iterator[str]:
+    """The runner that has its work done by a new Ray cluster of one core."""
+    port = free_port()
+    # Not pytest's own: the paths of Ray's sockets would be too long.
+    folder = tempfile.mkdtemp(prefix="slg-", dir="/tmp")
+    options = {
+        "node-ip-address": LOOPBACK,
+        "port": free_port(),
+        "ray-client-server-port": port,
+        "include-dashboard": "false",
+        "temp-dir": folder,
+        "num-cpus": 1,
+        "object-store-memory": 80_000_000,
+    }
+    words = [f"--{name}={value}" for name, value in options.items()]
+    try:
+        with (
+            Path(folder, "log").open("wb") as log,
+            begun(log, "ray", "start", "--head", "--block", "--disable-usage-stats", *words),
+        ):
+            wait_for(f"{LOOPBACK}:{port}")
+            yield f"ray://{LOOPBACK}:{port}"
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager
