@@ -272,8 +272,10 @@ class SemanticField:
         valid = {"encoder"}
         if other.gaussians is self.gaussians and other.bank is self.bank:
             valid |= {"_decoder", "_labels"}
-            if other.cameras is self.cameras and other.removed == self.removed:
-                valid |= {"gone", "drawn"}
+            if other.cameras is self.cameras:
+                valid |= {"_whole"}
+                if other.removed == self.removed:
+                    valid |= {"gone", "drawn"}
         other.__dict__.update({name: self.__dict__[name] for name in valid & self.__dict__.keys()})
         return other
 
@@ -402,12 +404,19 @@ class SemanticField:
         if not gone.any():
             return gone
         views = np.flatnonzero(self.bank.present[np.isin(self.bank.ids, ids)].any(0))
-        cameras = [camera for i, camera in enumerate(self.cameras.values()) if i in views]
-        whole = self.changed(removed=frozenset())
-        renders = [whole.render(camera) for camera in cameras]
-        depths, masks = [v.depth for v in renders], [np.isin(v.ids, ids) for v in renders]
+        cameras = {name: c for i, (name, c) in enumerate(self.cameras.items()) if i in views}
+        for name in cameras.keys() - self._whole.keys():
+            view = self.changed(removed=frozenset()).render(cameras[name])
+            self._whole[name] = view.ids, view.depth
+        depths = [self._whole[name][1] for name in cameras]
+        masks = [np.isin(self._whole[name][0], ids) for name in cameras]
         means = self.gaussians.to_arrays()["means"]
-        return gone | boundary_gaussians(means, gone, cameras, depths, masks)
+        return gone | boundary_gaussians(means, gone, list(cameras.values()), depths, masks)
+
+    @cached_property
+    def _whole(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Ids and depth of context views with all objects: fields with other edits share them."""
+        return {}
 
     @cached_property
     def _decoder(self) -> Decoder | NearestCode:

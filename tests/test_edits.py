@@ -85,6 +85,13 @@ def test_what_was_behind_is_shown_where_a_view_saw_it_and_open_elsewhere(field):
     assert not field.render(cam).unknown[looked(cam)[0] == YELLOW].any()
 
 
+def test_a_second_removal_draws_no_view_again(field, monkeypatch):
+    both, one = field.without([YELLOW, GREEN]).gone, field.without([YELLOW])
+    assert one.gone.any() and not np.array_equal(one.gone, both)
+    monkeypatch.setattr(SemanticField, "render", None)
+    np.testing.assert_array_equal(one.named(RED, "Sun").without([GREEN]).gone, both)
+
+
 def test_what_is_removed_is_not_an_answer(field):
     open_field = field.teach("zorp", YELLOW).without([YELLOW])
     view = open_field.render(field.cameras["a"])
