@@ -23,12 +23,9 @@ from slgaussian.storage import field_folder
 from slgaussian.storage.encoding import decode_table
 from slgaussian.storage.provenance import software
 from slgaussian.storage.specs import load_spec
-from slgaussian.storage.store import ArtifactRef, ArtifactStore
+from slgaussian.storage.store import CONCURRENT_READS, ArtifactRef, ArtifactStore
 from tasks.artifacts import about_field
 from tasks.stage import Stage
-
-CONCURRENT_READS = 4
-"""Number of artifacts of a remote store read concurrently; each may take 100 MB of memory."""
 
 FIELDS = "fields"
 """Folder of the fields, and their table."""

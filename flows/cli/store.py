@@ -22,18 +22,19 @@ store_app = typer.Typer(
 
 
 def inspect(
-    path: Annotated[Path, typer.Argument(help="File or folder to inspect.")],
+    path: Annotated[str, typer.Argument(help="File, folder, or store by its URL.")],
     as_json: options.AsJson = False,
 ) -> None:
     """Show the spec, fields and provenance of a file, and check it.
 
     Reads tables (Parquet), arrays (NPZ), weights (safetensors) and JSON, or all files of a folder,
-    such as a field or the results of a run. The exit status is 1 if a file is
-    damaged, or a table or arrays break their spec.
+    such as a field, a store or the results of a run. The exit status is 1 if a file is damaged, or
+    a table or arrays break their spec.
 
     \b
     slgaussian inspect results/samples.parquet
     slgaussian inspect results/fields/kitchen --json
+    slgaussian inspect s3://bucket/slg
     """
     from slgaussian.storage import inspection
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import Path
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path, PurePath
 from typing import Any
 
 from safetensors import deserialize
@@ -17,35 +20,66 @@ SUFFIXES = (".npz", ".parquet", ".json", ".safetensors")
 REPAIR = "download or create it again"
 
 
-def inspect(path: Path) -> list[dict[str, Any]]:
-    """Inspect a file, or all files of a folder that slgaussian wrote; InputError if there is none.
+def inspect(place: str | Path) -> list[dict[str, Any]]:
+    """Inspect a file, all files of a folder that slgaussian wrote, or the artifacts of a store.
+
+    A store that is not a folder is given by its URL. InputError if there is no such file, or the
+    store does not answer.
 
     Returns rows with ``path``, ``spec``, ``meaning``, ``fields`` (unit and meaning by name),
     ``made`` (provenance in the file) and ``digest``, the SHA-256 of the content of tables and
     arrays, and of other files as a whole. ``problem`` describes damage or a broken spec, else "".
     """
-    files = sorted(path.rglob("*.*")) if path.is_dir() else [path]
-    inspected = []
-    for file in files:
-        row: dict[str, Any] = {"path": str(file), "spec": "", "meaning": "", "fields": {}}
-        row |= {"digest": "", "made": {}, "problem": ""}
-        try:
-            inspected.append(row | _read(file))
-        except SpecError as error:
-            inspected.append(row | {"problem": str(error)})
-        except InputError:
-            if not path.is_dir():  # in a folder, skip files of other programs
-                raise
+    inspected, path = [], Path(place)
+    if "://" in str(place):
+        inspected = _inspect_store(str(place))
+    elif path.is_dir():
+        for file in sorted(path.rglob("*.*")):
+            with suppress(InputError):  # skip files of other programs
+                inspected.append(_row(str(file), lambda file=file: _read(file)))
+    else:
+        inspected = [_row(str(path), lambda: _read(path))]
     if not inspected:
-        raise InputError(f"{path}: found no file there that slgaussian wrote, expected some")
+        raise InputError(f"{place}: found no file there that slgaussian wrote, expected some")
     return inspected
+
+
+def _inspect_store(url: str) -> list[dict[str, Any]]:
+    from slgaussian.storage.store import CONCURRENT_READS, ArtifactStore, ref_of
+
+    store = ArtifactStore(url)
+
+    def inspect_artifact(uri: str) -> dict[str, Any]:
+        file = f"{store.root}/{uri}"
+        return _row(
+            file, lambda: store.fetch(uri, "an artifact", lambda data: _describe(file, data))[1]
+        )
+
+    uris = [file.uri for files in store.walk() for file in files if ref_of(file.uri) is not None]
+    return store.map(inspect_artifact, uris, CONCURRENT_READS)
+
+
+def _row(file: str, describe: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    row: dict[str, Any] = {"path": file, "spec": "", "meaning": "", "fields": {}}
+    row |= {"digest": "", "made": {}, "problem": ""}
+    try:
+        return row | describe()
+    except SpecError as error:
+        return row | {"problem": str(error)}
 
 
 def _read(path: Path) -> dict[str, Any]:
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path}: found suffix {path.suffix!r}, expected {', '.join(SUFFIXES)}")
     try:
-        data = path.read_bytes()
+        return _describe(str(path), path.read_bytes())
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a file") from error
+
+
+def _describe(file: str, data: bytes) -> dict[str, Any]:
+    path = PurePath(file)
+    try:
         if path.suffix == ".safetensors":
             deserialize(data)
             metadata = strict_json.parse(data[8 : 8 + int.from_bytes(data[:8], "little")])
@@ -54,19 +88,18 @@ def _read(path: Path) -> dict[str, Any]:
         else:
             metadata = strict_json.parse(data)
         label = metadata.get("spec", "")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a file") from error
     except Exception as error:  # a damaged file raises almost anything
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
-        raise SpecError(f"{path}: is damaged ({reason}); {REPAIR}") from error
-    file, digest, origin = str(path), hashlib.sha256(data).hexdigest(), metadata.get("made", {})
+        raise SpecError(f"{file}: is damaged ({reason}); {REPAIR}") from error
+    digest, origin = hashlib.sha256(data).hexdigest(), metadata.get("made", {})
+    is_artifact = len(path.stem) == len(digest)
     if path.suffix == ".safetensors":
         return {"meaning": "Weights.", "digest": digest, "made": metadata.get("__metadata__", {})}
     by_file = {load_spec(name).file: name for name in spec_names()}
     name = parse_label(label)[0] if label else by_file.get(path.name, "")
     if name not in spec_names() or load_spec(name).suffix != path.suffix:
         refusal = mismatch(file, "spec", f"{label!r:.80}", f"one of {', '.join(spec_names())}")
-        raise refusal if label else InputError(str(refusal))
+        raise refusal if label or is_artifact else InputError(str(refusal))
     spec = load_spec(name)
     if path.suffix == ".npz":
         digest = encoding.arrays_digest(encoding.decode_arrays(data, spec, file, REPAIR))
@@ -75,9 +108,14 @@ def _read(path: Path) -> dict[str, Any]:
     else:
         keys = ("made_by", "slgaussian", "command", "settings")
         origin = {key: metadata[key] for key in keys if key in metadata}
-    if len(path.stem) == len(digest) and path.stem != digest:
+    if is_artifact and path.stem != digest:
         raise mismatch(file, "digest", digest[:12], "that of its name")
+    return {**_describe_spec(name), "digest": digest, "made": origin}
+
+
+@cache  # a store has many files of a spec
+def _describe_spec(name: str) -> dict[str, Any]:
+    spec = load_spec(name)
     entries = {**spec.fields, **spec.columns, **spec.keys}
     fields = {name: f"[{entry.unit or entry.type}] {entry.doc}" for name, entry in entries.items()}
-    row = {"spec": spec.label, "meaning": spec.doc, "fields": fields}
-    return {**row, "digest": digest, "made": origin}
+    return {"spec": spec.label, "meaning": spec.doc, "fields": fields}

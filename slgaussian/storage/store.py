@@ -51,6 +51,9 @@ READ_ATTEMPTS = 3
 CONCURRENT_REQUESTS = 16
 """Number of concurrent small requests."""
 
+CONCURRENT_READS = 4
+"""Number of artifacts of a remote store read concurrently; each may take 100 MB of memory."""
+
 
 class DamagedError(SpecError):
     """An artifact is missing or damaged; ``uri`` is its path in the store."""

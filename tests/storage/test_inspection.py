@@ -68,6 +68,22 @@ def test_a_field_is_shown_file_by_file(field):
     assert found[2]["made"]["stage"] == "build_field"
 
 
+def test_damaged_artifacts_of_a_store_are_named(store):
+    whole, harmed, gone, other = (store.put("labels", labels(value)).uri for value in range(4))
+    data = store.read(harmed)
+    store.write(harmed, data[:90] + b"?" + data[91:])
+    store.write(gone, b"PK")
+    store.write(other, foreign()["a.npz"])
+    store.write("keys/notes.json", b"{}")
+    found = {
+        row["path"].removeprefix(f"{store.root}/"): row["problem"] for row in inspect(store.root)
+    }
+    assert not found.pop(whole) and found.keys() == {harmed, gone, other}
+    assert all(problem.startswith(store.root) and "\n" not in problem for problem in found.values())
+    with pytest.raises(InputError, match="nothing: found "):
+        inspect(f"{store.root}/nothing")
+
+
 def test_weights_are_known_by_their_tensors(tmp_path):
     data = save_branch(make_branch(Architecture(widths=(4, 6), hidden=8), 0))
     (tmp_path / "branch.safetensors").write_bytes(data)
