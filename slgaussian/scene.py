@@ -139,7 +139,9 @@ class Camera:
     def w2c(self) -> np.ndarray:
         """World-to-camera, float64 [4, 4]."""
         R = self.c2w[:3, :3].T
-        return np.vstack([np.column_stack([R, -R @ self.c2w[:3, 3]]), (0.0, 0.0, 0.0, 1.0)])
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = R, -R @ self.c2w[:3, 3]
+        return out
 
     @property
     def center(self) -> np.ndarray:

@@ -111,8 +111,8 @@ class LocalServer:
 
 def import_path() -> str:
     """Return the import path of this Python, for ``PYTHONPATH`` of another one."""
-    root = str(Path(__file__).resolve().parents[2])  # '' may stand for it
-    return os.pathsep.join(dict.fromkeys([root, *filter(None, sys.path)]))
+    root, places = str(Path(__file__).resolve().parents[2]), [*filter(None, sys.path)]
+    return os.pathsep.join(places if root in places else [root, *places])  # '' may stand for it
 
 
 def _lay_database(home: Path) -> bool:
@@ -138,7 +138,7 @@ def _keep_database(home: Path) -> None:
     if cache is None or not place.exists():  # Prefect's database is configured elsewhere
         return
     with (
-        suppress(sqlite3.Error),
+        suppress(sqlite3.Error, AttributeError),  # some builds of SQLite do not serialise
         closing(sqlite3.connect(place)) as live,
         closing(sqlite3.connect(":memory:")) as copy,
     ):

@@ -1,8 +1,13 @@
 """The server that the tool starts by itself."""
 
+import os
 import re
+import signal
 import sqlite3
+import subprocess
+import sys
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 from process_family import LOOPBACK, PROC, listening
@@ -15,6 +20,15 @@ def test_it_listens_on_loopback_only(server):
     """The process and its threads."""
     port = int(re.search(r":(\d+)/", server.url)[1])
     assert listening(server.process.pid) == [("tcp", f"{LOOPBACK[0]}:{port:04X}")]
+
+
+def test_it_imports_in_the_order_of_this_program(monkeypatch):
+    """A package beside this one that is named as a standard module must not replace it."""
+    places = ["/standard", str(Path(local.__file__).parents[2]), "/others"]
+    monkeypatch.setattr(sys, "path", ["", *places])
+    assert local.import_path() == os.pathsep.join(places)
+    monkeypatch.setattr(sys, "path", ["", "/standard"])
+    assert local.import_path() == os.pathsep.join([places[1], "/standard"])
 
 
 def tables(home) -> list:
@@ -36,3 +50,24 @@ def test_a_new_database_is_kept_for_others_to_begin_with(tmp_path, monkeypatch):
     (stored,) = (tmp_path / "cache" / "prefect").iterdir()
     stored.write_bytes(stored.read_bytes()[:-1] + b"x")
     assert not local._lay_database(third) and not any(third.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_is_no_error_that_work_may_catch_and_ends_the_program(sign):
+    program = f"""
+import os
+from flows.runners.environment import interruptible
+with interruptible():
+    try:
+        os.kill(os.getpid(), {sign:d})
+        os.getpid()
+    except Exception:
+        print("caught")
+    finally:
+        print("cleaned", flush=True)
+print("went on")
+"""
+    stopped = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (stopped.returncode, stopped.stdout) == (-sign, "cleaned\n")
+    assert stopped.stderr == "\nstopped; the same command goes on from here\n"

@@ -73,6 +73,7 @@ def test_the_commands_look_after_a_store(store, tmp_path, monkeypatch, capsys):
     assert "removed: 1 artifacts that nothing refers to; " in capsys.readouterr().out
     assert kept(store) == full
 
+    assert run(monkeypatch, "inspect", store.root) == 0
     assert ran(store, tmp_path / "log") == []
 
 
