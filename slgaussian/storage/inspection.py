@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -36,9 +36,9 @@ def inspect(place: str | Path) -> list[dict[str, Any]]:
     elif path.is_dir():
         for file in sorted(path.rglob("*.*")):
             with suppress(InputError):  # skip files of other programs
-                inspected.append(_row(str(file), lambda file=file: _read(file)))
+                inspected.append(_row(str(file), partial(_read, file)))
     else:
-        inspected = [_row(str(path), lambda: _read(path))]
+        inspected = [_row(str(path), partial(_read, path))]
     if not inspected:
         raise InputError(f"{place}: found no file there that slgaussian wrote, expected some")
     return inspected
