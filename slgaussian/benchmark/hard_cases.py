@@ -78,7 +78,7 @@ def _renderings() -> Iterator[HardCase]:
     layers |= {"scales": np.full((50 * n, 3), 9.0), "opacities": np.full(50 * n, 0.0015)}
     discs = {"means": 3 * sight, "scales": [[1, 1e-6, 1]] * n, "quats": on_edge}
     far = {"means": cloud["means"] * 4 + FAR, "scales": cloud["scales"] * 4}
-    inputs = {
+    inputs: dict[str, dict[str, Any]] = {
         "needles": {"scales": [[1, 1e-6, 1e-6]] * n},
         "discs on edge": discs,
         "scales of nine decades": {"scales": 10 ** rng.uniform(-6, 3, (n, 3))},
