@@ -66,8 +66,8 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     gaussians.check()
     arrays, n = gaussians.to_arrays(), len(gaussians)
     sh, features = arrays["sh"], arrays.get("features", np.empty((n, 0)))
-    rest = 3 * (sh.shape[1] - 1)
-    if rest not in REST:
+    rest = sh.shape[1] - 1
+    if 3 * rest not in REST:
         raise InputError(
             f"gaussians sh: found {sh.shape[1]} coefficients a colour, expected 1, 4, 9 or 16: a "
             ".ply holds harmonics of degree 0 to 3"
@@ -79,25 +79,25 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
         (_MEANS, arrays["means"]),
         (_NORMALS, np.zeros((n, 3))),
         (_DC, sh[:, 0]),
-        ([f"f_rest_{i}" for i in range(rest)], sh[:, 1:].swapaxes(1, 2).reshape(n, rest)),
+        *(([f"f_rest_{c * rest + i}" for i in range(rest)], sh[:, 1:, c]) for c in range(3)),
         (["opacity"], logits[:, None]),
         (_SCALES, logs),
         (_ROTATIONS, arrays["quats"]),
         ([f"f_sem_{i}" for i in range(features.shape[1])], features),
     ]
     columns = {
-        name: column.astype("<f4")
+        name: column
         for names, values in groups
         for name, column in zip(names, values.T, strict=True)
     }
     integers = {"source": arrays["source"]}
     if labels is not None:
         integers["label"] = _checked(labels, n)
+    kinds = dict.fromkeys(columns, "<f4")
     for name, values in integers.items():
-        floats = values.astype("<f4")
-        columns[name] = floats if np.array_equal(floats, values) else values.astype("<i4")
-    table = np.empty(n, [(name, column.dtype) for name, column in columns.items()])
-    for name, column in columns.items():
+        kinds[name] = "<f4" if np.array_equal(values.astype("<f4"), values) else "<i4"
+    table = np.empty(n, list(kinds.items()))
+    for name, column in (columns | integers).items():
         table[name] = column
     buffer = io.BytesIO()
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(buffer)
@@ -156,14 +156,15 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
             f"{path}: vertex {int(np.argmin(lengths))} has the rotation (0, 0, 0, 0), which is "
             "none; remove it, or write the file again"
         )
-    higher = read(rest).reshape(n, 3, len(rest) // 3).transpose(0, 2, 1)
+    sh = np.empty((n, 1 + len(rest) // 3, 3), np.float32)
+    sh[:, 0], sh[:, 1:] = read(_DC), read(rest).reshape(n, 3, len(rest) // 3).mT
     source = _whole(table["source"]) if "source" in names else None
     arrays = {
         "means": read(_MEANS),
         "scales": read(_SCALES, np.exp),
         "quats": (quats / lengths).astype(np.float32),
         "opacities": read(["opacity"], expit)[:, 0],
-        "sh": np.concatenate([read(_DC)[:, None], higher], 1),
+        "sh": sh,
         "source": np.arange(n, dtype=np.int32) if source is None else source,
     }
     if semantic:
@@ -184,13 +185,14 @@ def _finite(
     path: str | Path,
     table: np.ndarray,
     names: Sequence[str],
-    convert: Callable[[np.ndarray], np.ndarray] = np.positive,
+    convert: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> np.ndarray:
     """Stack columns, converted in float64, as finite float32 [N, len(names)]; else InputError."""
     values = np.empty((len(table), len(names)), np.float32)
     with np.errstate(over="ignore"):  # overflow gives infinity, which is refused below
         for column, name in enumerate(names):
-            values[:, column] = convert(table[name].astype(np.float64))
+            raw = table[name]
+            values[:, column] = convert(raw.astype(np.float64)) if convert else raw
     if not np.isfinite(values).all():
         row, column = np.argwhere(~np.isfinite(values))[0]
         raise InputError(

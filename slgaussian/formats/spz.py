@@ -94,8 +94,10 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     smaller = unit[rows[:, None], _OTHERS[largest]]
     sizes = np.minimum(np.rint(np.abs(smaller) * _MOST), 511).astype(np.uint32)
     codes = sizes | ((smaller < 0).astype(np.uint32) << np.uint32(9))
-    shifts = np.array([20, 10, 0], np.uint32)
-    return largest.astype(np.uint32) << np.uint32(30) | (codes << shifts).sum(1, dtype=np.uint32)
+    packed = largest.astype(np.uint32)
+    for code in codes.T:
+        packed = packed << np.uint32(10) | code
+    return packed
 
 
 def _bytes(values: np.ndarray) -> bytes:

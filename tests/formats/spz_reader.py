@@ -14,8 +14,8 @@ AXES = np.array([1, -1, -1], np.float32)
 
 def load_spz(path: Path) -> Gaussians:
     data = gzip.decompress(path.read_bytes())
-    magic, version, n, degree, bits, flags, _ = struct.unpack_from("<IIIBBBB", data)
-    assert (magic, version, flags) == (0x5053474E, 3, 0)
+    magic, version, n, degree, bits, flags, reserved = struct.unpack_from("<IIIBBBB", data)
+    assert (magic, version, flags, reserved) == (0x5053474E, 3, 0, 0)
     terms = (degree + 1) ** 2
     widths = [9, 1, 3, 3, 4, 3 * (terms - 1)]
     ends = 16 + n * np.cumsum(widths)

@@ -123,6 +123,7 @@ def test_files_of_any_form_and_order_are_read(tmp_path, count, kind, form):
     if count > 1:
         rest = stack(f"f_rest_{i}" for i in range(3 * (count - 1)))  # all of red first
         np.testing.assert_array_equal(again.sh[:, 1:].mT.reshape(5, -1), rest)
+    assert all(tensor.is_contiguous() for tensor in (again.means, again.sh, again.quats))
     np.testing.assert_allclose(again.scales[:, 2], np.exp(stored["scale_2"]), rtol=1e-6)
     np.testing.assert_allclose(again.opacities, 1 / (1 + np.exp(-stored["opacity"])), rtol=1e-6)
     quats = stack(f"rot_{i}" for i in range(4))
