@@ -6,7 +6,6 @@ cameras", and of ExifTool's tables (https://exiftool.org/TagNames/EXIF.html).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -79,7 +78,8 @@ def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None
     # Another aspect ratio than captured means a crop, whose position and scale are unknown.
     if abs(np.log(max(captured) / min(captured) / (longest / min(width, height)))) > 0.01:
         return None
-    focals = [(number(tags.FocalLengthIn35mmFilm) or 0) * math.hypot(width, height) / FILM_DIAGONAL]
+    film = number(tags.FocalLengthIn35mmFilm) or 0.0
+    focals = [film * float(np.hypot(width, height)) / FILM_DIAGONAL]
     focal = number(tags.FocalLength)
     x, y = number(tags.FocalPlaneXResolution), number(tags.FocalPlaneYResolution)
     unit = UNITS.get(exif_ifd.get(tags.FocalPlaneResolutionUnit, 2))

@@ -67,6 +67,8 @@ def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
     """
     (dx_dv, dx_du), (dy_dv, dy_du) = np.gradient(columns), np.gradient(rows)
     upright = (dx_du * dy_dv > dx_dv * dy_du).astype(np.uint8)  # False for NaN
+    if upright.all():
+        return columns, rows
     parts = cv2.connectedComponents(upright, connectivity=4)[1]
     middle = parts[columns.shape[0] // 2, columns.shape[1] // 2]
     visible, outside = (parts == middle) & (upright > 0), np.float32(OUTSIDE)
