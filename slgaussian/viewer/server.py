@@ -10,6 +10,7 @@ import base64
 import logging
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,7 +147,9 @@ class Body(Config, title="request"):
     object: StrictInt = 0
 
 
-CALLS: dict[str, Callable[[LiveField, Body], dict[str, Any]]] = {
+Call = Callable[[LiveField, Body], dict[str, Any]]
+
+CALLS: dict[str, Call] = {
     "state": lambda live, body: live.state(),
     "query": lambda live, body: live.query(body.texts),
     "teach": lambda live, body: live.change(live.field.teach(body.word, body.object)),
@@ -166,7 +169,7 @@ def app(page: str, access: Access, live: LiveField) -> Starlette:
     """
     lock = threading.Lock()
 
-    def locked(name: str, data: bytes) -> dict[str, Any]:
+    def locked(call: Call, data: bytes) -> dict[str, Any]:
         try:
             values = strict_json.parse(data)
         except ValueError:
@@ -175,23 +178,26 @@ def app(page: str, access: Access, live: LiveField) -> Starlette:
             raise InputError("the body of the request is not a JSON object, expected one")
         body = Body(**values)
         with lock:
-            return CALLS[name](live, body)
+            return call(live, body)
 
     async def show(request: Request) -> Response:
         return HTMLResponse(page, headers=HEADERS)
 
-    async def respond(request: Request) -> Response:
-        body, name = b"", request.url.path.rpartition("/")[2]
+    async def respond(call: Call, request: Request) -> Response:
+        body = b""
         async for chunk in request.stream():
             body += chunk
             if len(body) > MOST_BYTES:
                 return JSONResponse({"error": f"found more than {MOST_BYTES} bytes"}, 413, HEADERS)
         try:
-            return JSONResponse(await run_in_threadpool(locked, name, body), headers=HEADERS)
+            return JSONResponse(await run_in_threadpool(locked, call, body), headers=HEADERS)
         except SLGaussianError as error:
             return JSONResponse({"error": str(error)}, 400, HEADERS)
 
-    calls = [Route(f"/api/{name}", respond, methods=["POST"]) for name in CALLS]
+    calls = [
+        Route(f"/api/{name}", partial(respond, call), methods=["POST"])
+        for name, call in CALLS.items()
+    ]
     return Starlette(
         routes=[Route("/", show), *calls], middleware=[Middleware(Guard, access=access)]
     )

@@ -7,6 +7,8 @@ import pytest
 from slgaussian.errors import InputError
 from slgaussian.viewer.auth import PORT, Access, listen
 
+LOCAL = ("127.0.0.1:8080", "localhost:9000", "[::1]:8080", "localhost")
+
 
 def access(token: str | None) -> Access:
     return Access("127.0.0.1" if token is None else "0.0.0.0", socket.socket(), token)
@@ -15,8 +17,8 @@ def access(token: str | None) -> Access:
 @pytest.mark.parametrize(
     ("host", "origin", "enters"),
     [
-        *((host, None, True) for host in ("127.0.0.1:8080", "localhost:9000", "localhost")),
-        ("[::1]:8080", "http://[::1]:8080", True),
+        *((host, None, True) for host in LOCAL),
+        *((host, f"http://{host}", True) for host in LOCAL),
         ("127.0.0.1:8080", "http://evil.example", False),  # a page elsewhere that connects here
         ("127.0.0.1:8080", "http://127.0.0.1:9999", False),  # or at another port
         ("127.0.0.1:8080", "null", False),  # or of a file
@@ -24,6 +26,7 @@ def access(token: str | None) -> Access:
         ("127.0.0.1.evil.example", None, False),
         ("", None, False),
         (None, None, False),
+        ("[", None, False),
     ],
 )
 def test_on_loopback_this_machine_comes_in_and_other_sites_do_not(host, origin, enters):
