@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -48,9 +49,16 @@ def posed_scene(path: str | Path, photographs: Sequence[str] = ()) -> tuple[Scen
         for file in (photographs_of(place) if place.is_dir() else [place])
         if file.is_file()
     ]
-    if files and not any(file.is_relative_to(folder) for file in files):
-        folder = unposed.folder_of(dict(enumerate(files)))
-    return reader.read(place, str(folder)), folder
+    if not files or any(file.is_relative_to(folder) for file in files):
+        return reader.read(place, str(folder)), folder
+    common = unposed.folder_of(dict(enumerate(files)))
+    read = reader.read(place, str(common))
+    # A model may name its photographs from a folder above, and with other extensions.
+    stems = {os.path.splitext(file)[0] for file in files}
+    for above in (common, *common.parents):
+        if any(os.path.splitext(above / name)[0] in stems for name in read.cameras):
+            return (read if above == common else reader.read(place, str(above))), above
+    return read, common
 
 
 def cameras_in(path: str | Path) -> Mapping[str, Camera]:

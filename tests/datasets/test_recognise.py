@@ -1,5 +1,6 @@
 """Cameras of every format that holds files are known, and anything else is named."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,19 @@ def test_photographs_of_a_model_may_be_elsewhere_in_several_folders(folder):
     )
     assert start == elsewhere
     assert [scene.read(name).name for name in scene.cameras] == ["x/a.png", "y/b.png"]
+
+
+def test_photographs_of_a_model_may_be_elsewhere_in_one_folder_below_its_own(folder):
+    images, elsewhere = folder / "colmap/sparse/0/images.txt", folder / "elsewhere"
+    images.write_text(images.read_text().replace("a.png", "x/a.png").replace("b.png", "x/b.jpg"))
+    elsewhere.mkdir()
+    (folder / "colmap/images").rename(elsewhere / "x")
+    scene, start = posed_scene(folder / "colmap", [str(elsewhere / "x/b.png")])
+    assert start == elsewhere
+    assert [scene.read(name).name for name in scene.cameras] == ["x/a.png", "x/b.jpg"]
+    shutil.copytree(elsewhere / "x", elsewhere / "x/x")  # the nearest folder that fits is taken
+    files = [str(elsewhere / place / "b.png") for place in ("x", "x/x")]
+    assert posed_scene(folder / "colmap", files)[1] == elsewhere / "x"
 
 
 @pytest.mark.parametrize(
