@@ -12,6 +12,7 @@ import json
 import math
 import os
 import re
+import warnings
 from collections import ChainMap
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -172,14 +173,25 @@ class Frame:
     def _focal(self, axis: str, size: float) -> float | None:
         """Return the focal length in pixels along an axis, from the first level that has one."""
         for level in self.values.maps:
-            if (focal := self.number(f"fl_{axis}", values=level)) is not None:
-                return focal
+            focal = self.number(f"fl_{axis}", values=level)
             for key, unit in ((f"camera_angle_{axis}", 1), (f"{axis}_fov", math.pi / 180)):
-                if (angle := self.number(key, values=level)) is not None:
-                    if not 0 < angle * unit < math.pi:
-                        expected = "radians below pi" if unit == 1 else "degrees below 180"
-                        raise self.error(f"{key} is {angle:g}, expected {expected} and above 0")
-                    return size / 2 / math.tan(angle * unit / 2)
+                if (angle := self.number(key, values=level)) is None:
+                    continue
+                if focal is not None:
+                    used = 2 * math.atan2(size / 2, focal) / unit
+                    if not math.isclose(angle, used, rel_tol=0.01):
+                        warnings.warn(
+                            f"{self.file}: {key} is {angle:g}, but {used:g} by the focal length "
+                            f"{axis} of {focal:g} pixels, which is used; remove the wrong one",
+                            stacklevel=2,
+                        )
+                    continue
+                if not 0 < angle * unit < math.pi:
+                    expected = "radians below pi" if unit == 1 else "degrees below 180"
+                    raise self.error(f"{key} is {angle:g}, expected {expected} and above 0")
+                focal = size / 2 / math.tan(angle * unit / 2)
+            if focal is not None:
+                return focal
         return None
 
     def lens(self, camera: Camera) -> Callable[[], Maps] | None:
@@ -233,10 +245,11 @@ def read(path: str | Path) -> Scene:
 
     Views are named by their ``file_path``. Every number may be at the top level or in a frame,
     which has priority, also under another key: the focal length is ``fl_x``, ``camera_angle_x``
-    (radians) or ``x_fov`` (degrees); likewise for y, which defaults to x. ``cx`` and ``cy`` default
-    to the image centre; ``w`` and ``h`` to the size of the first photograph that exists.
-    ``is_fisheye`` means ``camera_model`` OPENCV_FISHEYE. Undistorted views have the same K; pixels
-    outside the lens's image are black, with depth 0.
+    (radians) or ``x_fov`` (degrees), the first of them, with a warning if another contradicts it;
+    likewise for y, which defaults to x. ``cx`` and ``cy`` default to the image centre; ``w`` and
+    ``h`` to the size of the first photograph that exists. ``is_fisheye`` means ``camera_model``
+    OPENCV_FISHEYE. Undistorted views have the same K; pixels outside the lens's image are black,
+    with depth 0.
 
     ``mask_path`` is a second alpha channel, see :func:`slgaussian.datasets.photographs.open_view`.
     Depth along z (:func:`slgaussian.formats.depth_maps.read_map`) is scaled by

@@ -1,4 +1,5 @@
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -128,6 +129,32 @@ def test_a_bad_file_ends_in_one_sentence_that_names_it(tmp_path, entry, top, sen
         nerfstudio.read(file)
     assert str(caught.value).startswith(f"{file}: ")
     assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "sentence"),
+    [
+        ({"camera_angle_x": 1.08}, None),  # 2 atan(48 / 80) = 1.0808
+        ({"y_fov": 42.6, "camera_angle_y": 0.743}, None),
+        ({"camera_angle_x": 0.54}, "camera_angle_x is 0.54, but 1.08084 by the focal length x of"),
+        ({"camera_angle_x": 62.0}, "camera_angle_x is 62, but 1.08084 by"),
+        ({"y_fov": 60.0}, "y_fov is 60, but 42.6"),
+        ({"fl_x": None, "camera_angle_x": 1.2, "x_fov": 60.0}, "x_fov is 60, but 68.7549 by"),
+    ],
+)
+def test_focal_lengths_that_contradict_each_other_are_named_and_the_first_taken(
+    tmp_path, keys, sentence
+):
+    entries = [frame("a.png"), frame("b.png")]
+    expected = {"fl_x": None, "camera_angle_x": 1.2} if "fl_x" in keys else {}
+    K = nerfstudio.read(write(tmp_path, entries, **expected)).cameras["a.png"].K
+    file = write(tmp_path, entries, **keys)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        assert (nerfstudio.read(file).cameras["b.png"].K == K).all()
+    said = [str(warning.message) for warning in caught]  # once for all frames
+    assert len(said) == (sentence is not None)
+    assert all(text.startswith(f"{file}: {sentence}") for text in said)
 
 
 def test_two_frames_of_one_name_and_a_fourth_radial_term_are_refused(tmp_path):
