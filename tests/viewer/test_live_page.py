@@ -62,6 +62,7 @@ def post(client: TestClient, name: str, **body) -> dict:
         {"Host": "["},
         {"Host": "evil.example"},
         {"Host": "evil.example", "Origin": "http://evil.example"},
+        [("Origin", "http://127.0.0.1:8080"), ("Origin", "http://evil.example")],
     ],
 )
 def test_other_sites_and_names_are_refused(client, headers):
