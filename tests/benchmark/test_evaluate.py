@@ -7,6 +7,7 @@ import pytest
 from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.evaluate import (
+    ABSENT,
     NOT_UNDERSTOOD,
     EvaluationSettings,
     evaluate,
@@ -255,8 +256,10 @@ def test_hard_truths_are_scored_without_nan(room):
     one, corner = np.zeros_like(some), np.zeros_like(some)
     one[50, 70] = corner[0, 0] = True
     masks = {"red crate": one, "grey floor": one | True, "blue sofa": one & False, "zzgl": corner}
+    masks["red qqwx"] = masks["blue sofa"]
     found = room.evaluate({"view_01": masks})
     numbers = [value for row in found.rows for value in row.values() if isinstance(value, float)]
     assert numbers and np.isfinite([*numbers, *found.scene_metrics.values()]).all()
+    assert row_of(found, "red qqwx")["note"] == f"unknown: qqwx; {ABSENT}"
     # Two masks overlap in a pixel, which then is no single class; nothing else can be right.
     assert row_of(found, "red crate", "3d-ovs")["accuracy"] <= 1 - 2 / some.size

@@ -1,6 +1,7 @@
 """Masks that were made elsewhere: scored as a run scores its own, or refused in one sentence."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -101,6 +102,17 @@ def test_masks_of_a_run_have_the_scores_of_the_run(folder, result, judged):
     assert again.scene_metrics["iou"] == result.scene_metrics["iou"]
 
 
+def test_methods_are_scored_by_the_protocols_of_their_masks(folder, judged):
+    masks = folder / "predictions"
+    shutil.copytree(masks / "slgaussian" / "langsplat", masks / "another" / "langsplat")
+    predictions = read_predictions(folder)
+    assert list(predictions.methods) == ["slgaussian", "another"]
+    chosen = [load_protocol(name) for name in predictions.protocols]
+    ours, other = score_predictions(predictions, [judged], chosen)
+    assert (ours.method, other.method) == ("slgaussian", "another")
+    assert {row["protocol"] for row in other.rows} == {"langsplat@2"}
+
+
 @pytest.mark.parametrize("text", [True, False])
 def test_run_lengths_with_points_have_the_hits_of_the_run_too(tmp_path, result, judged, text):
     file = write(tmp_path / "mine.json", entries_of(result, text=text))
@@ -164,10 +176,11 @@ def test_names_may_be_plain_and_frames_without_folder_and_ending(tmp_path, judge
     again, predictions = scored(tmp_path / "p", scene)
     assert [row["iou"] for row in again.rows] == [1, 1] and not predictions.missing
     assert again.method == "My method!" and not predictions.unused
-    entry = {"scene": scene.scene, "frame": "view_01", "query": "café", "size": [104, 144]}
-    file = write(tmp_path / "m.json", [{**entry, "counts": encode(query)}])
-    again, predictions = scored(file, scene)
-    assert [row["iou"] for row in again.rows] == [1, 0] and len(predictions.missing) == 1
+    entry = {"scene": scene.scene, "query": "café", "size": [104, 144], "counts": encode(query)}
+    for frame in ("left/view_01.jpg", "left/view_01", "view_01"):
+        file = write(tmp_path / "m.json", [{**entry, "frame": frame}])
+        again, predictions = scored(file, scene)
+        assert [row["iou"] for row in again.rows] == [1, 0] and len(predictions.missing) == 1
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,13 @@ def test_boundary_iou_is_that_of_pixel_by_pixel_erosion(mask, seed):
     assert metrics.boundary_iou(mask, other) == plain.boundary_iou(mask, other)
 
 
+def test_class_ious_are_those_of_classes_in_sight():
+    labels = np.array([[1, 1, 2, 0]])
+    truths = [labels < 2, labels > 2, labels == 2]
+    assert metrics.class_ious(labels, truths) == [2 / 3, None, 0]
+    assert metrics.exact_accuracy(labels, truths) == 2 / 4
+
+
 @pytest.mark.parametrize(
     ("point", "hit"),
     [((2, 1), True), ((2.99, 1.99), True), ((1.99, 1), False), ((-1, 1), False), ((4, 1), False)]

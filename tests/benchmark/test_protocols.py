@@ -144,10 +144,10 @@ def test_a_class_that_the_frame_does_not_show_still_competes():
     truth, nothing, labels = np.zeros(SHAPE, bool), np.zeros(SHAPE, bool), np.ones(SHAPE, np.int32)
     truth[:, :36] = True
     labels[:, :9] = 2
-    answer = Answer(np.full(SHAPE, 0.5, np.float32), nothing, None)
+    answer = Answer(np.full(SHAPE, 0.5, np.float32), nothing, (3, 3))
     boxes = [box_of(truth), box_of(nothing)]
     shown, absent = scored("3d-ovs", Frame([answer] * 2, [truth, nothing], boxes, labels))
-    assert absent.scores == {} and absent.mask[:, :9].all()
+    assert absent.scores == {} and absent.mask[:, :9].all() and shown.point is None
     # Its wins are errors; and so is all of the unlabelled half.
     assert shown.scores["accuracy"] == shown.scores["class_iou"] == 27 / 72
 

@@ -57,6 +57,8 @@ def test_miou_is_the_mean_over_frames_of_the_mean_over_classes():
 def test_one_scene_has_no_interval_and_few_have_a_rough_one():
     one = score(ious(a=[0.1, 0.9]))
     assert one["low"] is one["high"] is None and one["note"] == ONE_PLACE
+    rows = [row | {"place": "one"} for row in ious(a=[0.1], b=[0.9])]
+    assert score(rows)["low"] is None and score(rows)["note"] == ONE_PLACE
     few = score(ious(a=[0.1], b=[0.9]))
     assert (few["low"], few["high"], few["note"]) == (0.1, 0.9, FEW_PLACES)
     row = score(ious(**{f"s{k}": [k / 10] for k in range(LEAST)}))
@@ -121,7 +123,7 @@ def test_samples_of_several_settings_are_no_one_score():
 
 def test_differences_are_of_what_both_were_asked():
     mine = ious(a=[0.9, 0.5], b=[0.4], c=[0.8])
-    theirs = [*ious(a=[0.7], b=[0.1]), sample("d", "q0", iou=0.0)]
+    theirs = [*ious(a=[0.7], b=[0.1]), sample("c", "q0"), sample("d", "q0", iou=0.0)]
     found = difference(mine, theirs)
     assert found.gain == compare([0.9, 0.4], [0.7, 0.1])
     assert (found.gain.samples, found.samples) == (2, 2)
