@@ -129,7 +129,7 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
     groups = grouped(pairs, "dataset", "protocol", row_of=itemgetter(0))
     for (dataset, protocol), group in groups.items():
         for metric, column in METRICS.items():
-            shared = [pair for pair in group if None not in (row[column] for row in pair)]
+            shared = [p for p in group if p[0][column] is not None and p[1][column] is not None]
             if not shared:
                 continue
             scenes = grouped(shared, "scene", row_of=itemgetter(0)).values()

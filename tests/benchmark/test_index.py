@@ -57,10 +57,13 @@ def test_what_is_written_is_read_in_every_version(tmp_path):
     ("change", "message"),
     [
         ({"version": 3}, "found version 3, expected at most 2"),
+        ({"version": 1}, "found version 1, expected at most 2"),
         ({"format": None}, "format: found None;"),
         ({"target": ["a.jpg"]}, "'a.jpg' is both context and target"),
         ({"target": []}, "target: found [];"),
         ({"context": ["a", "a"]}, "context: found ['a', 'a']; expected different names"),
+        ({"context": ["a"]}, "context: found ['a']; value should have at least 2 items"),
+        ({"labels": "a/../b"}, "labels: found 'a/../b'; expected a folder below the labels"),
         ({"labels": "/etc"}, "labels: found '/etc'; expected a folder below the labels"),
         ({"categories": []}, "categories: found [];"),
     ],
