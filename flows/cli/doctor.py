@@ -39,8 +39,9 @@ def doctor(
 
     Checks packages, threads, the store, the Prefect server, numerical errors of hard cases on this
     machine, and the files and models of options; prints for each ok, or BAD with advice. Models are
-    loaded and tested. Nothing is downloaded. The exit status is 1 if anything is BAD. --components
-    and --schema print components or the schema of configuration files instead.
+    compared with the hub's digests, if they come from there, and loaded. Nothing is downloaded. The
+    exit status is 1 if anything is BAD. --components and --schema print components or the schema of
+    configuration files instead.
 
     \b
     slgaussian doctor --store s3://bucket/slg --runner dask://10.0.0.5:8786

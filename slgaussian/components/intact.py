@@ -1,8 +1,10 @@
-"""Check of a component's files by loading the component."""
+"""Checks of a component's files, by the hub's digests and by loading the component."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from slgaussian.components.component import Component
@@ -14,13 +16,17 @@ from slgaussian.components.pretrained import (
 )
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
+from slgaussian.io import file_sha256
+
+SHA256 = re.compile("[0-9a-f]{64}")
+AGAIN = "get it again"
 
 
 def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     """Check the files of a component without downloading anything.
 
-    Models are loaded, which checks their configuration and the names and shapes of tensors; their
-    weights must be finite.
+    Weights in the hub's cache are compared with the hub's digests. Models are loaded, which checks
+    their configuration and the names and shapes of tensors; their weights must be finite.
 
     Args:
         kind, name: Arguments of :func:`slgaussian.components.registry.find_config`.
@@ -32,17 +38,44 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     Raises:
         InputError: If a file is missing, damaged, or not what the component needs.
     """
-    files = find_config(kind, name).files()
-    places = {key: values[key] for key in files if values.get(key) is not None}
-    for key, place in places.items():
-        if files[key].digest is model_digest:
-            find_model(place, download=False)
-        elif files[key].digest is tokenizer_digest:
+    verified, places = list[bool](), dict[str, Any]()
+    for key, file in find_config(kind, name).files().items():
+        if (place := values.get(key)) is None:
+            continue
+        places[key] = place
+        if file.digest is model_digest:
+            weights = find_model(place, download=False).files
+            verified += [is_of_hub(each) for each in weights if each.suffix != ".json"]
+        elif file.digest is tokenizer_digest:
             find_tokenizer(place, download=False)
     part = Component.of(kind, name, values).load()
     label = ", ".join(f"{key} {place}" for key, place in places.items())
     if (network := getattr(part, "network", None)) is not None:
         for tensor_name, tensor in network.named_parameters():
             if not tensor.isfinite().all():
-                raise InputError(f"{label}: {tensor_name} holds NaN or infinity; get it again")
-    return f"{label}: can be loaded" if label else ""
+                raise InputError(f"{label}: {tensor_name} holds NaN or infinity; {AGAIN}")
+    if not label:
+        return ""
+    of_hub = verified and all(verified)
+    return f"{label}: {'is what the hub has, by its SHA-256' if of_hub else 'can be loaded'}"
+
+
+def is_of_hub(file: Path) -> bool:
+    """Return whether a file is in the hub's cache and its content has the cached SHA-256.
+
+    Raises:
+        InputError: If its content has another SHA-256, or it cannot be read.
+    """
+    stored = file.resolve()
+    if not SHA256.fullmatch(stored.name):
+        return False
+    try:
+        digest = file_sha256(file)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read ({error.strerror}); {AGAIN}") from error
+    if stored.name != digest:
+        raise InputError(
+            f"{file}: is damaged: its SHA-256 begins with {digest[:8]}, and of the file on the hub "
+            f"with {stored.name[:8]}; delete {stored} and {AGAIN}"
+        )
+    return True

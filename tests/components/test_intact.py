@@ -1,5 +1,6 @@
-"""Models can be loaded and hold numbers; anything else is one sentence."""
+"""Models are what the hub has, or can be loaded and hold numbers; anything else is one sentence."""
 
+import hashlib
 import shutil
 
 import numpy as np
@@ -65,6 +66,20 @@ def test_damaged_and_missing_weights_are_named(copy):
 @pytest.mark.parametrize(("model", "name"), [("sam", "clip"), ("clip", "sam"), ("sam2", "sam")])
 def test_a_model_of_another_kind_is_refused(folders, model, name):
     refused(name, folders[model])
+
+
+def test_a_file_of_the_hub_is_known_by_its_digest(copy):
+    place = copy("sam")
+    content = (place / WEIGHTS).read_bytes()
+    blob = place.parent / hashlib.sha256(content).hexdigest()
+    blob.write_bytes(content)
+    (place / WEIGHTS).unlink()
+    (place / WEIGHTS).symlink_to(blob)
+    said = check_component("proposer", "sam", {"model": place})
+    assert said == f"model {place}: is what the hub has, by its SHA-256"
+    blob.write_bytes(content[:-4] + b"oops")
+    message = refused("sam", place)
+    assert "is damaged: its SHA-256 begins with" in message and f"delete {blob}" in message
 
 
 def test_a_name_that_is_not_here_is_not_downloaded():

@@ -1,11 +1,14 @@
 import io
 from pathlib import Path
+from types import SimpleNamespace
 
 import pyarrow.parquet as pq
 import pytest
 from tiny_run import run_tiny, tiny
 
 from flows.runners.batches import write_failures
+from flows.runners.session import stages_to_refresh
+from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore, DamagedError
 
 pytestmark = pytest.mark.usefixtures("server")
@@ -88,6 +91,8 @@ def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
     log.write_text("")
     run_tiny(store, {"a": tiny(6, 1, log)})
     assert log.read_text() == ""
+    with pytest.raises(InputError, match="'haive', expected one of the stages make, halve.*halve"):
+        stages_to_refresh(SimpleNamespace(refresh=["haive"]), ["make", "halve"])
 
 
 def test_a_bad_scene_is_left_out_and_named(store, tmp_path):
