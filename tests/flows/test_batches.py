@@ -91,7 +91,7 @@ def test_a_refreshed_stage_and_what_follows_are_computed_anew(store, tmp_path):
     log.write_text("")
     run_tiny(store, {"a": tiny(6, 1, log)})
     assert log.read_text() == ""
-    with pytest.raises(InputError, match="'haive', expected one of the stages make, halve.*halve"):
+    with pytest.raises(InputError, match="'haive', expected one of the stages make"):
         stages_to_refresh(SimpleNamespace(refresh=["haive"]), ["make", "halve"])
 
 

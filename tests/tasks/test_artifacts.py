@@ -71,10 +71,13 @@ def test_a_truth_that_only_some_views_have_stays_theirs(sample, store):
     left, right = sample.context
     camera = replace(right.camera, near=0.5, far=9.0)
     bare = replace(right, depth=None, instances=None, camera=camera)
+    left = replace(left, opaque=left.instances > 1)
     partly = replace(sample, context=(left, bare), targets=())
     back = sample_from_arrays(through(store, "sample", sample_to_arrays(partly)))
     assert back.context[1].depth is None
     assert back.context[1].instances is None
+    np.testing.assert_array_equal(back.context[0].opaque, left.opaque)
+    assert back.context[1].opaque is None or back.context[1].opaque.all()
     assert (back.context[1].camera.near, back.context[1].camera.far) == (0.5, 9.0)
     np.testing.assert_array_equal(back.context[0].depth, left.depth)
     without = replace(
