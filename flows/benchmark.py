@@ -6,7 +6,6 @@ import json
 import os
 import platform
 import shlex
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -17,7 +16,7 @@ import pyarrow as pa
 from prefect import flow
 from prefect.states import State
 
-from flows.config import SceneSettings, Settings
+from flows.config import SceneSettings, Settings, check_names
 from flows.results import check_places, field_place, manifest, write_fields
 from flows.runners.batches import Failure, Outcome, SceneTask, map_scenes, map_shown, write_failures
 from flows.runners.progress import Progress
@@ -236,9 +235,7 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     scenes = [*scenes, *settings.scenes]
     if not scenes:
         raise InputError("nothing to do: give [[scenes]], or data and pairs, or rooms")
-    (name, count), *_ = Counter(scene.name for scene in scenes).most_common(1)
-    if count > 1:
-        raise InputError(f"two scenes are called {name!r}; names must be unique")
+    check_names(scenes)
     return scenes, notes
 
 

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BeforeValidator, Field, PositiveInt, StringConstraints, create_model
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PositiveInt,
+    StringConstraints,
+    create_model,
+    model_validator,
+)
 
 from slgaussian.components.component import Component
 from slgaussian.components.config import ComponentConfig, Config
@@ -207,6 +215,13 @@ class SceneSettings(Config):
     queries: list[Phrase] = Field([])
 
 
+def check_names(scenes: Sequence[SceneSettings]) -> None:
+    """Raise InputError if two scenes have the same name."""
+    for name, count in Counter(scene.name for scene in scenes).items():
+        if count > 1:
+            raise InputError(f"two scenes are called {name!r}; names must be unique")
+
+
 class Engine(Config):
     """Runner, workers and store of a flow."""
 
@@ -260,6 +275,11 @@ class Settings(Engine, Method):
         "the method, views or preset; several are combined.",
     )
     scenes: list[SceneSettings] = Field([], description="More scenes, besides a labelled set.")
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        check_names(self.scenes)
+        return self
 
 
 class IndexSettings(Rule):

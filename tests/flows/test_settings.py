@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from flows import config as settings_module
+from flows.benchmark import scenes_of
 from flows.config import PRESETS, TABLES, CorpusSettings, Method, Settings, TrainSettings
 from flows.read_config import checked, make_settings, read_toml
 from slgaussian.errors import InputError
@@ -127,6 +128,7 @@ def test_paths_of_a_table_are_from_its_folder_names_are_left_and_options_win(fil
         ("threshold = 2", "threshold: found 2, expected a number from 0 below 1"),
         ("out = 3", "out: found 3, expected a path"),
         ("seed = ", "not valid TOML"),
+        (2 * '[[scenes]]\nname = "a"\ncontext = ["1", "2"]\n', "two scenes are called 'a'"),
     ],
 )
 def test_a_slip_in_a_configuration_is_one_sentence(file, text, sentence):
@@ -145,9 +147,7 @@ def test_widths_of_the_branch_are_text_or_a_list():
             checked(TrainSettings, {**values, "widths": widths}, "train")
 
 
-def test_scenes_of_one_name_are_refused():
-    from flows.benchmark import scenes_of
-
-    scenes = [{"name": "a", "context": ["1", "2"]}] * 2
-    with pytest.raises(InputError, match="two scenes are called 'a'"):
-        scenes_of(make_settings({"scenes": scenes}, "test"))
+def test_a_scene_with_the_name_of_a_room_is_refused():
+    scene = {"name": "room_3", "context": ["1", "2"]}
+    with pytest.raises(InputError, match="two scenes are called 'room_3'"):
+        scenes_of(make_settings({"rooms": "3-3", "scenes": [scene]}, "test"))
