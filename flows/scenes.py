@@ -135,5 +135,5 @@ def _scene(
 
 
 def folder_of(data: Path) -> Path:
-    """Return the absolute folder of data, which may be given by a file in it."""
-    return data.resolve().parent if data.is_file() else data.resolve()
+    """Return the absolute folder of data, which may be given by a file in it, also by a link."""
+    return (data.parent if data.is_file() else data).resolve()

@@ -254,7 +254,8 @@ def test_a_scene_is_called_by_its_folder_however_its_cameras_are_named(tmp_path,
     place = tmp_path / named
     if place.suffix:
         place.parent.mkdir()
-        place.touch()
+        (tmp_path / "elsewhere").touch()
+        place.symlink_to(tmp_path / "elsewhere")
     else:
         place.mkdir(parents=True)
     assert [source.name for source in sources_of([str(place), "there=procedural:3-4"])] == [
