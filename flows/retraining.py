@@ -88,6 +88,7 @@ def retrain(config: RetrainSettings, verbose: bool = False) -> State[Retraining]
     check_folder(config.out)
     try:
         with hold_lock(config.out / LOCK, "retrain"), hold_lock(config.models / LOCK, "retrain"):
+            (config.out / RECORD).unlink(missing_ok=True)  # if interrupted, there is none
             result = run_session("retrain", config, lambda store: _retrain(config, store, verbose))
     except BusyError as error:
         result = Retraining("busy", (str(error),))

@@ -7,7 +7,10 @@ import pyarrow.parquet as pq
 import pytest
 from prefect.client.orchestration import get_client
 
-from flows.retraining import ARTIFACT, LOCK, RECORD, STATUS
+from flows import corpus
+from flows.config import RetrainSettings
+from flows.read_config import checked
+from flows.retraining import ARTIFACT, LOCK, RECORD, STATUS, retrain
 from flows.runners.task_runners import NO_EVENTS
 from slgaussian import datasets
 from slgaussian.datasets import re10k
@@ -117,6 +120,19 @@ def test_retrainings_in_which_all_sorts_of_things_happen(clips, tmp_path, monkey
     assert artifact().startswith("# Retraining: failed\n\nheld_out 0.01")
     config.write_text(CONFIG)
     assert "nothing new since version 2; version 1 is in use" in retrain("nothing new")
+
+
+def test_an_interrupted_retraining_leaves_no_record(tmp_path, monkeypatch):
+    (tmp_path / RECORD).write_text('{"outcome": "promoted"}')
+    values = {"sources": ["procedural:1"], "out": tmp_path, "models": tmp_path / "models"}
+
+    def interrupt(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(corpus, "supervise", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        retrain.fn(checked(RetrainSettings, {**values, "store": str(tmp_path)}, "retrain"))
+    assert not (tmp_path / RECORD).exists()
 
 
 def test_settings_that_do_not_fit_are_one_sentence(tmp_path, refusal):
