@@ -123,8 +123,12 @@ def test_runs_that_cannot_be_compared_are_refused(tmp_path, first, result):
         compared(first, leave(tmp_path / "b", result), first)
     with pytest.raises(InputError, match="found 1 run, expected 2 to 26"):
         compared(first)
-    with pytest.raises(InputError, match=r"samples\.parquet: found no such file, expected"):
+    with pytest.raises(InputError, match=r"samples\.parquet: cannot be read \(No such file or dir"):
         read_run(tmp_path)
+    with pytest.raises(InputError, match=r"samples\.parquet: cannot be read \(.*\), expected"):
+        (tmp_path / "samples.parquet").symlink_to("/proc/self/mem")
+        read_run(tmp_path)
+    (tmp_path / "samples.parquet").unlink()
     (tmp_path / "samples.parquet").write_bytes(b"no table")
     with pytest.raises(SpecError, match=r"samples\.parquet: .* that cannot be read"):
         read_run(tmp_path)

@@ -58,14 +58,17 @@ def read_run(folder: str | Path) -> Run:
     """
     folder = Path(folder)
     file, manifest_file = folder / "samples.parquet", folder / "manifest.json"
-    if not file.is_file():
+    try:
+        data = file.read_bytes()
+    except OSError as error:
         raise InputError(
-            f"{file}: found no such file, expected a folder that benchmark, run or demo wrote"
-        )
+            f"{file}: cannot be read ({error.strerror}), expected a folder that benchmark, run or "
+            "demo wrote"
+        ) from error
     manifest = read_json(manifest_file, "document") if manifest_file.exists() else {}
     if not isinstance(manifest, dict):
         raise InputError(f"{manifest_file}: found no JSON object; run the benchmark again")
-    samples = decode_table(file.read_bytes(), load_spec("samples"), str(file), "run it again")
+    samples = decode_table(data, load_spec("samples"), str(file), "run it again")
     return Run(folder, samples.to_pylist(), manifest)
 
 
