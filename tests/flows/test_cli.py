@@ -46,6 +46,8 @@ def test_a_query_follows_its_rules(walls, ask):
     assert objects() == [1]
     assert objects("--threshold", "0.01") == [1, 2]
     assert objects("--set", "canonical=object, red wall", "--set", "absent=zero") == []
+    status, (answer,) = ask("query", walls, "red", "--preset", "paper")
+    assert status == 0 and answer["uncalibrated"] == "canonical phrases of your own"
     _, (answer,) = ask("query", walls, "red plant wall in the quixotic sofa")
     assert (answer["read_as"], answer["unknown"]) == ("red wall", [])
     assert list(answer["unused"]) == ["plant", "in", "quixotic", "sofa"]

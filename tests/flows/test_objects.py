@@ -58,16 +58,23 @@ def test_an_object_is_extracted(walls, tmp_path, slg):
     assert not (tmp_path / "x.ply").exists()
 
 
-def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(walls, tmp_path, ask, slg):
+def test_what_is_removed_is_gone_and_what_is_left_open_is_striped(
+    walls, tmp_path, ask, slg, refusal
+):
     out = tmp_path / "without"
-    status, printed, _ = slg("objects", "remove", walls, "red wall", "-o", out)
-    assert status == 0 and printed.startswith("'red wall': objects 1 (")
+    status, printed, _ = slg("objects", "remove", walls, "red wall", RED, "-o", out)
+    first, second, _ = printed.splitlines()
+    assert status == 0 and first.startswith("'red wall': objects 1 (")
+    assert second == "'1': objects 1 (1.000), 0 Gaussians"
+    assert "'1': is no object of" in refusal("objects", "extract", out, RED, "-o", tmp_path / "1")
     left = SemanticField.load(out)
     assert left.removed == {RED} and RED not in left.labels()
     assert SemanticField.load(walls).removed == frozenset()
     status, (answer,) = ask("query", out, "red")
     assert status == 3 and not answer["found"]
-    assert [row["id"] for row in ask("objects", "list", out)[1]] == [BLUE]
+    status, rows = ask("objects", "list", out, "-o", tmp_path / "list.png")
+    drawn = np.asarray(Image.open(tmp_path / "list.png")).astype(int)
+    assert [row["id"] for row in rows] == [BLUE] and (drawn[..., 2] - drawn[..., 0] > 100).any()
     assert slg("render", out, "-o", tmp_path / "a.png")[0] == 0
     opened = np.asarray(Image.open(tmp_path / "a.png")).astype(int)[4:-4, 4:18]
     assert (np.ptp(opened, axis=2) == 0).all() and np.ptp(opened) > 40  # grey stripes
