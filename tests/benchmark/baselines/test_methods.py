@@ -80,6 +80,18 @@ def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
     assert np.array_equal(hit.mask[sure], hit.relevancy[sure] > 0.52)
 
 
+def test_vectors_that_take_much_memory_are_rendered_smaller(answering, room, monkeypatch):
+    method, most = answering("langsplat-like"), "langsplat_like.MOST_NUMBERS"
+    camera = room.sample.targets[0].camera
+    numbers = method.render(camera).vectors.size
+    for share, shape in ((1, (104, 144)), (4, (52, 72)), (5, (26, 36))):
+        monkeypatch.setattr(f"slgaussian.benchmark.baselines.{most}", numbers // share)
+        view = method.render(camera)
+        assert view.vectors.shape[:2] == shape and view.rgb.shape == (104, 144, 3)
+        (hit,) = view.query_all([PLAIN])
+        assert metrics.iou(hit.mask, room.truth["view_01"][PLAIN]) > LEAST_IOU["langsplat-like"]
+
+
 @pytest.mark.parametrize("name", ["langsplat-like", "no-association"])
 def test_the_same_inputs_give_the_same_bytes(name, fresh, view_of, room):
     texts = list(room.truth["view_01"])
