@@ -1,14 +1,16 @@
-"""Bundle adjustment against SciPy's least squares, and on hard cases."""
+"""Bundle adjustment against SciPy's least squares, against differences, and on hard cases."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from slgaussian.cameras import bundle as module
-from slgaussian.cameras.bundle import Bundle, PosePrior, adjust
+from slgaussian.cameras.bundle import Bundle, PosePrior, adjust, homogeneous
 
 
 def true_bundle(
@@ -72,6 +74,19 @@ def shaken(bundle: Bundle, seed: int, by: float = 0.02) -> Bundle:
     )
 
 
+def stepped(bundle: Bundle, step: np.ndarray) -> Bundle:
+    """The bundle after a step of its cameras [6 V + G], as the covariance orders them."""
+    poses, logs = np.split(step, [6 * len(bundle.R)])
+    turns, moves = np.split(poses.reshape(-1, 6), 2, axis=1)
+    R = Rotation.from_rotvec(turns).as_matrix() @ bundle.R
+    return replace(bundle, R=R, t=bundle.t + moves, focals=bundle.focals * np.exp(logs))
+
+
+def differences(function) -> np.ndarray:
+    """Derivative at 0 of a function of one number."""
+    return (function(1e-6) - function(-1e-6)) / 2e-6
+
+
 def turned_by(bundle: Bundle, truth: Bundle) -> float:
     """Degrees of the worst rotation between two bundles' cameras."""
     off = Rotation.from_matrix(bundle.R @ truth.R.transpose(0, 2, 1))
@@ -122,7 +137,41 @@ def test_as_low_a_cost_as_scipy_finds(views, points, outliers, lenses, posed):
         assert (np.sqrt(np.diag(result.covariance)[:3]) < 0.01).all()
 
 
-def test_the_prior_of_poses_is_in_its_deviations():
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(2, 4), st.integers(1, 8), st.integers(1, 2), st.booleans(), st.integers(0, 2**31)
+)
+def test_derivatives_are_those_of_differences(views, points, lenses, posed, seed):
+    start = shaken(true_bundle(views, points, seed, lenses=lenses, sigma=0.3), seed)
+    start = replace(start, points=homogeneous(start.points))
+    if posed:
+        prior = PosePrior(start.R, centers_of(start) + 0.1, 0.1, np.linspace(0.1, 0.3, views))
+        start = replace(start, poses=prior)
+    problem = module._Problem(start, 1.0)
+    state = problem.project(start)
+    camera, point = problem.derivatives(state)
+    slopes = []
+    for k, unit in enumerate(np.eye(6 * views + lenses)):
+
+        def at(h, unit=unit):
+            return problem.project(stepped(start, h * unit))
+
+        columns = (problem.columns[start.view] == k).astype(float)
+        of_camera = np.einsum("mik,mk->mi", camera, columns)
+        expected = differences(lambda h: at(h).residuals)
+        np.testing.assert_allclose(of_camera, expected, atol=1e-3)
+        slopes.append(differences(lambda h: at(h).cost))
+    gradient = -2 * problem.normal(state).camera_side
+    np.testing.assert_allclose(gradient, slopes, rtol=1e-4, atol=1e-2)
+    for k, across in enumerate(np.moveaxis(module._tangents(start.points), 2, 0)):
+
+        def along(h, across=across):
+            return problem.project(replace(start, points=start.points + h * across)).residuals
+
+        np.testing.assert_allclose(point[:, :, k], differences(along), atol=1e-2, rtol=1e-5)
+
+
+def test_the_prior_of_poses_is_in_its_deviations_and_has_the_derivatives_of_differences():
     truth = true_bundle(3, 4, 1)
     turn, move = 0.02, np.array([0.1, 0.3, 0.5])
     off = np.random.default_rng(2).normal(0, 1, (3, 6))
@@ -130,6 +179,15 @@ def test_the_prior_of_poses_is_in_its_deviations():
     t = -np.einsum("vij,vj->vi", R, centers_of(truth) + off[:, 3:] * move[:, None])
     prior = PosePrior(truth.R, centers_of(truth), turn, move)
     np.testing.assert_allclose(prior.pull(R, t)[0], off, atol=1e-9)
+    # Derivatives at the prior itself, where its rotation vector is the step of the camera's.
+    _, slopes = prior.pull(truth.R, truth.t)
+    for k in range(6):
+
+        def pull(h, k=k):
+            moved = stepped(truth, np.append(np.tile(h * np.eye(6)[k], 3), 0))
+            return prior.pull(moved.R, moved.t)[0]
+
+        np.testing.assert_allclose(slopes[:, :, k], differences(pull), atol=1e-5)
 
 
 def test_without_noise_the_truth_comes_back(monkeypatch):

@@ -39,7 +39,10 @@ class Errors(NamedTuple):
 EXACT_BOUND = 5e-6
 """Of what cuts nothing. Measured: at most 3.7e-6 in any channel, in alpha and in relative depth,
 most cases 5e-7; float32 sums are good for 1e-7 a number."""
-LONGER = {"long_list": 2e-5}  # measured 5.4e-6, in depth
+LONGER = {
+    "ten_thousand_on_one_pixel": 1e-4,  # measured 6.2e-5: 1 - alpha is rounded ten thousand times
+    "long_list": 2e-5,  # measured 5.4e-6, in depth
+}
 
 FAST_BOUND = 0.003
 """Of the default. Measured: at most 8e-4 in any channel and 1.1e-3 in alpha."""
@@ -48,6 +51,8 @@ FAST_DEPTH = {
     # A thousandth of the light, at 1e8 times the depth, is all of the mean depth.
     "astronomical_and_microscopic": math.inf,
 }
+ALL_CUT = "ten_thousand_on_one_pixel"
+"""The one case that the default cannot draw: thousands that are each below its cut-off."""
 
 
 def bounds(name: str, preset: str) -> Errors:
@@ -174,6 +179,17 @@ def ordinary_cloud() -> Scene:
     return *cloud(100, 1, 0.2, view), view
 
 
+def a_gaussian_per_pixel() -> Scene:
+    """What two pixel-aligned views predict: a surface of small opaque discs, twice."""
+    view, r = camera(32, 24, 30), _Random(2)
+    u, v = np.meshgrid(np.arange(32) + 0.5, np.arange(24) + 0.5)
+    means = [seen_at(view, u + shift, v, 3 + 0.5 * np.sin(u / 9) + shift) for shift in (0, 0.3)]
+    n = 2 * 32 * 24
+    scales = torch.stack([r.uniform(n, low=0.04, high=0.1)] * 2 + [torch.full((n,), 0.005)], -1)
+    opacities, quats = r.uniform(n, low=0.5), r.quats(n) * 0.1 + torch.tensor([1.0, 0, 0, 0])
+    return splats(torch.cat(means), scales, opacities, quats), r.uniform(n, 6), view
+
+
 def at_the_near_plane() -> Scene:
     """Centres exactly on the near plane, which are not drawn, and the next float behind it."""
     on = np.float32(NEAR)
@@ -188,6 +204,16 @@ def behind_the_near_plane() -> Scene:
     return splats([[0.1, 0, d] for d in z], 0.2, 0.9), torch.eye(7), camera()
 
 
+def reaching_through_the_near_plane() -> Scene:
+    """Large Gaussians whose centres lie just behind the near plane."""
+    r = _Random(4)
+    means = torch.cat(
+        [r.uniform(20, 2, low=-0.05, high=0.05), r.uniform(20, 1, low=0.0101, high=0.2)], 1
+    )
+    output = splats(means, r.magnitudes(20, 3, low=0.01, high=2.0), r.uniform(20), r.quats(20))
+    return output, r.uniform(20, 3), camera()
+
+
 def far_off_axis() -> Scene:
     """Gaussians beside the camera, up to a thousand times as far off the axis as before it."""
     r = _Random(5)
@@ -199,6 +225,15 @@ def far_off_axis() -> Scene:
         means, (off * z)[:, None] * r.uniform(60, 3, low=0.05), r.uniform(60), r.quats(60)
     )
     return output, r.uniform(60, 3), camera()
+
+
+def pancakes_on_edge() -> Scene:
+    """Large discs seen exactly from the side, at angles that no axis of the image has."""
+    view, r = camera(48, 32, 40), _Random(9)
+    half = r.uniform(24, high=math.pi)
+    quats = torch.stack([half.cos(), 0 * half, 0 * half, half.sin()], -1)
+    means = seen_at(view, r.uniform(24).numpy() * 48, r.uniform(24).numpy() * 32, 3.0)
+    return splats(means, [1.0, 1e-6, 1.0], r.uniform(24), quats), r.uniform(24, 3), view
 
 
 def subpixel() -> Scene:
@@ -216,6 +251,19 @@ def one_covers_the_image() -> Scene:
     return splats(means, scales, [1.0, 0.9]), r.uniform(2, 3), camera()
 
 
+def mixed_huge_and_tiny() -> Scene:
+    """Specks before, in and behind Gaussians of a hundred images; some of the huge are faint."""
+    view, r = camera(48, 32, 40), _Random(14)
+    huge = r.uniform(80, 1) < 0.2
+    sizes = [r.magnitudes(80, 3, low=low, high=high) for low, high in ((10, 500), (1e-5, 0.05))]
+    opacities = torch.where(huge[:, 0], r.uniform(80, high=0.4), r.uniform(80, low=0.5))
+    return (
+        splats(r.inside(view, 80), torch.where(huge, *sizes), opacities, r.quats(80)),
+        r.uniform(80, 3),
+        view,
+    )
+
+
 def _with_opacity(opacity: float, seed: int) -> Scene:
     view, r = camera(), _Random(seed)
     opacities = torch.where(r.uniform(40) < 0.5, torch.tensor(opacity), r.uniform(40))
@@ -229,6 +277,14 @@ def opaque_right_at_pixel_centres() -> Scene:
     u, v = np.meshgrid(np.arange(0, 32, 3) + 0.5, np.arange(0, 24, 3) + 0.5)
     means = torch.cat([seen_at(view, u, v, z) for z in (2.0, 3.0)])
     return splats(means, 0.05, 1.0), r.uniform(len(means), 3), view
+
+
+def ten_thousand_on_one_pixel() -> Scene:
+    """Each under the cut-offs around the middle, and all of them together opaque."""
+    r = _Random(20)
+    means = torch.zeros(10_000, 3)
+    means[:, 2] = torch.linspace(2, 3, 10_000)
+    return splats(means, 0.01, 0.002), r.uniform(10_000, 2), camera(31, 23)
 
 
 def long_list() -> Scene:
@@ -332,8 +388,10 @@ CASES: dict[str, Callable[[], Scene]] = {
     ),
     "opacity_0": lambda: _with_opacity(0.0, 15),
     "opacity_1": lambda: _with_opacity(1.0, 16),
+    "opacity_almost_1": lambda: _with_opacity(1 - 1e-7, 17),
     "quaternions_of_any_length": lambda: _with_quaternions(1e-36, 1e36, 24),
     "quaternions_near_zero": lambda: _with_quaternions(1e-20, 1e-20, 25),
+    "focal_2": lambda: _with_focal(2.0, 26),  # a field of view of 170 degrees
     "focal_50000": lambda: _with_focal(50_000.0, 28),  # of three minutes of arc
     # Camera and scene a million units from the origin, where float32 places are 0.06 apart.
     "a_million_units_away": lambda: _random(
@@ -348,15 +406,23 @@ CASES: dict[str, Callable[[], Scene]] = {
     "principal_point_far_outside": lambda: _seen(80, 36, 0.5, wide(36, focal=60, cx=-400, cy=300)),
     # Rows shifted by a third of a pixel each, and the far corner off-axis.
     "skewed_pixels": lambda: _seen(80, 38, 0.3, wide(38, focal=60, skew=20.0, cx=10)),
+    # Ten times as wide as high.
+    "pixels_that_are_not_square": lambda: _seen(80, 39, 0.2, wide(39, focal=20, aspect=10.0)),
+    # A rotation that is one only to a thousandth, as in files that print few digits.
+    "a_pose_of_three_digits": lambda: _seen(
+        80, 40, 0.3, camera(48, 32, 40, c2w=rotated(40).round(4))
+    ),
     "no_channel": lambda: _with_channels(0, 41),
     "seven_channels": lambda: _with_channels(7, 43),  # no multiple of what is summed at once
     "three_hundred_channels": lambda: _with_channels(300, 44),
     **{
         make.__name__: make
         for make in (
-            ordinary_cloud, at_the_near_plane, behind_the_near_plane, far_off_axis, subpixel,
-            one_covers_the_image, opaque_right_at_pixel_centres, long_list, equal_depths,
-            depths_a_float_apart, astronomical_and_microscopic, nothing_in_sight,
+            ordinary_cloud, a_gaussian_per_pixel, at_the_near_plane, behind_the_near_plane,
+            reaching_through_the_near_plane, far_off_axis, pancakes_on_edge, subpixel,
+            one_covers_the_image, mixed_huge_and_tiny, opaque_right_at_pixel_centres,
+            ten_thousand_on_one_pixel, long_list, equal_depths, depths_a_float_apart,
+            astronomical_and_microscopic, nothing_in_sight,
         )
     },
 }  # fmt: skip

@@ -122,7 +122,8 @@ def test_a_scene_a_million_units_away_keeps_its_directions():
     np.testing.assert_allclose(far_seen, near_seen, atol=1e-6)
 
 
-def test_other_numbers_of_coefficients_are_refused():
-    sentence = "found 25 coefficients a colour, expected one of 1, 4, 9, 16"
+@pytest.mark.parametrize("count", [5, 25])
+def test_other_numbers_of_coefficients_are_refused(count):
+    sentence = f"found {count} coefficients a colour, expected one of 1, 4, 9, 16"
     with pytest.raises(InputError, match=sentence):
-        colors(some(count=25), camera())
+        colors(some(count=count), camera())
