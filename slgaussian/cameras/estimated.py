@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -91,7 +92,7 @@ class EstimatedCameras:
             "doubt": self.doubt,
             "focals": {name: asdict(focal) for name, focal in self.focals.items()},
             "pairs": [
-                {k: None if v != v else v for k, v in asdict(pair).items()} for pair in self.pairs
+                {key: _plain(value) for key, value in asdict(pair).items()} for pair in self.pairs
             ],
             "warnings": list(self.warnings),
             "left_out": dict(self.left_out),
@@ -113,3 +114,7 @@ class EstimatedCameras:
             f"{high:.0f}, from {sources}); of two photographs, {weakest.inliers} of "
             f"{weakest.matches} matches agree at least"
         )
+
+
+def _plain(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

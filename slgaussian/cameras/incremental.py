@@ -243,7 +243,10 @@ class _Reconstruction:
         return widths
 
     def _adjust_roughly(self) -> bool:
-        """Adjust all placed views with few tracks; return False if there are too few inliers."""
+        """Adjust all placed views with few tracks; return False if there are too few inliers.
+
+        Strict inliers are loose ones, so where the loose are too few, the strict are as well.
+        """
         return all(self._adjust(loose, FEW, 10, 1e-4) is not None for loose in (LOOSE, 1.0))
 
     def _adjust(

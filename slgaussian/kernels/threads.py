@@ -74,10 +74,10 @@ os.environ.setdefault("ONEDNN_MAX_CPU_ISA", "AVX512_CORE_FP16")
 if "NUMBA_CACHE_DIR" not in os.environ:
     # Numba recompiles a function when its own file changes, but not when a function that it calls
     # from another file does. Therefore the folder's name is a digest of all sources with kernels.
-    caches = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    folder = caches / "slgaussian" / "kernels" / sources().kernels[:16]
     # Without a home that can be written, Numba keeps its own default, beside the sources.
     with contextlib.suppress(OSError):
+        caches = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+        folder = caches / "slgaussian" / "kernels" / sources().kernels[:16]
         folder.mkdir(parents=True, exist_ok=True)
         os.environ["NUMBA_CACHE_DIR"] = str(folder)
 

@@ -121,10 +121,17 @@ def _facade() -> list[Photograph]:
     )
 
 
+def _blurred() -> list[Photograph]:
+    """Two views of a room, all but lost in blur."""
+    return photographs(*(cv2.GaussianBlur(room(5, x), (0, 0), 7) for x in (-0.3, 0.3)))
+
+
 REFUSED = {
+    "one photograph twice": (lambda: photographs(*[motorcycle()[0]] * 2), "one place"),
     "another exposure": (_exposure, "one place"),
     "a pure rotation": (lambda: photographs(room(5, 0.0), room(5, 0.0, yaw=9.0)), "sideways"),
     "a plane": (_plane, "flat"),
+    "a blurred pair": (_blurred, "blur|few|found"),
     "one corner in common": (_clustered, "part|few"),
     "two places": (lambda: photographs(room(3, -0.3), room(5, 0.3)), "overlap|place|few|found"),
     "a repeated facade": (_facade, "repeat|flat"),

@@ -10,7 +10,7 @@ from slgaussian.cameras.check import check_pairs
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.quality import Quality, camera_doubt, measure
 from slgaussian.geometry import SceneGeometry, SeenView
-from slgaussian.scene import Sample
+from slgaussian.scene import Camera, Sample, View
 from tests.cameras.walls import FAR, two_rows
 
 GOOD = Quality(0.7, 0.6, 12.0, 15.0, 200, 0.9, 7.1, True)
@@ -40,6 +40,24 @@ def test_true_depth_is_confirmed_where_the_other_view_sees_it(room):
     half = depths.copy()
     half[0, :, :108] = 0  # what is transparent in one view is not counted, nor confirms the other
     assert of(room, half).overlap > 0.7 and of(room, half).confirmed < good.confirmed
+
+
+def test_two_planes_are_counted_by_hand(room):
+    """A wall at depth 2 seen from 0.5 apart: f b / Z = 25 of 100 columns fall outside."""
+    K, right = np.array([[100.0, 0, 50], [0, 100, 40], [0, 0, 1]]), np.eye(4)
+    right[0, 3] = 0.5
+    blank, depth = np.zeros((80, 100, 3), np.uint8), np.full((80, 100), 2.0, np.float32)
+    names = [view.name for view in room.context]
+    views = [
+        View(name, Camera(K, c2w, 100, 80), blank)
+        for name, c2w in zip(names, (np.eye(4), right), strict=True)
+    ]
+    geometry = SceneGeometry(tuple(SeenView(view, depth) for view in views))
+    checks = check_pairs(room.context, MatchGraph.of(room.context))
+    found, confirmed = measure(geometry, checks)
+    assert confirmed[0, :, 25:].all() and not confirmed[0, :, :25].any()
+    assert found.overlap == pytest.approx(0.75, abs=0.011)
+    assert found.confirmed == pytest.approx(0.75, abs=0.011) and found.turn == 0
 
 
 def test_of_many_views_those_are_judged_that_see_the_same_things():

@@ -54,6 +54,14 @@ def turned(camera: Camera, degrees: float) -> Camera:
     return replace(camera, c2w=camera.c2w @ step)
 
 
+@pytest.mark.parametrize(("seed", "baseline"), [(0, 0.15), (2, 1.2)])
+def test_near_and_wide_pairs_are_not_refused(seed, baseline):
+    settings = {"seed": seed, "views": 2, "height": 208, "width": 288, "baseline": baseline}
+    scene = datasets.load("procedural", **settings)
+    (check,) = checked(scene.sample(list(scene.cameras)))
+    assert check.coarse > 0.45 and not check.refuted
+
+
 def test_a_pair(room):
     (check,) = checked(room)
     assert check.views == ("view_00", "view_01") and check.judged and check.correction is None

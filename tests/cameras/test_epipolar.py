@@ -32,10 +32,11 @@ def prior(sigma: float, mean: float = 800, shared: bool = True) -> FocalPrior:
     return FocalPrior(np.full(2, np.log(mean)), np.full(2, sigma), shared)
 
 
-@pytest.mark.parametrize("shared", [True, False])
-def test_jacobian_is_that_of_the_distance(shared):
-    views, lens = two_views(0), prior(0.3, shared=shared)
-    x, y = seen(views, 12, 0, 2.0)
+@given(st.integers(0, 10**6), st.booleans())
+@settings(max_examples=20, deadline=None)
+def test_jacobian_is_that_of_the_distance(seed, shared):
+    views, lens = two_views(seed), prior(0.3, shared=shared)
+    x, y = seen(views, 12, seed, 2.0)
     views = replace(views, moves=np.zeros(len(lens.directions)))
     columns = jacobian(views, x, y, lens).T
     for column, step in zip(columns, 1e-6 * np.eye(len(columns)), strict=True):
