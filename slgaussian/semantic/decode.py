@@ -19,7 +19,7 @@ from slgaussian.errors import InputError
 from slgaussian.kernels.jit import kernel
 from slgaussian.labels import VISIBLE
 from slgaussian.language.bank import MemoryBank
-from slgaussian.language.nearest import distance, find, nearest_code
+from slgaussian.language.nearest import distance, find, make_table, nearest_code
 
 CLOSE = 0.25
 """Largest distance of a settled pixel from its code, as a fraction of the distance from that code
@@ -44,6 +44,7 @@ class Decoder:
     def __init__(self, bank: MemoryBank) -> None:
         self._ids = bank.ids
         self._codes = bank.codes.astype(np.float64)
+        self._table = make_table(self._codes) if len(bank) else None
         self._gaps = _gaps(self._codes)
 
     def __call__(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,8 +68,8 @@ class Decoder:
         _check(features)
         shape = features.shape[:2]
         ids, confidence = np.zeros(shape, np.int32), np.zeros(shape, np.float32)
-        if len(self._ids):
-            _decode(features, self._codes, self._gaps, self._ids, ids, confidence)
+        if self._table is not None:
+            _decode(features, self._codes, *self._table, self._gaps, self._ids, ids, confidence)
         return ids, confidence
 
 
@@ -126,7 +127,7 @@ def _gaps(codes: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _decode(features, codes, gaps, table, ids, confidence):
+def _decode(features, codes, starts, members, gaps, table, ids, confidence):
     """Write ``ids`` and ``confidence`` of an image."""
     height, width = ids.shape
     rows, lead = np.empty((height, width), np.int32), np.empty((height, width), np.float32)
@@ -134,7 +135,7 @@ def _decode(features, codes, gaps, table, ids, confidence):
     close = np.full((height + 2, width + 2), -1, np.int32)
     agreed = np.full((height + 2 * REACH, width + 2 * REACH), -1, np.int32)
     for v in range(height):
-        _nearest(features[v], codes, gaps, rows[v], close[v + 1], lead[v])
+        _nearest(features[v], codes, starts, members, gaps, rows[v], close[v + 1], lead[v])
     for v in range(height):
         _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + REACH])
     for v in range(height):
@@ -143,12 +144,12 @@ def _decode(features, codes, gaps, table, ids, confidence):
 
 
 @kernel
-def _nearest(features, codes, gaps, rows, close, lead):
+def _nearest(features, codes, starts, members, gaps, rows, close, lead):
     """Find the nearest code of each pixel of an image row, -1 where none is visible, and its lead.
 
     ``close`` gets the code, one pixel to the right, where it is within :data:`CLOSE`.
     """
-    row, near = 0, -1.0
+    row, near = np.uint32(0), -1.0
     at_x, at_y, at_z, per_gap = 0.0, 0.0, 0.0, 0.0
     for u in range(len(rows)):
         weight = features[u, 3]
@@ -161,7 +162,7 @@ def _nearest(features, codes, gaps, rows, close, lead):
         # Closer than half way to the next code, the previous pixel's code is still the nearest.
         d = abs(x - at_x) + abs(y - at_y) + abs(z - at_z)
         if not d < near:
-            row, d = find(x, y, z, codes)
+            row, d = find(x, y, z, codes, starts, members)
             at_x, at_y, at_z = codes[row, 0], codes[row, 1], codes[row, 2]
             near, per_gap = 0.499999 * gaps[row], 1 / gaps[row]
         fraction = d * per_gap

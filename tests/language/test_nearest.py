@@ -14,6 +14,9 @@ def test_values_and_codes_that_do_not_fit_are_refused():
     for bad in (np.zeros((0, 3)), np.zeros((2, 2)), np.zeros((2, 4))):
         with pytest.raises(InputError, match="nearest code"):
             nearest_code(values, bad)
+    for bad in (np.nan, -0.1, 1.5):
+        with pytest.raises(InputError, match="outside"):
+            nearest_code(values, np.full((1, 3), bad))
     values[2, 3, 1] = np.nan
     with pytest.raises(InputError, match=r"\(2, 3\)"):
         nearest_code(values, np.zeros((1, 3), np.float32))
@@ -25,6 +28,7 @@ def test_any_codes_and_values(n, steps, seed):
     """On a coarse grid (``steps``) most values are as near to several codes."""
     rng = np.random.default_rng(seed)
     codes, values = rng.random((n, 3)), rng.uniform(-0.5, 1.5, (20, 15, 3))
+    values[::5] *= 100
     if steps:
         codes, values = np.round(codes * steps) / steps, np.round(values * steps) / steps
     codes, values = codes.astype(np.float32), values.astype(np.float32)
