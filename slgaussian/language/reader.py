@@ -109,6 +109,7 @@ class BankReader(TextReader):
         _check_list(texts)
         scorer = self._scorer(self.phrases(rules), rules.absent)
         gaps = np.empty((len(texts), len(self.bank)))
+        known = []
         for k, text in enumerate(texts):
             who = self._who(text)
             if who == "named":
@@ -117,10 +118,18 @@ class BankReader(TextReader):
             elif who == "taught":
                 gaps[k] = scorer.combined(self.taught.leads(text, scorer.looks)[None])[0]
             else:
-                strength = CLASS_LEAD / (1 + DESCRIBED * self.understood(text).describing)
-                class_leads = strength * np.tanh(self.class_evidence(text) / CLASS_SCALE)
-                gaps[k] = scorer.gaps(self.vectors([text]), class_leads[self._present])[0]
+                known.append(k)
+        if known:
+            encoded = [texts[k] for k in known]
+            leads = np.stack([self._class_leads(text) for text in encoded])
+            gaps[known] = scorer.gaps(self.vectors(encoded), leads)
         return gaps
+
+    def _class_leads(self, text: str) -> np.ndarray:
+        """Compute the leads of a text from class evidence, float64 [P]; zero without classes."""
+        strength = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
+        leads = strength * np.tanh(self.class_evidence(text) / CLASS_SCALE)
+        return np.asarray(leads[self._present])
 
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         vector, read = super()._encode(text)
