@@ -15,7 +15,7 @@ import tomllib
 import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 
 from slgaussian.errors import InputError
@@ -94,6 +94,11 @@ class Vocabulary:
     stop: frozenset[str]
     relations: frozenset[str]
     negations: frozenset[str]
+
+    @cached_property
+    def _longest(self) -> int:
+        """Number of spellings of the longest phrase."""
+        return max(map(len, self.phrases))
 
     def read(self, text: str) -> Reading:
         """Parse a text as one noun and the words that describe it.
@@ -236,7 +241,7 @@ class Vocabulary:
 
     def _phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
         """Find the longest phrase, singular or plural, that begins at ``start``, and its length."""
-        for length in range(max(map(len, self.phrases)), 1, -1):
+        for length in range(self._longest, 1, -1):
             *first, last = spelled[start : start + length]
             for form in _singulars(last):
                 if (*first, form) in self.phrases:
