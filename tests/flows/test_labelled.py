@@ -122,6 +122,16 @@ class TestIndex:
         assert "no such photograph" in index.left_out["ramen-frame_00004"]
         assert not any(set(pair.context) & set(second.context) for second in index.scenes.values())
 
+    def test_a_frame_with_an_empty_file_of_labels_is_neither_target_nor_context(self, lerf):
+        pair = indexed(lerf).scenes["teatime-frame_00005"]
+        for name in pair.context:
+            label(lerf / "label/teatime", name)
+            file = (lerf / "label/teatime" / name).with_suffix(".json")
+            file.write_text(json.dumps({**json.loads(file.read_text()), "objects": []}))
+        index = indexed(lerf)
+        assert "nothing is labelled in it" in index.left_out[f"teatime-{file.stem}"]
+        assert not {*pair.context} & {*index.scenes["teatime-frame_00005"].context}
+
     def test_what_cannot_be_is_said_in_one_sentence(self, lerf, refusal):
         lerf_ovs = ("--format", "lerf_ovs")
         for data, words, sentence in (

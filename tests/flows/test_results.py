@@ -123,6 +123,9 @@ def test_fields_of_an_earlier_run_go_and_nothing_else(field, tmp_path):
     assert elsewhere.is_dir()
     results.write_fields(store, {}, {}, out)
     assert sorted(os.listdir(out / "fields")) == ["mine"]
+    (out / "fields.parquet").write_bytes(b"no table")
+    results.write_fields(store, {"third": ref}, {}, out)
+    assert sorted(os.listdir(out / "fields")) == ["mine", "third"]
 
 
 def test_links_take_no_room_and_stay_when_the_store_is_written_anew(field, tmp_path):

@@ -47,6 +47,9 @@ def test_each_combination_is_a_method_that_is_asked_the_same(swept):
     assert all(queries == calls["slgaussian"] for queries in calls.values())
     psnr = [result.scene_metrics["psnr"] for result in finished.results]
     assert len(set(psnr)) == 3
+    costs = pq.read_table(folder / "out" / "times.parquet").to_pylist()
+    assert len({(row["method"], row["build_seconds"]) for row in costs}) == 3
+    assert len({row["build_seconds"] for row in costs}) == 3
     (failure,) = finished.failures
     assert failure.scene == f"room: {NAME.format(40)}"
     assert "found 4 context views" in failure.reason
