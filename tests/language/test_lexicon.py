@@ -126,6 +126,10 @@ def test_texts_that_mean_the_same_encode_the_same(lexicon, text, same):
         ("cup on the table on the left", "cup", ("on", "table", "left"), ()),
         ("ball to the left of the door", "ball", ("to", "left", "door"), ()),
         ("on the floor", "standing", (), ()),
+        ("left of the red ball", "left red ball", (), ()),
+        ("cup on the left side", "cup left", (), ()),
+        ("quixotic pair of shoes, quixotic", "shoe", (), ("quixotic",)),
+        ("cup, small and old", "cup small", ("old",), ()),
     ],
 )  # fmt: skip
 def test_a_text_is_read_as_one_thing_and_what_describes_it(lexicon, text, read_as, unused, unknown):
@@ -143,6 +147,8 @@ def test_a_text_is_read_as_one_thing_and_what_describes_it(lexicon, text, read_a
         ("small red sofa", "sofa", {831}),
         ("abacus", "abacus", {398}),
         ("picture of a fox", "picture", set()),
+        ("casket", "casket", {478, 492, 519, 637, 709, 771}),
+        ("door escutcheon", "", set()),
         ("red", "", set()),
     ],
 )
