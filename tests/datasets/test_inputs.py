@@ -156,7 +156,7 @@ def answer(stage, arguments, store):
     """What a stage makes in a store, or why it refuses; and whether it was there."""
     with run_context(RunContext(ArtifactStore(str(store)))):
         try:
-            made = stage.task.fn([], arguments)
+            made = stage.task.fn([], [], arguments)
         except InputError as error:
             return str(error), False
     cached = isinstance(made, State)
@@ -231,7 +231,7 @@ def test_truth_is_read_anew_when_labels_change(tmp_path):
     def ask(root, store):
         asked = Photographs("s", "nerfstudio", root, {}, ("view_10", "view_30"), ASKED)
         with run_context(RunContext(ArtifactStore(str(store)))):
-            made = ingest.task.fn([], {"photographs": asked})
+            made = ingest.task.fn([], [], {"photographs": asked})
         sample = (made.result() if isinstance(made, State) else made).ref
         labels = Labels(root / "labels", ASKED, ("ball", "box")).of_views(sample.meta["targets"])
         return answer(truth, {"sample": sample, "labels": labels}, store)
