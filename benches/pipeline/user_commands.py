@@ -18,14 +18,10 @@ import os
 import re
 import shlex
 import signal
-import socket
 import subprocess
 import sys
 import time
-import urllib.request
-import uuid
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -34,7 +30,6 @@ from benches.common.photograph_pairs import data_folder
 from benches.common.small_rooms import write_rooms
 
 ROOT = Path(__file__).resolve().parents[2]
-HOST = "127.0.0.1"
 TIMED = re.compile(r"(times\..*|report\.(html|md)|.*\.mp4|\d{6}\.(parquet|claim)|current\.\w+)")
 """Files that contain times or dates: their existence is recorded, but not their bytes."""
 LIMIT = 3600.0
@@ -159,22 +154,12 @@ def office(recorder: Recorder, data: Path | None) -> None:
 
 
 def runners(recorder: Recorder, _data: Path | None) -> None:
-    """Run scenes by threads and processes on a folder, and by Dask on a bucket: the same bytes."""
-    base = recorder.work / "runners"
-    write_rooms(base / "rooms", 2)
-    python = Path(recorder.program[0]).parent
-
-    def run_with(name: str, runner: str, store: str) -> None:
-        options = ["--runner", runner, "--store", store, "-o", f"runners/{name}"]
-        out = f"runners/{name}"
-        recorder.run(f"run {name}", "run", "runners/rooms/rooms.toml", *options, out=out)
-
+    """Run scenes by threads and by processes: the same bytes; the tests have clusters."""
+    write_rooms(recorder.work / "runners" / "rooms", 2)
     for runner in ("threads", "processes"):
-        run_with(runner, runner, f"runners/store_{runner}")
-    with s3_bucket(python, base, recorder.env) as (bucket, variables):
-        recorder.env.update(variables)
-        with dask_cluster(python, base, recorder.env) as address:
-            run_with("dask", address, f"{bucket}/slg")
+        out = f"runners/{runner}"
+        options = ["--runner", runner, "--store", f"{out}_store", "-o", out]
+        recorder.run(f"run {runner}", "run", "runners/rooms/rooms.toml", *options, out=out)
 
 
 def corpus(recorder: Recorder, _data: Path | None) -> None:
@@ -337,7 +322,7 @@ EXPECTED = {
 """Allowed exit statuses of commands; 0 for all others."""
 
 EQUAL = (
-    ("run threads", "run processes", "run dask"),
+    ("run threads", "run processes"),
     ("run undisturbed", "run resumed"),
     ("demo", "demo again"),
 )
@@ -365,76 +350,6 @@ def differences(before: dict[str, Result], after: dict[str, Result]) -> list[str
     return lines
 
 
-@contextmanager
-def serving(log: Path, env: dict[str, str], *command: object) -> Iterator[None]:
-    """Run a server in its own process group, and end the group."""
-    with log.open("ab") as file:
-        process = subprocess.Popen(
-            [str(word) for word in command],
-            stdout=file,
-            stderr=file,
-            env=env,
-            start_new_session=True,
-        )
-    try:
-        yield
-    finally:
-        os.killpg(process.pid, signal.SIGTERM)
-        try:
-            process.wait(30)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-
-
-@contextmanager
-def dask_cluster(python: Path, work: Path, env: dict[str, str]) -> Iterator[str]:
-    """Start a scheduler and a worker of Dask as an operator does; yield the runner's name."""
-    port, log = free_port(), work / "dask.log"
-    place = f"{HOST}:{port}"
-    with ExitStack() as stack:
-        scheduler = [python / "dask", "scheduler", "--host", HOST, "--port", port, "--no-dashboard"]
-        stack.enter_context(serving(log, env, *scheduler))
-        wait_until(lambda: listens(port))
-        worker = [python / "dask", "worker", f"tcp://{place}", "--nworkers", 2, "--nthreads", 1]
-        folder = ["--no-dashboard", "--local-directory", work / "scratch"]
-        stack.enter_context(serving(log, env, *worker, *folder))
-        yield f"dask://{place}"
-
-
-@contextmanager
-def s3_bucket(
-    python: Path, work: Path, env: dict[str, str]
-) -> Iterator[tuple[str, dict[str, str]]]:
-    """Start moto's server; yield the URL of a new bucket, and the environment to access it."""
-    port = free_port()
-    variables = {
-        "AWS_ENDPOINT_URL": f"http://{HOST}:{port}",
-        "AWS_ACCESS_KEY_ID": "AKIAEXAMPLE",
-        "AWS_SECRET_ACCESS_KEY": "secret",
-        "AWS_DEFAULT_REGION": "us-east-1",
-        "AWS_EC2_METADATA_DISABLED": "true",
-        "SLGAUSSIAN_CACHE": str(work / "copies"),
-    }
-    with serving(work / "moto.log", env, python / "moto_server", "-H", HOST, "-p", port):
-        wait_until(lambda: listens(port))
-        bucket = f"slg-{uuid.uuid4().hex[:12]}"
-        request = urllib.request.Request(f"http://{HOST}:{port}/{bucket}", method="PUT")
-        urllib.request.urlopen(request, timeout=30).close()
-        yield f"s3://{bucket}", variables
-
-
-def free_port() -> int:
-    """Return a port of loopback that nothing listens on."""
-    with socket.create_server((HOST, 0)) as server:
-        return server.getsockname()[1]
-
-
-def listens(port: int) -> bool:
-    """Tell whether a server accepts connections at this port of loopback."""
-    with socket.socket() as client:
-        return client.connect_ex((HOST, port)) == 0
-
-
 def wait_until(happens: Callable[[], bool], process: subprocess.Popen | None = None) -> None:
     """Wait for a condition; raise ``SystemExit`` if ``process`` ends first, or after an hour."""
     end = time.monotonic() + LIMIT
@@ -445,12 +360,11 @@ def wait_until(happens: Callable[[], bool], process: subprocess.Popen | None = N
 
 
 def installed(work: Path) -> list[str]:
-    """Install the checkout plainly, with the runners' extras, and return the program."""
+    """Install the checkout plainly, and return the program."""
     python = work / "venv" / "bin" / "python"
     if not python.exists():
         subprocess.run([sys.executable, "-m", "venv", work / "venv"], check=True)
-        packages = [f"{ROOT}[dask,s3]", "moto[s3]", "flask", "flask-cors"]
-        pip = [python, "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", *packages]
+        pip = [python, "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt", ROOT]
         subprocess.run(pip, check=True)
     return [str(work / "venv" / "bin" / "slgaussian")]
 
