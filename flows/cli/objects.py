@@ -198,10 +198,10 @@ def remove(
     rules, opened = open_field(field, ctx)
     hits = {text: find_objects(opened, text, rules) for text in texts}
     labels, removed = opened.labels(), set[int]()
-    for text, found in hits.items():
-        ids = {id_ for id_, _ in found} - removed
+    for text, objects in hits.items():
+        ids = {id_ for id_, _ in objects} - removed
         removed |= ids
-        meaning = f"objects {_listed(found)}" if found else "nothing found"
+        meaning = f"objects {_listed(objects)}" if objects else "nothing found"
         typer.echo(f"{text!r}: {meaning}, {np.isin(labels, list(ids)).sum():,} Gaussians")
     if removed:
         opened.without(removed).dropped().save(out)

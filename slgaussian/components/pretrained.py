@@ -14,7 +14,6 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -74,10 +73,13 @@ def load_pretrained(model: str | Path | None, family: Family, device: str = "aut
             device cannot be used.
     """
     part = family.part
-    if find_spec("transformers") is None:
+    try:
+        import transformers  # noqa: F401
+    except ImportError as problem:  # missing, or broken by another package
         raise InputError(
-            f"{part}: needs the package transformers; install it with {install_line('models')}"
-        )
+            f"{part}: needs the package transformers ({problem}); "
+            f"install it with {install_line('models')}"
+        ) from None
     if model is None:
         raise InputError(
             f"{part} model: none given; give a folder, or a name on the hub as in "
@@ -235,12 +237,13 @@ def _from_hub(
             f"{kind} {name}: there is no such folder; expected {expected}, or a name on the hub, "
             "such as OWNER/NAME"
         )
-    if find_spec("huggingface_hub") is None:
+    try:
+        from huggingface_hub import snapshot_download
+    except ImportError as problem:
         raise InputError(
-            f"{kind} {name}: is no folder here, and the hub needs the package huggingface_hub; "
-            f"install it with {install_line('models')}"
-        )
-    from huggingface_hub import snapshot_download
+            f"{kind} {name}: is no folder here, and the hub needs the package huggingface_hub "
+            f"({problem}); install it with {install_line('models')}"
+        ) from None
 
     with contextlib.suppress(OSError, ValueError, InputError):
         cached = Path(snapshot_download(name, local_files_only=True))
