@@ -187,7 +187,7 @@ COLUMNS = {
 
 
 def main() -> None:
-    arguments = parser(__doc__, "waiting.md")
+    arguments = parser(__doc__, "scale.md")
     arguments.add_argument("--only", nargs="*", choices=RANGES, default=list(RANGES))
     arguments.add_argument("--point", nargs=2, help="used by itself")
     args = arguments.parse_args()
@@ -195,7 +195,7 @@ def main() -> None:
         print(json.dumps(point(args.point[0], float(args.point[1]))))
         return
     rows = table([grown(axis) for axis in args.only], COLUMNS)
-    publish(args.out, "waiting.md", "python -m benches.pipeline.cost_growth", rows)
+    publish(args.out, "scale.md", "python -m benches.pipeline.cost_growth", rows)
 
 
 if __name__ == "__main__":

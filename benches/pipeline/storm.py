@@ -1,6 +1,6 @@
 """Stress test: killed processes, damaged inputs, a full disk, and a faulty S3 server.
 
-    python -m benches.pipeline.storm WORK [-o docs/measured] [--scenes 1000] [--kills 50]
+    python -m benches.pipeline.storm WORK [-o docs/measured] [--scenes 300] [--kills 50]
 
 Two worker processes run scenes of two stages of some milliseconds (`storm_stages`); one scene in
 twenty is damaged. Their store is first a folder on a separate disk (tmpfs), then a bucket of moto's
@@ -298,9 +298,9 @@ def in_own_namespace(words: list[str]) -> None:
 def main() -> None:
     arguments = parser(__doc__, "scale.md")
     arguments.add_argument("work", type=Path, nargs="?", help="folder for scenes and stores")
-    arguments.add_argument("--scenes", type=int, default=1000)
+    arguments.add_argument("--scenes", type=int, default=300)
     arguments.add_argument(
-        "--in-bucket", type=int, default=200, help="so many of them; each is slow"
+        "--in-bucket", type=int, default=60, help="so many of them; each is slow"
     )
     arguments.add_argument("--kills", type=int, default=50, help="of each store")
     arguments.add_argument("--seed", type=int, default=0)

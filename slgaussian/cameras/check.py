@@ -40,14 +40,13 @@ MIN_CORRECTED = 0.6
 MIN_GAIN = 2.0
 """A correction is reported if, within the fine distance, it explains at least ``MIN_CORRECTED`` of
 the agreeing matches and ``MIN_GAIN`` times as many as the uncorrected cameras. Both were chosen by
-the measurements in `docs/measured/poses.md`."""
+the measurements in `docs/measured/earlier.md`."""
 
 WIDE = 20.0
-"""Angle between the two lines of sight to a point, degrees, above which depth errors grow, as
-measured in `docs/measured/poses.md`."""
+"""Angle between the two lines of sight to a point, degrees, above which depth errors grow."""
 
 TURNED = 30.0
-"""Angle between two optical axes, degrees, above which depth errors grow (same measurement)."""
+"""Angle between two optical axes, degrees, above which depth errors grow."""
 
 Pair = tuple[Camera, Camera]
 

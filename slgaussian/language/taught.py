@@ -35,7 +35,7 @@ SPEC = "words"
 EVEN = 0.45
 """Likeness at the decision boundary. At .6 the IoU in other image pairs of the same place falls
 from .46 to .40; at .3 84 % of the words match something where their object is absent, at .45 49 %
-(``docs/measured/words.md``)."""
+(``docs/measured/earlier.md``)."""
 
 SCALE = 0.2
 """Factor from likeness to cosine: an example itself then has relevancy 0.75 at temperature 10.

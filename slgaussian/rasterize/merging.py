@@ -6,7 +6,7 @@ repeated once. Then the context views are rendered, and where they changed too m
 undone. The remaining change is measured by another rendering.
 
 Gaussians that are invisible in the context views remain, as another view may show them. Pruning by
-weight was tried and costs more than it saves (`docs/measured/rasterizer.md`).
+weight was tried and costs more than it saves (`docs/measured/earlier.md`).
 """
 
 from __future__ import annotations
