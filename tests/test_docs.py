@@ -201,7 +201,7 @@ def test_commands_benches_and_their_options_exist(page):
 
 @pytest.mark.parametrize("page", MEASURED, ids=name)
 def test_a_measured_page_says_when_of_which_commit_and_where(page):
-    """In the form that ``benches/common/harness.py`` writes; sections of old benches, their commit."""
+    """In the form that ``harness.py`` writes; each section of an old bench names its commit."""
     if page.stem == "earlier":
         sections = read(page).split("\n## ")[1:]
         assert [s for s in sections if not re.search("20..-..-.., commit [0-9a-f]{7}", s)] == []
