@@ -29,6 +29,7 @@ SENSOR = {
     WIDE: 4000,
     HIGH: 3000,
 }
+PER_INCH = {TAGS.FocalPlaneXResolution: 12700.0, TAGS.FocalPlaneYResolution: 12700.0}
 HEADERS = {
     "film": ({FILM: 26}, 26 * DIAGONAL / 43.27),
     "zoomed": ({FILM: 36, TAGS.DigitalZoomRatio: 1.5}, 36 * DIAGONAL / 43.27),
@@ -37,6 +38,8 @@ HEADERS = {
     "too long": ({FILM: 2000}, None),
     "millimetres alone": ({TAGS.FocalLength: 4.2}, None),
     "sensor": (SENSOR, 300.0),
+    "sensor, in inches": (SENSOR | PER_INCH | {TAGS.FocalPlaneResolutionUnit: 2}, 300.0),
+    "sensor, zoomed": (SENSOR | {TAGS.DigitalZoomRatio: 1.5}, 450.0),
     "half the rows": (SENSOR | {TAGS.FocalPlaneYResolution: 2500.0}, None),
     "cropped": ({FILM: 26, WIDE: 400, HIGH: 400}, None),
 }
