@@ -49,9 +49,10 @@ def test_crumbs_and_small_holes_go_to_the_nearest_piece():
     labels[50, 20] = 3
     labels[10, 100] = 0
     labels[60:62, 30] = 4  # two pixels: a piece
+    labels[80, 120] = 1  # also of a label that has a large piece elsewhere
     clean = without_crumbs(labels)
     assert clean[50, 20] == 1 and clean[10, 100] == 2 and (clean[60:62, 30] == 4).all()
-    assert (clean != labels).sum() == 2
+    assert clean[80, 120] == 2 and (clean != labels).sum() == 3
 
 
 def test_an_image_of_crumbs_alone_is_left_as_it_is():
