@@ -117,6 +117,21 @@ class TestNoCodeIsLoaded:
         with pytest.raises(InputError, match="it is packed"):
             read_state(tmp_path / "x.ckpt")
 
+    @pytest.mark.parametrize("end", [b"", b"\n.", b"\xa0\n."])
+    def test_a_checkpoint_with_a_global_of_a_million_letters_is_refused_at_once(
+        self, tmp_path, end
+    ):
+        torch.save({"a": torch.zeros(3)}, tmp_path / "plain.ckpt")
+        with (
+            zipfile.ZipFile(tmp_path / "plain.ckpt") as plain,
+            zipfile.ZipFile(tmp_path / "x.ckpt", "w") as damaged,
+        ):
+            for name in plain.namelist():
+                data = b"\x80\x02ctorch\n" + b"\0" * 10**6 + end
+                damaged.writestr(name, data if name.endswith(".pkl") else plain.read(name))
+        with pytest.raises(InputError, match="it cannot be unpickled"):
+            read_state(tmp_path / "x.ckpt")
+
 
 class TestLargeImages:
     """Refused by their headers: these files have no pixels that could be decoded."""

@@ -194,8 +194,9 @@ def _read_class_masks(
 
 def _flat(corners: Any) -> Any:
     """Return two corners as one list."""
-    nested = isinstance(corners, list) and corners and isinstance(corners[0], list)
-    return [number for corner in corners for number in corner] if nested else corners
+    if isinstance(corners, list) and all(isinstance(corner, list) for corner in corners):
+        return [number for corner in corners for number in corner]
+    return corners
 
 
 _Coordinate = Annotated[float, Field(gt=-1e6, lt=1e6)]

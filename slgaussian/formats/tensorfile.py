@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import pickle
+import pickletools
 import re
 import warnings
 import zipfile
@@ -16,9 +17,24 @@ SCRIPTED = (
 )
 """Message for files of ``torch.jit.save``, such as OpenAI's CLIP."""
 
+LONGEST_GLOBAL = 1000
+
 
 class CodeError(ValueError):
     """A file requires code to be run; the message is the name of the global."""
+
+
+def _check_globals(pickled: bytes) -> None:
+    """Raise ValueError for a damaged pickle, or a global of over :data:`LONGEST_GLOBAL` characters.
+
+    PyTorch refuses both, but searches its message in quadratic time: hours for a million letters.
+    """
+    try:
+        names = [str(name) for op, name, _ in pickletools.genops(pickled) if op.name == "GLOBAL"]
+    except Exception:  # a damaged pickle raises almost anything
+        names = [""]
+    if any(not 0 < len(name) <= LONGEST_GLOBAL for name in names):
+        raise ValueError("it cannot be unpickled")
 
 
 def load(source: Path | bytes, mapped: bool = False) -> Any:
@@ -38,10 +54,13 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
         if zipped := zipfile.is_zipfile(stream):
             with zipfile.ZipFile(stream) as archive:
                 members = archive.infolist()
-            if any("/code/" in member.filename for member in members):
-                raise ValueError(SCRIPTED)
-            if any(member.compress_type for member in members):
-                raise ValueError("it is packed")
+                if any("/code/" in member.filename for member in members):
+                    raise ValueError(SCRIPTED)
+                if any(member.compress_type for member in members):
+                    raise ValueError("it is packed")
+                for member in members:
+                    if member.filename.endswith("/data.pkl"):
+                        _check_globals(archive.read(member))
         if isinstance(stream, io.BytesIO):
             stream.seek(0)
         with warnings.catch_warnings():

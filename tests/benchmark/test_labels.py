@@ -118,6 +118,7 @@ MISSING = object()
         ("objects.0.segmentation", TRIANGLE[:2], "objects.0.segmentation"),
         ("objects.0.segmentation.1.1", float("nan"), "objects.0.segmentation.1.1: found nan"),
         ("objects.0.bbox", [1, 2, 3], "objects.0.bbox"),
+        ("objects.0.bbox", [[1, 2], 3], "objects.0.bbox"),
         ("objects.0.bbox.3", 1e12, "objects.0.bbox.3: found 1"),
         ("objects.0.holes", [[[1, 2], [3, 4]]], "objects.0"),
         ("info.width", float("inf"), "info.width: found inf"),
