@@ -57,10 +57,14 @@ def test_a_photograph_given_twice_is_left_out_and_changes_no_byte():
 
 def test_focal_length_by_exif_is_nearly_believed():
     by_exif = [replace(p, lens="phone", focal=1.04 * 0.9 * p.width) for p in room()]
-    focal = find_cameras(by_exif).focals["a.jpg"]
+    cameras_by_exif = find_cameras(by_exif)
+    focal = cameras_by_exif.focals["a.jpg"]
     assert focal.source == "EXIF"
     assert focal.pixels == pytest.approx(0.9 * 480, rel=0.06)
     assert focal.low < 0.9 * 480 < focal.high < 1.12 * focal.pixels
+    uncertainty = cameras_by_exif.cameras["a.jpg"].estimated
+    assert uncertainty.source == "EXIF"
+    assert uncertainty.focal == (focal.low / focal.pixels, focal.high / focal.pixels)
 
 
 def test_each_photograph_has_its_own_lens_whatever_the_order():

@@ -60,6 +60,8 @@ def test_a_view_goes_on_beyond_its_border():
     splats = continue_surfaces(CAMERAS[:1], colors, walls, [STEP])
     pixels, z = CAMERAS[0].project(splats.means.numpy().astype(np.float64))
     assert np.allclose(z, 4, rtol=1e-5)
+    width = 0.5 * BLOCK * 4 / np.sqrt(CAMERAS[0].K[0, 0] * CAMERAS[0].K[1, 1])
+    assert np.allclose(splats.scales.numpy(), [width, width, 0.1 * width], rtol=1e-5)
     H, W = SIZE
     outside = (pixels < 0).any(1) | (pixels > (W, H)).any(1)
     assert outside.all()
