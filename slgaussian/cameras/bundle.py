@@ -259,7 +259,7 @@ class _Problem:
         of_points = (weight * point).transpose(0, 2, 1)
         P, M = self.poses + len(bundle.focals), len(bundle.view)
         H, side = np.zeros((P, P)), np.zeros(P)
-        blocks = (self.by_view @ (weighted @ camera).reshape(M, -1)).reshape(-1, 7, 7)
+        blocks = (self.by_view @ (weighted @ camera).reshape(M, 49)).reshape(-1, 7, 7)
         np.add.at(H, (columns[:, :, None], columns[:, None, :]), blocks)
         np.add.at(side, columns, self.by_view @ (weighted @ minus)[..., 0])
         side[self.poses :] -= self.lens_prior * _off_prior(bundle)
@@ -272,7 +272,7 @@ class _Problem:
         return _Normal(
             H,
             side,
-            (self.by_point @ (of_points @ point).reshape(M, -1)).reshape(-1, 3, 3),
+            (self.by_point @ (of_points @ point).reshape(M, 9)).reshape(-1, 3, 3),
             self.by_point @ (of_points @ minus)[..., 0],
             of_points @ camera,
             prior,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -141,6 +141,7 @@ def test_as_low_a_cost_as_scipy_finds(views, points, outliers, lenses, posed):
 @given(
     st.integers(2, 4), st.integers(1, 8), st.integers(1, 2), st.booleans(), st.integers(0, 2**31)
 )
+@example(3, 1, 1, False, 2**31 - 1)  # no point is observed
 def test_derivatives_are_those_of_differences(views, points, lenses, posed, seed):
     start = shaken(true_bundle(views, points, seed, lenses=lenses, sigma=0.3), seed)
     start = replace(start, points=homogeneous(start.points))
