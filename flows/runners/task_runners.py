@@ -288,5 +288,10 @@ def _ray(url: str) -> Iterator[TaskRunner[Any]]:
 
 
 def last_line(text: str) -> str:
-    """Return the last line of an error, which may contain another process's traceback."""
-    return (text.strip().splitlines() or ["unknown"])[-1].strip()
+    """Return the line of an error message that states its cause.
+
+    The last one, as a traceback of another process may come first; of gRPC's, which end with a
+    bracket (https://grpc.github.io/grpc/python/grpc.html#grpc.RpcError), the line of details.
+    """
+    lines = [line.strip() for line in text.strip().splitlines()] or ["unknown"]
+    return next((line for line in lines if line.startswith("details = ")), lines[-1])

@@ -13,7 +13,7 @@ from tiny_run import run_tiny, tiny
 
 from flows.runners import task_runners
 from flows.runners.progress import Progress
-from flows.runners.task_runners import NO_EVENTS, roll_call
+from flows.runners.task_runners import NO_EVENTS, last_line, roll_call
 from slgaussian.errors import InputError
 from slgaussian.storage.store import ArtifactStore
 
@@ -182,3 +182,16 @@ def test_a_worker_that_cannot_work_says_why(server, tmp_path):
     roll_call.fn(store.root, "probe")
     with pytest.raises(InputError, match="another store at"):
         roll_call.fn(store.root, "another")
+
+
+def test_the_cause_of_an_error_of_grpc():
+    grpc = pytest.importorskip("grpc")
+    with (
+        grpc.insecure_channel(f"127.0.0.1:{free_port()}") as channel,
+        pytest.raises(grpc.RpcError) as caught,
+    ):
+        channel.unary_unary("/service/method")(b"", timeout=5)
+    assert last_line(str(caught.value)).startswith("details = ")
+    assert "127.0.0.1" in last_line(str(caught.value))
+    assert last_line("Traceback:\n  a line\nValueError: cause\n") == "ValueError: cause"
+    assert last_line("") == "unknown"
