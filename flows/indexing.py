@@ -39,6 +39,11 @@ def build_index(data: Path, labels: Path | None, settings: IndexSettings, out: P
         frames = labelled_frames((labels or data) / place)
         for frame, pair in _surrounded(scene, frames, rule).items():
             pair_name = f"{name}-{frame.replace('/', '-')}"
+            if pair_name in pairs or pair_name in left_out:
+                raise InputError(
+                    f"{labels or data}: two labelled frames would both be called {pair_name!r}; "
+                    f"rename {frame} or the other"
+                )
             if isinstance(pair, str):
                 left_out[pair_name] = pair
             else:
