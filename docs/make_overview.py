@@ -23,7 +23,7 @@ def row(sample: slg.Sample, queries: tuple[str, str]) -> np.ndarray:
     for text in queries:
         hit = seen.query(text)
         found = pictures.draw_outline(
-            pictures.spotlight(seen.rgb, hit.mask), hit.mask, pictures.PREDICTED
+            pictures.spotlight(seen.rgb, hit.mask), hit.mask, pictures.PREDICTED_COLOUR
         )
         panels.append((f"“{text}”", pictures.draw_point(found, hit.point)))
     return pictures.side_by_side(panels)

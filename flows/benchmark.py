@@ -36,7 +36,7 @@ from flows.scene import (
     method_task_name,
     scene_task,
 )
-from flows.scenes import DATASET, THIRDS, labelled_scenes, room_scene, seeds
+from flows.scenes import DATASET, PATH_SUBDIVISIONS, labelled_scenes, room_scene, seeds
 from flows.sweep import VIEWS, Combination, combinations, sweep_tasks
 from slgaussian.benchmark.costs import StageCost, Times, costs_of
 from slgaussian.benchmark.evaluate import SceneResult
@@ -58,19 +58,19 @@ from tasks.artifacts import predictions_of, result_from_arrays
 from tasks.benchmark import Scored, baselines, report
 from tasks.stage import Stage
 
-BUILDING = ("geometry", "masks", "supervision", "field")
+BUILDING_STAGES = ("geometry", "masks", "supervision", "field")
 """Stages that build a field from a sample."""
 
 REFRESHABLE = [stage.name for stage in (*STAGES, baselines, report)]
 """Stages that ``refresh`` may name."""
 
-SWEPT = len(STAGES) - 1
+SWEPT_STAGES = len(STAGES) - 1
 """Number of stages of a scene in a sweep: all but attribution."""
 
 REPORT, SCORES = "slgaussian-report", "slgaussian-scores"
 """Keys of the Prefect artifacts of a run."""
 
-LEFT = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
+RUN_FILES = ("manifest.json", "pairs.json", "report.html", "report.md", "times.json")
 """Files of a run besides its tables and masks; those of an earlier run are removed."""
 
 
@@ -182,7 +182,7 @@ def _compute(
     tasks = baseline_tasks(config, complete, ours.refs)
     answered = map_shown(tasks, workers, 1, "answers", verbose)
     tasks, refused = sweep_tasks(variants, complete)
-    swept = map_shown(tasks, workers, SWEPT, "settings", verbose)
+    swept = map_shown(tasks, workers, SWEPT_STAGES, "settings", verbose)
     rows = chosen_baselines(config.against)
     methods = rows | {variant.name: variant.row for variant in variants}
     further_refs = answered.refs | swept.refs
@@ -221,7 +221,7 @@ def _cost(stage: Stage, outcome: Outcome) -> StageCost:
 
 
 def _seconds_to_build(refs: Mapping[str, ArtifactRef]) -> float:
-    return sum(refs[stage].meta["seconds"] for stage in BUILDING)
+    return sum(refs[stage].meta["seconds"] for stage in BUILDING_STAGES)
 
 
 def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
@@ -230,7 +230,7 @@ def scenes_of(settings: Settings) -> tuple[list[SceneSettings], list[str]]:
     scenes, notes = labelled_scenes(settings) if labelled else ([], [])
     if settings.rooms is not None:
         swept = any(text.partition("=")[0].strip() == VIEWS for text in settings.sweep)
-        thirds = THIRDS if swept else 1
+        thirds = PATH_SUBDIVISIONS if swept else 1
         scenes = [*scenes, *(room_scene(seed, thirds) for seed in seeds(settings.rooms, "rooms"))]
     scenes = [*scenes, *settings.scenes]
     if not scenes:
@@ -277,7 +277,7 @@ def _write(settings: Settings, store: ArtifactStore, computed: _Computed) -> lis
         for form, page in with_times(forms, took, rows, novel).items():
             files[f"report.{form}"] = page.encode()
         files["times.json"] = _json(took.as_json())
-    for name in LEFT:
+    for name in RUN_FILES:
         if name in files:
             write_atomic(out / name, files[name])
         else:

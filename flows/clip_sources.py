@@ -24,15 +24,15 @@ from slgaussian.storage.store import ArtifactRef
 from tasks.chunks import PosedFolder, Room, known_chunk, packed, pairs, views
 from tasks.context import current_run
 
-ROOMS = "procedural:"
+ROOMS_PREFIX = "procedural:"
 """Prefix of a source of procedural rooms, followed by the first and last seed."""
 
-ARC = {"views": 12, "baseline": 1.2, "height": 360, "width": 640}
+ROOM_OPTIONS = {"views": 12, "baseline": 1.2, "height": 360, "width": 640}
 """Options of a procedural room; metres from the first to the last view on an arc of 3.3 m."""
 
-CHUNK = ".torch"
+CHUNK_SUFFIX = ".torch"
 
-_PLACED = re.compile(r"([\w .-]+)=(.+)")
+_PLACE_PATTERN = re.compile(r"([\w .-]+)=(.+)")
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def sources_of(texts: Sequence[str]) -> list[Source]:
     """
     by_name: dict[str, Source] = {}
     for text in texts:
-        placed = None if Path(text).exists() else _PLACED.fullmatch(text)
+        placed = None if Path(text).exists() else _PLACE_PATTERN.fullmatch(text)
         place, location = placed.groups() if placed else ("", text)
         for holds in _contents(location):
             source = Source(location, holds, place)
@@ -84,23 +84,23 @@ def sources_of(texts: Sequence[str]) -> list[Source]:
 
 def _contents(location: str) -> Iterable[PosedFolder | Room | str]:
     """Return the rooms, chunks or scenes at a location."""
-    if location.startswith(ROOMS):
-        seed_range = seeds(location.removeprefix(ROOMS), location)
-        return [Room(f"procedural_{seed}", {"seed": seed, **ARC}) for seed in seed_range]
+    if location.startswith(ROOMS_PREFIX):
+        seed_range = seeds(location.removeprefix(ROOMS_PREFIX), location)
+        return [Room(f"procedural_{seed}", {"seed": seed, **ROOM_OPTIONS}) for seed in seed_range]
     path, folder = Path(location), location.rstrip("/")
-    if folder.endswith(CHUNK):
+    if folder.endswith(CHUNK_SUFFIX):
         return [folder]
-    if "://" in location or (path.is_dir() and any(path.glob(f"*{CHUNK}"))):
+    if "://" in location or (path.is_dir() and any(path.glob(f"*{CHUNK_SUFFIX}"))):
         chunks = re10k.chunk_names(folder)
         if not chunks:
             raise InputError(
-                f"{location}: has no chunk ({CHUNK}); `slgaussian ingest` makes chunks"
+                f"{location}: has no chunk ({CHUNK_SUFFIX}); `slgaussian ingest` makes chunks"
             )
         return [f"{folder}/{chunk}" for chunk in chunks]
     if not path.exists():
         raise InputError(
             f"{location}: is not there; expected a folder of photographs, with cameras or without, "
-            f"of chunks, or {ROOMS}FIRST-LAST"
+            f"of chunks, or {ROOMS_PREFIX}FIRST-LAST"
         )
     # A scene is named after the folder above a camera file or a COLMAP model.
     scene_folder = colmap.scene_folder(folder_of(path))

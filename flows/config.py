@@ -39,7 +39,7 @@ PRESETS = ("fast", "balanced", "paper")
 """Named settings, each a file in `presets`. The last has the settings of the paper, see
 `docs/reference/paper.md`."""
 
-SIDES = range(16, 8193)
+ALLOWED_SIDES = range(16, 8193)
 """Allowed heights and widths of views, in pixels."""
 
 
@@ -49,26 +49,27 @@ def _parse_sides(value: Any) -> tuple[int, int]:
         height, width = map(int, value.split("x") if isinstance(value, str) else value)
     except (TypeError, ValueError):
         height = width = 0
-    if height not in SIDES or width not in SIDES:
+    if height not in ALLOWED_SIDES or width not in ALLOWED_SIDES:
         raise ValueError(
-            f"expected height and width as in 256x256, each from {SIDES[0]} to {SIDES[-1]}"
+            f"expected height and width as in 256x256, each from {ALLOWED_SIDES[0]} to "
+            f"{ALLOWED_SIDES[-1]}"
         )
     return height, width
 
 
-AT_MOST = "at most "
+AT_MOST_PREFIX = "at most "
 
 
 def _parse_size(value: Any) -> tuple[int, int] | str:
     """Parse height and width, or one of the texts for sizes."""
     if value in ("auto", "original"):
         return value
-    bound = isinstance(value, str) and value.startswith(AT_MOST)
+    bound = isinstance(value, str) and value.startswith(AT_MOST_PREFIX)
     try:
-        sides = _parse_sides(value.removeprefix(AT_MOST) if bound else value)
+        sides = _parse_sides(value.removeprefix(AT_MOST_PREFIX) if bound else value)
     except ValueError as error:
         raise ValueError(f"{error}, 'at most 416x576', 'auto' or 'original'") from None
-    return "{}{}x{}".format(AT_MOST, *sides) if bound else sides
+    return "{}{}x{}".format(AT_MOST_PREFIX, *sides) if bound else sides
 
 
 Sides = Annotated[tuple[int, int], BeforeValidator(_parse_sides)]

@@ -60,7 +60,7 @@ def write_fields(
         OSError: If a folder cannot be written.
     """
     for folder in _earlier(out) - {file_name(scene) for scene in fields}:
-        if (out / FIELDS / folder / field_folder.ABOUT).is_file():
+        if (out / FIELDS / folder / field_folder.FIELD_FILE).is_file():
             shutil.rmtree(out / FIELDS / folder)
     rows = [
         {"scene": scene, "folder": file_name(scene)}
@@ -73,7 +73,7 @@ def write_fields(
         description, parts = about_field(store, fields[scene])
         folder, text = field_place(scene, out), description.to_json(places)
         files = {spec: folder / field_folder.FILES[spec] for spec in parts}
-        about = folder / field_folder.ABOUT  # with the digests of the files
+        about = folder / field_folder.FIELD_FILE  # with the digests of the files
         described = about.is_file() and about.read_bytes() == text.encode()
         # Where files are hard links, damage of the store is damage of the folder.
         if not described or not all(store.has_content(parts[k], f) for k, f in files.items()):

@@ -27,7 +27,7 @@ from slgaussian.storage.encoding import table_digest
 from slgaussian.storage.locks import BusyError, hold_lock
 from slgaussian.storage.store import ArtifactStore
 
-ASKED = (*Training.model_fields, "codes", "seed")
+TRAINING_SETTINGS = (*Training.model_fields, "codes", "seed")
 """Settings whose change requires a new training."""
 
 STATUS = {"promoted": 0, "failed": 2, "refused": 3, "regressed": 4, "busy": 5, "nothing new": 6}
@@ -149,7 +149,7 @@ def learn(
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
     lessons = parted(table, settings.held_out)
-    asked = settings.model_dump(mode="json", include=set(ASKED))
+    asked = settings.model_dump(mode="json", include=set(TRAINING_SETTINGS))
     asked["lessons"] = {name: table_digest(side) for name, side in vars(lessons).items()}
     used = version_name(0 if incumbent is None else incumbent.number)
     if history and asked == history[-1].facts.get("asked"):

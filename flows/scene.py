@@ -26,9 +26,9 @@ from tasks.scene import Labels, Photographs, field, geometry, ingest, masks, sup
 STAGES = (ingest, truth, geometry, masks, supervision, field, benchmark, attribution)
 """The stages of :func:`score_scene`, in order."""
 
-OURS = "slgaussian"
+FIELD_METHOD = "slgaussian"
 
-JUDGED = "auto"
+TARGET_SIZE = "auto"
 """Size of the targets in every run, as scores at different sizes are not comparable."""
 
 
@@ -98,7 +98,7 @@ def judged_at(size: Size) -> Size:
 
     A given height and width crops the views, so it also applies to the targets.
     """
-    return JUDGED if isinstance(size, str) else size
+    return TARGET_SIZE if isinstance(size, str) else size
 
 
 def photographs(settings: Settings, scene: SceneSettings) -> Photographs:
@@ -150,7 +150,7 @@ def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
                 f"{did_you_mean(name, ROWS)}"
             )
     wanted = ROWS if "all" in names else names
-    return {name: row for name, row in ROWS.items() if name != OURS and name in wanted}
+    return {name: row for name, row in ROWS.items() if name != FIELD_METHOD and name in wanted}
 
 
 def baseline_tasks(

@@ -12,7 +12,7 @@ from slgaussian.benchmark.index import ScenePair, read_index
 from slgaussian.errors import InputError
 
 DATASET = "procedural"
-THIRDS = 3
+PATH_SUBDIVISIONS = 3
 """Subdivisions of each third of a room's camera path when views are swept: enough for eight."""
 _SEEDS = re.compile(r"(\d+)(?:-(\d+))?")
 

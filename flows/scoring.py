@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from flows.benchmark import LEFT, scenes_of
+from flows.benchmark import RUN_FILES, scenes_of
 from flows.config import SceneSettings, Settings
 from flows.indexing import label_places
 from flows.runners.session import check_folder
@@ -59,7 +59,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
             f"size: found {settings.size!r}, expected HEIGHTxWIDTH, or nothing: all masks are "
             "scored at one size"
         )
-    if any((out / name).exists() for name in LEFT):
+    if any((out / name).exists() for name in RUN_FILES):
         raise InputError(
             f"{out}: has the results of a run, which would be replaced; choose another folder with "
             "-o"

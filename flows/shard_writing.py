@@ -11,8 +11,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from slgaussian.datasets.shards import END
-from slgaussian.datasets.training_set import ANEW, INDEX
+from slgaussian.datasets.shards import END_OF_ARCHIVE
+from slgaussian.datasets.training_set import INDEX, REPAIR
 from slgaussian.errors import SpecError
 from slgaussian.io import atomic_path, write_atomic
 from slgaussian.storage.encoding import decode_table, encode_table
@@ -84,7 +84,7 @@ def _index(out: Path) -> dict[str, list[dict[str, Any]]]:
     """Read the rows of an existing set by shard; none if it is missing or unreadable."""
     try:
         data = (out / INDEX).read_bytes()
-        rows = decode_table(data, load_spec("training_set"), str(out / INDEX), ANEW).to_pylist()
+        rows = decode_table(data, load_spec("training_set"), str(out / INDEX), REPAIR).to_pylist()
     except (FileNotFoundError, SpecError):
         return {}
     rows_by_shard = defaultdict(list)
@@ -108,7 +108,7 @@ def _is_kept(file: Path, rows: Sequence[Mapping[str, Any]], wanted: Mapping[str,
                 shard.seek(row["offset"])
                 if hashlib.sha256(shard.read(row["bytes"])).hexdigest() != row["digest"]:
                     return False
-            return shard.read() == END
+            return shard.read() == END_OF_ARCHIVE
     except OSError:
         return False
 
@@ -136,5 +136,5 @@ def _write(
             values = file.name, shard.tell(), item.ref.meta["length"], item.ref.meta["sha256"]
             positions[item.name] = dict(zip(POSITION, values, strict=True))
             shard.write(store.get(item.ref)["tar"].tobytes())
-        shard.write(END)
+        shard.write(END_OF_ARCHIVE)
     return positions

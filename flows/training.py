@@ -39,10 +39,10 @@ FILES = {
 }
 """Output files of a training."""
 
-LAST = 20
+LOSS_TAIL = 20
 """The loss in the metadata of weights is the mean over the last 1/LAST of the steps."""
 
-EVERY = 20
+CHECKPOINT_STEPS = 20
 """Steps between checkpoints: these steps take seconds, a checkpoint hundredths of a second."""
 
 
@@ -180,7 +180,7 @@ def train_on(
         architecture=replace(architecture, **chosen),
         codes=codes,
         seed=seed,
-        every=EVERY,
+        every=CHECKPOINT_STEPS,
     )
     manifest = {
         **lessons.counts(),
@@ -211,7 +211,7 @@ def train_on(
 
 def _metrics(course: pa.Table, judgements: pa.Table) -> dict[str, Any]:
     """Return the mean loss of the last steps, and the IoU by lifting."""
-    last = course["loss"].to_numpy()[-max(1, course.num_rows // LAST) :]
+    last = course["loss"].to_numpy()[-max(1, course.num_rows // LOSS_TAIL) :]
     means = judgements.group_by("lifting").aggregate([("iou", "mean")]).sort_by("lifting")
     iou = dict(zip(means["lifting"].to_pylist(), means["iou_mean"].to_pylist(), strict=True))
     return {"loss": float(last.mean()), "held out iou": iou}

@@ -8,9 +8,9 @@ import difflib
 import re
 from collections.abc import Iterable
 
-_LONG = re.compile(r"[^\s/]{256,}")  # longer than a file name can be
-_NAMED = 4  # numbers of groups, and of names in a group, that a message lists
-_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+_LONG_WORD = re.compile(r"[^\s/]{256,}")  # longer than a file name can be
+_MAX_NAMED = 4  # numbers of groups, and of names in a group, that a message lists
+_CONTROL_CHARACTERS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 class SLGaussianError(Exception):
@@ -56,10 +56,10 @@ def listed(groups: Iterable[Iterable[str]]) -> str:
     """List groups of names for a message, for example unconnected views; long lists are cut."""
     sorted_groups = [sorted(names) for names in groups]
     parts = []
-    for names in sorted_groups[:_NAMED]:
-        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-        parts.append(", ".join(map(repr, names[:_NAMED])) + more)
-    rest = sum(map(len, sorted_groups[_NAMED:]))
+    for names in sorted_groups[:_MAX_NAMED]:
+        more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+        parts.append(", ".join(map(repr, names[:_MAX_NAMED])) + more)
+    rest = sum(map(len, sorted_groups[_MAX_NAMED:]))
     return "; ".join([*parts, f"{rest} more"] if rest else parts)
 
 
@@ -69,5 +69,5 @@ def _plain(name: str) -> str:
 
 def one_line(message: str) -> str:
     """Return a message as one line that is safe to print and store."""
-    text = _LONG.sub(lambda word: f"{word[0][:100]}…", str(message))
-    return _CONTROL.sub(lambda sign: repr(sign[0])[1:-1], text)
+    text = _LONG_WORD.sub(lambda word: f"{word[0][:100]}…", str(message))
+    return _CONTROL_CHARACTERS.sub(lambda sign: repr(sign[0])[1:-1], text)

@@ -17,7 +17,7 @@ from slgaussian.components.component import Component
 from slgaussian.errors import InputError, SpecError, check_type
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import short, short_repr
-from slgaussian.labels import VISIBLE
+from slgaussian.labels import MIN_WEIGHT
 from slgaussian.language import Encoder
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap
@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     from slgaussian.rasterize.picture import Picture
     from slgaussian.semantic.decode import Decoder, NearestCode
 
-HATCH = 5
+HATCH_WIDTH = 5
 """Width in pixels of a stripe of the pattern for unknown pixels."""
 
-HATCHING = np.array([96, 160], np.uint8)
+HATCH_GREYS = np.array([96, 160], np.uint8)
 """The two greys of the pattern."""
 
 
@@ -53,7 +53,7 @@ class FieldView:
 
     Attributes:
         rgb: uint8 [H, W, 3]. Mean colour of the Gaussians; fades to black where ``alpha`` is below
-            :data:`VISIBLE`.
+            :data:`MIN_WEIGHT`.
         ids: int32 [H, W]. Object ids, 0 for none.
         confidence: float32 [H, W]. In [0, 1], about the blending weight of the object minus that of
             the next one; 0 without an object. See :class:`slgaussian.semantic.decode.Decoder`.
@@ -85,7 +85,7 @@ class FieldView:
         They are behind removed objects and outside the photographs. They are not inpainted; after
         a removal ``rgb`` has the pattern of :func:`hatched` there.
         """
-        return self.alpha < VISIBLE
+        return self.alpha < MIN_WEIGHT
 
     @cached_property
     def _objects(self) -> ObjectMap:
@@ -220,11 +220,11 @@ class SemanticField:
 
         Arguments as for :meth:`inventory`.
         """
-        from slgaussian.objects import BEST, words_for
+        from slgaussian.objects import MAX_DESCRIBING_WORDS, words_for
 
         words = list(dict.fromkeys([*self.taught, *(texts or words_for(self.encoder))]))
         relevancies = self.reader.relevancies(words, Rules(**rules)).T
-        best = np.argsort(-relevancies, axis=1, kind="stable")[:, :BEST]
+        best = np.argsort(-relevancies, axis=1, kind="stable")[:, :MAX_DESCRIBING_WORDS]
         return [
             tuple((words[k], float(of_object[k])) for k in rows)
             for of_object, rows in zip(relevancies, best, strict=True)
@@ -240,7 +240,7 @@ class SemanticField:
         ids, confidence = self._decoder(image.values[..., 3:])
         rgb = shown(image.values[..., :3], image.alpha)
         if self.removed:
-            rgb = hatched(rgb, image.alpha < VISIBLE)
+            rgb = hatched(rgb, image.alpha < MIN_WEIGHT)
         return FieldView(rgb, ids, confidence, image.alpha, image.depth, self, camera)
 
     def render_codes(self, camera: Camera, backend: str = "auto") -> np.ndarray:
@@ -431,7 +431,7 @@ class SemanticField:
     @cached_property
     def _labels(self) -> np.ndarray:
         features = self.gaussians.to_arrays()["features"]
-        labelled = features[:, -1] >= VISIBLE
+        labelled = features[:, -1] >= MIN_WEIGHT
         ids = np.zeros(len(features), np.int32)
         if labelled.any():
             from slgaussian.language.nearest import nearest_code
@@ -526,7 +526,7 @@ class SemanticField:
         try:
             built = SemanticField.of(about, arrays, places)
         except InputError as error:
-            raise SpecError(f"{path}{os.sep}{error}; {field_folder.AGAIN}") from error
+            raise SpecError(f"{path}{os.sep}{error}; {field_folder.REPAIR}") from error
         identity = encoder_identity(about.settings)
         loaded = replace(built, **edits.read(path, identity, built.bank.ids))
         try:
@@ -561,9 +561,9 @@ class SemanticField:
 def shown(drawn: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """Convert composited colours float [H, W, 3] and ``alpha`` [H, W] to uint8 [H, W, 3].
 
-    Computes the mean colour, faded to black where ``alpha`` is below :data:`VISIBLE`.
+    Computes the mean colour, faded to black where ``alpha`` is below :data:`MIN_WEIGHT`.
     """
-    colour = drawn / np.maximum(alpha, VISIBLE)[..., None]
+    colour = drawn / np.maximum(alpha, MIN_WEIGHT)[..., None]
     return np.rint(colour.clip(0, 1) * 255).astype(np.uint8)
 
 
@@ -574,8 +574,8 @@ def hatched(rgb: np.ndarray, where: np.ndarray) -> np.ndarray:
     camera.
     """
     height, width = where.shape
-    stripe = (np.add.outer(np.arange(height), np.arange(width)) // HATCH) % 2
-    return np.where(where[..., None], HATCHING[stripe][..., None], rgb)
+    stripe = (np.add.outer(np.arange(height), np.arange(width)) // HATCH_WIDTH) % 2
+    return np.where(where[..., None], HATCH_GREYS[stripe][..., None], rgb)
 
 
 def _check_places(encoder: Component) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 
 from slgaussian.errors import InputError
 
-FEW = 4
+MAX_SHOWN_ENTRIES = 4
 """Largest number of entries of a collection that a repr shows; it counts the others."""
 
 Digest = Callable[[str | Path], str]
@@ -86,10 +86,10 @@ def file_sha256(file: str | os.PathLike[str]) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-CHANGED = "was changed after the run had begun; start the run again"
+CHANGED_FILE = "was changed after the run had begun; start the run again"
 """Message about a file whose content changed during a run."""
 
-SETTLED = 2.0
+SETTLING_TIME = 2.0
 """Seconds after which a file's time stamps are a reliable sign of changes: file systems have a
 time resolution of up to 2 s, and a file may be written twice within it."""
 
@@ -113,7 +113,7 @@ class KnownFile:
         resolved = str(path.resolve() if path.exists() else path)
         return KnownFile(resolved, digest_of(resolved))
 
-    def checked(self, name: str, digest_of: Digest, otherwise: str = CHANGED) -> str:
+    def checked(self, name: str, digest_of: Digest, otherwise: str = CHANGED_FILE) -> str:
         """Check that the content is unchanged, and return the place.
 
         Raises:
@@ -143,10 +143,10 @@ def file_stamp(file: str | Path) -> tuple[int, ...] | None:
     """Return numbers that change whenever a local file's content does; OSError if it is missing.
 
     They include the inode change time, which programs that copy or unpack files cannot set back,
-    unlike the modification time. None within :data:`SETTLED` seconds of a change.
+    unlike the modification time. None within :data:`SETTLING_TIME` seconds of a change.
     """
     state = os.stat(file)
-    if time.time() - state.st_mtime < SETTLED:
+    if time.time() - state.st_mtime < SETTLING_TIME:
         return None
     return state.st_dev, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns
 
@@ -211,5 +211,9 @@ def short(value: Any) -> str:
 
 
 def _listed(texts: Iterable[str], count: int) -> str:
-    entries = [text for text, _ in zip(texts, range(FEW), strict=False)]
-    return ", ".join([*entries, f"and {count - FEW} more"] if count > FEW else entries)
+    entries = [text for text, _ in zip(texts, range(MAX_SHOWN_ENTRIES), strict=False)]
+    return ", ".join(
+        [*entries, f"and {count - MAX_SHOWN_ENTRIES} more"]
+        if count > MAX_SHOWN_ENTRIES
+        else entries
+    )

@@ -9,7 +9,7 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.io import short_repr
 
-VISIBLE = 0.5
+MIN_WEIGHT = 0.5
 """A pixel has an object if labelled Gaussians have at least this sum of blending weights."""
 
 

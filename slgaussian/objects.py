@@ -23,10 +23,10 @@ COMMON_OBJECTS = (
 )  # fmt: skip
 """Texts for encoders without a vocabulary of their own."""
 
-BEST = 3
+MAX_DESCRIBING_WORDS = 3
 """Number of words that describe an object."""
 
-LOOK = 320
+RENDERED_SIDE = 320
 """Longest side, in pixels, of the views that are rendered for confidence and the room."""
 
 
@@ -69,7 +69,7 @@ def list_objects(
     bank, views = field.bank, list(field.cameras)
     cameras = []
     for camera in field.cameras.values():
-        shrink = min(1.0, LOOK / max(camera.width, camera.height))
+        shrink = min(1.0, RENDERED_SIDE / max(camera.width, camera.height))
         size = round(camera.width * shrink), round(camera.height * shrink)
         cameras.append(camera.resized(*size))
     looks = [field.render(camera) for camera in cameras]

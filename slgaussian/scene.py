@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from slgaussian.errors import InputError
-from slgaussian.formats.images import MOST_PIXELS
+from slgaussian.formats.images import MAX_PIXELS
 from slgaussian.formats.resampling import Fit, Window
 from slgaussian.io import short_repr
 from slgaussian.kernels.seeding import content_of
@@ -81,7 +81,7 @@ class Camera:
     Raises:
         InputError: If a number is not finite, the pose is not a rotation and a translation, the
             focal length or size is not positive, there are more than
-            :data:`slgaussian.formats.images.MOST_PIXELS` pixels, or near and far are out of order.
+            :data:`slgaussian.formats.images.MAX_PIXELS` pixels, or near and far are out of order.
     """
 
     K: np.ndarray
@@ -119,9 +119,9 @@ class Camera:
             raise InputError(f"camera c2w: last row is {c2w[3].tolist()}, expected [0, 0, 0, 1]")
         if self.width < 1 or self.height < 1:
             raise InputError(f"camera size {self.width}x{self.height} must be at least 1x1")
-        if not self.width * self.height <= MOST_PIXELS:
+        if not self.width * self.height <= MAX_PIXELS:
             raise InputError(
-                f"camera size {self.width:g}x{self.height:g}: expected at most {MOST_PIXELS:,} "
+                f"camera size {self.width:g}x{self.height:g}: expected at most {MAX_PIXELS:,} "
                 "pixels; shrink the photographs"
             )
         if self.near is not None and not 0 < self.near < np.inf:

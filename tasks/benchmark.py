@@ -16,7 +16,7 @@ from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.benchmark.evaluate import EvaluationSettings, SceneResult, evaluate
 from slgaussian.benchmark.reports.examples import Scene
 from slgaussian.benchmark.reports.run_report import run_report
-from slgaussian.benchmark.scores import GOOD
+from slgaussian.benchmark.scores import GOOD_IOU
 from slgaussian.components.component import Component
 from slgaussian.components.method import Method
 from slgaussian.field import SemanticField
@@ -88,7 +88,7 @@ def example(result: SceneResult, field: SemanticField) -> dict[str, Any] | None:
         ious = [row["iou"] for row in rows]
         if hit.found and None in ious:
             candidates.append((False, rows[0]["score"], {"text": hit.text, "iou": None}))
-        elif hit.found and min(ious) >= GOOD and all(row["hit_mask"] for row in rows):
+        elif hit.found and min(ious) >= GOOD_IOU and all(row["hit_mask"] for row in rows):
             candidates.append((True, fmean(ious), {"text": hit.text, "iou": fmean(ious)}))
     return max(candidates, key=lambda candidate: candidate[:2])[2] if candidates else None
 

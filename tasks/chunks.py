@@ -25,7 +25,7 @@ from slgaussian.datasets.recognise import posed_scene, recognise
 from slgaussian.datasets.shards import key_of
 from slgaussian.datasets.sharpness import blur, exposure, glance
 from slgaussian.errors import InputError, SpecError
-from slgaussian.io import CHANGED, KnownFile, file_stamp
+from slgaussian.io import CHANGED_FILE, KnownFile, file_stamp
 from slgaussian.predict.distance import typical_depths
 from slgaussian.scene import Scene, View
 from slgaussian.storage.remote import explain_error, file_system_errors
@@ -35,7 +35,7 @@ from tasks.context import RunContext
 from tasks.scene import data_identity, describe_cameras
 from tasks.stage import stage
 
-STAMPS = ("mtime", "LastModified", "Last-Modified", "ETag", "Content-MD5", "created")
+VERSION_FIELDS = ("mtime", "LastModified", "Last-Modified", "ETag", "Content-MD5", "created")
 """Fields of fsspec's file info that identify the version of a file."""
 
 
@@ -43,7 +43,7 @@ def digest_of(store: ArtifactStore, file: str) -> str:
     """Compute the SHA-256 of a file, hexadecimal, once for each path, size and time stamp.
 
     The store caches it under ``digests/``. A file that changed within the last
-    :data:`slgaussian.io.SETTLED` seconds, or has no time stamp, is read every time.
+    :data:`slgaussian.io.SETTLING_TIME` seconds, or has no time stamp, is read every time.
 
     Args:
         file: path or fsspec URL
@@ -74,7 +74,7 @@ def digest_of(store: ArtifactStore, file: str) -> str:
 def _remote_stamp(fs: fsspec.AbstractFileSystem, path: str) -> list[str] | None:
     """Return the version of a file, which ``fs.ukey`` lacks over HTTP; None without one."""
     info = fs.info(path)
-    stamps = [str(info[name]) for name in STAMPS if info.get(name)]
+    stamps = [str(info[name]) for name in VERSION_FIELDS if info.get(name)]
     return [str(info.get("size")), *stamps] if stamps else None
 
 
@@ -103,7 +103,7 @@ def read_chunk(run: RunContext, chunk: KnownFile | ArtifactRef) -> dict[str, re1
                 )
             clips[clip.key] = clip
         if digest_of(run.store, chunk.place) != chunk.digest:
-            raise InputError(f"{chunk.place}: {CHANGED}")
+            raise InputError(f"{chunk.place}: {CHANGED_FILE}")
         return clips
 
     return run.once((re10k.Clip, chunk.digest), read)
@@ -199,7 +199,7 @@ def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     return run.store.put("packed", {"torch": data}, meta)
 
 
-ROW = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for c in range(4)))
+CAMERA_COLUMNS = ("fx", "fy", "cx", "cy", *(f"w2c_{r}{c}" for r in range(3) for c in range(4)))
 """Columns of a camera in the table: a row of a chunk without its two zeros."""
 
 
@@ -244,7 +244,7 @@ def _views(clip: re10k.Clip) -> tuple[list[dict[str, Any]], list[InputError]]:
                 "digest": hashlib.sha256(data).hexdigest(),
                 "width": width,
                 "height": height,
-                **dict(zip(ROW, np.delete(numbers, (4, 5)).tolist(), strict=True)),
+                **dict(zip(CAMERA_COLUMNS, np.delete(numbers, (4, 5)).tolist(), strict=True)),
                 "blur": blur(grey),
                 "mean": mean,
                 "clipped": clipped,
@@ -299,7 +299,9 @@ def known_views(views: Sequence[Mapping[str, Any]]) -> Views:
     def column(name: str) -> np.ndarray:
         return np.array([view[name] for view in views], np.float64)
 
-    numbers = np.insert([[view[name] for name in ROW] for view in views], (4, 4), 0, axis=1)
+    numbers = np.insert(
+        [[view[name] for name in CAMERA_COLUMNS] for view in views], (4, 4), 0, axis=1
+    )
     cameras = [
         re10k.camera_of(row, view["width"], view["height"])
         for row, view in zip(numbers, views, strict=True)

@@ -22,7 +22,7 @@ from tasks.samples import read_everywhere
 from tasks.scene import read_geometry
 from tasks.stage import stage
 
-SAVED: dict[str, dict[str, Any]] = {
+SAVE_OPTIONS: dict[str, dict[str, Any]] = {
     "jpg": {"format": "JPEG", "quality": 95, "subsampling": 0},
     "png": {"format": "PNG", "compress_level": 6},
 }
@@ -48,7 +48,7 @@ def example(
             :func:`tasks.samples.all_masks`.
         known: Properties that are stored with the sample. Its ``sample`` is the name of the
             members.
-        images: A key of :data:`SAVED`.
+        images: A key of :data:`SAVE_OPTIONS`.
     """
     store = run.store
     views = run.read(sample, sample_from_arrays)
@@ -89,7 +89,7 @@ def _images(sample: Sample, ending: str) -> dict[str, bytes]:
     for role, views in (("context", sample.context), ("target", sample.targets)):
         for number, view in enumerate(views):
             out = io.BytesIO()
-            Image.fromarray(view.image).save(out, **SAVED[ending])
+            Image.fromarray(view.image).save(out, **SAVE_OPTIONS[ending])
             members[f"{role}_{number}.{ending}"] = out.getvalue()
     return members
 

@@ -26,7 +26,7 @@ from slgaussian.components.method import Method
 from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.geometry import SceneGeometry
-from slgaussian.io import CHANGED, file_digest
+from slgaussian.io import CHANGED_FILE, file_digest
 from slgaussian.language.bank import MemoryBank
 from slgaussian.predict import Depths
 from slgaussian.predict.view_graph import select_usable
@@ -43,7 +43,7 @@ from tasks.artifacts import (
 from tasks.context import RunContext
 from tasks.stage import canonical, stage
 
-COPY = 1.0
+MAX_COPY_DIFFERENCE = 1.0
 """Largest mean difference of two copies of a photograph at different sizes, grey levels."""
 
 
@@ -118,7 +118,7 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     """
     sample, graph, useless = select_usable(photographs.read())
     if photographs.look() != photographs.inputs:
-        raise InputError(f"{photographs.path}: {CHANGED}")
+        raise InputError(f"{photographs.path}: {CHANGED_FILE}")
     left_out = {**sample.found.get("left_out", {}), **useless}
     matches = run.store.put("matches", graph.to_arrays())
     meta = {
@@ -157,7 +157,7 @@ def _same_picture(target: View, view: View) -> bool:
     if target.image.shape == view.image.shape:
         return np.array_equal(target.image, view.image)
     difference = target.resized(*view.image.shape[:2]).image.astype(float) - view.image
-    return float(np.abs(difference).mean()) < COPY
+    return float(np.abs(difference).mean()) < MAX_COPY_DIFFERENCE
 
 
 def data_identity(

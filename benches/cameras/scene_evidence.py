@@ -32,7 +32,7 @@ from benches.common.photograph_pairs import data_folder
 from slgaussian.build import predict
 from slgaussian.cameras.find import find_cameras
 from slgaussian.cameras.match_graph import MatchGraph
-from slgaussian.cameras.quality import LEAST_CONFIDENCE, MOST_CONFIDENCE
+from slgaussian.cameras.quality import MAX_CONFIDENCE, MIN_CONFIDENCE
 from slgaussian.cameras.two_view import Photograph
 from slgaussian.components.method import Method
 from slgaussian.datasets.procedural.rooms import FOCUS, furnish
@@ -191,7 +191,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], st
     answered = [row for row in rows if "error" in row]
     right = np.array([row["error"] <= WRONG for row in answered])
     matches = np.array([row["matches"] for row in answered])
-    clipped = matches.clip(LEAST_CONFIDENCE, MOST_CONFIDENCE)
+    clipped = matches.clip(MIN_CONFIDENCE, MAX_CONFIDENCE)
     X = np.stack([np.log(clipped / (1 - clipped)), [row["clash"] for row in answered]], 1)
     lines = [
         reliability("matches alone", matches, right),

@@ -18,7 +18,7 @@ import numpy as np
 from benches.common.harness import parser, publish, table
 from benches.common.photograph_pairs import data_folder
 from slgaussian.errors import InputError
-from slgaussian.language.vocabulary import NOUNS, Vocabulary, load_vocabulary
+from slgaussian.language.vocabulary import NOUN_FAMILIES, Vocabulary, load_vocabulary
 
 LVIS = "clip_text/lvis_names_clip_text.npz"
 TITLES = {"coco": "COCO", "coco_stuff": "COCO-stuff", "ade20k": "ADE20K 150", "lvis": "LVIS"}
@@ -43,7 +43,7 @@ def row_of(title: str, vocabulary: Vocabulary, names: Sequence[str]) -> dict[str
             continue
         if read.unknown:
             in_part += 1
-        elif not any(word.family in NOUNS for word in read.words):
+        elif not any(word.family in NOUN_FAMILIES for word in read.words):
             no_thing += 1
     shares = {"refused": len(refused), "part": in_part, "no_thing": no_thing}
     row = {"set": title, "names": len(names), "which": ", ".join(refused)}
@@ -64,7 +64,7 @@ def main() -> None:
     arguments.add_argument("data", type=data_folder(LVIS))
     args = arguments.parse_args()
     vocabulary = load_vocabulary()
-    nouns = len({word.name for word in vocabulary.words.values() if word.family in NOUNS})
+    nouns = len({word.name for word in vocabulary.words.values() if word.family in NOUN_FAMILIES})
     rows = [row_of(TITLES[key], vocabulary, names) for key, names in class_names(args.data).items()]
     publish(
         args.out,

@@ -37,7 +37,7 @@ from slgaussian.masks import MaskTracker, Proposals, load_tracker
 from slgaussian.masks.associate import associate
 from slgaussian.masks.regions import Regions
 from slgaussian.predict import load_predictor
-from slgaussian.predict.pose_refinement import GATE, refine
+from slgaussian.predict.pose_refinement import MAX_EPIPOLAR_DISTANCE, refine
 from slgaussian.scene import Sample, View
 from tests.matching import sift_matches
 
@@ -235,7 +235,7 @@ def labelled_points(sample: Sample, labels: Path) -> dict[str, list[tuple[np.nda
     for view in sample.context:
         pose = Relative.between(target.camera, view.camera)
         a, b = sift_matches(grey[target.name], grey[view.name])
-        close = np.abs(pose.epipolar_distance(a, b)) < GATE * np.hypot(*SIZE)
+        close = np.abs(pose.epipolar_distance(a, b)) < MAX_EPIPOLAR_DISTANCE * np.hypot(*SIZE)
         relative = refine(pose, a[close], b[close])
         landed, ratio = relative.project(pixels, 1 / np.where(valid, target.depth, 1))
         column, row = np.floor(landed).astype(int).transpose(2, 0, 1)

@@ -28,10 +28,10 @@ from benches.scores.score_floors import motorcycle
 from slgaussian.benchmark.metrics import psnr, ssim
 from slgaussian.gaussians import Gaussians, source_depths
 from slgaussian.kernels import threads
+from slgaussian.labels import MIN_WEIGHT
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import Render, rasterize
 from slgaussian.scene import Camera, Sample, View
-from slgaussian.semantic.decode import VISIBLE
 
 ROOMS = 8
 
@@ -65,7 +65,7 @@ def depth_errors(view: View, second: View, depth: np.ndarray) -> tuple[float, fl
 
 
 def drawn(render: Render) -> np.ndarray:
-    alpha = np.maximum(render.alpha.numpy(), VISIBLE)[..., None]
+    alpha = np.maximum(render.alpha.numpy(), MIN_WEIGHT)[..., None]
     return np.rint((render.values.numpy() / alpha).clip(0, 1) * 255).astype(np.uint8)
 
 

@@ -34,10 +34,10 @@ from slgaussian.datasets.context_views import context_of
 from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.gaussians import Gaussians
 from slgaussian.kernels import threads
+from slgaussian.labels import MIN_WEIGHT
 from slgaussian.predict.planesweep import PlaneSweep
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Sample, Scene
-from slgaussian.semantic.decode import VISIBLE
 
 Row = dict[str, Any]
 
@@ -81,7 +81,7 @@ def at_targets(sample: Sample, gaussians: Gaussians) -> Row:
         scores.setdefault("psnr", []).append(psnr(drawn, target.image))
         scores.setdefault("ssim", []).append(ssim(drawn, target.image))
         if target.depth is not None and (target.depth > 0).any():
-            visible = render.alpha.numpy() >= VISIBLE
+            visible = render.alpha.numpy() >= MIN_WEIGHT
             depth = np.where(visible, render.median.numpy(), 0)
             scores.setdefault("depth", []).append(depth_errors(depth, target.depth)["abs_rel"])
     return {name: float(np.mean(values)) for name, values in scores.items()}

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from slgaussian.field import FieldView
     from slgaussian.language.query import QueryResult
 
-BEST = 3
+MAX_PRINTED_OBJECTS = 3
 """Number of printed objects of an answer."""
 
-NOTHING = "no text fits"
+NO_TEXT_FITS = "no text fits"
 """Name of the label of pixels that fit canonical phrases better than any text."""
 
 
@@ -126,8 +126,10 @@ def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
     lines = [f"{answer['text']!r} in {answer['view']}"] if with_title else []
     lines.append(answer["summary"])
     if answer["objects"]:
-        best = ", ".join(f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"][:BEST])
-        more = len(answer["objects"]) - BEST
+        best = ", ".join(
+            f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"][:MAX_PRINTED_OBJECTS]
+        )
+        more = len(answer["objects"]) - MAX_PRINTED_OBJECTS
         if answer["point"]:
             x, y = answer["point"]
             rest = f" and {more} more" if more > 0 else ""
@@ -183,10 +185,10 @@ def _hit_picture(name: str, view: FieldView, hit: QueryResult) -> np.ndarray:
 
     answer = view.rgb
     if hit.verdict == "found":
-        outlined = pictures.draw_outline(answer, hit.mask, pictures.PREDICTED)
+        outlined = pictures.draw_outline(answer, hit.mask, pictures.PREDICTED_COLOUR)
         answer = pictures.draw_point(outlined, hit.point)
     elif hit.verdict == "not sure":
-        answer = pictures.draw_dashed(answer, hit.mask, pictures.PREDICTED)
+        answer = pictures.draw_dashed(answer, hit.mask, pictures.PREDICTED_COLOUR)
     relevancy = pictures.paint_relevancy(hit.relevancy, view.rgb)
     first = f"rendering, {name}", view.rgb
     panels = [first, (f"relevancy of {hit.text!r}", relevancy), (hit.summary, answer)]
@@ -266,7 +268,7 @@ def segment(
 
 
 def _cells(row: Mapping[str, Any]) -> Sequence[str]:
-    text = NOTHING if row["text"] is None else row["text"]
+    text = NO_TEXT_FITS if row["text"] is None else row["text"]
     mean = "" if row["relevancy"] is None else f"{row['relevancy']:.3f}"
     share, ids = f"{100 * row['share']:.1f} %", ", ".join(map(str, row["objects"]))
     return str(row["label"]), text, share, mean, row["verdict"] or "", ids

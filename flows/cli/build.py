@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from slgaussian.cameras.estimated import EstimatedCameras
     from slgaussian.field import SemanticField
 
-MASKS = "masks.json"
+MASKS_FILE = "masks.json"
 """File in a folder of masks with their settings."""
-LOOK = "look.jpg"
+PREVIEW_FILE = "look.jpg"
 """Picture of the masks for viewing; a JPEG, as view names end in .png."""
 
 
@@ -157,7 +157,9 @@ def cameras(
     from slgaussian.datasets import nerfstudio, unposed
 
     try:
-        is_foreign = out and out.exists() and nerfstudio.OWN.encode() not in out.read_bytes()
+        is_foreign = (
+            out and out.exists() and nerfstudio.EXTENSION_KEY.encode() not in out.read_bytes()
+        )
     except OSError as error:
         message = f"{out}: cannot be written ({error.strerror}); choose another"
         raise InputError(message) from None
@@ -221,7 +223,7 @@ def masks(
     from slgaussian.storage.field_folder import check_target
 
     method = make_settings(options.settings_from(ctx), "masks")
-    check_target(out, MASKS, "a folder of masks")  # before the work
+    check_target(out, MASKS_FILE, "a folder of masks")  # before the work
     sample, _ = load_photographs(photos, cameras, method)
     sample, graph, left_out = select_usable(sample)
     for name, reason in left_out.items():
@@ -255,11 +257,11 @@ def masks(
             labelled = f"{100 * (ids > 0).mean():.1f} %"
             rows.append((view.name, files[view.name], str((areas > 0).sum()), labelled))
         look = pictures.side_by_side(panels)
-        (draft / LOOK).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
+        (draft / PREVIEW_FILE).write_bytes(pictures.encode_jpeg(look, look.shape[1]))
         identities: dict[str, Any] = {c.kind: {c.name: c.identity()} for c in components}
         identities |= {"replicas": method.replicas, "votes": method.votes}
         text = {"size": [height, width], "views": files, "settings": identities}
-        (draft / MASKS).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
+        (draft / MASKS_FILE).write_text(json.dumps(text, indent=1) + "\n", "utf-8")
     typer.echo(table_text(rows, "<<"))
     shared = len(maps.ids) - len(maps.seen_once)
     typer.echo(f"{len(maps.ids)} objects, {shared} of them in several views\n{out}")

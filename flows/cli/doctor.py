@@ -23,9 +23,9 @@ from slgaussian import __version__
 from slgaussian.errors import InputError, SLGaussianError, one_line
 from slgaussian.extras import PACKAGE, requirements
 
-SHOWN = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
+SHOWN_PACKAGES = ("torch", "numpy", "numba", "pyarrow", "prefect", "fastapi", "sqlalchemy")
 """Packages whose versions are always shown."""
-ROOM = 2**30
+MIN_FREE_BYTES = 2**30
 """Bytes that should be free on the disk of the store; a scene takes some 30 MB."""
 
 
@@ -105,9 +105,9 @@ def _packages() -> str:
     if problems:
         install = " ".join(f"'{needs}'" for needs in problems)
         raise InputError(f"{'; '.join(problems.values())}; run `pip install {install}`")
-    for name in SHOWN:
+    for name in SHOWN_PACKAGES:
         import_module(name)
-    return f"{len(needed)} as required: {', '.join(f'{n} {version(n)}' for n in SHOWN)}"
+    return f"{len(needed)} as required: {', '.join(f'{n} {version(n)}' for n in SHOWN_PACKAGES)}"
 
 
 def _store(place: str, opened: list[Any]) -> str:
@@ -119,13 +119,13 @@ def _store(place: str, opened: list[Any]) -> str:
     missing = [p for p in (path, *path.parents) if store.local and not p.exists()]
     try:
         store.check_writable()
-        free = shutil.disk_usage(path).free if store.local else ROOM
+        free = shutil.disk_usage(path).free if store.local else MIN_FREE_BYTES
     finally:
         for folder in missing:
             with suppress(OSError):  # it was not created
                 folder.rmdir()
     opened.append(store)
-    if free < ROOM:
+    if free < MIN_FREE_BYTES:
         advice = "make room (`slgaussian store gc`), or choose another --store"
         raise InputError(f"{store.root} has {free / 2**30:.1f} GiB free; {advice}")
     return f"{store.root} can be written"

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from slgaussian.field import SemanticField
     from slgaussian.objects import SceneObject
 
-LARGEST = 20
+MAX_LISTED = 20
 """Number of listed objects, those with most Gaussians."""
 
-SURE_VIEWS = 4
+MAX_QUERIED_VIEWS = 4
 """Largest number of context views in which words are queried."""
 
-UNITS = {
+SIZE_UNITS = {
     True: "Sizes are in metres.",
     False: "Sizes are in scene units, which are not metres: the cameras were estimated.",
     None: "Sizes are in scene units, those of the given cameras.",
@@ -75,7 +75,7 @@ def list_(
     accepted, refused = sort_texts(opened, texts or [], untold=False)
     things = opened.inventory(accepted or None, **rules)
     largest = sorted(things, key=lambda thing: -thing.gaussians)
-    listed = largest if show_all else largest[:LARGEST]
+    listed = largest if show_all else largest[:MAX_LISTED]
     sure = {} if as_json and out is None else _sure_words(opened, accepted, rules)
     if out is not None:
         write_picture(out, _picture(field, opened, listed, sure))
@@ -88,7 +88,7 @@ def list_(
         if any(words.startswith("(") for _, words, *_ in rows):
             typer.echo("(in brackets: the word that fits best; a query for it is not sure)")
         if listed:
-            typer.echo(UNITS[listed[0].metres])
+            typer.echo(SIZE_UNITS[listed[0].metres])
         if largest[len(listed) :]:
             typer.echo(f"{len(largest) - len(listed)} smaller ones are listed with --all")
         for line in refusals(notes):
@@ -304,7 +304,7 @@ def _sure_words(
 
     candidate_texts = list(dict.fromkeys([*field.taught, *(texts or words_for(field.encoder))]))
     surest: dict[tuple[int, str], float] = {}
-    for camera in list(field.cameras.values())[:SURE_VIEWS]:
+    for camera in list(field.cameras.values())[:MAX_QUERIED_VIEWS]:
         hits = field.render(camera).query_all(candidate_texts, **rules)
         for hit in (hit for hit in hits if hit.found):
             mask = 1.0 if hit.confidence is None else hit.confidence.mask

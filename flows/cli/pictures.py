@@ -16,7 +16,7 @@ from slgaussian.io import atomic_path, write_file
 PICTURES = (".png", ".jpg", ".jpeg")
 FILMS = (".mp4",)
 
-RATE = 15
+FRAME_RATE = 15
 """Frames per second."""
 
 VP9 = "vp09"
@@ -72,7 +72,7 @@ def write_film(path: Path, frames: Iterable[np.ndarray]) -> None:
             for frame in frames:
                 if not written:
                     codec = cv2.VideoWriter_fourcc(*VP9)
-                    writer.open(draft, cv2.CAP_FFMPEG, codec, RATE, frame.shape[1::-1])
+                    writer.open(draft, cv2.CAP_FFMPEG, codec, FRAME_RATE, frame.shape[1::-1])
                 writer.write(np.ascontiguousarray(frame[..., ::-1]))
                 written += 1
             writer.release()

@@ -11,7 +11,7 @@ import typer
 from flows.cli import options
 from flows.read_config import make_settings
 
-NAMED = 3
+MAX_NAMED = 3
 """Largest number of names of missing or unused masks in a message."""
 
 
@@ -82,5 +82,5 @@ def compare(
 
 
 def _few(names: Sequence[str]) -> str:
-    rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + rest
+    rest = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+    return ", ".join(names[:MAX_NAMED]) + rest

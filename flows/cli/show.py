@@ -73,7 +73,7 @@ def render(
     from slgaussian.cameras import paths
     from slgaussian.datasets.recognise import cameras_in
     from slgaussian.field import SemanticField
-    from slgaussian.formats.depth_maps import WRITTEN, write_map
+    from slgaussian.formats.depth_maps import WRITABLE_SUFFIXES, write_map
     from slgaussian.formats.ply import load_ply
     from slgaussian.io import write_file
     from slgaussian.masks.precomputed import encode_ids
@@ -86,7 +86,7 @@ def render(
     chosen = [name for name, value in ways.items() if value]
     if film and chosen[1:]:
         raise InputError(f"{chosen[0]} and {chosen[1]}: both choose cameras; leave out one of them")
-    for name, file, kinds in (("--depth", depth, WRITTEN), ("--ids", ids, (".png",))):
+    for name, file, kinds in (("--depth", depth, WRITABLE_SUFFIXES), ("--ids", ids, (".png",))):
         if file is not None and (film or len(view or ()) > 1):
             raise InputError(f"{name}: is of one view; leave out {chosen[0]}, or name one view")
         if file is not None:
@@ -146,11 +146,11 @@ def _look_at_ply(gaussians: Gaussians, file: Path, camera: Camera) -> Shot:
     """Render Gaussians; warn if hardly any are visible."""
     import numpy as np
 
-    from slgaussian.labels import VISIBLE
+    from slgaussian.labels import MIN_WEIGHT
     from slgaussian.rasterize.picture import picture, seen_colors
 
     rendered = picture(gaussians, seen_colors(gaussians, camera), camera)
-    visible = rendered.alpha >= VISIBLE
+    visible = rendered.alpha >= MIN_WEIGHT
     if not visible.any():
         middle = ", ".join(f"{x:.3g}" for x in gaussians.means.median(0).values.tolist())
         typer.echo(

@@ -36,7 +36,7 @@ from tasks.context import Notify, RunContext, StageEvent, enclosing_run, run_con
 MAX_BATCH = 16
 """Largest number of scenes of a batch: with all stages cached a batch takes a second."""
 
-DEAD = {
+DEAD_WORKER_ERRORS = {
     "BrokenProcessPool",
     "KilledWorker",
     "NodeDiedError",
@@ -177,7 +177,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
         future.add_done_callback(news.put)
 
     def retry(scenes: list[SceneTask], runner: TaskRunner[Any], error: BaseException) -> None:
-        died, reason = type(error).__name__ in DEAD, last_line(str(error))
+        died, reason = type(error).__name__ in DEAD_WORKER_ERRORS, last_line(str(error))
         event_text = f"died ({reason})" if died else f"raised {type(error).__name__}: {reason}"
         progress.lost(event_text, [scene_task.scene for scene_task in scenes])
         text = f"its worker {event_text} twice, the second time with no other scene"

@@ -28,10 +28,10 @@ Result = TypeVar("Result")
 RESULTS: list[Any] = []
 """Result of the last flow of this process, even if the server has not received it."""
 
-NAMED = 50
+MAX_NAMED = 50
 """Largest number of scenes in the message of a state."""
 
-MOST_ROWS = 500
+MAX_ROWS = 500
 """Largest number of rows of a table artifact, which Prefect shows on one page."""
 
 
@@ -85,8 +85,8 @@ def completed(
     """Return the final state of a flow, whose message names scenes that were left out."""
     names = list(dict.fromkeys(failure.scene for failure in failures))
     if names:
-        rest = f" and {len(names) - NAMED} more" if names[NAMED:] else ""
-        message += f"; left out: {', '.join(names[:NAMED])}{rest}"
+        rest = f" and {len(names) - MAX_NAMED} more" if names[MAX_NAMED:] else ""
+        message += f"; left out: {', '.join(names[:MAX_NAMED])}{rest}"
     RESULTS[:] = [result]
     return Completed(name=name, message=message, data=result)
 
@@ -131,7 +131,7 @@ def publish(key: str, content: str | Sequence[dict[str, Any]]) -> None:
 
     Args:
         key: Lower-case letters, digits and dashes.
-        content: Markdown, or a table, of which the first :data:`MOST_ROWS` rows are used.
+        content: Markdown, or a table, of which the first :data:`MAX_ROWS` rows are used.
     """
     if NO_EVENTS in os.environ:
         return
@@ -139,6 +139,6 @@ def publish(key: str, content: str | Sequence[dict[str, Any]]) -> None:
         if isinstance(content, str):
             create_markdown_artifact(content, key)
         else:
-            create_table_artifact(list(content[:MOST_ROWS]), key)
+            create_table_artifact(list(content[:MAX_ROWS]), key)
     except Exception as error:  # the run continues without its artifact
         logger.warning("an artifact was not created: %s", error)

@@ -36,10 +36,10 @@ from slgaussian.extras import install_line
 from slgaussian.storage.store import ArtifactStore, DamagedError
 from slgaussian.system import without_interrupts
 
-CONNECT = 5.0
+CONNECT_TIMEOUT = 5.0
 """Timeout of the connection to a cluster, seconds."""
 
-PATIENCE = 120.0
+FIRST_TASK_TIMEOUT = 120.0
 """Timeout of the first task on a cluster, seconds."""
 
 CLUSTERS = {
@@ -154,11 +154,11 @@ def _check_workers(name: str, workers: Workers) -> None:
     store.write(probe, b"")
     parameters = {"root": store.root, "probe": probe}
     try:
-        workers.submit(roll_call, parameters).result(timeout=PATIENCE)
+        workers.submit(roll_call, parameters).result(timeout=FIRST_TASK_TIMEOUT)
     except TimeoutError as error:
         raise InputError(
-            f"runner: no worker of {name} accepted work within {PATIENCE:.0f} s; start one, or "
-            "wait until one is free"
+            f"runner: no worker of {name} accepted work within {FIRST_TASK_TIMEOUT:.0f} s; start "
+            "one, or wait until one is free"
         ) from error
     except Exception as error:  # each task runner has its own
         raise InputError(
@@ -189,7 +189,7 @@ def check_runner(runner: str) -> None:
             f"runner: {kind} is not installed ({error}); install it with {install_line(kind)}"
         ) from error
     try:
-        socket.create_connection((place.hostname, place.port), CONNECT).close()
+        socket.create_connection((place.hostname, place.port), CONNECT_TIMEOUT).close()
         if kind == "dask":
             asyncio.run(_greet(f"tcp://{place.netloc}"))
     except (OSError, ValueError) as error:
@@ -203,7 +203,7 @@ async def _greet(url: str) -> None:
     """Raise OSError if no Dask scheduler is at a URL, for which Dask's clients wait forever."""
     from distributed.comm import connect
 
-    comm = await asyncio.wait_for(connect(url, timeout=CONNECT), 2 * CONNECT)
+    comm = await asyncio.wait_for(connect(url, timeout=CONNECT_TIMEOUT), 2 * CONNECT_TIMEOUT)
     await comm.close()
 
 

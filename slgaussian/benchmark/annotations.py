@@ -33,9 +33,9 @@ from slgaussian.formats.resampling import Window
 from slgaussian.io import read_lines, short_repr
 from slgaussian.scene import View
 
-CLASSES = "classes.txt"
+CLASSES_FILE = "classes.txt"
 
-INSIDE = 255
+MASK_GREY = 255
 """Grey level of a class mask; 3D-OVS takes all others, blurred edges too, for background."""
 
 
@@ -111,7 +111,7 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
         InputError: If a label file is damaged.
     """
     folder = Path(folder)
-    if (folder / CLASSES).is_file():
+    if (folder / CLASSES_FILE).is_file():
         frames = sorted(path.name for path in folder.iterdir() if path.is_dir())
         return dict.fromkeys(frames, _classes(folder))
     return {
@@ -123,9 +123,9 @@ def labelled_frames(folder: str | Path) -> dict[str, tuple[str, ...]]:
 def label_files(folder: str | Path, view_name: str) -> list[Path]:
     """Return the files from which the labels of a frame are read; they may be missing."""
     folder, name = Path(folder), Path(view_name)
-    if (folder / CLASSES).is_file():
+    if (folder / CLASSES_FILE).is_file():
         masks = (folder / name.stem / f"{category}.png" for category in _classes(folder))
-        return [folder / CLASSES, *masks]
+        return [folder / CLASSES_FILE, *masks]
     nested = folder / name.with_suffix(".json")
     return [nested if nested.is_file() else folder / f"{name.stem}.json"]
 
@@ -134,7 +134,7 @@ def _read_frame(
     folder: Path, view_name: str, width: int, height: int, window: Window | None
 ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray] | None]:
     """Read masks and boxes of a frame; class masks have no boxes."""
-    if (folder / CLASSES).is_file():
+    if (folder / CLASSES_FILE).is_file():
         return _read_class_masks(folder, view_name, width, height, window), None
     (path,) = label_files(folder, view_name)
     record = _read_record(path)
@@ -162,7 +162,7 @@ def _read_frame(
 
 def _classes(folder: Path) -> tuple[str, ...]:
     """Read the classes of class masks, sorted; InputError if there are none, or duplicates."""
-    file = folder / CLASSES
+    file = folder / CLASSES_FILE
     try:
         names = sorted(name for line in read_lines(file) if (name := line.strip(" \t")))
     except (OSError, UnicodeDecodeError) as bad:
@@ -182,9 +182,10 @@ def _read_class_masks(
     for name, file in zip(_classes(folder), label_files(folder, view_name)[1:], strict=True):
         if not file.is_file():
             raise InputError(
-                f"{file}: no such mask; every labelled frame needs one for each class of {CLASSES}"
+                f"{file}: no such mask; every labelled frame needs one for each class of "
+                f"{CLASSES_FILE}"
             )
-        mask = read_mask(file, INSIDE)
+        mask = read_mask(file, MASK_GREY)
         full_h, full_w = mask.shape
         part = window or Window.covering(full_w, full_h, width, height)
         part.check_shape(file, full_w, full_h)

@@ -18,10 +18,10 @@ from slgaussian.benchmark import metrics
 from slgaussian.benchmark.annotations import Truth
 from slgaussian.benchmark.answering import understands
 from slgaussian.benchmark.evaluate import EvaluationSettings
-from slgaussian.benchmark.scores import GOOD
+from slgaussian.benchmark.scores import GOOD_IOU
 from slgaussian.field import SemanticField
 from slgaussian.gaussians import Gaussians, source_depths
-from slgaussian.labels import VISIBLE
+from slgaussian.labels import MIN_WEIGHT
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.objectmap import ObjectMap, central_point
 from slgaussian.language.query import QueryResult, ask
@@ -30,7 +30,7 @@ from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera, Sample, View
 from slgaussian.storage.specs import load_spec
 
-STAND_INS = {
+REPLACEMENTS = {
     "iou": ("as it is", ""),
     "threshold_iou": ("threshold", "the best threshold for each query"),
     "language_iou": (
@@ -41,19 +41,19 @@ STAND_INS = {
 }
 """Title and description of the replaced stages by column of the spec ``attribution``, in order."""
 
-STAGES = tuple(title for title, _ in STAND_INS.values())[1:]
+STAGES = tuple(title for title, _ in REPLACEMENTS.values())[1:]
 
-BEYOND = "nothing mends it"
+UNFIXABLE = "nothing mends it"
 """Cause if no replacement fixes the miss: the object is not in the photographs, its depth is wrong,
 or the ground truth is inexact."""
 
-CRUMB = 0.05
+MIN_COMPONENT_SHARE = 0.05
 """Fraction of a mask below which a connected component is ignored."""
 
-BEHIND = 0.05
+OCCLUSION_TOLERANCE = 0.05
 """Relative depth difference from which on a point behind a surface is occluded."""
 
-SPECK = 7
+HOLE_WINDOW = 7
 """Side of the window, pixels, in which one known pixel fills holes of projected labels."""
 
 
@@ -107,12 +107,12 @@ def attribute_errors(
 
 def verdict(row: Mapping[str, Any]) -> str | None:
     """Return the stage responsible for the miss of a row of spec ``attribution``, None for hits."""
-    if row["iou"] >= GOOD and row["hit"]:
+    if row["iou"] >= GOOD_IOU and row["hit"]:
         return None
     for stage in STAGES:
-        if row[f"{stage}_iou"] >= GOOD and row[f"{stage}_hit"]:
+        if row[f"{stage}_iou"] >= GOOD_IOU and row[f"{stage}_hit"]:
             return stage
-    return BEYOND
+    return UNFIXABLE
 
 
 def _judge(mask: np.ndarray, truth: np.ndarray) -> tuple[float, bool]:
@@ -160,7 +160,7 @@ def best_objects(objects: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.
     """Choose the objects that perfect language features would select in an image: bool [N].
 
     Objects or groups of the bank are chosen greedily by IoU, as many as the truth bool [H, W] has
-    connected components above the fraction :data:`CRUMB`.
+    connected components above the fraction :data:`MIN_COMPONENT_SHARE`.
     """
     inside, total = objects.areas_within(truth), np.count_nonzero(truth)
     members = np.eye(len(bank), dtype=bool)
@@ -168,7 +168,7 @@ def best_objects(objects: ObjectMap, bank: MemoryBank, truth: np.ndarray) -> np.
         groups = np.arange(len(bank), len(bank) + len(bank.group_features))
         members = np.concatenate([members, (bank.levels == groups[:, None, None]).any(1)])
     stats = cv2.connectedComponentsWithStats(truth.astype(np.uint8), connectivity=8)[2]
-    parts = int(np.count_nonzero(stats[1:, cv2.CC_STAT_AREA] >= CRUMB * total))
+    parts = int(np.count_nonzero(stats[1:, cv2.CC_STAT_AREA] >= MIN_COMPONENT_SHARE * total))
     chosen, best = np.zeros(len(bank), bool), 0.0
     for _ in range(parts):
         tried = members | chosen
@@ -185,7 +185,7 @@ def elect(gaussians: Gaussians, labels: np.ndarray, camera: Camera) -> np.ndarra
     members = torch.from_numpy((labels[:, None] == ids).astype(np.float32))
     weights = rasterize(gaussians, members, camera).values.numpy()
     best = np.pad(weights, ((0, 0), (0, 0), (0, 1))).argmax(-1)  # 0 without any label
-    return np.where(weights.sum(-1) >= VISIBLE, np.append(ids, 0)[best], 0).astype(np.int32)
+    return np.where(weights.sum(-1) >= MIN_WEIGHT, np.append(ids, 0)[best], 0).astype(np.int32)
 
 
 def context_truth(
@@ -215,7 +215,10 @@ def context_truth(
         # A small depth error occludes single pixels of a surface.
         is_known = pixels >= 0
         if is_known.any():
-            near = cv2.dilate(is_known.astype(np.uint8), np.ones((SPECK, SPECK), np.uint8)) > 0
+            near = (
+                cv2.dilate(is_known.astype(np.uint8), np.ones((HOLE_WINDOW, HOLE_WINDOW), np.uint8))
+                > 0
+            )
             pixels[:] = np.where(near, pixels[nearest_pixel(is_known)], -1)
     return np.where(place >= 0, sets.ravel()[place], 1).astype(np.int32), members
 
@@ -242,5 +245,5 @@ def carried_back(sample: Sample, target: View, depths: np.ndarray) -> np.ndarray
     front = cv2.erode(nearest.reshape(height, width), square, borderType=cv2.BORDER_REPLICATE)
     if target.depth is not None:
         front = np.where(target.depth > 0, target.depth, front)
-    limit = (1 + BEHIND) * front.ravel()
+    limit = (1 + OCCLUSION_TOLERANCE) * front.ravel()
     return np.stack([np.where(z <= limit[place], place, -1) for place, z in landed])

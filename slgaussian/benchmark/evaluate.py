@@ -34,7 +34,7 @@ from slgaussian.language.rules import Rules
 from slgaussian.scene import Sample
 from slgaussian.storage.specs import load_spec
 
-ALONG_THE_WAY = {"quarter way": 0.25, "halfway": 0.5, "three-quarter way": 0.75}
+RENDERED_VIEWPOINTS = {"quarter way": 0.25, "halfway": 0.5, "three-quarter way": 0.75}
 """Rendered viewpoints between the first two context cameras, by frame name. Queries without ground
 truth use the halfway view."""
 
@@ -165,7 +165,7 @@ def evaluate(
             recorder.pictures[f"photo/{target.name}"] = target.image
             recorder.draw_view(view, target.name)
     first, second = (view.camera for view in sample.context[:2])
-    for frame, step in ALONG_THE_WAY.items():
+    for frame, step in RENDERED_VIEWPOINTS.items():
         is_queried = frame == "halfway" and bool(queries)
         if not drawn and not is_queried:
             continue
@@ -347,9 +347,9 @@ class _Recorder:
         predicted = np.zeros(mask.shape, bool) if scored.mask is None else scored.mask
         painted = pictures.paint_stretched(heat, ground)
         spotlit = pictures.spotlight(ground, predicted)
-        answer = pictures.draw_outline(spotlit, predicted, pictures.PREDICTED)
+        answer = pictures.draw_outline(spotlit, predicted, pictures.PREDICTED_COLOUR)
         for kind, picture in (("relevancy", painted), ("mask", answer)):
-            outlined = pictures.draw_outline(picture, mask, pictures.TRUE)
+            outlined = pictures.draw_outline(picture, mask, pictures.TRUE_COLOUR)
             self.pictures[f"{kind}/{name}"] = pictures.draw_point(outlined, scored.point)
 
     def result(self) -> SceneResult:

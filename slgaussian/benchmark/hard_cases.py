@@ -25,7 +25,7 @@ from slgaussian.scene import Camera
 
 K = np.array([[30.0, 0, 16], [0, 30, 12], [0, 0, 1]])
 WIDTH, HEIGHT = 32, 24
-FAR = np.array([1e6, -1e6, 1e6])
+FAR_POSITION = np.array([1e6, -1e6, 1e6])
 """A position at which adjacent float32 coordinates are .06 units apart."""
 
 
@@ -77,7 +77,7 @@ def _renderings() -> Iterator[HardCase]:
     layers = {name: np.resize(array, (50 * n, *array.shape[1:])) for name, array in cloud.items()}
     layers |= {"scales": np.full((50 * n, 3), 9.0), "opacities": np.full(50 * n, 0.0015)}
     discs = {"means": 3 * sight, "scales": [[1, 1e-6, 1]] * n, "quats": on_edge}
-    far = {"means": cloud["means"] * 4 + FAR, "scales": cloud["scales"] * 4}
+    far = {"means": cloud["means"] * 4 + FAR_POSITION, "scales": cloud["scales"] * 4}
     inputs: dict[str, dict[str, Any]] = {
         "needles": {"scales": [[1, 1e-6, 1e-6]] * n},
         "discs on edge": discs,
@@ -95,7 +95,7 @@ def _renderings() -> Iterator[HardCase]:
         }
         values = torch.tensor(rng.uniform(size=(count, 3)), dtype=torch.float32)
         c2w = np.eye(4)
-        c2w[:3, 3] = FAR if changes is far else 0
+        c2w[:3, 3] = FAR_POSITION if changes is far else 0
         scene = Gaussians.from_arrays(arrays), values, Camera(K, c2w, WIDTH, HEIGHT)
         uncut = replace(PRESETS["exact"], sigmas=math.inf)
         true = rasterize(*scene, backend="reference", settings=uncut)
@@ -119,8 +119,8 @@ def _renderings() -> Iterator[HardCase]:
 def _unprojections() -> Iterator[HardCase]:
     """Measure the reprojection error of unprojected depths."""
     for case, depths, centre in (
-        ("near and far", (0.02, 1e5), 0 * FAR),
-        ("a million units away", (20.0, 2000.0), FAR),
+        ("near and far", (0.02, 1e5), 0 * FAR_POSITION),
+        ("a million units away", (20.0, 2000.0), FAR_POSITION),
     ):
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = Rotation.random(rng=3).as_matrix(), centre

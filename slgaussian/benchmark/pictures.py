@@ -14,13 +14,13 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 from skimage.color import lab2rgb
 
-PREDICTED = (64, 224, 255)
+PREDICTED_COLOUR = (64, 224, 255)
 """Outline of a predicted mask."""
-TRUE = (255, 214, 10)
+TRUE_COLOUR = (255, 214, 10)
 """Outline of a true mask."""
-POINT = (255, 45, 85)
+POINT_COLOUR = (255, 45, 85)
 """Colour of the predicted point of a query."""
-INK = (40, 44, 52)
+CAPTION_COLOUR = (40, 44, 52)
 """Colour of captions on white."""
 
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
@@ -228,7 +228,7 @@ def draw_point(image: np.ndarray, point: tuple[float, float] | None) -> np.ndarr
     out = image.copy()
     centre = (int(point[0]), int(point[1]))
     radius = max(3, round(image.shape[1] / 90))
-    for rim, color in ((3, (0, 0, 0)), (2, (255, 255, 255)), (0, POINT)):
+    for rim, color in ((3, (0, 0, 0)), (2, (255, 255, 255)), (0, POINT_COLOUR)):
         cv2.circle(out, centre, radius + rim, color, -1, cv2.LINE_AA)
     return out
 
@@ -297,7 +297,7 @@ def with_legend(image: np.ndarray, entries: Sequence[tuple[np.ndarray, str]]) ->
     panels, captions = [(image, (0, 0))], []
     for k, (colour, text) in enumerate(entries):
         left, top = gap + int(k % columns * entry_width), height + k // columns * row_height
-        swatch = np.full((side + 1, side + 1, 3), INK, np.uint8)
+        swatch = np.full((side + 1, side + 1, 3), CAPTION_COLOUR, np.uint8)
         swatch[1:-1, 1:-1] = colour
         panels.append((swatch, (left, top)))
         captions.append((text, entry_width, (left + side + 8, top - 2)))
@@ -320,7 +320,7 @@ def _sheet(
         text = caption
         while font.getlength(text) > width and len(text) > 1:
             text = f"{text.removesuffix('…')[:-1]}…"
-        draw.text(place, text, fill=INK, font=font)
+        draw.text(place, text, fill=CAPTION_COLOUR, font=font)
     return np.asarray(sheet)
 
 

@@ -151,7 +151,7 @@ def _langsplat(frame: Frame, k: int, settings: MaskSettings) -> Scored:
         if is_known.any():
             # Holes must not change the range to which the threshold is relative.
             image = np.where(is_known, relevancy, relevancy.min(where=is_known, initial=np.inf))
-            side = settings.filter or langsplat.FILTER
+            side = settings.filter or langsplat.FILTER_SIDE
             mask = langsplat.find_mask(image, side)
             point, peak = langsplat.find_point(image, side)
         scores["hit_peak"] = metrics.any_in_boxes(peak, boxes)
@@ -191,7 +191,7 @@ def _by_rules(rules: Rules, width: int) -> MaskSettings:
 
 
 def _stretched(rules: Rules, width: int) -> MaskSettings:
-    return MaskSettings("stretched", langsplat.MASK_THRESHOLD, filter=langsplat.FILTER)
+    return MaskSettings("stretched", langsplat.MASK_THRESHOLD, filter=langsplat.FILTER_SIDE)
 
 
 def _stretched_rescaled(rules: Rules, width: int) -> MaskSettings:

@@ -17,23 +17,29 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison, compare, interval_of_mean
+from slgaussian.benchmark.statistics import (
+    CONFIDENCE_LEVEL,
+    MIN_SAMPLES,
+    Comparison,
+    compare,
+    interval_of_mean,
+)
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
 
-SETTINGS = ("selection", "temperature", "threshold", "share", "canonical", "absent")
+SETTING_COLUMNS = ("selection", "temperature", "threshold", "share", "canonical", "absent")
 """Columns of the samples that must be equal in all samples of a score."""
 
-GROUPS = ("dataset", "method", "protocol")
+GROUP_COLUMNS = ("dataset", "method", "protocol")
 """Columns of the samples by which scores are grouped."""
 
-GOOD = 0.5
+GOOD_IOU = 0.5
 """Smallest IoU of an answer that is not a miss."""
 
 ONE_PLACE = "one place: no interval"
-FEW_PLACES = f"fewer than {LEAST} places: a rough interval"
+FEW_PLACES = f"fewer than {MIN_SAMPLES} places: a rough interval"
 
 
 def key_of(row: Row) -> tuple[str, str, str]:
@@ -62,7 +68,7 @@ METRICS = {
 }
 """Column of the samples of each metric; the protocol of a row determines which of them it has."""
 
-BY_FRAME = ("miou", "accuracy")
+FRAME_METRICS = ("miou", "accuracy")
 """Metrics that are averaged over the samples of a frame first."""
 
 
@@ -80,8 +86,12 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
         InputError: If samples of one method and protocol have different settings.
     """
     table: list[dict[str, Any]] = []
-    for names, group in grouped(rows, *GROUPS).items():
-        common = {**dict(zip(GROUPS, names, strict=True)), "level": LEVEL, **_settings(group)}
+    for names, group in grouped(rows, *GROUP_COLUMNS).items():
+        common = {
+            **dict(zip(GROUP_COLUMNS, names, strict=True)),
+            "level": CONFIDENCE_LEVEL,
+            **_settings(group),
+        }
         for metric, column in METRICS.items():
             samples = _with_value(group, column)
             if not samples:
@@ -93,7 +103,7 @@ def score_table(rows: Iterable[Row]) -> pa.Table:
             row |= {"scenes": len(places), "places": len(set(places)), "samples": len(samples)}
             if row["places"] > 1:
                 row["low"], row["high"] = interval_of_mean(values, places)
-                row["note"] = FEW_PLACES if row["places"] < LEAST else ""
+                row["note"] = FEW_PLACES if row["places"] < MIN_SAMPLES else ""
             table.append(row)
     return pa.Table.from_pylist(table, schema=load_spec("scores").schema)
 
@@ -153,14 +163,14 @@ def _with_value(rows: Iterable[Row], column: str) -> list[Row]:
 
 def _mean(rows: Sequence[Row], metric: str) -> float:
     """Compute the mean of a metric over samples of one scene, all of which have it."""
-    frames = grouped(rows, "frame").values() if metric in BY_FRAME else [rows]
+    frames = grouped(rows, "frame").values() if metric in FRAME_METRICS else [rows]
     means = [np.mean([float(row[METRICS[metric]]) for row in frame]) for frame in frames]
     return float(np.mean(means))
 
 
 def _settings(rows: Sequence[Row]) -> dict[str, Any]:
     """Return the settings of all samples of a method and protocol, which must be equal."""
-    for name in SETTINGS:
+    for name in SETTING_COLUMNS:
         values = {row[name] for row in rows}
         if len(values) > 1:
             listed = ", ".join(sorted(map(str, values)))
@@ -169,7 +179,7 @@ def _settings(rows: Sequence[Row]) -> dict[str, Any]:
                 f"{name} {listed}; score those of one setting, or call the method differently"
             )
     filters = sorted({row["filter"] for row in rows} - {None})
-    return {name: rows[0][name] for name in SETTINGS} | {
+    return {name: rows[0][name] for name in SETTING_COLUMNS} | {
         "filter": ", ".join(map(str, filters)) or None
     }
 

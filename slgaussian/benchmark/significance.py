@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison, compare
+from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES, Comparison, compare
 from slgaussian.errors import InputError
 
 
@@ -46,9 +46,9 @@ def gain(judgements: pa.Table, rival: str, of: str = "branch") -> Comparison:
 def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
     """Decide whether ``branch`` may be promoted: if it is significantly better than each rival.
 
-    The interval of the paired bootstrap against each of them must be above 0, with :data:`LEAST`
-    clips or more. Each test is at the full level (an intersection-union test, Berger 1982). The
-    sentence is about the rival with the smallest lower bound.
+    The interval of the paired bootstrap against each of them must be above 0, with
+    :data:`MIN_SAMPLES` clips or more. Each test is at the full level (an intersection-union test,
+    Berger 1982). The sentence is about the rival with the smallest lower bound.
 
     Args:
         judgements: table of spec ``judgements``
@@ -62,8 +62,8 @@ def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
     hardest = min(gains, key=lambda name: (gains[name].low, gains[name].difference))
     comparison = gains[hardest]
     numbers = _describe(comparison)
-    if comparison.samples < LEAST:
-        needed = f"{numbers}, {LEAST} needed"
+    if comparison.samples < MIN_SAMPLES:
+        needed = f"{numbers}, {MIN_SAMPLES} needed"
         return Verdict(False, f"too few clips to tell it from {hardest}: {needed}")
     if comparison.high < 0:
         return Verdict(False, f"worse than {hardest}: {numbers}")
@@ -82,7 +82,9 @@ def regression(judgements: pa.Table, rivals: Mapping[str, str], name: str) -> st
     if "before" not in judgements["lifting"].to_pylist():
         return ""
     gains = _gains(judgements, rivals, "before")
-    worse = [rival for rival, gain in gains.items() if gain.samples >= LEAST and gain.high < 0]
+    worse = [
+        rival for rival, gain in gains.items() if gain.samples >= MIN_SAMPLES and gain.high < 0
+    ]
     if not worse:
         return ""
     worst = min(worse, key=lambda rival: gains[rival].difference)
@@ -102,5 +104,5 @@ def _gains(judgements: pa.Table, rivals: Mapping[str, str], lifting: str) -> dic
 def _describe(comparison: Comparison) -> str:
     return (
         f"{comparison.difference:+.4f} IoU ({comparison.low:+.4f} to {comparison.high:+.4f} in "
-        f"{100 * LEVEL:.0f} % of the resamplings) on {comparison.samples} held-out clips"
+        f"{100 * CONFIDENCE_LEVEL:.0f} % of the resamplings) on {comparison.samples} held-out clips"
     )

@@ -15,13 +15,13 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import rng_for
 
-DRAWS = 10_000
+RESAMPLINGS = 10_000
 """Number of resamplings; with 10,000 the interval's ends have about two reliable digits."""
 
-LEVEL = 0.95
+CONFIDENCE_LEVEL = 0.95
 """Fraction of the resamplings inside the interval."""
 
-LEAST = 6
+MIN_SAMPLES = 6
 """Smallest number of samples for a significant gain: with five samples all differences are positive
 by chance with probability 1/32, more than the 1/40 per tail that a 95 % interval allows."""
 
@@ -32,7 +32,8 @@ class Comparison:
 
     Attributes:
         difference: Mean over the samples of the score minus the baseline.
-        low, high: Interval at level :data:`LEVEL`: a gain is significant if ``low`` is above 0.
+        low, high: Interval at level :data:`CONFIDENCE_LEVEL`: a gain is significant if ``low`` is
+            above 0.
         independent_samples: Number of independent groups (or samples), which are resampled first.
     """
 
@@ -74,7 +75,7 @@ def compare(
 def interval_of_mean(
     values: np.ndarray, groups: Sequence[Hashable] | None = None
 ) -> tuple[float, float]:
-    """Return the bootstrap interval of the mean of float [n], n > 0, at level :data:`LEVEL`.
+    """Return the bootstrap interval of the mean of float [n], n > 0 (:data:`CONFIDENCE_LEVEL`).
 
     With ``groups``, one per value, see :func:`resample_counts`; all drawn values have equal weight.
     With a single value or group the interval is meaningless.
@@ -86,14 +87,14 @@ def interval_of_mean(
 
 
 def interval(statistics: np.ndarray) -> tuple[float, float]:
-    """Return the central :data:`LEVEL` interval of a statistic float [D] over the resamplings."""
-    low, high = np.quantile(statistics, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    """Return the interval of a statistic float [D] of resamplings (:data:`CONFIDENCE_LEVEL`)."""
+    low, high = np.quantile(statistics, [(1 - CONFIDENCE_LEVEL) / 2, (1 + CONFIDENCE_LEVEL) / 2])
     return float(low), float(high)
 
 
 @lru_cache(4)
 def resample_counts(groups: tuple[Hashable, ...]) -> np.ndarray:
-    """Count how often each resampling contains each sample: int32 [DRAWS, n], read-only.
+    """Count how often each resampling contains each sample: int32 [RESAMPLINGS, n], read-only.
 
     This is the hierarchical bootstrap (Davison and Hinkley 1997, section 3.8, with replacement at
     both levels): draw as many groups as there are, then for each draw of a group as many of its
@@ -104,7 +105,7 @@ def resample_counts(groups: tuple[Hashable, ...]) -> np.ndarray:
         members.setdefault(group, []).append(sample)
     chosen = resamplings(len(members))
     rng = rng_for(0, "", "bootstrap within groups")
-    times = np.zeros((DRAWS, len(groups)), np.int32)
+    times = np.zeros((RESAMPLINGS, len(groups)), np.int32)
     for number, places in enumerate(members.values()):
         often = (chosen == number).sum(1)
         if len(places) == 1:
@@ -118,7 +119,7 @@ def resample_counts(groups: tuple[Hashable, ...]) -> np.ndarray:
 
 @lru_cache(4)
 def resamplings(count: int) -> np.ndarray:
-    """Draw the sample indices of each resampling: int32 [DRAWS, count], read-only."""
-    drawn = rng_for(0, "", "bootstrap").integers(count, size=(DRAWS, count)).astype(np.int32)
+    """Draw the sample indices of each resampling: int32 [RESAMPLINGS, count], read-only."""
+    drawn = rng_for(0, "", "bootstrap").integers(count, size=(RESAMPLINGS, count)).astype(np.int32)
     drawn.flags.writeable = False
     return drawn

@@ -19,14 +19,14 @@ from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, View
 
-COARSE = 0.01
-FINE = 0.002
+COARSE_DISTANCE = 0.01
+FINE_DISTANCE = 0.002
 """Distances to the epipolar line, as fractions of the image diagonal, up to which cameras explain a
 match: 7 and 1.4 pixels at 416x576. Poses of phones and headsets are often off by half a degree,
 which the coarse distance tolerates and :mod:`slgaussian.predict.pose_refinement` corrects. The fine
 distance compares several candidate cameras."""
 
-MIN_FINE = 1.0
+MIN_FINE_DISTANCE = 1.0
 """Smallest fine distance, pixels: small photographs do not have more accurate matches."""
 
 MIN_AGREEING = 30
@@ -42,10 +42,10 @@ MIN_GAIN = 2.0
 the agreeing matches and ``MIN_GAIN`` times as many as the uncorrected cameras. Both were chosen by
 the measurements in `docs/measured/earlier.md`."""
 
-WIDE = 20.0
+WIDE_TRIANGULATION_ANGLE = 20.0
 """Angle between the two lines of sight to a point, degrees, above which depth errors grow."""
 
-TURNED = 30.0
+WIDE_AXIS_ANGLE = 30.0
 """Angle between two optical axes, degrees, above which depth errors grow."""
 
 Pair = tuple[Camera, Camera]
@@ -124,7 +124,7 @@ def check_pairs(views: Sequence[View], graph: MatchGraph) -> list[PairCheck]:
 def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairCheck:
     """Check two cameras against the matches [M, 2] and [M, 2] of their photographs, pixels."""
     diagonal = float(np.hypot(*a.grey.shape))
-    coarse, fine = COARSE * diagonal, max(FINE * diagonal, MIN_FINE)
+    coarse, fine = COARSE_DISTANCE * diagonal, max(FINE_DISTANCE * diagonal, MIN_FINE_DISTANCE)
     pair = a.camera, b.camera
     agreeing, finely = (int(agree(at_a, at_b, far).sum()) for far in (coarse, fine))
     near = explained(*pair, at_a, at_b, coarse)
@@ -213,7 +213,7 @@ def _refusal(check: PairCheck, estimated: bool) -> str:
     )
 
 
-_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
+_FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def _posed(change: Callable[[np.ndarray], np.ndarray]) -> Callable[[Camera, Camera], Pair]:
@@ -239,9 +239,9 @@ CORRECTIONS: dict[str, Callable[[Camera, Camera], Pair]] = {
         replace(b, c2w=a.c2w),
     ),
     "if the y and z axes of every pose are reversed, OpenCV's for OpenGL's or the other way round: "
-    "multiply the second and the third column of each by -1": _posed(lambda c2w: c2w @ _YZ),
+    "multiply the second and the third column of each by -1": _posed(lambda c2w: c2w @ _FLIP_YZ),
     _INVERTED.format("OpenCV"): _posed(np.linalg.inv),
-    _INVERTED.format("OpenGL"): _posed(lambda c2w: _YZ @ np.linalg.inv(c2w) @ _YZ),
+    _INVERTED.format("OpenGL"): _posed(lambda c2w: _FLIP_YZ @ np.linalg.inv(c2w) @ _FLIP_YZ),
     **{
         f"if the focal length is {_times(factor)}": _scaled(factor, 2)
         for factor in (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4)

@@ -18,37 +18,39 @@ import cv2
 import numpy as np
 import poselib
 
-FAR = 6.0
+MAX_DISTANCE = 6.0
 """Distance to the epipolar line, pixels, from which on a match has no influence on the pose."""
 
-COUPLING = 3.0
+CORRELATED_MATCHES = 3.0
 """Errors of matches are correlated (lens, shutter, moving objects): this many matches count as one
 independent observation."""
 
-NOISE, FLOOR = 1.5, 0.2
-"""The scale of the Cauchy loss is ``NOISE`` times the median distance of the inliers; ``FLOOR``,
-pixels, is added in quadrature for errors of the model and the detector."""
+SCALE_FACTOR, SCALE_FLOOR = 1.5, 0.2
+"""The scale of the Cauchy loss is ``SCALE_FACTOR`` times the median distance of the inliers;
+``SCALE_FLOOR``, pixels, is added in quadrature for errors of the model and the detector."""
 
-START = 0.6
+INITIAL_SCALE = 0.6
 """Initial scale of the loss, pixels."""
 
-APART = np.array([(m - d / 2, m + d / 2) for m in (0.0, -1.5, 1.5) for d in (0.0, -1.5, 1.5)])
+FOCAL_STARTS = np.array(
+    [(m - d / 2, m + d / 2) for m in (0.0, -1.5, 1.5) for d in (0.0, -1.5, 1.5)]
+)
 """Initial focal lengths of two lenses, in standard deviations from the prior mean."""
 
-RANSAC = {
+RANSAC_OPTIONS = {
     "max_epipolar_error": 1.0, "success_prob": 0.999, "max_iterations": 1000,
     "min_iterations": 100, "seed": 0,
 }  # fmt: skip
 """Options of PoseLib's estimators; the error is in pixels."""
 
-FARTHEST = 4.0
+MAX_FOCAL_DEVIATION = 4.0
 """Largest deviation of an initial focal length from the prior mean, in standard deviations."""
 
-ROUGHLY, FINELY = 400, 5
-"""Every start is optimised on the first ``ROUGHLY`` matches; the best ``FINELY`` results are
-optimised on all matches."""
+COARSE_MATCHES, FINE_STARTS = 400, 5
+"""Every start is optimised on the first ``COARSE_MATCHES`` matches; the best ``FINE_STARTS``
+results are optimised on all matches."""
 
-MOST = 1200
+MAX_MATCHES = 1200
 """Largest number of matches used, the most reliable first; half as many for initial values."""
 
 
@@ -88,7 +90,7 @@ class TwoViews:
     focals: np.ndarray
     moves: np.ndarray
     cost: float = np.inf
-    scale: float = START
+    scale: float = INITIAL_SCALE
     covariance: np.ndarray | None = None
 
     def distance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -155,20 +157,20 @@ def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
 
     Poses within 3 degrees of a better one are omitted; the list may be empty.
     """
-    x, y = x[:MOST], y[:MOST]
+    x, y = x[:MAX_MATCHES], y[:MAX_MATCHES]
     if len(x) < 8:
         return []
-    few = x[:ROUGHLY], y[:ROUGHLY]
+    few = x[:COARSE_MATCHES], y[:COARSE_MATCHES]
     rough = (_descended(start, *few, prior, 2) for start in _starts(x, y, prior))
     ends = _unlike(_rated([end for end in rough if end is not None], *few), 1.0)
-    fine = (_descended(end, x, y, prior, 3) for end in ends[:FINELY])
+    fine = (_descended(end, x, y, prior, 3) for end in ends[:FINE_STARTS])
     ends = _unlike(_rated([end for end in fine if end is not None], x, y), 3.0)
     return [_with_covariance(end, x, y, prior) for end in ends]
 
 
 def _rated(ends: list[TwoViews], x: np.ndarray, y: np.ndarray) -> list[TwoViews]:
     """Recompute the costs with one scale of the loss, the smallest; sort by cost."""
-    scale = min((end.scale for end in ends), default=START)
+    scale = min((end.scale for end in ends), default=INITIAL_SCALE)
     rated = [replace(end, cost=posterior(end, x, y, scale), scale=scale) for end in ends]
     return sorted(rated, key=lambda end: end.cost)
 
@@ -185,27 +187,32 @@ def _unlike(ends: list[TwoViews], degrees: float) -> list[TwoViews]:
 def posterior(views: TwoViews, x: np.ndarray, y: np.ndarray, scale: float) -> float:
     """Compute the negative log posterior of two cameras, up to a constant.
 
-    Matches behind a camera or farther off than ``FAR`` cost as much as matches ``FAR`` pixels off.
+    Matches behind a camera or farther off than ``MAX_DISTANCE`` cost as much as matches
+    ``MAX_DISTANCE`` pixels off.
     """
     front = (views.depths(x, y) > 0).all(0)
-    distance = np.where(front, np.minimum(np.abs(views.distance(x, y)), FAR), FAR)
+    distance = np.where(front, np.minimum(np.abs(views.distance(x, y)), MAX_DISTANCE), MAX_DISTANCE)
     loss = 0.5 * np.log1p((distance / scale) ** 2).sum()
-    return float(loss / COUPLING + 0.5 * (views.moves**2).sum())
+    return float(loss / CORRELATED_MATCHES + 0.5 * (views.moves**2).sum())
 
 
 def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoViews]:
     """Yield initial poses from the more reliable half of the matches [M, 2] and [M, 2]."""
     directions = prior.directions
-    x, y = (np.ascontiguousarray(points[: MOST // 2]) for points in (x, y))
-    for moves in APART if len(directions) == 2 else np.zeros((1, len(directions))):
+    x, y = (np.ascontiguousarray(points[: MAX_MATCHES // 2]) for points in (x, y))
+    for moves in FOCAL_STARTS if len(directions) == 2 else np.zeros((1, len(directions))):
         focals = np.exp(prior.mean + moves @ directions)
         lenses = [{"model": "SIMPLE_PINHOLE", "params": [f, 0, 0]} for f in focals]
-        pose, _ = poselib.estimate_relative_pose(x, y, *lenses, RANSAC)
+        pose, _ = poselib.estimate_relative_pose(x, y, *lenses, RANSAC_OPTIONS)
         yield from _two_views(pose, focals, moves)
     if len(directions) == 1:
-        both, _ = poselib.estimate_shared_focal_relative_pose(x, y, np.zeros(2), RANSAC)
+        both, _ = poselib.estimate_shared_focal_relative_pose(x, y, np.zeros(2), RANSAC_OPTIONS)
         log_focal = np.log(max(both.camera1.params[0], 1.0))
-        moves = np.clip((log_focal - prior.mean[:1]) / directions[:, 0], -FARTHEST, FARTHEST)
+        moves = np.clip(
+            (log_focal - prior.mean[:1]) / directions[:, 0],
+            -MAX_FOCAL_DEVIATION,
+            MAX_FOCAL_DEVIATION,
+        )
         yield from _two_views(both.pose, np.exp(prior.mean + moves @ directions), moves)
 
 
@@ -224,16 +231,16 @@ def _descended(
     """Optimise the posterior from ``start``; None if too few inliers remain."""
     views = start
     for _ in range(rounds):
-        inliers = views.inliers(x, y, FAR)
+        inliers = views.inliers(x, y, MAX_DISTANCE)
         if inliers.sum() < 8:
             return None
         views = _descent(views, x[inliers], y[inliers], prior)
         distance = np.abs(views.distance(x[inliers], y[inliers]))
-        near = distance[distance < FAR / 2]
+        near = distance[distance < MAX_DISTANCE / 2]
         if not len(near):
             return None
-        noise = NOISE * float(np.median(near))
-        views = replace(views, scale=float(np.clip(np.hypot(noise, FLOOR), FLOOR, 1.5)))
+        noise = SCALE_FACTOR * float(np.median(near))
+        views = replace(views, scale=float(np.clip(np.hypot(noise, SCALE_FLOOR), SCALE_FLOOR, 1.5)))
     return views
 
 
@@ -242,7 +249,7 @@ def _descent(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -
 
     def cost(views: TwoViews) -> float:
         loss = 0.5 * np.log1p((views.distance(x, y) / views.scale) ** 2).sum()
-        return float(loss / COUPLING + 0.5 * (views.moves**2).sum())
+        return float(loss / CORRELATED_MATCHES + 0.5 * (views.moves**2).sum())
 
     damping, best = 1e-3, cost(views)
     for _ in range(15):
@@ -267,7 +274,7 @@ def _normal(
     """Return the Hessian [P, P] and gradient [P] of the posterior of the given matches."""
     J = jacobian(views, x, y, prior) / views.scale
     distance = views.distance(x, y) / views.scale
-    weight = 1 / (1 + distance**2) / COUPLING
+    weight = 1 / (1 + distance**2) / CORRELATED_MATCHES
     hessian, gradient = (J * weight[:, None]).T @ J, J.T @ (weight * distance)
     hessian[5:, 5:] += np.eye(len(views.moves))
     gradient[5:] += views.moves
@@ -287,7 +294,7 @@ def jacobian(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -
 
 
 def _with_covariance(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
-    inliers = views.inliers(x, y, FAR)
+    inliers = views.inliers(x, y, MAX_DISTANCE)
     if inliers.sum() < 8:
         return replace(views, covariance=np.eye(5 + len(views.moves)))
     hessian, _ = _normal(views, x[inliers], y[inliers], prior)

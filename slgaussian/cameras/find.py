@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from slgaussian.cameras import two_view
-from slgaussian.cameras.epipolar import COUPLING
+from slgaussian.cameras.epipolar import CORRELATED_MATCHES
 from slgaussian.cameras.estimated import DOUBTFUL, UNUSED, EstimatedCameras, EstimatedPair, Focal
 from slgaussian.cameras.incremental import Placed, Tie, place
 from slgaussian.cameras.matches import match
@@ -22,24 +22,24 @@ from slgaussian.scene import Camera, Estimated
 Z_90 = 1.645
 """Standard deviations on either side of the mean that contain 90 % of a normal distribution."""
 
-OPTIMISM, MODEL = 2.0, 0.04
+FOCAL_STD_FACTOR, FOCAL_STD_FLOOR = 2.0, 0.04
 """The loss underestimates errors of matches, and no lens is a true pinhole: the deviation of a log
-focal length is multiplied by ``OPTIMISM``, and ``MODEL`` is added in quadrature. Chosen so that
-about 90 % of the true focal lengths of the pairs and chains of `docs/measured/poses.md` lie in
-the interval."""
+focal length is multiplied by ``FOCAL_STD_FACTOR``, and ``FOCAL_STD_FLOOR`` is added in quadrature.
+Chosen so that about 90 % of the true focal lengths of the pairs and chains of
+`docs/measured/poses.md` lie in the interval."""
 
-SURE = 0.8
+DOUBTFUL_CONFIDENCE = 0.8
 """Confidence below which cameras of three or more photographs are reported as doubtful."""
 
-DOUBTED = 0.85
+DOUBTFUL_PAIR_FACTOR = 0.85
 """Factor of the confidence in a pair whose cameras are doubtful: of 28 doubtful pairs, 20
 photographed and 8 rendered with two focal lengths (``docs/measured/poses.md``), 4 were wrong."""
 
-NARROWED = 0.8
+NARROWED_STD_RATIO = 0.8
 """The source of a focal length is "matches" if its deviation is below this fraction of the prior's.
 """
 
-COARSE = 800
+COARSE_FEATURES = 800
 """Number of features, the largest of a photograph, for the quick selection of pairs."""
 
 NEIGHBOURS = 3
@@ -48,11 +48,11 @@ NEIGHBOURS = 3
 MIN_CONFIDENCE = 0.5
 """Cameras of less confidence are refused."""
 
-UNBACKED = 0.6
+UNSUPPORTED_FACTOR = 0.6
 """Factor of the confidence if no reliable pair supports a placed photograph: such placements were
 right on two chains of a walk, and wrong where two rooms contained the same object."""
 
-STILL = 1e-3
+MIN_BASELINE_RATIO = 1e-3
 """Smallest distance of the first two cameras, the unit of length, over the largest distance."""
 
 
@@ -132,7 +132,7 @@ def _find_two(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
         focals, deviations = focals[::-1], deviations[::-1]
     pair = replace(pose.estimate, views=(a.photograph.name, b.photograph.name))
     doubtful = pair.verdict == DOUBTFUL
-    sure = confidence(pose) * (DOUBTED if doubtful else 1)
+    sure = confidence(pose) * (DOUBTFUL_PAIR_FACTOR if doubtful else 1)
     doubt = pair.said if doubtful else ""
     poses = np.stack([np.eye(3), R]), np.stack([np.zeros(3), t])
     return _estimated_cameras(described, *poses, focals, deviations, (pair,), sure, doubt)
@@ -162,7 +162,7 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
         np.array([lenses.index(item.lens) for item in ordered]),
         np.exp(mean),
         sigma,
-        [_tie(views, pose) for views, pose in poses.items() if len(pose.i) >= two_view.LEAST],
+        [_tie(views, pose) for views, pose in poses.items() if len(pose.i) >= two_view.MIN_INLIERS],
     )
     _all_placed(ordered, poses, placed)
     assert placed is not None
@@ -173,7 +173,7 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
     t = t - R @ t[0]
     distances = np.linalg.norm(t, axis=1)
     scale = float(distances[1])
-    if scale < STILL * distances.max():
+    if scale < MIN_BASELINE_RATIO * distances.max():
         first, second = (item.photograph.name for item in described[:2])
         raise InputError(
             f"{first!r} and {second!r}: taken from one place, but the distance of the first two is "
@@ -183,7 +183,7 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
     sure = _confidence(ordered, placed, pairs)
     lens = bundle.group[back]
     deviations = placed.adjusted.focal_deviations[lens]
-    doubt = "some photographs share little with the others" if sure < SURE else ""
+    doubt = "some photographs share little with the others" if sure < DOUBTFUL_CONFIDENCE else ""
     return _estimated_cameras(
         described, R, t / scale, bundle.focals[lens], deviations, tuple(pairs.values()), sure, doubt
     )
@@ -196,7 +196,7 @@ def worth_solving(described: Sequence[Described]) -> list[tuple[int, int]]:
     """
     subsets = []
     for item in described:
-        largest = np.argsort(-item.features.scales, kind="stable")[:COARSE]
+        largest = np.argsort(-item.features.scales, kind="stable")[:COARSE_FEATURES]
         subsets.append(item.features[largest])
     count = len(subsets)
     shared = np.zeros((count, count))
@@ -267,7 +267,7 @@ def _checked(
     R = bundle.R[b] @ bundle.R[a].T
     t = bundle.t[b] - R @ bundle.t[a]
     together = replace(pose.views, R=R, t=t / max(float(np.linalg.norm(t)), 1e-12))
-    if pose.views.turned_from(together) < two_view.ALIKE:
+    if pose.views.turned_from(together) < two_view.SAME_POSE_ANGLE:
         return estimate
     return replace(
         estimate, verdict=UNUSED, said="the other photographs contradict what the two say alone"
@@ -292,14 +292,15 @@ def _confidence(
         turned, moved = adjusted.degrees(view)
         # The direction between two of several photographs at one position is arbitrary.
         off += [turned, moved * far[view]]
-    worst = COUPLING**0.5 * max(off)
+    worst = CORRELATED_MATCHES**0.5 * max(off)
     counts = np.bincount(adjusted.bundle.view)
     sure = float(
-        (1 - np.exp(-counts.min() / two_view.LEAST)) * np.exp(-0.5 * (worst / two_view.BLUNT) ** 2)
+        (1 - np.exp(-counts.min() / two_view.MIN_INLIERS))
+        * np.exp(-0.5 * (worst / two_view.REFUSED_UNCERTAINTY) ** 2)
     )
     backed = {view for views, pair in pairs.items() if pair.verdict != UNUSED for view in views}
     if len(backed) < len(described):
-        sure *= UNBACKED
+        sure *= UNSUPPORTED_FACTOR
     if sure < MIN_CONFIDENCE:
         fewest = int(counts.argmin())
         name = described[placed.order[fewest]].photograph.name
@@ -337,8 +338,14 @@ def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:
     """Return the focal length of the whole photograph with its interval, from the standard
     deviation of its logarithm."""
     by_exif = photograph.focal is not None
-    deviation = float(np.hypot(OPTIMISM * deviation, MODEL))
-    deviation = min(deviation, two_view.EXIF_SPREAD if by_exif else two_view.SPREAD)
+    deviation = float(np.hypot(FOCAL_STD_FACTOR * deviation, FOCAL_STD_FLOOR))
+    deviation = min(deviation, two_view.EXIF_FOCAL_STD if by_exif else two_view.FOCAL_STD)
     wide = float(np.exp(Z_90 * deviation))
-    source = "EXIF" if by_exif else "matches" if deviation < NARROWED * two_view.SPREAD else "guess"
+    source = (
+        "EXIF"
+        if by_exif
+        else "matches"
+        if deviation < NARROWED_STD_RATIO * two_view.FOCAL_STD
+        else "guess"
+    )
     return Focal(float(pixels), float(pixels / wide), float(pixels * wide), source)

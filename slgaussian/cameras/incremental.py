@@ -20,27 +20,27 @@ from slgaussian.cameras.bundle import Adjusted, Bundle, adjust
 from slgaussian.cameras.epipolar import TwoViews
 from slgaussian.cameras.tracks import Tracks, join_tracks, triangulate
 
-PIXELS = 3.0
+MAX_REPROJECTION_ERROR = 3.0
 """Largest reprojection error of an inlier, pixels."""
 
-LOOSE = 3.0
-"""Factor of ``PIXELS`` before the focal length has been adjusted to the view."""
+UNADJUSTED_ERROR_FACTOR = 3.0
+"""Factor of ``MAX_REPROJECTION_ERROR`` before the focal length has been adjusted to the view."""
 
-LEAST, SHARE = 12, 0.25
+MIN_INLIERS, MIN_INLIER_SHARE = 12, 0.25
 """Smallest number of inliers, and fraction of the view's observations, to place a view."""
 
-TRUSTED, TIED = 0.5, 5
+TRUSTED_CONFIDENCE, MIN_SCALE_POINTS = 0.5, 5
 """With a pose from a pair of this confidence, this many points suffice for the scale."""
 
-ATTEMPTS = ((LEAST, 1.5), (LEAST, 0.4), (TIED, 0.4))
+ATTEMPTS = ((MIN_INLIERS, 1.5), (MIN_INLIERS, 0.4), (MIN_SCALE_POINTS, 0.4))
 """Smallest numbers of inliers, and of degrees of the triangulation angle of points, by which views
 are placed: each is used if no more views can be placed with those before."""
 
-STARTS, ENOUGH = 4, 0.9
+MAX_INITIAL_PAIRS, SUFFICIENT_INLIER_SHARE = 4, 0.9
 """Largest number of initial pairs tried, and fraction of inlier observations that, with all views
 placed, ends the search."""
 
-FEW, MANY = 250, 1000
+INTERMEDIATE_TRACKS, FINAL_TRACKS = 250, 1000
 """Tracks per view in an intermediate and in the final bundle adjustment, the longest first."""
 
 
@@ -121,13 +121,15 @@ def place(
 
     starts = sorted((tie for tie in ties if tie.relative is not None), key=worth, reverse=True)
     trials: list[tuple[tuple[int, int], _Reconstruction]] = []
-    for start in starts[:STARTS]:
+    for start in starts[:MAX_INITIAL_PAIRS]:
         grown = _Reconstruction(tracks, centers, group, focal_prior, focal_sigma, ties)
         if not grown.grow(start):
             continue
         explained = grown.explained()
         trials.append(((len(grown.placed), explained), grown))
-        if len(grown.placed) == len(keypoints) and explained > ENOUGH * len(tracks.view):
+        if len(grown.placed) == len(keypoints) and explained > SUFFICIENT_INLIER_SHARE * len(
+            tracks.view
+        ):
             break
     return max(trials, key=lambda trial: trial[0])[1].finished() if trials else None
 
@@ -184,7 +186,7 @@ class _Reconstruction:
         self.t[a] = 0
         self.t /= max(float(np.linalg.norm(self.t[b])), 1e-12)
         for _ in range(2):
-            last = self._adjust(1.0, MANY, 30, 1e-6)
+            last = self._adjust(1.0, FINAL_TRACKS, 30, 1e-6)
         return None if last is None else Placed(np.array(self.placed), last)
 
     def explained(self) -> int:
@@ -220,7 +222,7 @@ class _Reconstruction:
             error = np.where(front, error, 1e9)
             # Only the worst observation of a track is dropped at a time: it may bias the others.
             worst = np.repeat(np.maximum.reduceat(error, start), np.diff(start, append=len(mine)))
-            bad = (error > loose * PIXELS) & (error >= worst)
+            bad = (error > loose * MAX_REPROJECTION_ERROR) & (error >= worst)
             good[mine[bad]] = False
             if not bad.any():
                 break
@@ -247,7 +249,10 @@ class _Reconstruction:
 
         Strict inliers are loose ones, so where the loose are too few, the strict are as well.
         """
-        return all(self._adjust(loose, FEW, 10, 1e-4) is not None for loose in (LOOSE, 1.0))
+        return all(
+            self._adjust(loose, INTERMEDIATE_TRACKS, 10, 1e-4) is not None
+            for loose in (UNADJUSTED_ERROR_FACTOR, 1.0)
+        )
 
     def _adjust(
         self, loose: float, max_tracks: int, iterations: int, tolerance: float
@@ -263,7 +268,7 @@ class _Reconstruction:
         wanted = np.zeros(tracks.count, bool)
         wanted[tracks.track[order[rank < max_tracks]]] = True
         mine = mine[wanted[tracks.track[mine]]]
-        if len(mine) < 4 * LEAST:
+        if len(mine) < 4 * MIN_INLIERS:
             return None
         track_ids, point = np.unique(tracks.track[mine], return_inverse=True)
         number = np.zeros(len(self.centers), int)
@@ -311,11 +316,11 @@ class _Reconstruction:
         if len(mine) < minimum:
             return None
         points, lens = X[self.tracks.track[mine]], int(self.group[view])
-        best, best_count = None, max(minimum, SHARE * len(mine)) - 1
+        best, best_count = None, max(minimum, MIN_INLIER_SHARE * len(mine)) - 1
         for focal in self._focal_candidates(view):
             self.focals[lens] = focal
-            uv, within = self._rays(mine), LOOSE * PIXELS / focal
-            for R, t in self._guesses(view, points, uv, within, minimum < LEAST):
+            uv, within = self._rays(mine), UNADJUSTED_ERROR_FACTOR * MAX_REPROJECTION_ERROR / focal
+            for R, t in self._guesses(view, points, uv, within, minimum < MIN_INLIERS):
                 local = points @ R.T + t
                 off = local[:, :2] / np.where(local[:, 2:] > 0, local[:, 2:], 1) - uv
                 near = (np.linalg.norm(off, axis=1) < within) & (local[:, 2] > 0)
@@ -326,7 +331,7 @@ class _Reconstruction:
         R, t, focal, near = best
         self.focals[lens] = focal
         self.placed_lenses.add(lens)
-        if near.sum() < LEAST:
+        if near.sum() < MIN_INLIERS:
             return R, t
         turn, t = cv2.solvePnPRefineLM(
             points[near], self._rays(mine)[near], np.eye(3), None, cv2.Rodrigues(R)[0], t[:, None]
@@ -351,7 +356,7 @@ class _Reconstruction:
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return candidate poses of a view from its points and its pairs with placed views.
 
-        If ``tied``, only pairs of confidence ``TRUSTED`` or more are used.
+        If ``tied``, only pairs of confidence ``TRUSTED_CONFIDENCE`` or more are used.
         """
         poses = []
         if not tied:
@@ -366,7 +371,7 @@ class _Reconstruction:
             if view not in tie.views or tie.relative is None:
                 continue
             neighbour = tie.views[1 - tie.views.index(view)]
-            if neighbour not in self.placed or (tied and tie.confidence < TRUSTED):
+            if neighbour not in self.placed or (tied and tie.confidence < TRUSTED_CONFIDENCE):
                 continue
             R, t = tie.relative.R, tie.relative.t
             if tie.views[0] == view:

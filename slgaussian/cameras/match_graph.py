@@ -17,7 +17,7 @@ from slgaussian.scene import View
 NEIGHBOURS = 6
 """Number of nearest views, by camera distance, with which each view is matched."""
 
-TURNED = 90.0
+MAX_AXIS_ANGLE = 90.0
 """Angle between two optical axes, degrees, from which on two views are not matched."""
 
 
@@ -77,12 +77,13 @@ class MatchGraph:
 def neighbours(views: Sequence[View], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
     """Return the sorted pairs (i, j), i < j, of which one view is among the other's nearest views.
 
-    These are the ``count`` nearest views whose optical axes differ by less than :data:`TURNED`, or
-    the nearest of all views if there are none. Views at one position form no pair.
+    These are the ``count`` nearest views whose optical axes differ by less than
+    :data:`MAX_AXIS_ANGLE`, or the nearest of all views if there are none. Views at one position
+    form no pair.
     """
     axes = np.array([view.camera.c2w[:3, 2] for view in views])
     distances = _distances(views)
-    same_way = axes @ axes.T > np.cos(np.radians(TURNED))
+    same_way = axes @ axes.T > np.cos(np.radians(MAX_AXIS_ANGLE))
     pairs = set()
     for i, away in enumerate(distances):
         candidates = np.flatnonzero((away > 0) & same_way[i])

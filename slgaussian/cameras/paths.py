@@ -13,11 +13,11 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
-ALIKE = np.cos(np.radians(45))
+MIN_AXIS_COSINE = np.cos(np.radians(45))
 """An orbit uses the cameras whose viewing directions are within 45 degrees of the central one: the
 mean position of cameras all around an object is inside the object."""
 
-ROUND = 0.3
+MIN_AXIS_RATIO = 0.3
 """Smallest ratio of the half axes of an orbit: above and below the baseline of two cameras, parts
 of the scene appear that neither shows. At 0.3, at most 0.3 % of a frame is empty in an office hall,
 0.6 % in a kitchen and 5.5 % in a street that is driven along."""
@@ -69,7 +69,7 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     and the shorter is at least 0.3 of the longer. With two cameras this is an ellipse along the
     baseline, from the first camera's position past the second's and back. Every viewpoint is aimed
     at the point on the central optical axis at the median depth of ``points``, without roll.
-    Cameras that look in other directions (:data:`ALIKE`) are left out.
+    Cameras that look in other directions (:data:`MIN_AXIS_COSINE`) are left out.
 
     Args:
         cameras: sequence of Camera. Two or more; size, intrinsics and depth range are those of the
@@ -89,9 +89,9 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
 
     axes = np.stack([camera.c2w[:3, 2] for camera in cameras])
     cosines = axes @ axes.T
-    cosines = cosines[cosines.clip(ALIKE).sum(1).argmax()]
+    cosines = cosines[cosines.clip(MIN_AXIS_COSINE).sum(1).argmax()]
     # If only two cameras are given and they look in different directions, both are used.
-    alike = cosines >= min(ALIKE, np.sort(cosines)[-2])
+    alike = cosines >= min(MIN_AXIS_COSINE, np.sort(cosines)[-2])
     cameras = [camera for camera, used in zip(cameras, alike, strict=True) if used]
     centers = np.stack([camera.center for camera in cameras])
     start = cameras[int(np.linalg.norm(centers - centers.mean(0), axis=1).argmin())]
@@ -119,12 +119,12 @@ def _half_axes(offsets: np.ndarray, image_axes: np.ndarray) -> tuple[np.ndarray,
         raise InputError("orbit: all cameras are in one place, so there is no way round it")
     along = along * (1 if offsets[-1] @ along >= offsets[0] @ along else -1)
     second = np.abs(offsets @ directions[1]).max()
-    if second >= ROUND * reach:
+    if second >= MIN_AXIS_RATIO * reach:
         across = directions[1]
     else:
         # Orthogonal to the baseline and parallel to the image: vertical for cameras side by side.
         across = max((axis - (axis @ along) * along for axis in image_axes), key=np.linalg.norm)
-        across, second = across / np.linalg.norm(across), ROUND * reach
+        across, second = across / np.linalg.norm(across), MIN_AXIS_RATIO * reach
     across = across * (1 if across @ image_axes[1] <= 0 else -1)
     return reach * along, second * across
 

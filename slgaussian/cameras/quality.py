@@ -9,32 +9,32 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from slgaussian.cameras.check import TURNED, WIDE, PairCheck, enough
+from slgaussian.cameras.check import WIDE_AXIS_ANGLE, WIDE_TRIANGULATION_ANGLE, PairCheck, enough
 from slgaussian.cameras.match_graph import neighbours
 from slgaussian.geometry import SceneGeometry
 
-LITTLE_SHARED = 0.3
+LOW_OVERLAP = 0.3
 """Overlap below which most surfaces are visible in one view only and their depth is a guess."""
 
 GOOD, USABLE, POOR = "good", "usable", "poor"
 """Levels of the verdict on a scene."""
 
-MUCH_AGREEMENT, LEAST_AGREEMENT = 0.72, 0.3
-LITTLE_CLASH, MOST_CLASH = 0.16, 0.22
+GOOD_AGREEMENT, POOR_AGREEMENT = 0.72, 0.3
+GOOD_CLASH, POOR_CLASH = 0.16, 0.22
 """A scene is good with agreement from the first and clash up to the first, and poor with agreement
 below the second or clash above the second. Chosen on 26 pairs of photographs
 (`docs/measured/poses.md`): clash is 0.35 and more where depth is wrong, else at most 0.18."""
 
 
-CONFIDENCE = (2.53, 0.40, -7.92)
+CONFIDENCE_COEFFICIENTS = (2.53, 0.40, -7.92)
 """Logistic regression of right cameras, within 20 degrees: intercept, and the weights of the logit
 of the matches' confidence and of clash, by ``benches.cameras.scene_evidence``
 (`docs/measured/poses.md`)."""
 
-LEAST_CONFIDENCE, MOST_CONFIDENCE = 0.01, 0.99
+MIN_CONFIDENCE, MAX_CONFIDENCE = 0.01, 0.99
 """Range to which the confidence by the matches is clipped: beyond it is not calibrated."""
 
-SURE = 0.9
+DOUBTFUL_CONFIDENCE = 0.9
 """Confidence below which found cameras are doubted, whatever the matches say."""
 
 
@@ -65,7 +65,7 @@ class Quality:
         matches: Number of matches of all pairs.
         explained: Fraction of the matches that the cameras explain within ``pixels``.
         judged: Whether enough matches agree to judge the cameras.
-        apart: Number of views that overlap every other by less than :data:`LITTLE_SHARED`.
+        apart: Number of views that overlap every other by less than :data:`LOW_OVERLAP`.
         agreement: Fraction of the pixels that project into another view whose surface another view
             shows.
         clash: Fraction of the pixels visible in another view that have another colour there
@@ -110,39 +110,39 @@ class Quality:
         ``by_matches`` is the confidence of
         :class:`slgaussian.cameras.estimated.EstimatedCameras`, which has not seen the scene.
         """
-        intercept, of_matches, of_clash = CONFIDENCE
-        p = min(max(by_matches, LEAST_CONFIDENCE), MOST_CONFIDENCE)
+        intercept, of_matches, of_clash = CONFIDENCE_COEFFICIENTS
+        p = min(max(by_matches, MIN_CONFIDENCE), MAX_CONFIDENCE)
         logit = intercept + of_matches * math.log(p / (1 - p)) + of_clash * self.clash
         return 1 / (1 + math.exp(-logit))
 
     def verdict(self) -> Verdict:
         """Judge the scene by overlap, agreement and clash; angle and turn only give reasons."""
-        if self.overlap < LITTLE_SHARED:
+        if self.overlap < LOW_OVERLAP:
             return Verdict(
                 POOR,
                 f"a view shares {self.overlap:.0%} of what it shows with the other, and the depth "
                 "of the rest is a guess; add a photograph from between",
             )
-        if self.agreement >= MUCH_AGREEMENT and self.clash <= LITTLE_CLASH:
+        if self.agreement >= GOOD_AGREEMENT and self.clash <= GOOD_CLASH:
             if not self.apart:
                 return Verdict(GOOD)
             return Verdict(
                 USABLE,
-                f"views that share less than {LITTLE_SHARED:.0%} with any other: {self.apart}; "
+                f"views that share less than {LOW_OVERLAP:.0%} with any other: {self.apart}; "
                 "most of their depth is a guess; add photographs from between",
             )
-        if self.angle is not None and self.angle > WIDE:
+        if self.angle is not None and self.angle > WIDE_TRIANGULATION_ANGLE:
             cause = f"lines of sight are {self.angle:.0f} degrees apart; add a photograph between"
-        elif self.turn > TURNED:
+        elif self.turn > WIDE_AXIS_ANGLE:
             cause = f"cameras are turned by {self.turn:.0f} degrees; add a photograph from between"
-        elif self.clash > LITTLE_CLASH:
+        elif self.clash > GOOD_CLASH:
             cause = "something moved, shines or is thin; photograph what stands still, from places "
             cause += "nearer to each other"
         else:
             cause = "much of it is blank or looks alike, and its depth a guess; add a photograph "
             cause += "from between, with more texture in it"
         return Verdict(
-            POOR if self.agreement < LEAST_AGREEMENT or self.clash > MOST_CLASH else USABLE,
+            POOR if self.agreement < POOR_AGREEMENT or self.clash > POOR_CLASH else USABLE,
             f"of what two views show, they confirm {self.agreement:.0%} and contradict "
             f"{self.clash:.0%}: {cause}",
         )
@@ -157,7 +157,7 @@ def camera_doubt(record: Mapping[str, Any]) -> str:
     confidence, reason = record.get("confidence", 1.0), record.get("doubt", "")
     # Doubtful matches of a pair count even where the scene agrees; no chain of three or more
     # photographs had wrong cameras (docs/measured/poses.md).
-    if confidence >= SURE and (not reason or len(record.get("pairs", ())) > 1):
+    if confidence >= DOUBTFUL_CONFIDENCE and (not reason or len(record.get("pairs", ())) > 1):
         return ""
     reason = reason or "what one view shows has other colours in the other"
     return f"the cameras are right with a probability of {confidence:.0%}: {reason}"
@@ -200,7 +200,7 @@ def measure(geometry: SceneGeometry, checks: Sequence[PairCheck]) -> tuple[Quali
         explained=sum(check.coarse * check.matches for check in checks) / max(matches, 1),
         pixels=checks[0].pixels,
         judged=enough(matches, agreeing),
-        apart=int((shared < LITTLE_SHARED).sum()),
+        apart=int((shared < LOW_OVERLAP).sum()),
         agreement=float(confirmed.sum() / max(met.sum(), 1)),
         clash=float(np.median([clash[pair] for pair in nearest])),
     )

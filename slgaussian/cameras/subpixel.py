@@ -14,13 +14,13 @@ import numpy as np
 
 from slgaussian.cameras.matches import Features
 
-HALF, REACH = 7, 3.0
+PATCH_RADIUS, PATCH_SCALE = 7, 3.0
 """Samples of a patch on each side of its centre; its half width in units of the feature's scale."""
-LEVELS = 5
-STEPS = 8
-LIKENESS = 0.8
+PYRAMID_LEVELS = 5
+ITERATIONS = 8
+MIN_CORRELATION = 0.8
 """Smallest correlation of the aligned patches."""
-FAR = 1.5
+MAX_SHIFT = 1.5
 """Largest shift of a feature, in units of its scale or pixels, whichever is larger."""
 
 
@@ -41,9 +41,11 @@ def sharpen(
     if not len(i):
         return initial
     levels = [_pyramid(grey) for grey in greys]
-    grid = np.stack(np.meshgrid(*[np.arange(-HALF, HALF + 1.0)] * 2), -1).reshape(-1, 2)
-    weight = np.exp(-(grid**2).sum(1) / (2 * (0.6 * HALF) ** 2))
-    step = REACH * a.scales[i] / HALF
+    grid = np.stack(np.meshgrid(*[np.arange(-PATCH_RADIUS, PATCH_RADIUS + 1.0)] * 2), -1).reshape(
+        -1, 2
+    )
+    weight = np.exp(-(grid**2).sum(1) / (2 * (0.6 * PATCH_RADIUS) ** 2))
+    step = PATCH_SCALE * a.scales[i] / PATCH_RADIUS
     zoom, turn = b.scales[j] / a.scales[i], b.angles[j] - a.angles[i]
     cos, sin = np.cos(turn), np.sin(turn)
     warp = np.stack([np.stack([cos, -sin], -1), np.stack([sin, cos], -1)], 1)
@@ -52,8 +54,8 @@ def sharpen(
     offsets = step[:, None, None] * grid
     wanted = _normalise(_sampled(levels[0], fine[0], a.points[i], offsets), weight)
     at, patches = initial.copy(), wanted
-    side = 2 * HALF + 1
-    for _ in range(STEPS):
+    side = 2 * PATCH_RADIUS + 1
+    for _ in range(ITERATIONS):
         patches = _normalise(_sampled(levels[1], fine[1], at, grid @ warp.mT), weight)
         down, across = np.gradient(patches.reshape(-1, side, side), axis=(1, 2))
         slope = np.stack([across.reshape(len(at), -1), down.reshape(len(at), -1)], -1)
@@ -68,20 +70,20 @@ def sharpen(
         warp = warp @ (np.eye(2) + move[:, 2:].reshape(-1, 2, 2).clip(-0.2, 0.2))
     likeness = (weight * wanted * patches).sum(1)
     moved = np.linalg.norm(at - initial, axis=1)
-    good = (likeness > LIKENESS) & (moved < FAR * np.maximum(b.scales[j], 1.0))
+    good = (likeness > MIN_CORRELATION) & (moved < MAX_SHIFT * np.maximum(b.scales[j], 1.0))
     return np.where(good[:, None], at, initial)
 
 
 def _pyramid(grey: np.ndarray) -> list[np.ndarray]:
     levels = [grey.astype(np.float32)]
-    while len(levels) < LEVELS and min(levels[-1].shape) > 2:
+    while len(levels) < PYRAMID_LEVELS and min(levels[-1].shape) > 2:
         levels.append(cv2.pyrDown(levels[-1]))
     return levels
 
 
 def _level(step: np.ndarray) -> np.ndarray:
     """Return the pyramid level [M] whose pixel spacing is closest to ``step`` [M]."""
-    return np.clip(np.round(np.log2(step)), 0, LEVELS - 1).astype(int)
+    return np.clip(np.round(np.log2(step)), 0, PYRAMID_LEVELS - 1).astype(int)
 
 
 def _sampled(

@@ -22,53 +22,55 @@ from slgaussian.cameras.matches import Features, find_features, match
 from slgaussian.cameras.subpixel import sharpen
 from slgaussian.io import short_repr
 
-LONGEST = 1200
+MAX_IMAGE_SIDE = 1200
 """Longer side, pixels, to which readers shrink the images for feature detection."""
 
-FEATURES, CONTRAST, POSE_RATIO = 6000, 0.01, 0.85
+MAX_FEATURES, CONTRAST_THRESHOLD, POSE_LOWE_RATIO = 6000, 0.01, 0.85
 """SIFT features, contrast and Lowe's ratio; dark and plain walls have few strong features."""
 
-USUAL, SPREAD = 0.8, 0.3
+FOCAL_MEAN, FOCAL_STD = 0.8, 0.3
 """Typical focal length of phones and cameras over the longer side, and standard deviation of its
 logarithm."""
 
-EXIF_SPREAD = 0.05
+EXIF_FOCAL_STD = 0.05
 """Standard deviation of the log focal length by EXIF: some phones crop, some round."""
 
-LEAST = 20
-SHARE = 0.2
+MIN_INLIERS = 20
+MIN_INLIER_SHARE = 0.2
 """Smallest number and fraction of inliers; by chance up to a dozen matches agree."""
 
-SURE, UNSURE = 0.95, 0.8
-"""Probability of the poses within :data:`ALIKE` of the best, among all solutions, below which a
-pair is doubtful, and refused."""
+DOUBTFUL_PROBABILITY, REFUSED_PROBABILITY = 0.95, 0.8
+"""Probability of the poses within :data:`SAME_POSE_ANGLE` of the best, among all solutions, below
+which a pair is doubtful, and refused."""
 
-MOSTLY = 0.85
+MAX_HOMOGRAPHY_SHARE = 0.85
 """Fraction of inliers on one homography above which a doubtful pair is refused: few matches remain
 to determine the position."""
 
-ALIKE = 10.0
+SAME_POSE_ANGLE = 10.0
 """Degrees."""
 
-SHARP, BLUNT = 3.0, 6.0
-"""Uncertainty, degrees, above which a pair is doubtful, and refused (``ALIKE``: same pose)."""
+DOUBTFUL_UNCERTAINTY, REFUSED_UNCERTAINTY = 3.0, 6.0
+"""Uncertainty, degrees, above which a pair is doubtful, and refused (``SAME_POSE_ANGLE``: same
+pose)."""
 
-SMALL, PART = 0.02, 0.2
+MIN_COVER, MIN_PLANAR_COVER = 0.02, 0.2
 """Smallest fraction of a photograph that the inliers must cover: of each photograph, and of one of
 them if all inliers fit one homography."""
 
-ENLARGED = 1.4
+ZOOM_RATIO = 1.4
 """Scale ratio from which on a pair without known focal lengths is doubtful: it may be a zoom."""
 
 REPETITION_SAMPLES, REPETITION_LIMIT = 200, 0.85
 """Approximate number of inliers tested for repetition, and largest :func:`_repetition`."""
 
-APART = 8.0
+SEPARATE_POINT_DISTANCE = 8.0
 """Distance, in units of the feature's scale, from which on two features are separate points."""
 
-FLAT, NEAR = 0.92, 2.0
-"""Ratio of inliers of a homography, within ``NEAR`` pixels, to inliers of the pose from which on a
-pair is degenerate: photographs taken from one place, or of one plane, leave positions open."""
+DEGENERATE_RATIO, HOMOGRAPHY_DISTANCE = 0.92, 2.0
+"""Ratio of inliers of a homography, within ``HOMOGRAPHY_DISTANCE`` pixels, to inliers of the pose
+from which on a pair is degenerate: photographs taken from one place, or of one plane, leave
+positions open."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,7 @@ class Described:
     def of(photograph: Photograph) -> Described:
         """Detect the features of a photograph."""
         grey = cv2.cvtColor(photograph.image, cv2.COLOR_RGB2GRAY)
-        return Described(photograph, grey, find_features(grey, FEATURES, CONTRAST))
+        return Described(photograph, grey, find_features(grey, MAX_FEATURES, CONTRAST_THRESHOLD))
 
     @cached_property
     def digest(self) -> str:
@@ -133,8 +135,8 @@ class Described:
     def focal(self) -> tuple[float, float]:
         """Return the prior of the log focal length, pixels of the image: mean and deviation."""
         if self.photograph.focal is None:
-            return float(np.log(USUAL * self.longer)), SPREAD
-        return float(np.log(self.photograph.focal * self.shrunk)), EXIF_SPREAD
+            return float(np.log(FOCAL_MEAN * self.longer)), FOCAL_STD
+        return float(np.log(self.photograph.focal * self.shrunk)), EXIF_FOCAL_STD
 
     @property
     def lens(self) -> tuple[str, int, int, float | None]:
@@ -187,7 +189,7 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     if prior is None:
         mean, sigma = np.array([a.focal, b.focal]).T
         prior = FocalPrior(mean, sigma, shared=a.lens == b.lens)
-    i, j, ratios = match(a.features, b.features, POSE_RATIO)
+    i, j, ratios = match(a.features, b.features, POSE_LOWE_RATIO)
     order = np.argsort(ratios, kind="stable")
     i, j = i[order], j[order]
     x = a.features.points[i] - a.middle
@@ -202,17 +204,19 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     inlier = best.inliers(x, y, 3 * best.scale)
     count = int(inlier.sum())
     flat = _on_homography(x, y)
-    if flat.sum() >= FLAT * max(count, LEAST):
+    if flat.sum() >= DEGENERATE_RATIO * max(count, MIN_INLIERS):
         degenerate = (
             "they were taken from one place, or nearly all that both show is one flat thing",
             "take the second photograph from a step sideways, with things at different distances",
         )
         # A shared crop or plane must fill one of the two photographs.
-        return _refused(every.of(flat), *(_flaw_of_points(every.of(flat), PART, max) or degenerate))
+        return _refused(
+            every.of(flat), *(_flaw_of_points(every.of(flat), MIN_PLANAR_COVER, max) or degenerate)
+        )
     pose = replace(every.of(inlier), views=best)
-    if count < max(LEAST, SHARE * len(i)):
+    if count < max(MIN_INLIERS, MIN_INLIER_SHARE * len(i)):
         return _refuse_few(pose)
-    if (flaw := _flaw_of_points(pose, SMALL, min)) is not None:
+    if (flaw := _flaw_of_points(pose, MIN_COVER, min)) is not None:
         return _refused(pose, *flaw)
     assert best.covariance is not None
     # Standard deviation of rotation or direction, over all axes together.
@@ -221,8 +225,8 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     probability = _probability(answers)
     measured = replace(pose.estimate, angle=angle, uncertainty=uncertainty)
     pose = replace(pose, estimate=measured, probability=probability)
-    mostly_flat = flat.sum() > MOSTLY * count
-    if probability < (SURE if mostly_flat else UNSURE):
+    mostly_flat = flat.sum() > MAX_HOMOGRAPHY_SHARE * count
+    if probability < (DOUBTFUL_PROBABILITY if mostly_flat else REFUSED_PROBABILITY):
         return _refused(
             pose,
             "different positions of the cameras explain the matches about as well, as happens with "
@@ -230,19 +234,19 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
             "take photographs that share more, with things at different distances in both",
         )
     open_position = f"the matches leave the position open by {uncertainty:.0f} degrees"
-    if uncertainty > BLUNT:
+    if uncertainty > REFUSED_UNCERTAINTY:
         advice = "take photographs that share more, from a step farther apart"
         return _refused(pose, open_position, advice)
     doubts = []
-    if probability < SURE:
+    if probability < DOUBTFUL_PROBABILITY:
         doubts.append("another position of the cameras would explain the matches almost as well")
-    if uncertainty > SHARP:
+    if uncertainty > DOUBTFUL_UNCERTAINTY:
         doubts.append(open_position)
-    if count < 2 * LEAST:
+    if count < 2 * MIN_INLIERS:
         doubts.append(f"only {count} matches agree")
     zoom = np.median(np.log(b.features.scales[pose.j] / a.features.scales[pose.i]))
     larger = float(np.exp(abs(zoom)))
-    if prior.sigma.max() > EXIF_SPREAD and larger > ENLARGED:
+    if prior.sigma.max() > EXIF_FOCAL_STD and larger > ZOOM_RATIO:
         doubts.append(
             f"things are {larger:.1f} times as large in one, by a zoom or a step forward, and no "
             "EXIF says which"
@@ -256,15 +260,17 @@ def confidence(pose: PairPose) -> float:
     """Compute the probability, 0 to 1, that a pose is right to a few degrees."""
     if pose.estimate.verdict == UNUSED or pose.views is None:
         return 0.0
-    enough = 1 - np.exp(-pose.estimate.inliers / LEAST)
-    certain = np.exp(-0.5 * (pose.estimate.uncertainty / BLUNT) ** 2)
+    enough = 1 - np.exp(-pose.estimate.inliers / MIN_INLIERS)
+    certain = np.exp(-0.5 * (pose.estimate.uncertainty / REFUSED_UNCERTAINTY) ** 2)
     return float(pose.probability * enough * certain)
 
 
 def _on_homography(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Find the matches [M, 2] and [M, 2] that fit the homography with most inliers: bool [M]."""
     try:
-        _, inliers = cv2.findHomography(x, y, cv2.USAC_ACCURATE, NEAR, None, 2000, 0.999)
+        _, inliers = cv2.findHomography(
+            x, y, cv2.USAC_ACCURATE, HOMOGRAPHY_DISTANCE, None, 2000, 0.999
+        )
     except cv2.error:
         inliers = None
     return np.zeros(len(x), bool) if inliers is None else inliers.ravel() > 0
@@ -273,7 +279,7 @@ def _on_homography(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _probability(answers: list[TwoViews]) -> float:
     """Compute the probability of the best pose and those like it, among all solutions."""
     odds = np.exp([answers[0].cost - answer.cost for answer in answers])
-    near = np.array([answer.turned_from(answers[0]) < ALIKE for answer in answers])
+    near = np.array([answer.turned_from(answers[0]) < SAME_POSE_ANGLE for answer in answers])
     return float(odds[near].sum() / odds.sum())
 
 
@@ -305,7 +311,7 @@ def _repetition(pose: PairPose) -> float:
     likeness = descriptors @ features.descriptors.T
     # One point can have several features, of different orientations or scales.
     far = np.linalg.norm(features.points[i][:, None] - features.points, axis=2)
-    likeness[far < APART * features.scales[i][:, None]] = -1
+    likeness[far < SEPARATE_POINT_DISTANCE * features.scales[i][:, None]] = -1
     second_best = likeness.max(1)
     return float(np.median(np.sqrt((2 - 2 * matched).clip(0) / (2 - 2 * second_best).clip(1e-9))))
 
@@ -327,6 +333,6 @@ def _refuse_few(pose: PairPose) -> PairPose:
     return _refused(
         pose,
         f"too few points are found that both show ({pose.estimate.inliers} of {matches} matches "
-        f"agree, expected {LEAST} or more)",
+        f"agree, expected {MIN_INLIERS} or more)",
         "take sharp photographs of one place that overlap by half or more, a step apart",
     )

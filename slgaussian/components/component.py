@@ -8,7 +8,7 @@ from typing import Any
 
 from slgaussian.components.registry import find_config
 from slgaussian.errors import InputError
-from slgaussian.io import CHANGED, KnownFile
+from slgaussian.io import CHANGED_FILE, KnownFile
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Component:
         """Return the locations of its files, by field."""
         return {key: known_file.place for key, known_file in self.files.items() if known_file.place}
 
-    def values(self, otherwise: str = CHANGED) -> dict[str, Any]:
+    def values(self, otherwise: str = CHANGED_FILE) -> dict[str, Any]:
         """Return the settings, with files as places; InputError as in :meth:`load`."""
         marks = find_config(self.kind, self.name).files()
         places = {
@@ -99,7 +99,7 @@ class Component:
         }
         return {**self.settings, **places}
 
-    def load(self, otherwise: str = CHANGED) -> Any:
+    def load(self, otherwise: str = CHANGED_FILE) -> Any:
         """Load the component.
 
         Raises:

@@ -19,7 +19,7 @@ from slgaussian.errors import InputError
 from slgaussian.io import file_sha256
 
 SHA256 = re.compile("[0-9a-f]{64}")
-AGAIN = "get it again"
+REPAIR = "get it again"
 
 
 def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
@@ -53,7 +53,7 @@ def check_component(kind: str, name: str, values: Mapping[str, Any]) -> str:
     if (network := getattr(part, "network", None)) is not None:
         for tensor_name, tensor in network.named_parameters():
             if not tensor.isfinite().all():
-                raise InputError(f"{label}: {tensor_name} holds NaN or infinity; {AGAIN}")
+                raise InputError(f"{label}: {tensor_name} holds NaN or infinity; {REPAIR}")
     if not label:
         return ""
     of_hub = verified and all(verified)
@@ -72,10 +72,10 @@ def is_of_hub(file: Path) -> bool:
     try:
         digest = file_sha256(file)
     except OSError as error:
-        raise InputError(f"{file}: cannot be read ({error.strerror}); {AGAIN}") from error
+        raise InputError(f"{file}: cannot be read ({error.strerror}); {REPAIR}") from error
     if stored.name != digest:
         raise InputError(
             f"{file}: is damaged: its SHA-256 begins with {digest[:8]}, and of the file on the hub "
-            f"with {stored.name[:8]}; delete {stored} and {AGAIN}"
+            f"with {stored.name[:8]}; delete {stored} and {REPAIR}"
         )
     return True

@@ -34,10 +34,10 @@ from slgaussian.errors import InputError
 from slgaussian.io import read_lines
 from slgaussian.scene import Camera, Scene
 
-PLACES = ("sparse", "colmap/sparse", ".")
+MODEL_FOLDERS = ("sparse", "colmap/sparse", ".")
 """Folders of the model, or of models in subfolders 0, 1, ..., relative to the scene's folder."""
 
-MODELS = {
+CAMERA_MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5),
     4: ("OPENCV", 8), 5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12),
     8: ("SIMPLE_RADIAL_FISHEYE", 4), 9: ("RADIAL_FISHEYE", 5),
@@ -79,7 +79,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     """
     path = Path(path)
     models = models_in(path)
-    source = largest(models) if models else path / PLACES[0] / "0"
+    source = largest(models) if models else path / MODEL_FOLDERS[0] / "0"
     if len(models) > 1:
         sizes = ", ".join(f"{_count_images(place)} in {place.name}" for place in models)
         warnings.warn(
@@ -118,7 +118,7 @@ def read(path: str | Path, images: str | None = None) -> Scene:
 
 def models_in(path: Path) -> list[Path]:
     """List the folders of the models of a scene by number; empty if there is no model."""
-    for place in (path / place for place in PLACES):
+    for place in (path / place for place in MODEL_FOLDERS):
         numbered = [f for f in place.glob("*") if f.name.isdecimal() and model_files(f)]
         if numbered or model_files(place):
             return sorted(numbered, key=lambda folder: int(folder.name)) or [place]
@@ -137,7 +137,7 @@ def scene_folder(path: Path) -> Path:
     """
     place = Path(os.path.abspath(path))
     model = place.parent if place.name.isdecimal() else place
-    above = [f for f in model.parents[:2] if any(f / inside == model for inside in PLACES)]
+    above = [f for f in model.parents[:2] if any(f / inside == model for inside in MODEL_FOLDERS)]
     with_images = (folder for folder in above if image_folder(folder).is_dir())
     return next(with_images, above[-1] if above else path)
 
@@ -212,7 +212,7 @@ def _damage_named(file: Path) -> Iterator[None]:
 
 def _read_cameras(file: Path) -> dict[int, _Intrinsics]:
     cameras: dict[int, _Intrinsics] = {}
-    counts = dict(MODELS.values())
+    counts = dict(CAMERA_MODELS.values())
     with _damage_named(file):
         for number, model, width, height, params in _stored_cameras(file):
             if number in cameras:
@@ -253,7 +253,7 @@ def _stored_cameras(file: Path) -> Iterator[tuple[int, str, int, int, tuple[floa
     data = _Bytes(file)
     for _ in data.entries():
         number, kind, width, height = data.take("iiQQ")
-        model, count = MODELS.get(kind, (str(kind), 0))
+        model, count = CAMERA_MODELS.get(kind, (str(kind), 0))
         yield number, model, width, height, data.take(f"{count}d")
 
 

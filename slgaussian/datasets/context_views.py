@@ -14,17 +14,17 @@ import numpy as np
 from slgaussian.errors import InputError
 from slgaussian.scene import Scene
 
-WITHIN = 0.1
+MIN_INNER_DISTANCE = 0.1
 """Smallest distance between a view added between the two and all selected views, as a fraction of
 the distance of the two; nearer views are redundant."""
 
-BEYOND = 0.25  # the same for views that are not between the two
+MIN_OUTER_DISTANCE = 0.25  # the same for views that are not between the two
 
-APART = 0.1
+MIN_TARGET_DISTANCE = 0.1
 """Smallest distance of an added view from each target, as the same fraction: a target is held out,
 and so are its neighbours in a film."""
 
-TURNED = 45.0
+MAX_AXIS_ANGLE = 45.0
 """Largest angle, degrees, between the optical axis of an added view and the nearer of the two."""
 
 
@@ -63,13 +63,13 @@ def context_of(
         away = np.linalg.norm(centers[:, None] - centers[views], axis=-1)
         return away.min(1, initial=np.inf)
 
-    free = (axes @ axes[[chosen[0], chosen[-1]]].T).max(1) >= np.cos(np.radians(TURNED))
-    free &= distances(held_out) >= APART
+    free = (axes @ axes[[chosen[0], chosen[-1]]].T).max(1) >= np.cos(np.radians(MAX_AXIS_ANGLE))
+    free &= distances(held_out) >= MIN_TARGET_DISTANCE
     free[chosen] = False
     while len(chosen) < count:
         gaps = distances(chosen).round(6)
-        within = free & (radii <= 0.5) & (gaps >= WITHIN)
-        beyond = free & (radii > 0.5) & (gaps >= BEYOND)
+        within = free & (radii <= 0.5) & (gaps >= MIN_INNER_DISTANCE)
+        beyond = free & (radii > 0.5) & (gaps >= MIN_OUTER_DISTANCE)
         if not (within | beyond).any():
             raise InputError(
                 f"scene {scene.name!r}: found {len(chosen)} context views around its targets, "

@@ -13,9 +13,14 @@ import numpy as np
 from PIL import ExifTags, Image
 
 FILM_DIAGONAL = 43.27  # diagonal of 35 mm film, 36 x 24, in millimetres
-WIDEST, LONGEST_FOCAL = 0.3, 20.0  # range of plausible focal lengths, in units of the longer side
-UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # units of the focal-plane resolution, in millimetres
-SIDEWAYS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
+MIN_FOCAL, MAX_FOCAL = 0.3, 20.0  # range of plausible focal lengths, in units of the longer side
+RESOLUTION_UNITS = {
+    2: 25.4,
+    3: 10.0,
+    4: 1.0,
+    5: 0.001,
+}  # units of the focal-plane resolution, in millimetres
+SIDEWAYS_ORIENTATIONS = (5, 6, 7, 8)  # EXIF orientations that exchange width and height
 
 TRANSPOSED = dict(zip(range(2, 9), map(Image.Transpose, (0, 3, 1, 5, 4, 6, 2)), strict=True))
 """Operation that turns a stored photograph upright, by EXIF orientation."""
@@ -82,11 +87,11 @@ def _focal(exif_ifd: Mapping[int, Any], width: int, height: int) -> float | None
     focals = [film * float(np.hypot(width, height)) / FILM_DIAGONAL]
     focal = number(tags.FocalLength)
     x, y = number(tags.FocalPlaneXResolution), number(tags.FocalPlaneYResolution)
-    unit = UNITS.get(exif_ifd.get(tags.FocalPlaneResolutionUnit, 2))
+    unit = RESOLUTION_UNITS.get(exif_ifd.get(tags.FocalPlaneResolutionUnit, 2))
     if focal and x and y and unit and abs(np.log(x / y)) <= 0.05:
         zoom = number(tags.DigitalZoomRatio) or 1.0
         focals.append(focal * zoom * x / unit * longest / max(captured))
-    return next((f for f in focals if WIDEST <= f / longest <= LONGEST_FOCAL), None)
+    return next((f for f in focals if MIN_FOCAL <= f / longest <= MAX_FOCAL), None)
 
 
 def _number(value: Any) -> float | None:

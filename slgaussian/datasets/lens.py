@@ -18,7 +18,7 @@ from slgaussian.formats.resampling import sample_depth
 from slgaussian.scene import Camera, View
 
 OUTSIDE = -1e4  # column and row of pixels outside the lens's image, which makes them black
-NARROWEST, WIDEST = 3.0, 175.0  # range of plausible fields of view, degrees
+MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW = 3.0, 175.0  # range of plausible fields of view, degrees
 
 Maps = tuple[np.ndarray, np.ndarray]
 
@@ -78,9 +78,10 @@ def unfolded(columns: np.ndarray, rows: np.ndarray) -> Maps:
 def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
     """Return a camera unchanged if its intrinsics are plausible; every reader calls this.
 
-    The field of view across each side is at most :data:`WIDEST` degrees, and across the longer
-    side, with either focal length, at least :data:`NARROWEST`. The principal point is at most a
-    photograph's size away from the photograph, and not in its first pixel, where fractions lie.
+    The field of view across each side is at most :data:`MAX_FIELD_OF_VIEW` degrees, and across the
+    longer side, with either focal length, at least :data:`MIN_FIELD_OF_VIEW`. The principal point
+    is at most a photograph's size away from the photograph, and not in its first pixel, where
+    fractions lie.
 
     Args:
         fractions: Whether the file has fractions of width and height, as in RealEstate10K, not
@@ -94,11 +95,11 @@ def checked_camera(camera: Camera, fractions: bool = False) -> Camera:
     for axis, focal, side in (("x", camera.K[0, 0], width), ("y", camera.K[1, 1], height)):
         sides = (side, max(width, height))
         view, longest_view = (math.degrees(2 * math.atan2(s / 2, focal)) for s in sides)
-        if view > WIDEST or longest_view < NARROWEST:
+        if view > MAX_FIELD_OF_VIEW or longest_view < MIN_FIELD_OF_VIEW:
             raise InputError(
                 f"focal length {axis} is {focal / side if fractions else focal:.6g}, for "
                 f"{width}x{height} pixels a field of view of {view:.3g} degrees, expected "
-                f"{NARROWEST:g} to {WIDEST:g}; give it in {unit}"
+                f"{MIN_FIELD_OF_VIEW:g} to {MAX_FIELD_OF_VIEW:g}; give it in {unit}"
             )
     x, y = camera.K[:2, 2]
     is_near = -width <= x <= 2 * width and -height <= y <= 2 * height

@@ -26,7 +26,7 @@ from slgaussian.formats.images import read_npy
 from slgaussian.scene import Camera, Scene
 
 FILE = "poses_bounds.npy"
-ROW = 17
+ROW_LENGTH = 17
 
 
 def read(path: str | Path, images: str | None = None) -> Scene:
@@ -52,10 +52,15 @@ def read(path: str | Path, images: str | None = None) -> Scene:
         raise InputError(f"{file}: cannot be read ({bad.strerror or bad})") from None
     except ValueError as bad:
         raise InputError(f"{file}: is no array of numbers ({bad}); write it again") from None
-    if rows.ndim != 2 or rows.shape[1] != ROW or rows.dtype.kind not in "fiu" or not len(rows):
+    if (
+        rows.ndim != 2
+        or rows.shape[1] != ROW_LENGTH
+        or rows.dtype.kind not in "fiu"
+        or not len(rows)
+    ):
         raise InputError(
-            f"{file}: found {rows.dtype} {rows.shape}, expected a row of {ROW} numbers for each "
-            "photograph"
+            f"{file}: found {rows.dtype} {rows.shape}, expected a row of {ROW_LENGTH} numbers "
+            "for each photograph"
         )
     photographs = photographs_in(folder)
     if len(photographs) != len(rows):

@@ -42,24 +42,24 @@ from slgaussian.scene import Camera, Estimated, Scene, View
 FILE = "transforms.json"
 PERSPECTIVE = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
 FISHEYE = "OPENCV_FISHEYE"
-OPENGL = np.array([1.0, -1.0, -1.0, 1.0])
+OPENGL_SIGNS = np.array([1.0, -1.0, -1.0, 1.0])
 """Factors of the columns of a pose between OpenCV and OpenGL axes."""
 
-OWN = "slgaussian"
+EXTENSION_KEY = "slgaussian"
 """Key of this package's additions: at the top level the record of the estimation
 (:meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`), and in each frame the other fields
 of a camera (``estimated``, ``near``, ``far``). Such frames refer to upright photographs."""
 
-USED = {
+SUPPORTED_KEYS = {
     "w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov",
     "camera_model", "is_fisheye", "k1", "k2", "k3", "k4", "p1", "p2", "mask_path",
     "depth_unit_scale_factor", "applied_scale",
     "aabb_scale", "scale", "auto_scale_poses_override", "integer_depth_scale",
 }  # fmt: skip
-"""Supported keys among those that match :data:`CHANGES_PIXELS`. The last line does not change the
+"""Supported keys among those that match :data:`PIXEL_KEYS`. The last line does not change the
 image: it places the scene in instant-ngp's cube, or is of depth that is not read."""
 
-CHANGES_PIXELS = re.compile(
+PIXEL_KEYS = re.compile(
     r"lens|fish|distort|mask|rolling|readout|shutter(?!_?speed)|scale|crop|aspect|flip|skew|shear"
     r"|ortho|rectangular|latlong|pano(?!ptic)|spheri|omnidir|theta|projection|camera_?(model|type)"
     r"|focal|fov|field_of_view|camera_?angle|intrinsic|principal|shift_?[xy]|matrix_(start|end)"
@@ -68,7 +68,7 @@ CHANGES_PIXELS = re.compile(
 )
 """Parts of key names that indicate a lens, a distortion, a mask, a shutter or a scale."""
 
-NEUTRAL = ("", "none", "pinhole", "perspective", "global")
+NEUTRAL_VALUES = ("", "none", "pinhole", "perspective", "global")
 """Values of such keys, besides 0, false and null, without effect."""
 
 
@@ -124,16 +124,16 @@ class Frame:
         fy = fx if fy is None else fy
         cx, cy = self.number("cx", w / 2), self.number("cy", h / 2)
         try:
-            c2w = np.array(self.values["transform_matrix"], np.float64).reshape(4, 4) * OPENGL
+            c2w = np.array(self.values["transform_matrix"], np.float64).reshape(4, 4) * OPENGL_SIGNS
         except (KeyError, TypeError, ValueError):
             raise self.error("has no transform_matrix of 4x4 numbers, camera-to-world") from None
         K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
         try:
             camera = checked_camera(Camera(K, c2w, int(w), int(h)))
-            if (extra := self.values.get(OWN)) is None:
+            if (extra := self.values.get(EXTENSION_KEY)) is None:
                 return camera
             if not isinstance(extra, dict):
-                raise InputError(f"{OWN} is {extra!r:.60}, expected an object")
+                raise InputError(f"{EXTENSION_KEY} is {extra!r:.60}, expected an object")
             estimate = extra.get("estimated")
             estimated = None if estimate is None else Estimated.of(estimate)
             near, far = (self.number(name, values=extra) for name in ("near", "far"))
@@ -158,11 +158,11 @@ class Frame:
                 "remove the wrong one"
             )
         for key, value in self.values.items():
-            if key in USED or not CHANGES_PIXELS.search(key):
+            if key in SUPPORTED_KEYS or not PIXEL_KEYS.search(key):
                 continue
             is_colour = "mask" in key  # a mask colour of 0 is a value too
             numbers = value if isinstance(value, list) and not is_colour else [value]
-            changes_nothing = str(value).lower() in NEUTRAL or not any(numbers)
+            changes_nothing = str(value).lower() in NEUTRAL_VALUES or not any(numbers)
             if not changes_nothing and not (value == 1 and re.search("scale|aspect", key)):
                 raise self.error(
                     f"{key} is {value!r:.60}, which may change where points are seen and is not "
@@ -233,7 +233,7 @@ class Frame:
             camera,
             self.image_path or self.file.parent / self.name,
             self.file.name,
-            upright=OWN in self.values,
+            upright=EXTENSION_KEY in self.values,
             lens=self.lens(camera),
             mask=None if mask is None else self.place(mask),
             depth=self.depth(camera),
@@ -262,7 +262,7 @@ def read(path: str | Path) -> Scene:
 
     Raises:
         InputError: If the file is missing or damaged, a frame is invalid, or it has an unsupported
-            key that may change the image (:data:`CHANGES_PIXELS`). A missing or unreadable
+            key that may change the image (:data:`PIXEL_KEYS`). A missing or unreadable
             photograph is an error only when its view is read.
     """
     path = Path(path)
@@ -271,9 +271,9 @@ def read(path: str | Path) -> Scene:
     if not isinstance(meta, dict) or not isinstance(meta.get("frames"), list) or not meta["frames"]:
         raise InputError(f"{file}: lists no frames; expected nerfstudio's form with a frames list")
     frames: dict[str, Frame] = {}
-    shared = {key: value for key, value in meta.items() if key not in (OWN, "frames")}
-    if not isinstance(estimation := meta.get(OWN, {}), dict):
-        raise InputError(f"{file}: {OWN} is {estimation!r:.60}, expected an object")
+    shared = {key: value for key, value in meta.items() if key not in (EXTENSION_KEY, "frames")}
+    if not isinstance(estimation := meta.get(EXTENSION_KEY, {}), dict):
+        raise InputError(f"{file}: {EXTENSION_KEY} is {estimation!r:.60}, expected an object")
     for number, entry in enumerate(meta["frames"]):
         name = entry.get("file_path") if isinstance(entry, dict) else None
         if not isinstance(name, str) or not name:
@@ -319,16 +319,16 @@ def write(file: Path, photographs: Mapping[str, Path], estimated: EstimatedCamer
         extra: dict[str, Any] = {"near": camera.near, "far": camera.far}
         if camera.estimated is not None:
             extra["estimated"] = asdict(camera.estimated)
-        frame = {"file_path": paths[name], "transform_matrix": (camera.c2w * OPENGL).tolist()}
+        frame = {"file_path": paths[name], "transform_matrix": (camera.c2w * OPENGL_SIGNS).tolist()}
         frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
-        frame |= {"w": camera.width, "h": camera.height, OWN: extra}
+        frame |= {"w": camera.width, "h": camera.height, EXTENSION_KEY: extra}
         frames.append(frame)
     record = estimated.as_json()
     for key in ("focals", "left_out"):
         record[key] = {paths[name]: value for name, value in record[key].items()}
     for pair in record["pairs"]:
         pair["views"] = [paths[name] for name in pair["views"]]
-    content = {"camera_model": "OPENCV", "frames": frames, OWN: record}
+    content = {"camera_model": "OPENCV", "frames": frames, EXTENSION_KEY: record}
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(file, (json.dumps(content, indent=1) + "\n").encode())
@@ -374,7 +374,7 @@ def _camera_path(file: Path, content: Mapping[str, Any]) -> dict[str, Camera]:
             c2w = np.array(frame["camera_to_world"], np.float64).reshape(4, 4)
             focal = height / 2 / np.tan(np.radians(float(frame["fov"])) / 2)
             K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-            cameras[f"frame {number}"] = Camera(K, c2w * OPENGL, width, height)
+            cameras[f"frame {number}"] = Camera(K, c2w * OPENGL_SIGNS, width, height)
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     except (KeyError, TypeError, ValueError) as error:

@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slgaussian.cameras.check import COARSE, agree
+from slgaussian.cameras.check import COARSE_DISTANCE, agree
 from slgaussian.cameras.matches import LOWE_RATIO, match, sift
 from slgaussian.cameras.two_view import Photograph
 from slgaussian.datasets.lens import checked_camera
@@ -30,12 +30,12 @@ from slgaussian.io import file_digest
 from slgaussian.predict import precomputed
 from slgaussian.scene import Camera, Scene
 
-JUDGED = 6
+TESTED_PHOTOGRAPHS = 6
 """Number of photographs, the first, by which the interpretation is selected."""
 
-LONGEST = 640  # longer side of these photographs, pixels
+TESTED_SIDE = 640  # longer side of these photographs, pixels
 
-POSES = {
+POSE_CONVENTIONS = {
     "camera-to-world in OpenCV's axes": (False, False),
     "world-to-camera in OpenCV's axes": (True, False),
     "camera-to-world in OpenGL's axes": (False, True),
@@ -43,14 +43,14 @@ POSES = {
 }
 """Whether to invert the poses, and then to reverse y and z, by convention."""
 
-FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def read(path: str | Path, photographs: str | Sequence[str] | None = None) -> Scene:
     """Read a scene of photographs with the cameras of an NPZ.
 
     Args:
-        path: NPZ, see :data:`slgaussian.formats.depth_maps.KEYS`.
+        path: NPZ, see :data:`slgaussian.formats.depth_maps.ARRAY_NAMES`.
         photographs: str or sequence of str, optional. Their folder relative to that of the NPZ, the
             default; or files and folders. If the NPZ has no ``names``, its maps belong to all
             photographs in order, in a folder sorted by name.
@@ -85,13 +85,13 @@ def _cameras(
     if len(photos) < 2:
         raise InputError(f"{path}: has maps of {len(photos)} of the photographs, expected two")
     maps = [_Map(stored, number, photos[name]) for name, number in numbers.items()]
-    first = maps[:JUDGED]
+    first = maps[:TESTED_PHOTOGRAPHS]
     matches, sizes = _matches([one.photo for one in first])
     ways = max((one.placements() for one in first), key=len)
     # Intrinsics of the map before those of the photograph, and square pixels before others.
     sources = sorted(product(ways, (True, False)), key=lambda s: (not s[1], first[0].stretch(*s)))
     usual = "world-to-camera" if stored.inverted else "camera-to-world"
-    poses = sorted(POSES, key=lambda name: ("OpenGL" in name, usual not in name))
+    poses = sorted(POSE_CONVENTIONS, key=lambda name: ("OpenGL" in name, usual not in name))
     readings: list[precomputed.Reading] = []
     problem: InputError | None = None
     for (way, of_map), pose, ray in product(sources, poses, (False, True)):
@@ -157,19 +157,19 @@ class _Map:
     def camera(self, way: str, of_map: bool, pose: str) -> Camera:
         """Return the camera of the photograph under one interpretation; InputError if invalid."""
         assert self.stored.poses is not None
-        inverted, flipped = POSES[pose]
+        inverted, flipped = POSE_CONVENTIONS[pose]
         c2w = self.stored.poses[self.number]
         if not np.linalg.det(c2w):
             raise InputError(f"{self.stored.file}: pose {self.number} is singular, not a rigid one")
         c2w = np.linalg.inv(c2w) if inverted else c2w
-        c2w = c2w @ FLIP if flipped else c2w
+        c2w = c2w @ FLIP_YZ if flipped else c2w
         K = self.intrinsics(way, of_map)
         return checked_camera(Camera(K, c2w, self.photo.width, self.photo.height))
 
 
 def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tuple[int, int]]]:
     """Match successive photographs, scaled to the sizes (width, height) that are returned too."""
-    scales = [LONGEST / max(photo.width, photo.height) for photo in photos]
+    scales = [TESTED_SIDE / max(photo.width, photo.height) for photo in photos]
     sizes = [(round(p.width * s), round(p.height * s)) for p, s in zip(photos, scales, strict=True)]
     features = []
     for photo, size in zip(photos, sizes, strict=True):
@@ -179,6 +179,6 @@ def _matches(photos: Sequence[Photograph]) -> tuple[precomputed.Matches, list[tu
     for i, j in pairwise(range(len(photos))):
         a, b, _ = match(features[i], features[j], LOWE_RATIO)
         p, q = features[i].points[a], features[j].points[b]
-        keep = agree(p, q, COARSE * LONGEST)
+        keep = agree(p, q, COARSE_DISTANCE * TESTED_SIDE)
         matches[i, j] = p[keep], q[keep]
     return matches, sizes

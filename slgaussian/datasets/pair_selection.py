@@ -21,10 +21,10 @@ from slgaussian.scene import Camera
 TARGETS = 3
 """Number of targets of a sample."""
 
-CANDIDATES = 200
+MAX_CANDIDATES = 200
 """Largest number of views of a clip that are considered: the sharpest of each range of frames."""
 
-DARK, BRIGHT = 0.08, 0.92
+MIN_MEAN_GREY, MAX_MEAN_GREY = 0.08, 0.92
 """Range of the mean grey, as a fraction of white, of a well exposed photograph."""
 
 
@@ -47,7 +47,7 @@ class Views:
     def usable(self, bounds: PairBounds) -> np.ndarray:
         """Find the views that are sharp and well exposed, bool [N]."""
         sharp = self.blur <= np.median(self.blur) + bounds.max_blur
-        exposed = (self.mean >= DARK) & (self.mean <= BRIGHT)
+        exposed = (self.mean >= MIN_MEAN_GREY) & (self.mean <= MAX_MEAN_GREY)
         return sharp & exposed & (self.clipped <= bounds.max_clipped)
 
 
@@ -99,7 +99,7 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
             "its views have no parallax to compute a depth from: too few matches agree "
             "with the poses, or the camera stood still"
         )
-    stretches = np.array_split(usable, min(CANDIDATES, len(usable)))
+    stretches = np.array_split(usable, min(MAX_CANDIDATES, len(usable)))
     frames = np.array([stretch[clip.blur[stretch].argmin()] for stretch in stretches])
     overlap_matrix = overlaps([clip.cameras[i] for i in frames], clip.depths[frames])
     shared, baselines, fits = _compare(clip, frames, overlap_matrix, bounds)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from slgaussian.datasets.exif import SIDEWAYS, orientation_of
+from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of
 from slgaussian.datasets.exif import upright as turned_upright
 from slgaussian.datasets.lens import Maps, straightened
 from slgaussian.errors import InputError
@@ -20,7 +20,7 @@ from slgaussian.scene import Camera, Scene, View
 EXTENSIONS = (".png", ".jpg", ".jpeg", ".PNG", ".JPG", ".JPEG", ".heic", ".HEIC")
 """Suffixes of photographs, tried in this order if a name has none."""
 
-OPAQUE = 128  # smallest alpha, of 255, of an opaque pixel
+MIN_OPAQUE_ALPHA = 128  # smallest alpha, of 255, of an opaque pixel
 
 
 def rgb(image: Image.Image) -> np.ndarray:
@@ -67,7 +67,7 @@ def open_photograph(
             pixels = rgb(oriented)
             if "A" not in oriented.getbands() and "transparency" not in image.info:
                 return pixels, None
-            opaque = np.asarray(oriented.convert("RGBA"))[..., 3] >= OPAQUE
+            opaque = np.asarray(oriented.convert("RGBA"))[..., 3] >= MIN_OPAQUE_ALPHA
     except (OSError, ValueError) as bad:
         raise unreadable(path, bad) from None
     return pixels, None if opaque.all() else opaque
@@ -84,7 +84,7 @@ def stored_size(path: Path, size: tuple[int, int] | None = None) -> tuple[int, i
 
 def _is_turned(image: Image.Image, size: tuple[int, int] | None) -> bool:
     """Tell whether a camera of that size fits only the photograph rotated by its EXIF tag."""
-    if size is None or orientation_of(image) not in SIDEWAYS:
+    if size is None or orientation_of(image) not in SIDEWAYS_ORIENTATIONS:
         return False
     return not has_shape(image.size, size) and has_shape(image.size[::-1], size)
 
@@ -210,7 +210,7 @@ def open_view(
                 f"{mask}: has {alpha.shape} pixels, expected {height, width} as its photograph"
             )
         alpha = alpha * np.uint8(255) if alpha.max() == 1 else alpha
-        visible = (alpha >= OPAQUE) & (True if opaque is None else opaque)
+        visible = (alpha >= MIN_OPAQUE_ALPHA) & (True if opaque is None else opaque)
         pixels, opaque = _over_black(pixels, alpha), None if visible.all() else visible
     view = View(name, camera, pixels, depth, opaque=opaque)
     return view if lens is None else straightened(view, lens())

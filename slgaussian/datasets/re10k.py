@@ -36,7 +36,7 @@ INDEX = "index.json"
 CHUNK_BYTES = 100_000_000
 """A new chunk is begun when the images of the current one reach this size, as in the original."""
 JPEG_QUALITY = 95
-ROW = 18
+ROW_LENGTH = 18
 FRAME_TIME = 33_333  # interval between the frames of a scene without timestamps, microseconds
 
 
@@ -193,7 +193,7 @@ def clips_in(data: bytes, file: str | Path) -> list[Clip]:
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
             raise InputError(
                 f"{file}: clip {number}: expected key, url, N images of uint8, N timestamps of "
-                f"int64 and cameras float32 [N, {ROW}] ({error})"
+                f"int64 and cameras float32 [N, {ROW_LENGTH}] ({error})"
             ) from None
         left -= sum(map(len, clips[-1].images))
     return clips
@@ -205,7 +205,7 @@ def _clip(entry: Any, max_bytes: int) -> Clip:
     times, cameras = (_array(entry[name]) for name in ("timestamps", "cameras"))
     fits = isinstance(key, str) and isinstance(url, str) and isinstance(images, list)
     fits = fits and times.shape == (len(images),) and times.dtype.kind == "i"
-    fits = fits and cameras.shape == (len(images), ROW) and cameras.dtype.kind == "f"
+    fits = fits and cameras.shape == (len(images), ROW_LENGTH) and cameras.dtype.kind == "f"
     arrays = [_array(image) for image in images]
     if not fits or any(array.dtype != np.uint8 for array in arrays):
         raise ValueError("its values have other types or lengths")
@@ -230,9 +230,10 @@ def _array(tensor: Any) -> np.ndarray:
 def camera_of(row: np.ndarray, width: int, height: int, label: str = "camera") -> Camera:
     """Return the camera of a row of 18 numbers; InputError with the label if it is invalid."""
     row = np.asarray(row, np.float64)
-    if row.shape != (ROW,) or not np.isfinite(row).all() or row[4:6].any():
+    if row.shape != (ROW_LENGTH,) or not np.isfinite(row).all() or row[4:6].any():
         raise InputError(
-            f"{label}: found {row.tolist()}, expected {ROW} finite numbers, the fifth and sixth 0"
+            f"{label}: found {row.tolist()}, expected {ROW_LENGTH} finite numbers, the fifth and "
+            "sixth 0"
         )
     fx, fy, cx, cy = row[:4] * (width, height, width, height)
     rotation, translation = row[6:].reshape(3, 4)[:, :3], row[9::4]

@@ -2,7 +2,7 @@
 
 The members of one sample are adjacent and share a key: ``KEY.context_0.jpg``, ``KEY.labels.npz``
 and so on. The bytes depend only on keys and contents, so a shard is the concatenation of its
-samples and :data:`END`.
+samples and :data:`END_OF_ARCHIVE`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import re
 import tarfile
 from collections.abc import Mapping
 
-END = bytes(2 * tarfile.BLOCKSIZE)  # the end of a tar file
-LONGEST = 48  # largest number of characters of the clip's name in a key
+END_OF_ARCHIVE = bytes(2 * tarfile.BLOCKSIZE)  # the end of a tar file
+MAX_NAME_LENGTH = 48  # largest number of characters of the clip's name in a key
 
 
 def key_of(clip: str) -> str:
@@ -23,7 +23,7 @@ def key_of(clip: str) -> str:
     A dot would end the key, and a slash create a folder. A name with other characters, or one that
     is too long, is extended by eight digits of its SHA-256, so that keys are unique.
     """
-    plain = re.sub(r"[^A-Za-z0-9_-]", "_", clip)[:LONGEST]
+    plain = re.sub(r"[^A-Za-z0-9_-]", "_", clip)[:MAX_NAME_LENGTH]
     if plain == clip:
         return clip
     return f"{plain}-{hashlib.sha256(clip.encode()).hexdigest()[:8]}"
@@ -44,7 +44,7 @@ def unpack(data: bytes) -> dict[str, bytes]:
     """Invert :func:`pack`; ValueError if ``data`` is not a part of a tar file."""
     members = {}
     try:
-        with tarfile.open(fileobj=io.BytesIO(data + END), mode="r:") as archive:
+        with tarfile.open(fileobj=io.BytesIO(data + END_OF_ARCHIVE), mode="r:") as archive:
             for info in archive:
                 file = archive.extractfile(info)
                 if file is not None:

@@ -12,19 +12,19 @@ from slgaussian.errors import InputError
 from slgaussian.formats.images import opened
 from slgaussian.scene import Camera
 
-SIDE = 180
+SMALL_SIDE = 180
 """Shorter side of the small image, pixels. A JPEG of 640 x 360 is decoded at half its size for it,
 in a third of the time."""
 
-REBLUR = 7
+REBLUR_WIDTH = 7
 """Width of the additional blur, pixels, which hardly changes an image that is already blurred."""
 
-CLIPPED = 4
+CLIPPED_GREYS = 4
 """Grey levels from black or white that count as clipped."""
 
 
 def glance(data: bytes) -> tuple[np.ndarray, tuple[int, int]]:
-    """Decode a photograph in grey, its shorter side :data:`SIDE` pixels or fewer.
+    """Decode a photograph in grey, its shorter side :data:`SMALL_SIDE` pixels or fewer.
 
     Returns:
         uint8 [h, w], (width, height): The small image, and the full size of the photograph.
@@ -49,7 +49,7 @@ def small(image: np.ndarray) -> np.ndarray:
 
 
 def _small_size(width: int, height: int) -> tuple[int, int]:
-    scale = min(1.0, SIDE / min(width, height))
+    scale = min(1.0, SMALL_SIDE / min(width, height))
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 
@@ -60,16 +60,16 @@ def blur(grey: np.ndarray) -> float:
     directions (Crete et al., "The blur effect", 2007). Unlike the variance of the Laplacian it
     hardly depends on the content: a sharp photograph of a blank door counts as sharp.
     """
-    if min(grey.shape) < REBLUR:
+    if min(grey.shape) < REBLUR_WIDTH:
         return 1.0
     from skimage.measure import blur_effect  # slow import, needed only to choose views
 
-    return float(blur_effect(grey, h_size=REBLUR))
+    return float(blur_effect(grey, h_size=REBLUR_WIDTH))
 
 
 def exposure(grey: np.ndarray) -> tuple[float, float]:
     """Return the mean of an image uint8 [h, w], 0 to 1, and the fraction of clipped pixels."""
-    clipped = (grey <= CLIPPED) | (grey >= 255 - CLIPPED)
+    clipped = (grey <= CLIPPED_GREYS) | (grey >= 255 - CLIPPED_GREYS)
     return float(grey.mean() / 255), float(clipped.mean())
 
 

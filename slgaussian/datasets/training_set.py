@@ -37,11 +37,11 @@ from slgaussian.storage.specs import load_spec
 
 INDEX = "index.parquet"
 SPLITS = ("train", "test")
-ENDINGS = ("jpg", "png")
+IMAGE_SUFFIXES = ("jpg", "png")
 SPECS = {"geometry": "example_geometry", "labels": "labels", "bank": "bank"}
 """The spec of each ``.npz`` member of a sample."""
 
-ANEW = "make the set anew with `slgaussian dataset`"
+REPAIR = "make the set anew with `slgaussian dataset`"
 
 
 class TrainingSet(Dataset[dict[str, Any]]):
@@ -83,7 +83,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
         if split is not None and split not in SPLITS:
             raise InputError(f"split: found {split!r}, expected one of {', '.join(SPLITS)}")
         rows = decode_table(
-            self._read(INDEX), load_spec("training_set"), f"{self.folder}/{INDEX}", ANEW
+            self._read(INDEX), load_spec("training_set"), f"{self.folder}/{INDEX}", REPAIR
         )
         if split is not None:
             rows = rows.filter(pc.field("split") == split)
@@ -109,7 +109,9 @@ class TrainingSet(Dataset[dict[str, Any]]):
         label = f"{self.folder}/{self._places[index][0]}: {row['sample']}"
         try:
             geometry, labels, bank = (
-                decode_arrays(members[f"{name}.npz"], load_spec(spec), f"{label}.{name}.npz", ANEW)
+                decode_arrays(
+                    members[f"{name}.npz"], load_spec(spec), f"{label}.{name}.npz", REPAIR
+                )
                 for name, spec in SPECS.items()
             )
             info = strict_json.parse(members["about.json"])
@@ -118,9 +120,9 @@ class TrainingSet(Dataset[dict[str, Any]]):
             if count != expected or not isinstance(info, dict):
                 raise ValueError(f"{count} images of {expected}, or about.json is no object")
         except KeyError as missing:
-            raise SpecError(f"{label}: has no {missing}; {ANEW}") from None
+            raise SpecError(f"{label}: has no {missing}; {REPAIR}") from None
         except ValueError as error:
-            raise SpecError(f"{label}: is damaged ({error}); {ANEW}") from None
+            raise SpecError(f"{label}: is damaged ({error}); {REPAIR}") from None
         numbers = ("K", "c2w", "near_far", "depth")
         views = {name: torch.from_numpy(geometry[name].astype(np.float32)) for name in numbers}
         views["labels"] = torch.from_numpy(labels["labels"].astype(np.int64))
@@ -148,7 +150,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
                 raise ValueError(f"it has {len(data)} of the {length} bytes from {offset} on")
             return unpack(data)
         except ValueError as error:
-            raise SpecError(f"{self.folder}/{shard}: is damaged ({error}); {ANEW}") from None
+            raise SpecError(f"{self.folder}/{shard}: is damaged ({error}); {REPAIR}") from None
 
     def _read(self, name: str, start: int | None = None, end: int | None = None) -> bytes:
         try:
@@ -157,7 +159,7 @@ class TrainingSet(Dataset[dict[str, Any]]):
             return fs.cat_file(f"{path}/{name}", start=start, end=end)
         except file_system_errors() as error:
             raise SpecError(
-                f"{self.folder}/{name}: cannot be read ({explain_error(error)}); {ANEW}"
+                f"{self.folder}/{name}: cannot be read ({explain_error(error)}); {REPAIR}"
             ) from None
 
 
@@ -165,7 +167,7 @@ def _images(members: Mapping[str, bytes], role: str) -> torch.Tensor:
     """Decode the images of a role in the order of their numbers, uint8 [V, 3, H, W]."""
     pixels: list[np.ndarray] = []
     while data := next(
-        (members[n] for e in ENDINGS if (n := f"{role}_{len(pixels)}.{e}") in members), None
+        (members[n] for e in IMAGE_SUFFIXES if (n := f"{role}_{len(pixels)}.{e}") in members), None
     ):
         with opened(io.BytesIO(data)) as image:
             pixels.append(rgb(image))

@@ -18,8 +18,8 @@ from PIL import Image
 
 from slgaussian.cameras.estimated import EstimatedCameras
 from slgaussian.cameras.find import find_cameras
-from slgaussian.cameras.two_view import LONGEST, Photograph
-from slgaussian.datasets.exif import SIDEWAYS, orientation_of, read_lens, upright
+from slgaussian.cameras.two_view import MAX_IMAGE_SIDE, Photograph
+from slgaussian.datasets.exif import SIDEWAYS_ORIENTATIONS, orientation_of, read_lens, upright
 from slgaussian.datasets.photographs import photographs_of, rgb, scene_of
 from slgaussian.errors import InputError
 from slgaussian.formats.images import opened, unreadable
@@ -170,7 +170,7 @@ def photograph(file: Path, name: str) -> Photograph:
 def _photograph(image: Image.Image, name: str) -> Photograph:
     full_size, (lens, focal) = image.size, read_lens(image)
     orientation = orientation_of(image)
-    scale = min(1.0, LONGEST / max(full_size))
+    scale = min(1.0, MAX_IMAGE_SIDE / max(full_size))
     small_size = max(1, round(full_size[0] * scale)), max(1, round(full_size[1] * scale))
     # A JPEG is decoded at a half, a quarter or an eighth of its size, to save time and memory.
     image.draft("RGB", small_size)
@@ -179,7 +179,7 @@ def _photograph(image: Image.Image, name: str) -> Photograph:
     plain = image if image.mode == "RGB" else Image.fromarray(rgb(image))
     small = plain.resize(small_size, Image.Resampling.BICUBIC, covered)
     pixels = rgb(upright(small, orientation))
-    width, height = full_size[::-1] if orientation in SIDEWAYS else full_size
+    width, height = full_size[::-1] if orientation in SIDEWAYS_ORIENTATIONS else full_size
     return Photograph(name, pixels, width, height, lens, focal)
 
 

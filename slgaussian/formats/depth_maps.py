@@ -17,10 +17,10 @@ import numpy as np
 from PIL import Image
 
 from slgaussian.errors import InputError
-from slgaussian.formats.images import MOST_PIXELS, opened, read_npy, unreadable
+from slgaussian.formats.images import MAX_PIXELS, opened, read_npy, unreadable
 from slgaussian.io import short_repr, write_file
 
-KEYS = {
+ARRAY_NAMES = {
     "depth": ("depth", "depths", "depthmap", "depthmaps", "depth_map", "depth_maps"),
     "confidence": ("conf", "confs", "confidence", "confidences", "depth_conf"),
     "w2c": ("extrinsics", "extrinsic", "w2c", "world_to_camera"),
@@ -33,8 +33,8 @@ KEYS = {
 first name that exists is read."""
 
 MILLIMETRE = 1e-3  # scene units in one unit of an integer map
-MOST_BYTES = 48 * MOST_PIXELS  # largest decompressed size of an NPZ, bytes: 4 GiB
-WRITTEN = (".npy", ".png")  # suffixes that `write_map` supports
+MAX_BYTES = 48 * MAX_PIXELS  # largest decompressed size of an NPZ, bytes: 4 GiB
+WRITABLE_SUFFIXES = (".npy", ".png")  # suffixes that `write_map` supports
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ def name_keys(name: str) -> tuple[str, ...]:
 
 
 def read_geometry(file: Path) -> GeometryFile:
-    """Read an NPZ of depth, and optionally of confidence and cameras (:data:`KEYS`).
+    """Read an NPZ of depth, and optionally of confidence and cameras (:data:`ARRAY_NAMES`).
 
     Raises:
         InputError: If it cannot be read, contains no depth, or its arrays differ in the number of
@@ -109,7 +109,9 @@ def read_geometry(file: Path) -> GeometryFile:
     """
     arrays = _read_npz(file)
     if "depth" not in arrays:
-        raise InputError(f"{file}: holds no depth; expected one of {', '.join(KEYS['depth'])}")
+        raise InputError(
+            f"{file}: holds no depth; expected one of {', '.join(ARRAY_NAMES['depth'])}"
+        )
     depth = _stacked(file, "depth", arrays["depth"])
     count, height, width = depth.shape
     confidence = matrices = poses = names = None
@@ -199,7 +201,7 @@ def write_map(file: Path, depth: np.ndarray) -> None:
             )
         Image.fromarray(np.rint(depth / MILLIMETRE).astype(np.uint16)).save(content, "PNG")
     else:
-        raise InputError(f"{file}: expected the name to end in {', '.join(WRITTEN)}")
+        raise InputError(f"{file}: expected the name to end in {', '.join(WRITABLE_SUFFIXES)}")
     write_file(file, content.getvalue())
 
 
@@ -210,15 +212,16 @@ def known_depth(depth: np.ndarray) -> np.ndarray:
 
 
 def _read_npz(file: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of an NPZ that :data:`KEYS` lists, by its keys."""
+    """Return the arrays of an NPZ that :data:`ARRAY_NAMES` lists, by its keys."""
     try:
         with ZipFile(file) as archive:
             size = sum(part.file_size for part in archive.infolist())
-        if size > MOST_BYTES:
-            raise ValueError(f"{size:,} bytes unpacked, of which at most {MOST_BYTES:,} are read")
+        if size > MAX_BYTES:
+            raise ValueError(f"{size:,} bytes unpacked, of which at most {MAX_BYTES:,} are read")
         with np.load(file, allow_pickle=False) as stored:
             present = {
-                ours: [name for name in names if name in stored] for ours, names in KEYS.items()
+                ours: [name for name in names if name in stored]
+                for ours, names in ARRAY_NAMES.items()
             }
             return {ours: stored[names[0]] for ours, names in present.items() if names}
     except Exception as problem:  # a damaged archive raises almost anything

@@ -18,34 +18,36 @@ from PIL import Image
 
 from slgaussian.errors import InputError
 
-MOST_PIXELS = 2**30 // 12
+MAX_PIXELS = 2**30 // 12
 """Largest number of pixels of an image, mask, depth map or camera: 89 million, a quarter of a GiB
 as RGB, above which Pillow warns of decompression bombs."""
 
-KINDS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")
+PILLOW_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM")
 """Pillow's names of the accepted formats; HEIC too if pillow-heif is installed."""
 
 
 class TooLargeError(ValueError):
-    """An image has more than :data:`MOST_PIXELS` pixels."""
+    """An image has more than :data:`MAX_PIXELS` pixels."""
 
 
 def check_size(width: float, height: float) -> None:
-    """Raise :class:`TooLargeError` for an image of more than :data:`MOST_PIXELS` pixels."""
-    if width * height > MOST_PIXELS:
+    """Raise :class:`TooLargeError` for an image of more than :data:`MAX_PIXELS` pixels."""
+    if width * height > MAX_PIXELS:
         raise TooLargeError(
-            f"it has {width:.0f}x{height:.0f} pixels, of which at most {MOST_PIXELS:,} are read; "
+            f"it has {width:.0f}x{height:.0f} pixels, of which at most {MAX_PIXELS:,} are read; "
             "shrink it"
         )
 
 
 @contextmanager
-def opened(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> Iterator[Image.Image]:
+def opened(
+    source: str | Path | BinaryIO, kinds: Sequence[str] = PILLOW_FORMATS
+) -> Iterator[Image.Image]:
     """Open an image and read its header only; load the pixels inside the ``with`` block.
 
     Raises:
         OSError, ValueError: If the file cannot be read; or if it has another format, is damaged,
-            empty or above :data:`MOST_PIXELS`, also while the pixels are loaded.
+            empty or above :data:`MAX_PIXELS`, also while the pixels are loaded.
             :func:`unreadable` converts both errors to a message.
     """
     if Path(str(source)).suffix.lower() in (".heic", ".heif") and _reads_heic():
@@ -65,7 +67,7 @@ def _damage_as_value_error() -> Iterator[None]:
         raise
     except Image.DecompressionBombError:
         raise TooLargeError(
-            f"it has more than the {MOST_PIXELS:,} pixels that are read; shrink it"
+            f"it has more than the {MAX_PIXELS:,} pixels that are read; shrink it"
         ) from None
     except Exception as bad:  # a damaged file raises almost anything
         if isinstance(bad, OSError) and bad.errno is not None:
@@ -74,7 +76,7 @@ def _damage_as_value_error() -> Iterator[None]:
 
 
 def read_mask(
-    source: str | Path | BinaryIO, threshold: int = 128, kinds: Sequence[str] = KINDS
+    source: str | Path | BinaryIO, threshold: int = 128, kinds: Sequence[str] = PILLOW_FORMATS
 ) -> np.ndarray:
     """Read a mask image, bool [H, W]: the pixels whose :func:`mask_levels` reach ``threshold``.
 
@@ -91,7 +93,7 @@ def read_mask(
     return mask
 
 
-def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> np.ndarray:
+def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = PILLOW_FORMATS) -> np.ndarray:
     """Read the levels of a mask, uint8 [H, W]: 255 inside, 0 outside.
 
     They are grey levels, 16 bits scaled to 255. An alpha channel that is not 255 everywhere is used
@@ -119,7 +121,7 @@ def mask_levels(source: str | Path | BinaryIO, kinds: Sequence[str] = KINDS) -> 
 
 
 def read_npy(file: Path) -> np.ndarray:
-    """Read a ``.npy`` file of at most :data:`MOST_PIXELS` numbers, without unpickling.
+    """Read a ``.npy`` file of at most :data:`MAX_PIXELS` numbers, without unpickling.
 
     Raises:
         OSError, ValueError: See :func:`opened`.
@@ -127,9 +129,9 @@ def read_npy(file: Path) -> np.ndarray:
     with _damage_as_value_error():
         # Memory mapping detects a header that claims more data than the file has before allocation.
         array = np.lib.format.open_memmap(file, mode="r")
-    if array.size > MOST_PIXELS:
+    if array.size > MAX_PIXELS:
         raise TooLargeError(
-            f"it has {array.size:,} numbers, of which at most {MOST_PIXELS:,} are read; shrink it"
+            f"it has {array.size:,} numbers, of which at most {MAX_PIXELS:,} are read; shrink it"
         )
     return np.array(array)
 

@@ -26,18 +26,18 @@ from slgaussian.errors import InputError, check_type
 from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
-LOWEST = -104.0
+MIN_LOGIT = -104.0
 """Written for the logit and the logarithm of 0: the largest integer whose sigmoid and exponential
 are 0 in float32. Infinity would break viewers and compressors that compute value ranges."""
 
-HIGHEST = 18.0  # written for the logit of 1: the smallest integer whose sigmoid is 1 in float32
-REST = (0, 9, 24, 45)  # number of `f_rest_*` columns for degree 0 to 3
+MAX_LOGIT = 18.0  # written for the logit of 1: the smallest integer whose sigmoid is 1 in float32
+REST_COUNTS = (0, 9, 24, 45)  # number of `f_rest_*` columns for degree 0 to 3
 
 _MEANS = ["x", "y", "z"]
 _NORMALS = ["nx", "ny", "nz"]
 _DC, _SCALES = ([f"{prefix}_{i}" for i in range(3)] for prefix in ("f_dc", "scale"))
 _ROTATIONS = [f"rot_{i}" for i in range(4)]
-_NEEDED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
+_REQUIRED = [*_MEANS, *_DC, "opacity", *_SCALES, *_ROTATIONS]
 
 DISTORTING = {"filter_3D", "scaling_factor"}
 """Properties of Mip-Splatting and others by which Gaussians are drawn otherwise than here."""
@@ -67,14 +67,14 @@ def save_ply(gaussians: Gaussians, path: str | Path, labels: np.ndarray | None =
     arrays, n = gaussians.to_arrays(), len(gaussians)
     sh, features = arrays["sh"], arrays.get("features", np.empty((n, 0)))
     rest = sh.shape[1] - 1
-    if 3 * rest not in REST:
+    if 3 * rest not in REST_COUNTS:
         raise InputError(
             f"gaussians sh: found {sh.shape[1]} coefficients a colour, expected 1, 4, 9 or 16: a "
             ".ply holds harmonics of degree 0 to 3"
         )
-    with np.errstate(divide="ignore"):  # log of 0; LOWEST is written instead
-        logits = logit(arrays["opacities"].astype(np.float64)).clip(LOWEST, HIGHEST)
-        logs = np.log(arrays["scales"].astype(np.float64)).clip(LOWEST)
+    with np.errstate(divide="ignore"):  # log of 0; MIN_LOGIT is written instead
+        logits = logit(arrays["opacities"].astype(np.float64)).clip(MIN_LOGIT, MAX_LOGIT)
+        logs = np.log(arrays["scales"].astype(np.float64)).clip(MIN_LOGIT)
     groups = [
         (_MEANS, arrays["means"]),
         (_NORMALS, np.zeros((n, 3))),
@@ -129,16 +129,16 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     # A list property is not a numeric column; it can only be extra.
     fields = table.dtype.names or ()
     names = [name for name in fields if table.dtype[name].kind != "O"]
-    if missing := [name for name in _NEEDED if name not in names]:
+    if missing := [name for name in _REQUIRED if name not in names]:
         raise InputError(
             f"{path}: holds no Gaussians: lacks {_some(missing)} and has {_some(names)}; expected "
             "plain 3D Gaussian splatting, not compressed, 2D Gaussians, points or a mesh"
         )
     rest, semantic = _numbered(names, "f_rest_"), _numbered(names, "f_sem_")
-    if len(rest) not in REST:
+    if len(rest) not in REST_COUNTS:
         raise InputError(
             f"{path}: has {len(rest)} properties f_rest_*, expected one of "
-            f"{', '.join(map(str, REST))}; write it again with harmonics of degree 0 to 3"
+            f"{', '.join(map(str, REST_COUNTS))}; write it again with harmonics of degree 0 to 3"
         )
     if distorting := [
         *sorted(DISTORTING.intersection(fields)),
@@ -169,7 +169,7 @@ def load_ply(path: str | Path) -> tuple[Gaussians, dict[str, np.ndarray]]:
     }
     if semantic:
         arrays["features"] = read(semantic)
-    used = {*_NEEDED, *_NORMALS, *rest, *semantic, *(["source"] if source is not None else [])}
+    used = {*_REQUIRED, *_NORMALS, *rest, *semantic, *(["source"] if source is not None else [])}
     # Copied in native byte order; the file is only memory-mapped.
     extra = {
         name: np.array(table[name], table.dtype[name].newbyteorder("="))

@@ -18,9 +18,10 @@ from slgaussian.errors import InputError
 if TYPE_CHECKING:  # queries must not wait for the import of SciPy
     from scipy.sparse import csr_array
 
-MOST_ASPECT = 0.01  # largest relative difference in aspect ratio of two images of one photograph
+MAX_ASPECT_DIFFERENCE = 0.01
+"""Largest relative difference in aspect ratio of two images of one photograph."""
 
-LEAST_STEP = 0.01
+SAME_SURFACE = 0.01
 """Relative difference of inverse depths up to which neighbours are on one surface; a larger one
 must continue to the next pixels, as on a plane at a grazing angle."""
 
@@ -97,12 +98,13 @@ class Window:
     def has_shape(self, width: int, height: int) -> bool:
         """Tell whether ``width`` x ``height`` has the photograph's aspect ratio.
 
-        The tolerance is :data:`MOST_ASPECT` or, if larger, the rounding of the smaller image.
+        The tolerance is :data:`MAX_ASPECT_DIFFERENCE` or, if larger, the rounding of the smaller
+        image.
         """
         a, b = width * self.photo_height, height * self.photo_width
         smaller = min(width + height, self.photo_width + self.photo_height)
         rounding = (width + height) * (self.photo_width + self.photo_height) / smaller / 2
-        return abs(a - b) <= max(MOST_ASPECT * min(a, b), rounding)
+        return abs(a - b) <= max(MAX_ASPECT_DIFFERENCE * min(a, b), rounding)
 
     def check_shape(self, name: object, width: int, height: int) -> None:
         """Raise InputError with the name if an image has another aspect than the photograph."""
@@ -199,7 +201,7 @@ def _slopes(inverse: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndar
     """
     step = np.diff(inverse, axis=1)
     pair = valid[:, :-1] & valid[:, 1:]
-    tolerance = LEAST_STEP * np.minimum(inverse[:, :-1], inverse[:, 1:])
+    tolerance = SAME_SURFACE * np.minimum(inverse[:, :-1], inverse[:, 1:])
     similar = np.abs(step) <= tolerance
     goes_on = np.abs(np.diff(step, axis=1)) <= 0.5 * np.minimum(
         np.abs(step[:, :-1]), np.abs(step[:, 1:])

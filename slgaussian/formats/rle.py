@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 _FIRST = ord("0")
-_MOST_GROUPS = 8
+_MAX_GROUPS = 8
 """Largest number of groups of one count: 40 bits, enough for any image."""
 
 
@@ -46,7 +46,7 @@ def _lengths(text: str) -> list[int]:
         value |= (bits & 31) << 5 * groups
         groups += 1
         if bits & 32:
-            if groups == _MOST_GROUPS:
+            if groups == _MAX_GROUPS:
                 raise ValueError("its counts have a number larger than any image")
             continue
         if bits & 16:

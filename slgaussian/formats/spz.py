@@ -22,20 +22,20 @@ from slgaussian.gaussians import Gaussians
 from slgaussian.io import write_file
 
 MAGIC, VERSION = 0x5053474E, 3
-COLOUR = 0.15
+COLOUR_SCALE = 0.15
 
-MOST_BITS = 20  # largest number of fractional bits of the means
+MAX_BITS = 20  # largest number of fractional bits of the means
 
-TURN = np.array([1, -1, -1], np.float32)
+AXIS_SIGNS = np.array([1, -1, -1], np.float32)
 """Signs between x right, y down, z forward and x right, y up, z backward."""
 
-_TURN_SH = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
-"""Signs of harmonics 1 to 15 under :data:`TURN`; degree 1 is ordered y, z, x, and so on."""
+_SH_SIGNS = np.array([-1, -1, 1, -1, 1, 1, -1, 1, -1, 1, -1, -1, 1, -1, 1], np.float32)
+"""Signs of harmonics 1 to 15 under :data:`AXIS_SIGNS`; degree 1 is ordered y, z, x, and so on."""
 
-_MOST = np.float32(511 * np.sqrt(2))
+_QUATERNION_SCALE = np.float32(511 * np.sqrt(2))
 """Scale of the three smaller components, whose magnitude is at most 1 / sqrt 2."""
 
-_OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+_STORED_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 
 
 def save_spz(gaussians: Gaussians, path: str | Path) -> None:
@@ -54,25 +54,25 @@ def save_spz(gaussians: Gaussians, path: str | Path) -> None:
             "holds harmonics of degree 0 to 3"
         )
     reach = float(np.abs(arrays["means"]).max(initial=1e-6))
-    bits = min(MOST_BITS, int(np.floor(np.log2((2**23 - 1) / reach))))
+    bits = min(MAX_BITS, int(np.floor(np.log2((2**23 - 1) / reach))))
     if bits < 0:
         raise InputError(
             f"gaussians means: found {reach:.3g} scene units from the origin, expected less than "
             "8e6, which an .spz holds; write a .ply"
         )
-    fixed = np.rint(arrays["means"] * TURN * 2.0**bits).astype("<i4")
+    fixed = np.rint(arrays["means"] * AXIS_SIGNS * 2.0**bits).astype("<i4")
     with np.errstate(divide="ignore"):  # log of a scale of 0, clipped to the smallest value
         logs = np.log(arrays["scales"])
-    quats = arrays["quats"][:, [1, 2, 3, 0]] * np.append(TURN, np.float32(1))
+    quats = arrays["quats"][:, [1, 2, 3, 0]] * np.append(AXIS_SIGNS, np.float32(1))
     steps = np.repeat([8, 16], [3, 12])[: terms - 1, None]
-    higher = np.rint(arrays["sh"][:, 1:] * _TURN_SH[: terms - 1, None] * 128) + 128
+    higher = np.rint(arrays["sh"][:, 1:] * _SH_SIGNS[: terms - 1, None] * 128) + 128
     higher = np.floor((higher + steps // 2) / steps) * steps
     degree = int(np.sqrt(terms)) - 1
     parts = [
         struct.pack("<IIIBBBB", MAGIC, VERSION, n, degree, bits, 0, 0),
         fixed.view(np.uint8).reshape(n, 3, 4)[..., :3].tobytes(),
         _bytes(arrays["opacities"] * 255),
-        _bytes((arrays["sh"][:, 0] * np.float32(COLOUR) + 0.5) * 255),
+        _bytes((arrays["sh"][:, 0] * np.float32(COLOUR_SCALE) + 0.5) * 255),
         _bytes((logs + 10) * 16),
         pack_quats(quats).astype("<u4").tobytes(),
         _bytes(higher),
@@ -91,8 +91,8 @@ def pack_quats(quats: np.ndarray) -> np.ndarray:
     rows = np.arange(len(unit))
     # A quaternion and its negative are the same rotation; the largest component is made positive.
     unit = unit * np.where(unit[rows, largest] < 0, -1, 1)[:, None]
-    smaller = unit[rows[:, None], _OTHERS[largest]]
-    sizes = np.minimum(np.rint(np.abs(smaller) * _MOST), 511).astype(np.uint32)
+    smaller = unit[rows[:, None], _STORED_COMPONENTS[largest]]
+    sizes = np.minimum(np.rint(np.abs(smaller) * _QUATERNION_SCALE), 511).astype(np.uint32)
     codes = sizes | ((smaller < 0).astype(np.uint32) << np.uint32(9))
     packed = largest.astype(np.uint32)
     for code in codes.T:

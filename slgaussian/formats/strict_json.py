@@ -7,15 +7,15 @@ import math
 import re
 from typing import Any
 
-LONGEST = 18  # largest number of digits of an integer that fits into 64 bits
+MAX_DIGITS = 18  # largest number of digits of an integer that fits into 64 bits
 
-_HALF = re.compile(r"\\u[dD][89a-fA-F]")
+_SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 def parse(text: str | bytes) -> Any:
     """Parse a JSON text, with or without a byte-order mark.
 
-    Integers of more than :data:`LONGEST` digits become floats. NaN and Infinity are accepted,
+    Integers of more than :data:`MAX_DIGITS` digits become floats. NaN and Infinity are accepted,
     because other programs write them in unused fields; readers check the numbers that they use.
 
     Raises:
@@ -32,13 +32,13 @@ def parse(text: str | bytes) -> Any:
         return number
 
     def whole_number(digits: str) -> float:
-        return int(digits) if len(digits) <= LONGEST else real(digits)
+        return int(digits) if len(digits) <= MAX_DIGITS else real(digits)
 
     try:
         content = json.loads(text, parse_int=whole_number, parse_float=real)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
-    if _HALF.search(text):
+    if _SURROGATE.search(text):
         try:
             json.dumps(content, ensure_ascii=False).encode()
         except UnicodeEncodeError:

@@ -11,14 +11,14 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-SCRIPTED = (
+TORCHSCRIPT_REFUSAL = (
     "it is a TorchScript archive, which holds code; if you trust it, save its tensors alone: "
     "torch.save(torch.jit.load(FILE, map_location='cpu').state_dict(), NEW_FILE)"
 )
 """Message for files of ``torch.jit.save``, such as OpenAI's CLIP."""
 
-LONGEST_GLOBAL = 1000
-"""Most characters of module and name of a global; the longest that PyTorch allows has 51."""
+MAX_GLOBAL_LENGTH = 1000
+"""Largest number of characters of a global with its module; PyTorch's own have at most 51."""
 
 
 class CodeError(ValueError):
@@ -26,7 +26,7 @@ class CodeError(ValueError):
 
 
 def _check_globals(pickled: bytes) -> None:
-    """Raise ValueError for a damaged pickle, or a global of over :data:`LONGEST_GLOBAL` characters.
+    """Raise ValueError for a damaged pickle, or a global over :data:`MAX_GLOBAL_LENGTH`.
 
     PyTorch refuses both, but searches its message in quadratic time: over a minute for a million
     letters.
@@ -35,7 +35,7 @@ def _check_globals(pickled: bytes) -> None:
         names = [str(name) for op, name, _ in pickletools.genops(pickled) if op.name == "GLOBAL"]
     except Exception:  # a damaged pickle raises almost anything
         raise ValueError("it cannot be unpickled") from None
-    if any(len(name) > LONGEST_GLOBAL for name in names):
+    if any(len(name) > MAX_GLOBAL_LENGTH for name in names):
         raise ValueError("it cannot be unpickled")
 
 
@@ -57,7 +57,7 @@ def load(source: Path | bytes, mapped: bool = False) -> Any:
             with zipfile.ZipFile(stream) as archive:
                 members = archive.infolist()
                 if any("/code/" in member.filename for member in members):
-                    raise ValueError(SCRIPTED)
+                    raise ValueError(TORCHSCRIPT_REFUSAL)
                 if any(member.compress_type for member in members):
                     raise ValueError("it is packed")
                 for member in members:

@@ -8,17 +8,17 @@ import numpy as np
 
 from slgaussian.io import short_repr
 
-LEFT_OUT = 3.0
+TRIMMED_PERCENT = 3.0
 """Percentage of points beyond each end of an axis of the box."""
 
-FAR = 3.0
+MAX_RELATIVE_DISTANCE = 3.0
 """Distance from the median point, in units of the median distance, beyond which points are dropped:
 a straight object ends at twice that."""
 
-TURNS = 90
+TESTED_ORIENTATIONS = 90
 """Number of tested orientations over a quarter turn."""
 
-MOST = 2000
+MAX_POINTS = 2000
 """Largest number of points, taken evenly."""
 
 
@@ -43,20 +43,20 @@ class Box:
 def upright_box(points: np.ndarray, up: np.ndarray) -> Box:
     """Fit an upright box to points float [N, 3], N at least 1, with ``up`` a unit vector [3].
 
-    The orientation about ``up`` minimises the ground area. All but :data:`LEFT_OUT` percent of the
-    points lie inside at each end of each axis.
+    The orientation about ``up`` minimises the ground area. All but :data:`TRIMMED_PERCENT` percent
+    of the points lie inside at each end of each axis.
     """
-    points = np.asarray(points, np.float64)[:: -(-len(points) // MOST)]
+    points = np.asarray(points, np.float64)[:: -(-len(points) // MAX_POINTS)]
     away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    points = points[away <= FAR * np.median(away)]
+    points = points[away <= MAX_RELATIVE_DISTANCE * np.median(away)]
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
     side_b = np.cross(up, side)
     ground = points @ np.stack([side, side_b]).T
-    angles = np.arange(TURNS) * (np.pi / 2 / TURNS)
+    angles = np.arange(TESTED_ORIENTATIONS) * (np.pi / 2 / TESTED_ORIENTATIONS)
     turned = np.stack([np.cos(angles), np.sin(angles)], 1)
     along, across = ground @ turned.T, ground @ np.stack([-turned[:, 1], turned[:, 0]])
-    ends = [LEFT_OUT, 100 - LEFT_OUT]
+    ends = [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT]
     extents = [np.ptp(np.percentile(axis, ends, axis=0), axis=0) for axis in (along, across)]
     area = np.prod(extents, 0)
     best = turned[area.argmin()]

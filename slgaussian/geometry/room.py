@@ -18,31 +18,31 @@ import numpy as np
 
 from slgaussian.scene import Camera
 
-REACH = 1 / 45
+NORMAL_RADIUS = 1 / 45
 """Distance of the left, right, upper and lower pixels that define the plane of a normal, as a share
 of the image height."""
-STEP = 8
+STRIDE = 8
 """Stride in rows and columns between normals."""
-BEND = 0.02
+MAX_BEND = 0.02
 """Largest relative deviation of these pixels from their plane."""
-STEEP = 0.3
+MAX_DEPTH_STEP = 0.3
 """Relative depth difference of opposite pixels above which they lie on two surfaces."""
-TILT = 50.0
+SEARCH_RADIUS = 50.0
 """Search radius for up around the cameras' mean up vector, degrees."""
-NEAR_AXIS = 40.0
+MAX_AXIS_ANGLE = 40.0
 """Largest angle between the cameras' mean up vector and a world axis that is tested as up, degrees.
 """
-LEVEL = 8.0
+LEVEL_TOLERANCE = 8.0
 """Largest deviation of a surface from horizontal or vertical to count as evidence for up, degrees.
 """
-WALLS = 0.15
+WALL_WEIGHT = 0.15
 """Weight of a vertical surface relative to a horizontal one."""
-TWICE = 2.0
+MIN_EVIDENCE_RATIO = 2.0
 """Ratio of evidence by which another direction must exceed a world axis to be up: most programs
 that write poses know the direction of gravity."""
-FLOOR = 0.03
+MIN_FLOOR_SHARE = 0.03
 """Smallest share of a floor, and of horizontal surfaces, in the total surface."""
-THICK = 0.04
+SLICE_THICKNESS = 0.04
 """Thickness of the slices in which floors are detected, in units of the median depth."""
 
 
@@ -93,19 +93,19 @@ def find_room(cameras: Sequence[Camera], depths: Iterable[np.ndarray]) -> Room:
     """Estimate the room of V cameras from their predicted depths, float32 [H, W], 0 unknown."""
     points, normals = [], []
     for camera, depth in zip(cameras, depths, strict=True):
-        normal = _normals(camera, depth, STEP)
+        normal = _normals(camera, depth, STRIDE)
         valid = np.isfinite(normal[..., 0])
-        points.append(camera.unproject(depth)[::STEP, ::STEP][valid])
+        points.append(camera.unproject(depth)[::STRIDE, ::STRIDE][valid])
         normals.append(normal[valid])
     eyes = np.array([camera.c2w[:3, 3] for camera in cameras])
     valid = np.concatenate([depth[depth > 0] for depth in depths])
     median = float(np.median(valid)) if len(valid) else 1.0
     up = _up(cameras, np.concatenate(normals))
-    facing = np.concatenate(normals) @ up > np.cos(np.radians(1.5 * LEVEL))
+    facing = np.concatenate(normals) @ up > np.cos(np.radians(1.5 * LEVEL_TOLERANCE))
     heights = np.concatenate(points) @ up
-    floor = _lowest(heights[facing], FLOOR * len(heights), THICK * median)
+    floor = _lowest(heights[facing], MIN_FLOOR_SHARE * len(heights), SLICE_THICKNESS * median)
     eye = float((eyes @ up).mean()) - floor
-    if not eye > THICK * median:
+    if not eye > SLICE_THICKNESS * median:
         return Room(up, np.nan, median)
     return Room(up, floor, eye)
 
@@ -117,7 +117,7 @@ def _normals(camera: Camera, depth: np.ndarray, step: int = 1) -> np.ndarray:
     """
     height, width = depth.shape
     out = np.full((-(-height // step), -(-width // step), 3), np.nan)
-    r = max(1, round(REACH * height))
+    r = max(1, round(NORMAL_RADIUS * height))
     if min(depth.shape) <= 2 * r:
         return out
     first = -(-r // step)  # row and column of ``out`` that is so far from the border
@@ -135,7 +135,9 @@ def _normals(camera: Camera, depth: np.ndarray, step: int = 1) -> np.ndarray:
     right, left, low, high = (smooth[side] for side in sides)
     flat = (middle > 0) & (np.minimum.reduce([right, left, low, high]) > 0)
     for a, b in ((right, left), (low, high)):
-        flat &= (abs(a + b - 2 * middle) < 2 * BEND * middle) & (abs(a - b) < STEEP * middle)
+        flat &= (abs(a + b - 2 * middle) < 2 * MAX_BEND * middle) & (
+            abs(a - b) < MAX_DEPTH_STEP * middle
+        )
     # A separate array for each coordinate is several times as fast as triples.
     rays = np.ascontiguousarray(np.moveaxis(camera.rays(), -1, 0))
     points = camera.center[:, None, None] + rays * smooth.astype(np.float64)
@@ -161,32 +163,33 @@ def _up(cameras: Sequence[Camera], normals: np.ndarray) -> np.ndarray:
         return _find_up(normals, upright, None)
     axis = np.zeros(3)
     axis[np.abs(upright).argmax()] = np.sign(upright[np.abs(upright).argmax()])
-    near = axis @ upright > np.cos(np.radians(NEAR_AXIS))
+    near = axis @ upright > np.cos(np.radians(MAX_AXIS_ANGLE))
     return _find_up(normals, upright, axis if near else upright)
 
 
 def _find_up(normals: np.ndarray, upright: np.ndarray, prior: np.ndarray | None) -> np.ndarray:
     """Find the direction near ``upright`` with most evidence in the normals [N, 3].
 
-    ``prior`` is preferred unless another direction has :data:`TWICE` times its evidence.
+    ``prior`` is preferred unless another direction has :data:`MIN_EVIDENCE_RATIO` times its
+    evidence.
     """
     near = upright if prior is None else prior
     if len(normals) == 0:
         return near
     best = upright
-    for radius, step in ((TILT, 4.0), (4.0, 1.0)):
+    for radius, step in ((SEARCH_RADIUS, 4.0), (4.0, 1.0)):
         tried = _cap(best, radius, step)
-        best = tried[_evidence(normals, tried, LEVEL).argmax()]
+        best = tried[_evidence(normals, tried, LEVEL_TOLERANCE).argmax()]
     cosine = normals @ best
-    level = np.abs(cosine) > np.cos(np.radians(LEVEL))
-    if level.mean() < FLOOR:  # walls alone leave a turn open
+    level = np.abs(cosine) > np.cos(np.radians(LEVEL_TOLERANCE))
+    if level.mean() < MIN_FLOOR_SHARE:  # walls alone leave a turn open
         return near
     best = (np.sign(cosine[level])[:, None] * normals[level]).sum(0)
     best /= np.linalg.norm(best)
     if prior is None:
         return best
-    supported = _evidence(normals, np.stack([best, prior]), LEVEL / 2)
-    return prior if supported[0] <= TWICE * supported[1] else best
+    supported = _evidence(normals, np.stack([best, prior]), LEVEL_TOLERANCE / 2)
+    return prior if supported[0] <= MIN_EVIDENCE_RATIO * supported[1] else best
 
 
 def _evidence(normals: np.ndarray, ups: np.ndarray, within: float) -> np.ndarray:
@@ -201,7 +204,7 @@ def _evidence(normals: np.ndarray, ups: np.ndarray, within: float) -> np.ndarray
         level = (np.maximum(cosine, threshold, out=part).mean() - threshold) / (1 - threshold)
         np.minimum(cosine, steep, out=part)
         wall = 1 - part @ part / (len(part) * steep**2)
-        evidence[k] = level + WALLS * wall
+        evidence[k] = level + WALL_WEIGHT * wall
     return evidence
 
 

@@ -16,11 +16,11 @@ from slgaussian.geometry.room import Room, Surroundings, find_room
 from slgaussian.io import short_repr
 from slgaussian.scene import Camera, View
 
-CONFIRMS = 0.02
+DEPTH_TOLERANCE = 0.02
 """Largest relative depth difference at which two views show one surface."""
 
-CLASHES = 15.0
-SMOOTH = 2.0
+CLASH_DISTANCE = 15.0
+SMOOTHING_STD = 2.0
 """CIELAB distance above which colours of one surface in two views contradict each other, and the
 standard deviation of the Gaussian smoothing before comparison, pixels."""
 
@@ -121,7 +121,9 @@ class SceneGeometry:
         inside, pixels, z = self._projected(first, second)
         column, row = pixels.astype(np.int64).transpose(2, 0, 1)
         observed = self.depths[second][row, column]
-        return inside, inside & (observed > 0) & (np.abs(z - observed) <= CONFIRMS * observed)
+        return inside, inside & (observed > 0) & (
+            np.abs(z - observed) <= DEPTH_TOLERANCE * observed
+        )
 
     def _projected(self, first: int, second: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return which pixels of view ``first`` are inside view ``second``, where, and how deep.
@@ -138,22 +140,23 @@ class SceneGeometry:
         """Return the share of visible pixels of view ``first`` with another colour in ``second``.
 
         Smoothed colours of pixels that are inside the second view and not occluded there are
-        compared after compensation of exposure. Where they differ by more than :data:`CLASHES`, an
-        object moved or the depth is wrong. 0 if there are no such pixels.
+        compared after compensation of exposure. Where they differ by more than
+        :data:`CLASH_DISTANCE`, an object moved or the depth is wrong. 0 if there are no such
+        pixels.
         """
         inside, pixels, z = self._projected(first, second)
         u, v = pixels.astype(np.float32).transpose(2, 0, 1)
         # Not of float32, which may round up to the width.
         column, row = pixels.astype(np.int64).transpose(2, 0, 1)
-        visible = inside & (z <= (1 + CONFIRMS) * self.depths[second][row, column])
+        visible = inside & (z <= (1 + DEPTH_TOLERANCE) * self.depths[second][row, column])
         if not visible.any():
             return 0.0
         lab, target_lab = (
-            cv2.GaussianBlur(self.views[i].lab, (0, 0), SMOOTH) for i in (first, second)
+            cv2.GaussianBlur(self.views[i].lab, (0, 0), SMOOTHING_STD) for i in (first, second)
         )
         difference = (lab - cv2.remap(target_lab, u - 0.5, v - 0.5, cv2.INTER_LINEAR))[visible]
         return float(
-            (np.linalg.norm(difference - np.median(difference, 0), axis=-1) > CLASHES).mean()
+            (np.linalg.norm(difference - np.median(difference, 0), axis=-1) > CLASH_DISTANCE).mean()
         )
 
     @cached_property

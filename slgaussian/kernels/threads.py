@@ -30,11 +30,11 @@ from slgaussian.system import cores
 if TYPE_CHECKING:
     from torch import nn
 
-LARGE = 20_000_000
+LARGE_NETWORK = 20_000_000
 """Number of weights from which a network gains by several threads: a layer of a smaller one takes
 less time than thread synchronisation."""
 
-LARGE_THREADS = 4
+LARGE_NETWORK_THREADS = 4
 """Number of threads inside a large network, whatever the number of cores: with fewer cores it costs
 no more CPU time than one thread."""
 
@@ -130,10 +130,11 @@ def fixed(count: int = 1) -> Iterator[None]:
 def inside(network: nn.Module) -> contextlib.AbstractContextManager[None]:
     """Return the context for inference of ``network``, whose result does not depend on the cores.
 
-    One thread for a small network, :data:`LARGE_THREADS` for one of :data:`LARGE` weights or more.
+    One thread for a small network, :data:`LARGE_NETWORK_THREADS` for one of :data:`LARGE_NETWORK`
+    weights or more.
     """
     weights = sum(parameter.numel() for parameter in network.parameters())
-    return fixed(LARGE_THREADS if weights >= LARGE else 1)
+    return fixed(LARGE_NETWORK_THREADS if weights >= LARGE_NETWORK else 1)
 
 
 def kernels() -> dict[str, str]:

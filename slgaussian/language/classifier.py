@@ -27,7 +27,7 @@ SIZES = (448, 672, 960)
 STRIDE = 32
 """Side of a cell, in pixels of the resized photograph."""
 
-STEP = 1 / 12
+LOG_STEP = 1 / 12
 """Quantisation step of stored log-probabilities, nats."""
 
 
@@ -113,8 +113,8 @@ def pool(class_map: np.ndarray, masks: np.ndarray) -> np.ndarray:
 
 
 def quantised(log_probabilities: np.ndarray) -> np.ndarray:
-    """Quantise log-probabilities to uint8: k stands for -k * :data:`STEP` nats."""
-    return np.rint(np.clip(log_probabilities / -STEP, 0, 255)).astype(np.uint8)
+    """Quantise log-probabilities to uint8: k stands for -k * :data:`LOG_STEP` nats."""
+    return np.rint(np.clip(log_probabilities / -LOG_STEP, 0, 255)).astype(np.uint8)
 
 
 def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int]) -> np.ndarray:
@@ -131,5 +131,5 @@ def evidence(regions: np.ndarray, photographs: np.ndarray, classes: Sequence[int
 
 def log_probability(stored: np.ndarray, classes: Sequence[int]) -> np.ndarray:
     """Compute the log-probability of any of the classes, float64 [...], from uint8 [..., 1000]."""
-    total: np.ndarray = np.logaddexp.reduce(-STEP * stored[..., list(classes)], axis=-1)
+    total: np.ndarray = np.logaddexp.reduce(-LOG_STEP * stored[..., list(classes)], axis=-1)
     return total

@@ -25,18 +25,18 @@ from slgaussian.kernels.jit import kernel
 from slgaussian.labels import LabelMaps
 from slgaussian.language.configs import GridConfig
 
-GAPS = (1, 2, 4, 8, 16)
+NEIGHBOUR_DISTANCES = (1, 2, 4, 8, 16)
 """Distances in pixels, along rows or columns, at which objects count as neighbours, with weight
 1 / distance^2. Objects that are close but do not touch may touch in another view."""
 
-MARGIN = 1.2
+RADIUS_MARGIN = 1.2
 """Factor of the balls' radii: leaves room for noise and for neighbours that are not known."""
 
 MOVES_PER_OBJECT = 1000
-MOST_COMPARISONS = 6e7
+MAX_COMPARISONS = 6e7
 """Number of moves, and limit of moves times pairs of neighbours: a second at most."""
 
-HEAT = (1e-3, 1e-6)
+TEMPERATURES = (1e-3, 1e-6)
 """Temperature at the start and the end of the annealing, relative to the initial energy."""
 
 
@@ -98,12 +98,13 @@ class Pairs(NamedTuple):
 
 
 def neighbours(label_maps: LabelMaps) -> Pairs:
-    """Find the pairs of objects that are near each other in any view; see :data:`GAPS`."""
+    """Find the pairs of objects that are near each other in any view; see
+    :data:`NEIGHBOUR_DISTANCES`."""
     ids = label_maps.ids
     rows = np.searchsorted(ids, label_maps.labels)
     rows[label_maps.labels == 0] = -1
     base, keys, weights = max(len(ids), 1), [], []
-    for gap in GAPS:
+    for gap in NEIGHBOUR_DISTANCES:
         for a, b in ((rows[..., gap:], rows[..., :-gap]), (rows[:, gap:], rows[:, :-gap])):
             border = (a != b) & (a >= 0) & (b >= 0)
             pair_keys, counts = np.unique(
@@ -120,7 +121,7 @@ def place(n: int, pairs: Pairs, rng: np.random.Generator) -> np.ndarray:
     """Choose distinct codes in [0, 1], float32 [n, 3], for objects with these pairs."""
     points = checkerboard(n)
     assignment = rng.permutation(len(points))[:n]
-    moves = int(min(MOVES_PER_OBJECT * n, MOST_COMPARISONS / max(len(pairs.weights), 1)))
+    moves = int(min(MOVES_PER_OBJECT * n, MAX_COMPARISONS / max(len(pairs.weights), 1)))
     if n > 2 and len(pairs.weights):
         _anneal(
             points, assignment, pairs.rows, pairs.weights.astype(np.float32),
@@ -150,7 +151,7 @@ def _anneal(points, assignment, pairs, weights, movers, targets, randoms):
     owners = np.full(len(points), -1)
     owners[assignment] = np.arange(len(assignment))
     codes = np.ascontiguousarray(points[assignment].T)
-    balls = np.empty((5, len(pairs)), np.float32)  # centre, 1 / (radius * MARGIN), weight
+    balls = np.empty((5, len(pairs)), np.float32)  # centre, 1 / (radius * RADIUS_MARGIN), weight
     balls[4] = weights
     start = np.float32(0)
     for e in range(len(pairs)):
@@ -161,7 +162,7 @@ def _anneal(points, assignment, pairs, weights, movers, targets, randoms):
         j, source = owners[target], assignment[i]
         if j == i:
             continue
-        heat = start * HEAT[0] * (HEAT[1] / HEAT[0]) ** (step / len(movers))
+        heat = start * TEMPERATURES[0] * (TEMPERATURES[1] / TEMPERATURES[0]) ** (step / len(movers))
         most = _energy_of(i, j, pairs, codes, balls, np.inf) - heat * np.log(randoms[step])
         _move(i, points[target], pairs, codes, balls)
         if j >= 0:
@@ -194,7 +195,7 @@ def _update_ball(e, pairs, codes, balls):
     for k in range(3):
         balls[k, e] = np.float32(0.5) * (codes[k, a] + codes[k, b])
         radius += np.float32(0.5) * abs(codes[k, a] - codes[k, b])
-    balls[3, e] = np.float32(1) / (radius * np.float32(MARGIN))
+    balls[3, e] = np.float32(1) / (radius * np.float32(RADIUS_MARGIN))
 
 
 @kernel(inline="always")

@@ -21,11 +21,12 @@ SHADE_STEP = 0.5
 LIGHTNESS_WEIGHT = 0.7
 """Weight of L* relative to a* and b*: illumination changes lightness more than hue."""
 
-SOFTNESS = 5.0
+TRANSITION_WIDTH = 5.0
 """Width of the transition between names, CIELAB units (about two just-noticeable differences)."""
 
 _BITS = 6
-"""Bits per sRGB channel of the lookup; its cells are smaller than SOFTNESS, even near black."""
+"""Bits per sRGB channel of the lookup; its cells are smaller than TRANSITION_WIDTH, even near
+black."""
 
 
 def to_lab(rgb: np.ndarray) -> np.ndarray:
@@ -65,7 +66,7 @@ class ColourNames:
         levels = np.stack([cells >> 2 * _BITS, cells >> _BITS, cells], -1) & ((1 << _BITS) - 1)
         lab = _weighted_lab(((levels + 0.5) / (1 << _BITS))[None])
         nearest = np.stack([_distance2(lab, points) for points in self._points], -1)
-        closeness = np.exp((nearest.min(-1, keepdims=True) - nearest) / (2 * SOFTNESS**2))
+        closeness = np.exp((nearest.min(-1, keepdims=True) - nearest) / (2 * TRANSITION_WIDTH**2))
         return closeness / closeness.sum(-1, keepdims=True)
 
 

@@ -23,10 +23,10 @@ OUTLINES = ("compact", "rectangular", "long", "tall")
 PLACES = ("size", "low", "bottom", "top", "border", "left", "middle")
 ROOM = ("level", "sheer", "flush", "height", "waist", "grounded", "rise", "extent")
 
-_CROP = 160  # longest side of the crop on which surfaces are measured, pixels
-_KNOWN = 0.3  # share of a region whose normals must be known
-_FEW = 16  # pixels of a region that must have a depth
-_HALF_SEEN = 0.25  # share of a region's pixels with a colour at which its evidence is 0
+_MAX_CROP_SIDE = 160  # longest side of the crop on which surfaces are measured, pixels
+_MIN_NORMAL_SHARE = 0.3  # share of a region whose normals must be known
+_MIN_DEPTH_PIXELS = 16  # pixels of a region that must have a depth
+_NEUTRAL_COLOUR_SHARE = 0.25  # share of a region's pixels with a colour at which its evidence is 0
 
 
 class Descriptors:
@@ -80,7 +80,7 @@ def _ramps(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 def _share_evidence(shares: np.ndarray) -> np.ndarray:
     """Compute evidence from shares, logarithmically: 1 gives 1, 1/4 gives 0, 1/16 gives -1."""
-    return np.clip(1 + np.log(np.maximum(shares, 1e-6)) / np.log(1 / _HALF_SEEN), -1, 1)
+    return np.clip(1 + np.log(np.maximum(shares, 1e-6)) / np.log(1 / _NEUTRAL_COLOUR_SHARE), -1, 1)
 
 
 def _solid_evidence(match: np.ndarray) -> np.ndarray:
@@ -90,7 +90,7 @@ def _solid_evidence(match: np.ndarray) -> np.ndarray:
 
 
 def _surface(lab: np.ndarray, inside: np.ndarray, shares: np.ndarray) -> list[float]:
-    scale = _CROP / max(inside.shape)
+    scale = _MAX_CROP_SIDE / max(inside.shape)
     if scale < 1:
         size = tuple(max(1, round(side * scale)) for side in inside.shape[::-1])
         small = cv2.resize(
@@ -191,16 +191,16 @@ def _room(
     )
     points = around.points[window][inside]
     points = points[np.isfinite(points[:, 0])]
-    if len(level) >= _KNOWN * np.count_nonzero(inside):
+    if len(level) >= _MIN_NORMAL_SHARE * np.count_nonzero(inside):
         out["level"] = _ramp(np.count_nonzero(level > 0.85) / len(level), 0.2, 0.7)
         out["sheer"] = _ramp(np.count_nonzero(np.abs(level) < 0.35) / len(level), 0.3, 0.8)
-    if len(points) >= _FEW:
+    if len(points) >= _MIN_DEPTH_PIXELS:
         thin, middle, wide = np.sqrt(np.linalg.eigvalsh(np.cov(points.T)).clip(0))
         out["flush"] = -_ramp(thin / max(middle, 1e-9), 0.08, 0.35)
         # Of an even line, the length is the standard deviation times the root of 12.
         length = max(wide * np.sqrt(12), 1e-9)
         out["extent"] = _ramp(np.log(length), np.log(0.12), np.log(1.5))
-    if len(height) >= _FEW:
+    if len(height) >= _MIN_DEPTH_PIXELS:
         low, median, high = np.percentile(height, (5, 50, 95))
         out["height"] = _ramp(median, 0.0, 1.0)
         out["waist"] = -_ramp(abs(median - 0.45), 0.1, 0.4)

@@ -13,27 +13,27 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-FILTER = 30
+FILTER_SIDE = 30
 """Side of the mean filter, pixels; its window extends from -15 to +14 around a pixel."""
 
-FILTER_WIDTH = 988
-"""Width of LERF's images, for which :data:`FILTER` was chosen, pixels."""
+FILTER_IMAGE_WIDTH = 988
+"""Width of LERF's images, for which :data:`FILTER_SIDE` was chosen, pixels."""
 
 MASK_THRESHOLD = 0.4
 """Threshold of the mask after rescaling to [-1, 1], i.e. at 0.7 of the range."""
 
-MAJORITY = 7
+MAJORITY_SIDE = 7
 """Side of the window of the majority filter of masks, pixels."""
 
 _STEPS = 2**30
 
 
 def rescaled_filter(width: int) -> int:
-    """Scale :data:`FILTER` to an image ``width`` pixels wide."""
-    return max(1, round(FILTER * width / FILTER_WIDTH))
+    """Scale :data:`FILTER_SIDE` to an image ``width`` pixels wide."""
+    return max(1, round(FILTER_SIDE * width / FILTER_IMAGE_WIDTH))
 
 
-def smoothed(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
+def smoothed(relevancy: np.ndarray, side: int = FILTER_SIDE) -> np.ndarray:
     """Apply a ``side`` x ``side`` mean filter with mirrored borders (BORDER_REFLECT_101).
 
     Takes float [H, W] in [0, 1]; returns float64 [H, W], accurate to 2^-30 and exactly equal for
@@ -46,13 +46,13 @@ def smoothed(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
     return sums / (_STEPS * side**2)
 
 
-def find_mask(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
+def find_mask(relevancy: np.ndarray, side: int = FILTER_SIDE) -> np.ndarray:
     """Compute the mask bool [H, W] of a relevancy image: smooth, rescale, threshold, clean.
 
     The mean of the image and its :func:`smoothed` version is rescaled to [-1, 1] and thresholded at
-    :data:`MASK_THRESHOLD`; a :data:`MAJORITY`-sided majority filter cleans the result. As in the
-    published code, windows end at the image border and exclude the last row and column. A constant
-    image gives an empty mask.
+    :data:`MASK_THRESHOLD`; a :data:`MAJORITY_SIDE`-sided majority filter cleans the result. As in
+    the published code, windows end at the image border and exclude the last row and column. A
+    constant image gives an empty mask.
     """
     blend = 0.5 * (smoothed(relevancy, side) + relevancy)
     low, high = blend.min(), blend.max()
@@ -60,7 +60,9 @@ def find_mask(relevancy: np.ndarray, side: int = FILTER) -> np.ndarray:
     return _majority_filter(np.clip(2 * stretched - 1, 0, 1) > MASK_THRESHOLD)
 
 
-def find_point(relevancy: np.ndarray, side: int = FILTER) -> tuple[tuple[int, int], np.ndarray]:
+def find_point(
+    relevancy: np.ndarray, side: int = FILTER_SIDE
+) -> tuple[tuple[int, int], np.ndarray]:
     """Find the maximum of the :func:`smoothed` image: one pixel (x, y), and the plateau [H, W].
 
     LangSplat counts a hit if *any* maximal pixel lies in a ground-truth box, which a plateau over
@@ -84,7 +86,11 @@ def _majority_filter(mask: np.ndarray) -> np.ndarray:
         image[-1], image[:, -1] = 0, 0
     count, total = (
         cv2.boxFilter(
-            image, -1, (MAJORITY, MAJORITY), normalize=False, borderType=cv2.BORDER_CONSTANT
+            image,
+            -1,
+            (MAJORITY_SIDE, MAJORITY_SIDE),
+            normalize=False,
+            borderType=cv2.BORDER_CONSTANT,
         )
         for image in (votes, valid)
     )

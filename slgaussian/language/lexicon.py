@@ -32,13 +32,13 @@ from slgaussian.language import Understood
 from slgaussian.language.classifier import quantised
 from slgaussian.language.confidence import Calibration, Curve
 from slgaussian.language.configs import INSTALL
-from slgaussian.language.vocabulary import NOUNS, Reading, load_vocabulary, unusable
+from slgaussian.language.vocabulary import NOUN_FAMILIES, Reading, load_vocabulary, unusable
 from slgaussian.language.wholes import Ranking
 
 if TYPE_CHECKING:
     from slgaussian.geometry.room import Surroundings
 
-OTHERS = "teach it by examples, or build the field with --encoder clip, which knows any word"
+UNKNOWN_WORD_ADVICE = "teach it by examples, or build with --encoder clip, which knows any word"
 """Advice for an unknown word."""
 
 MAX_LISTED = 3
@@ -47,7 +47,7 @@ MAX_LISTED = 3
 CACHE_SIZE = 4096
 """Number of texts whose reading is cached."""
 
-POSITIVE = 0.8
+POSITIVE_WEIGHT = 0.8
 """Weight of evidence for a descriptor, relative to evidence against: one word that does not fit
 outweighs one that does, so a red box does not count as a red ball."""
 
@@ -127,7 +127,7 @@ class Lexicon:
         vectors = np.zeros((len(masks), self.width))
         if len(masks):
             evidence, axes = self._descriptors.measure(image, masks, around), len(self._axis)
-            weighted = np.where(evidence > 0, POSITIVE * evidence, evidence)
+            weighted = np.where(evidence > 0, POSITIVE_WEIGHT * evidence, evidence)
             vectors[:, :axes] = weighted / np.sqrt(axes)
             vectors[:, axes] = np.sqrt(1 - (vectors**2).sum(1))
         return vectors.astype(np.float32)
@@ -187,7 +187,7 @@ class Lexicon:
             unused=reading.unused,
             kind="unknown" if reading.unknown else "known",
             measurements=len({name for word in reading.words for name in word.weights}),
-            describing=sum(word.family not in NOUNS for word in reading.words),
+            describing=sum(word.family not in NOUN_FAMILIES for word in reading.words),
             classes=reading.classes,
             untold=_untold(reading, question, by_class),
             question=question,
@@ -198,7 +198,7 @@ def _untold(reading: Reading, question: str, by_class: bool) -> str:
     """Return the reason why a text cannot be answered; empty if it can."""
     if reading.unknown and not reading.noun:
         unknown = ", ".join(map(repr, reading.unknown[:MAX_LISTED]))[:100]
-        return f"no word {unknown} is known here{question}; {OTHERS}"
+        return f"no word {unknown} is known here{question}; {UNKNOWN_WORD_ADVICE}"
     if reading.classes and not by_class and not any(w.weights for w in reading.words):
         return (
             f"{reading.noun!r} is told by the classifier alone, which this field was built "

@@ -32,7 +32,7 @@ HEAD_WIDTHS = {1280: 80, 1408: 88, 1664: 104, 1792: 112}
 """Head dimension in the image towers of open_clip's ViT-H, g, bigG and e, by width; 64 in all other
 image towers, and in all text towers."""
 
-SUPPORTED = {
+SUPPORTED_KEYS = {
     "embed_dim", "vision_cfg", "text_cfg", "quick_gelu", "image_size", "layers", "width",
     "patch_size", "head_width", "mlp_ratio", "patch_dropout", "context_length", "vocab_size",
     "heads",
@@ -40,8 +40,8 @@ SUPPORTED = {
 """Supported configuration keys, including those that only training uses. Any other key with a value
 that is neither empty nor false is a feature that CLIPModel lacks."""
 
-LAYERS = re.compile(r"(visual\.)?transformer\.resblocks\.(\d+)\.(.+)[._](weight|bias)")
-LAYER = {
+LAYER_PATTERN = re.compile(r"(visual\.)?transformer\.resblocks\.(\d+)\.(.+)[._](weight|bias)")
+LAYER_NAMES = {
     "ln_1": "layer_norm1",
     "ln_2": "layer_norm2",
     "attn.in_proj": "self_attn.{}_proj",
@@ -51,7 +51,7 @@ LAYER = {
 }
 """Names within a layer; {} stands for each of q, k and v."""
 
-WHOLE = {
+TENSOR_NAMES = {
     "visual.class_embedding": "vision_model.embeddings.class_embedding",
     "visual.conv1.weight": "vision_model.embeddings.patch_embedding.weight",
     "visual.positional_embedding": "vision_model.embeddings.position_embedding.weight",
@@ -69,7 +69,7 @@ WHOLE = {
 OPENAI_SIZES = {"input_resolution", "context_length", "vocab_size"}
 """Scalar tensors that only OpenAI's own checkpoints have; all of these use QuickGELU."""
 
-TRANSPOSED = ("visual.proj", "text_projection")
+TRANSPOSED_TENSORS = ("visual.proj", "text_projection")
 
 
 def load_open_clip(files: ModelFiles) -> Any:
@@ -110,7 +110,7 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
         config = {"quick_gelu": True, **config}
     vision, text = config.get("vision_cfg", {}), config.get("text_cfg", {})
     for key, value in {**config, **vision, **text}.items():
-        if value and key not in SUPPORTED:
+        if value and key not in SUPPORTED_KEYS:
             raise InputError(
                 f"model {source}: its {OPEN_CLIP_CONFIG} has {key} {value!r:.60}, and models with "
                 "it cannot be converted; give one with a plain ViT and text transformer, such as "
@@ -123,7 +123,9 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
             for letter, part in zip("qkv", tensor.float().chunk(3), strict=True):
                 renamed[ours.format(letter)] = part.clone()
         else:
-            renamed[ours] = (tensor.T if name in TRANSPOSED else tensor).contiguous().float()
+            renamed[ours] = (
+                (tensor.T if name in TRANSPOSED_TENSORS else tensor).contiguous().float()
+            )
     try:
         renamed["logit_scale"] = renamed["logit_scale"].reshape(())
         with quiet_transformers():
@@ -148,11 +150,11 @@ def convert(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any], sour
 
 def _name(theirs: str) -> str:
     """Return the name in ``transformers`` of a tensor of open_clip; unknown names stay."""
-    match = LAYERS.fullmatch(theirs)
-    if match is None or match[3] not in LAYER:
-        return WHOLE.get(theirs, theirs)
+    match = LAYER_PATTERN.fullmatch(theirs)
+    if match is None or match[3] not in LAYER_NAMES:
+        return TENSOR_NAMES.get(theirs, theirs)
     tower = "vision_model" if match[1] else "text_model"
-    return f"{tower}.encoder.layers.{match[2]}.{LAYER[match[3]]}.{match[4]}"
+    return f"{tower}.encoder.layers.{match[2]}.{LAYER_NAMES[match[3]]}.{match[4]}"
 
 
 def _sizes(tensors: Mapping[str, torch.Tensor], config: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-_EDGE = 2  # pixels excluded along the outline, which mix with neighbouring regions
-_HOLE = 0.25  # smallest radius of a ring's hole, relative to the RMS distance from its centre
+_OUTLINE_MARGIN = 2  # pixels excluded along the outline, which mix with neighbouring regions
+_MIN_HOLE_RADIUS = 0.25  # of a ring, relative to the RMS distance from its centre
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,9 @@ class Pattern:
 
 def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
     """Measure the surface of ``mask`` bool [h, w] in CIELAB float32 [h, w, 3]."""
-    kernel = cv2.getStructuringElement(cv2.MORPH_RECT, (2 * _EDGE + 1, 2 * _EDGE + 1))
+    kernel = cv2.getStructuringElement(
+        cv2.MORPH_RECT, (2 * _OUTLINE_MARGIN + 1, 2 * _OUTLINE_MARGIN + 1)
+    )
     inside = cv2.erode(np.pad(mask, 1).view(np.uint8), kernel)[1:-1, 1:-1].view(bool)
     if np.count_nonzero(inside) < 16:
         inside = mask
@@ -65,7 +67,7 @@ def _around(mask: np.ndarray) -> np.ndarray | None:
     y = y[:, None]
     spread = np.hypot(x, y)
     away = spread[mask]
-    if away.min() < _HOLE * np.sqrt((away**2).mean()):
+    if away.min() < _MIN_HOLE_RADIUS * np.sqrt((away**2).mean()):
         return None
     empty = np.pad(~mask, 1, constant_values=True).view(np.uint8)
     _, holes = cv2.connectedComponents(empty, connectivity=4)

@@ -18,9 +18,9 @@ from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.reader import BankReader
 from slgaussian.language.relevancy import sigmoid
 from slgaussian.language.rules import Rules, unmeasured
-from slgaussian.language.wholes import LEAST_PIXELS
+from slgaussian.language.wholes import MIN_PIXELS
 
-AS_GOOD = 0.9
+NEAR_BEST_POINT = 0.9
 """The point lies on the largest of the objects whose gap is at least this fraction of the best."""
 
 
@@ -41,7 +41,7 @@ class QueryResult:
     _ranked: np.ndarray = field(repr=False)
     """Rows in the bank of the visible objects that some view shows, best first."""
     _as_good: np.ndarray = field(repr=False)
-    """Rows of the candidates for the point, see :data:`AS_GOOD`."""
+    """Rows of the candidates for the point, see :data:`NEAR_BEST_POINT`."""
     _chosen: np.ndarray = field(repr=False)
     """bool [N]: objects that the rules select, visible or not."""
     confidence: Confidence | None = None
@@ -134,8 +134,8 @@ class QueryResult:
         """Column and row (x, y) of the most likely pixel of the object.
 
         It is the :func:`slgaussian.language.objectmap.central_point` of the largest of the selected
-        objects that fit about as well as the best of them (:data:`AS_GOOD`): small ones are more
-        likely to fit by chance. If none is selected, all visible objects are considered; None
+        objects that fit about as well as the best of them (:data:`NEAR_BEST_POINT`): small ones are
+        more likely to fit by chance. If none is selected, all visible objects are considered; None
         without any.
         """
         if not len(self._ranked):
@@ -171,7 +171,7 @@ def _answer(
     ranked = ranked[gaps[ranked] > -np.inf]
     as_good = ranked[chosen[ranked]] if chosen[ranked].any() else ranked
     best = gaps[as_good].max(initial=-np.inf)
-    as_good = as_good[gaps[as_good] >= min(AS_GOOD * best, best)]
+    as_good = as_good[gaps[as_good] >= min(NEAR_BEST_POINT * best, best)]
     scores = sigmoid(rules.temperature * gaps)
     read, sure = reader.understood(text), None
     if read.kind == "named":
@@ -192,7 +192,7 @@ def find(
     Only the objects ``among`` bool [N] of the bank are considered. InputError as :func:`ask`.
     """
     gaps = np.where(among, reader.gaps([text], rules)[0], -np.inf)
-    everywhere = np.where(among, LEAST_PIXELS, 0)
+    everywhere = np.where(among, MIN_PIXELS, 0)
     matching = np.flatnonzero(reader.chosen([text], gaps[None], everywhere, rules)[0] & among)
     scores = sigmoid(rules.temperature * gaps)
     ranked = matching[np.argsort(-gaps[matching], kind="stable")]

@@ -13,7 +13,7 @@ from slgaussian.language import Encoder, Understood
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.classifier import evidence, log_probability
 from slgaussian.language.confidence import NEUTRAL_LOG_PROBABILITY
-from slgaussian.language.relevancy import SOFT, Scorer, sigmoid
+from slgaussian.language.relevancy import SOFT_TEMPERATURE, Scorer, sigmoid
 from slgaussian.language.rules import Rules, unmeasured
 from slgaussian.language.taught import TaughtWords, normal, spelled
 from slgaussian.language.wholes import Candidates, near_best
@@ -25,11 +25,11 @@ next two constants, on labelled photographs; leave-one-place-out fits give nearl
 CLASS_SCALE = 3.0
 """Class evidence, in nats, that gives three quarters of the largest lead."""
 
-DESCRIBED = 0.5
+DESCRIPTION_WEIGHT = 0.5
 """Weight of each word that describes the noun, relative to the noun: class evidence counts less for
 a described object."""
 
-NAMED = 10.0
+NAME_GAP = 10.0
 """Gap of objects with the name that is asked for; all others have its negative. It is far larger
 than cosines, so that relevancies are 1 or 0 at all usual temperatures."""
 
@@ -114,7 +114,7 @@ class BankReader(TextReader):
             who = self._who(text)
             if who == "named":
                 has_name = np.isin(self.bank.ids, self._called[spelled(text)])
-                gaps[k] = np.where(has_name, NAMED, -NAMED)
+                gaps[k] = np.where(has_name, NAME_GAP, -NAME_GAP)
             elif who == "taught":
                 gaps[k] = scorer.combined(self.taught.leads(text, scorer.looks)[None])[0]
             else:
@@ -127,7 +127,7 @@ class BankReader(TextReader):
 
     def _class_leads(self, text: str) -> np.ndarray:
         """Compute the leads of a text from class evidence, float64 [P]; zero without classes."""
-        strength = CLASS_LEAD / (1 + DESCRIBED * super().understood(text).describing)
+        strength = CLASS_LEAD / (1 + DESCRIPTION_WEIGHT * super().understood(text).describing)
         leads = strength * np.tanh(self.class_evidence(text) / CLASS_SCALE)
         return np.asarray(leads[self._present])
 
@@ -211,7 +211,7 @@ class BankReader(TextReader):
             if untold := super().understood(phrase).untold:
                 raise InputError(f"canonical phrase {phrase!r}: {untold}")
         canonical = self.vectors(phrases)
-        soft = getattr(self.encoder, "soft", SOFT)
+        soft = getattr(self.encoder, "soft", SOFT_TEMPERATURE)
         return Scorer(*self.bank.nodes, canonical, absent, self.bank.levels, soft)
 
 

@@ -29,11 +29,11 @@ UNIT_TOLERANCE = 1e-3
 """Largest allowed | |L| - 1 |. Rounding to half precision changes a length by at most 2^-11, half
 of that; unnormalised features are refused."""
 
-SOFT = 0.05
+SOFT_TEMPERATURE = 0.05
 """Default temperature s of the soft maximum over leads. Answers are about as good from 0.02 to
 0.1."""
 
-LOG_MOST = math.log(np.finfo(np.float64).max)
+MAX_EXPONENT = math.log(np.finfo(np.float64).max)
 """Largest finite argument of exp."""
 
 
@@ -45,7 +45,7 @@ class Scorer:
             ignored. With ``levels``, of objects and groups.
         present: bool [M, V]. True where the view shows the object.
         canonical: float [K, C]. Unit vectors of the K > 0 phrases that every query competes with.
-        absent: One of :data:`slgaussian.language.rules.ABSENT`.
+        absent: One of :data:`slgaussian.language.rules.ABSENT_TREATMENTS`.
         levels: int [L, N], optional. For each of the N objects, which are the first rows, the row
             of its group at L levels, or its own row. By default all rows are objects.
         soft: Temperature of the soft maximum, positive; used only with groups.
@@ -62,7 +62,7 @@ class Scorer:
         canonical: np.ndarray,
         absent: str = "skip",
         levels: np.ndarray | None = None,
-        soft: float = SOFT,
+        soft: float = SOFT_TEMPERATURE,
     ) -> None:
         self._present = present
         self.looks = _unit_vectors(features[present])
@@ -112,7 +112,7 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
     Uses the exponential of the C library (as SciPy does): the last digit of NumPy's depends on the
     CPU.
     """
-    values = [1 / (1 + math.exp(-v)) if -v < LOG_MOST else 0.0 for v in np.ravel(x).tolist()]
+    values = [1 / (1 + math.exp(-v)) if -v < MAX_EXPONENT else 0.0 for v in np.ravel(x).tolist()]
     return np.array(values, np.float64).reshape(np.shape(x))
 
 

@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 from slgaussian.components.config import Config
 from slgaussian.language import Encoder
 
-PHRASES = {"lerf": ("object", "things", "stuff", "texture")}
+CANONICAL_PHRASES = {"lerf": ("object", "things", "stuff", "texture")}
 """Named canonical phrases; LERF's are also those of LangSplat and the paper."""
 
 
@@ -19,13 +19,13 @@ def _split(canonical: str | Sequence[str]) -> tuple[str, ...]:
     if not isinstance(canonical, str):
         return tuple(canonical) or ("",)
     split = tuple(phrase.strip() for phrase in canonical.split(","))
-    return PHRASES.get(canonical, split)
+    return CANONICAL_PHRASES.get(canonical, split)
 
 
 NEAR_BEST = 0.6
 """An object is near-best if its gap is at least this fraction of the best gap."""
 
-ABSENT = ("skip", "zero")
+ABSENT_TREATMENTS = ("skip", "zero")
 """Treatment of views that do not show an object. ``skip``: ignored. ``zero``: the paper's zero
 vector, which gives gap 0 and relevancy 0.5 for every text."""
 
@@ -61,7 +61,7 @@ class Rules(Config):
     )
     absent: Literal["skip", "zero"] = Field(
         "skip",
-        examples=list(ABSENT),
+        examples=list(ABSENT_TREATMENTS),
         description="Score of a view that does not show an object: skip (none), or zero (as the "
         "paper).",
     )
@@ -71,8 +71,8 @@ class Rules(Config):
     def _check_phrases(cls, canonical: str | Sequence[str] | None) -> str | Sequence[str] | None:
         if canonical is not None and not all(_split(canonical)):
             raise ValueError(
-                f"expected a name ({', '.join(PHRASES)}) or phrases with commas between them, "
-                "none empty"
+                f"expected a name ({', '.join(CANONICAL_PHRASES)}) or phrases with commas between "
+                "them, none empty"
             )
         return canonical
 

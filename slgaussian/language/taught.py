@@ -9,7 +9,7 @@ Features of regions are close to each other: the cosine of two objects of one ph
 (x - m) / |x - m|,
 
     likeness(L, e) = u(L) . u(e)
-    lead(L) = SCALE ( max_e likeness(L, e) - EVEN )
+    lead(L) = COSINE_SCALE ( max_e likeness(L, e) - BOUNDARY_LIKENESS )
 
 over the examples e. The lead is 0 at the decision boundary. It replaces a text's lead over the
 canonical phrases in :mod:`slgaussian.language.relevancy`, so temperature, threshold, views and
@@ -32,16 +32,16 @@ from slgaussian.storage.specs import load_spec
 
 SPEC = "words"
 
-EVEN = 0.45
+BOUNDARY_LIKENESS = 0.45
 """Likeness at the decision boundary. At .6 the IoU in other image pairs of the same place falls
 from .46 to .40; at .3 84 % of the words match something where their object is absent, at .45 49 %
 (``docs/measured/earlier.md``)."""
 
-SCALE = 0.2
+COSINE_SCALE = 0.2
 """Factor from likeness to cosine: an example itself then has relevancy 0.75 at temperature 10.
 Answers are about as good from 0.1 to 0.6."""
 
-LONGEST = 80
+MAX_WORD_LENGTH = 80
 """Largest number of letters of a word."""
 
 REPAIR = "remove the file, and teach the words again"
@@ -129,7 +129,7 @@ class TaughtWords:
         common = rivals.astype(np.float64).mean(0) if len(rivals) else np.zeros(looks.shape[1])
         directions = _directions(looks, common)
         likeness = np.einsum("pc,ec->pe", directions, _directions(examples, common))
-        return SCALE * (likeness.max(1) - EVEN)
+        return COSINE_SCALE * (likeness.max(1) - BOUNDARY_LIKENESS)
 
     def check_encoder(self, encoder: str) -> None:
         """Raise InputError if these words have another encoder."""
@@ -184,12 +184,12 @@ class TaughtWords:
 def normal(word: str) -> str:
     """Normalise a word for teaching and queries: lower case, single spaces.
 
-    InputError if it is empty, or has more than :data:`LONGEST` letters.
+    InputError if it is empty, or has more than :data:`MAX_WORD_LENGTH` letters.
     """
     plain = spelled(word)
-    if not plain or len(plain) > LONGEST:
+    if not plain or len(plain) > MAX_WORD_LENGTH:
         problem = f"{len(plain)} letters" if plain else "an empty text"
-        raise InputError(f"word: found {problem}, expected 1 to {LONGEST} letters")
+        raise InputError(f"word: found {problem}, expected 1 to {MAX_WORD_LENGTH} letters")
     return plain
 
 

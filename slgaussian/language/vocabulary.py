@@ -20,7 +20,7 @@ from importlib.resources import files
 
 from slgaussian.errors import InputError
 
-NOUNS = frozenset(
+NOUN_FAMILIES = frozenset(
     {
         "solid", "building", "nature", "street", "vehicle", "animal", "person", "clothing",
         "furniture", "kitchen", "food", "container", "device", "tool", "leisure", "class",
@@ -29,10 +29,10 @@ NOUNS = frozenset(
 """Families whose words name an object; words of the other families describe it. Words of ``class``
 are names of ImageNet classes, which appearance alone cannot identify."""
 
-NEAR = 0.8
+MIN_SIMILARITY = 0.8
 """Smallest similarity (``difflib`` ratio) of a misspelt word to the intended one."""
 
-LONGEST = 40
+MAX_CORRECTED_LENGTH = 40
 """Largest number of letters of a word for which a correction is searched."""
 
 TABLE = "noun_classes.txt.xz"
@@ -127,7 +127,9 @@ class Vocabulary:
         end = self._end(spelled)
         content = [s for s in spelled[:end] if s not in self.stop]
         looked_up = [(s, self._look_up(s)) for s in _join_names(content)]
-        nouns = [i for i, (_, word) in enumerate(looked_up) if word and word.family in NOUNS]
+        nouns = [
+            i for i, (_, word) in enumerate(looked_up) if word and word.family in NOUN_FAMILIES
+        ]
         # The head of "a picture of a plant" is the first noun, that of "a plant pot" the last.
         limit = len(looked_up)
         if "of" in spelled[:end]:
@@ -176,7 +178,7 @@ class Vocabulary:
         parts = []
         for word in reading.words:
             ways = [f"by its look ({', '.join(word.weights)})"] if word.weights else []
-            if reading.noun and word.family in NOUNS and reading.classes:
+            if reading.noun and word.family in NOUN_FAMILIES and reading.classes:
                 count = len(reading.classes)
                 ways.append(f"by the classifier ({count} class{'es' * (count > 1)} of ImageNet)")
             parts.append(f"{word.name}, {word.family}: {' and '.join(ways) or 'says nothing'}")
@@ -188,10 +190,10 @@ class Vocabulary:
 
     def nearest(self, spelling: str) -> str | None:
         """Return the known word with the most similar spelling, None if there is none."""
-        if len(spelling) > LONGEST:
+        if len(spelling) > MAX_CORRECTED_LENGTH:
             return None
         for spellings in ([*self.words, *self.unseen], noun_classes()):
-            if near := difflib.get_close_matches(spelling, spellings, n=1, cutoff=NEAR):
+            if near := difflib.get_close_matches(spelling, spellings, n=1, cutoff=MIN_SIMILARITY):
                 return near[0]
         return None
 
@@ -228,7 +230,7 @@ class Vocabulary:
         while start < len(spelled):
             word, length = self._phrase_at(spelled, start)
             then = spelled[start + length : start + length + 1]
-            noun = word is not None and word.family in NOUNS
+            noun = word is not None and word.family in NOUN_FAMILIES
             if word is None or not self.relations.isdisjoint(left) or (not noun and then == ["of"]):
                 left.append(spelled[start])
                 length = 1
@@ -350,4 +352,4 @@ def excerpt(text: str) -> str:
 
 
 def _has_noun(words: Sequence[Word | None]) -> bool:
-    return any(word is not None and word.family in NOUNS for word in words)
+    return any(word is not None and word.family in NOUN_FAMILIES for word in words)

@@ -19,19 +19,19 @@ import numpy as np
 from slgaussian.io import short_repr
 from slgaussian.language.rules import NEAR_BEST
 
-LEAST_SHARE = 3e-4
+MIN_SHARE = 3e-4
 """Smallest area of a candidate, as a fraction of the views: small nodes fit by chance."""
 
-LEAST_PIXELS = 30
+MIN_PIXELS = 30
 """Smallest area of a candidate in the queried view, pixels."""
 
-LEAST_BEST = 0.03
+MIN_BEST_GAP = 0.03
 """Lower bound of the best gap, by which gaps are divided."""
 
-EVIDENCE = (-3.0, 6.0)
+EVIDENCE_BOUNDS = (-3.0, 6.0)
 """Bounds of the evidence for an object, nats."""
 
-UNSEEN = -0.2
+UNSEEN_GAP = -0.2
 """Gap of an object that no view shows, in the mean of a whole."""
 
 
@@ -139,13 +139,13 @@ class Wholes:
         """
         known = gaps > -np.inf
         visible = known & (areas > 0)
-        top = gaps.max(1, where=visible, initial=LEAST_BEST, keepdims=True)
-        finite_gaps = np.where(known, gaps, UNSEEN)
+        top = gaps.max(1, where=visible, initial=MIN_BEST_GAP, keepdims=True)
+        finite_gaps = np.where(known, gaps, UNSEEN_GAP)
         near = near_best(gaps, top, share)
         near_visible = near & visible
         best = np.eye(len(areas))[np.where(visible, gaps, -np.inf).argmax(1)]
         evidence = np.nan_to_num(evidence * self.shares).mean(2) / np.maximum(self._area, 1e-12)
-        evidence = np.clip(evidence, *EVIDENCE)
+        evidence = np.clip(evidence, *EVIDENCE_BOUNDS)
 
         def recall(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
             fits = self._area * np.maximum(values, 0) * visible
@@ -183,7 +183,7 @@ class Wholes:
             describe(sets[None], numbers[None], around[None]),
             describe(near_sets[:, None], near_numbers[:, None], near_around[:, None]),
         ]
-        possible = _times(sets[None], np.where(visible, areas, 0)) >= LEAST_PIXELS
+        possible = _times(sets[None], np.where(visible, areas, 0)) >= MIN_PIXELS
         objects = np.broadcast_to(sets > 0, (len(gaps), *sets.shape))
         return Candidates(
             np.concatenate(features, 1),
@@ -208,7 +208,7 @@ class Wholes:
     def _candidates(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Objects and wholes that are large enough: sets float64 [G, N], numbers and around."""
         sets = np.concatenate([np.eye(len(self.at_edge)), self.members])
-        large = sets @ self._area >= LEAST_SHARE
+        large = sets @ self._area >= MIN_SHARE
         sets = sets[large]
         return sets, self._numbers(sets, self.standing[large]), self._around(sets)
 

@@ -16,9 +16,9 @@ from slgaussian.masks.flatten import CRUMB_SHARE, flatten, nearest_pixel, renumb
 
 SAME_IOU = 0.5
 """IoU with a propagated object above which a detection is that object."""
-DOMINANT = 0.75
+PART_SHARE = 0.75
 """Share of the known pixels of a detection in one object from which it is a part of that object."""
-KNOWN = 0.4
+MIN_KNOWN_SHARE = 0.4
 """Share of known pixels below which a detection without a match by IoU is a new object."""
 
 
@@ -94,9 +94,10 @@ def match_detections(propagated: np.ndarray, detected: np.ndarray, next_id: int)
     """Assign every detected region the id of a propagated object, or a new one.
 
     A region takes the id of an object if their IoU is above :data:`SAME_IOU`, or if it is known
-    (:data:`KNOWN`) and most known pixels are of that object (:data:`DOMINANT`). A region with few
-    known pixels is a new object. In a region of several objects known pixels keep their object, and
-    others take the nearest one. Pixels without detection keep their propagated label.
+    (:data:`MIN_KNOWN_SHARE`) and most known pixels are of that object (:data:`PART_SHARE`). A
+    region with few known pixels is a new object. In a region of several objects known pixels keep
+    their object, and others take the nearest one. Pixels without detection keep their propagated
+    label.
 
     Args:
         propagated, detected: int32 [H, W]. Labels and regions, 0 where there is none.
@@ -120,10 +121,11 @@ def match_detections(propagated: np.ndarray, detected: np.ndarray, next_id: int)
         window = windows[region - 1]
         inside, new = detected[window] == region, out[window]
         if covered > 0 and (
-            iou > SAME_IOU or (covered >= KNOWN * area and shared[best] >= DOMINANT * covered)
+            iou > SAME_IOU
+            or (covered >= MIN_KNOWN_SHARE * area and shared[best] >= PART_SHARE * covered)
         ):
             new[inside] = best
-        elif covered < KNOWN * area:
+        elif covered < MIN_KNOWN_SHARE * area:
             new[inside] = next_id
             next_id += 1
         else:

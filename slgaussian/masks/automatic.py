@@ -24,13 +24,13 @@ from slgaussian.masks.configs import LEVELS, PRESETS, Automatic, AutomaticConfig
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
 
-OFFSET = 1.0
+STABILITY_OFFSET = 1.0
 """Offset of the logit thresholds above and below 0 that define the stability of a mask."""
 
-BLOCK = 1 << 27
+BLOCK_BYTES = 1 << 27
 """Bytes of full-size logits that are processed at a time; at least one mask."""
 
-MOST = 32
+MAX_MASKS = 32
 """Largest number of masks that are processed at a time, as intermediate results may be larger."""
 
 
@@ -102,11 +102,11 @@ def _mask_prompts(
     allowed = torch.zeros_like(predicted, dtype=torch.bool)
     allowed[:, level_indices] = True
     point, level = torch.nonzero(allowed & (predicted > settings.predicted_iou), as_tuple=True)
-    step = max(1, min(MOST, BLOCK // (4 * size[0] * size[1])))
+    step = max(1, min(MAX_MASKS, BLOCK_BYTES // (4 * size[0] * size[1])))
     for start in range(0, len(point), step):
         chosen = point[start : start + step], level[start : start + step]
         large = prompted.enlarge(logits[chosen])
-        inner, outer = ((large > at).sum((1, 2)) for at in (OFFSET, -OFFSET))
+        inner, outer = ((large > at).sum((1, 2)) for at in (STABILITY_OFFSET, -STABILITY_OFFSET))
         stability = (inner / outer.clamp(min=1)).cpu().numpy()
         inside = (large > 0).cpu().numpy()
         good = (stability >= settings.stability) & inside.any((1, 2))

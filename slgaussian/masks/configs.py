@@ -20,10 +20,10 @@ MODEL = "Pretrained model: folder, or name on the Hugging Face hub."
 Level = Literal["s", "m", "l"]
 """Level of a mask: part, object or group."""
 
-MAPS = (".png", ".npy")
+MAP_SUFFIXES = (".png", ".npy")
 """Suffixes of id maps."""
 
-DEPTHS = (".npz", ".png", ".npy", ".pfm", ".tiff", ".tif")
+DEPTH_SUFFIXES = (".npz", ".png", ".npy", ".pfm", ".tiff", ".tif")
 """Suffixes of depth files."""
 
 LEVELS: tuple[Level, ...] = ("s", "m", "l")
@@ -98,7 +98,7 @@ class Sam2VideoConfig(ComponentConfig, title="sam2-video"):
     batch: int = Field(16, ge=1, description="Objects tracked together; memory grows with it.")
 
 
-def folder_digest(folder: Path | str, suffixes: tuple[str, ...] = MAPS) -> str:
+def folder_digest(folder: Path | str, suffixes: tuple[str, ...] = MAP_SUFFIXES) -> str:
     """Compute the SHA-256, hexadecimal, of names and contents of a folder of id maps."""
     folder = Path(folder)
     digest = hashlib.sha256()
@@ -111,7 +111,7 @@ def folder_digest(folder: Path | str, suffixes: tuple[str, ...] = MAPS) -> str:
 
 def geometry_digest(place: Path | str) -> str:
     """Compute the SHA-256, hexadecimal, of a depth file, or of a folder of depth files."""
-    return folder_digest(place, DEPTHS) if Path(place).is_dir() else file_digest(place)
+    return folder_digest(place, DEPTH_SUFFIXES) if Path(place).is_dir() else file_digest(place)
 
 
 class PrecomputedConfig(ComponentConfig, title="precomputed"):

@@ -27,14 +27,14 @@ from slgaussian.geometry import SeenView
 from slgaussian.masks.flatten import CRUMB_SHARE
 from slgaussian.masks.shared import SurfacePoints, match_points, overlap
 
-VOTERS = 8
+MAX_VOTERS = 8
 """Largest number of other views that vote on a view, those with the greatest overlap."""
-LEAST_OVERLAP = 0.02
+MIN_OVERLAP = 0.02
 """Smallest overlap of a voting view."""
 MAJORITY = 0.4
 """Fraction of votes from which points are one object; below a half because proposals split objects
 more often than they join them. From 0.3 to 0.5 ids of rooms and photographs are about as stable."""
-TRACKED = 1.0
+TRACKER_VOTE = 1.0
 """Vote of the tracker for two atoms with one label; a unanimous view has 0.6."""
 
 
@@ -104,7 +104,7 @@ def vote_on_objects(
         return labels
     atoms = Atoms.of(labels, detected)
     votes = votes_on(atoms, [SurfacePoints(frame) for frame in frames])
-    votes[atoms.label[:, None] == atoms.label] += TRACKED
+    votes[atoms.label[:, None] == atoms.label] += TRACKER_VOTE
     ids = _names(contract(votes), atoms)
     return np.append(ids, 0)[atoms.maps].reshape(labels.shape).astype(np.int32)
 
@@ -140,8 +140,8 @@ def _voters(points: Sequence[SurfacePoints]) -> list[list[int]]:
         shares = np.array(
             [0.0 if view is candidate else overlap(view, candidate) for candidate in points]
         )
-        order = np.argsort(-shares, kind="stable")[:VOTERS]
-        voters.append([int(k) for k in order if shares[k] >= LEAST_OVERLAP])
+        order = np.argsort(-shares, kind="stable")[:MAX_VOTERS]
+        voters.append([int(k) for k in order if shares[k] >= MIN_OVERLAP])
     return voters
 
 

@@ -13,14 +13,14 @@ from slgaussian.masks.shared import SurfacePoints, match_points, overlap
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
 
-MATCHED_SHARE = 0.3
+MIN_MATCHED_SHARE = 0.3
 """Smallest fraction of matched pixels at which matches determine the label of a leaf."""
-COLOR_SHARE = 0.6
+MIN_COLOR_SHARE = 0.6
 """Smallest fraction of a leaf in the colours of an object at which the object grows over it."""
-BIN_SHARE = 0.01
+MIN_BIN_SHARE = 0.01
 """Smallest fraction of an object's pixels in a colour bin at which the object has that colour."""
 COLOR_BINS = (10, 10, 10)
-MOST_FRAMES = 6
+MAX_FRAMES = 6
 """Largest number of remembered frames, those with the greatest overlap, that a view is matched
 with."""
 
@@ -96,17 +96,17 @@ class GeometricTracker:
             votes += np.bincount(keys, minlength=votes.size).reshape(votes.shape)
             matched_once.ravel()[pixels] = True
         matched_share = np.bincount(leaves.ravel(), matched_once.ravel(), len(size)) / size
-        of_leaf = np.where(matched_share >= MATCHED_SHARE, votes.argmax(1), 0).astype(np.int32)
+        of_leaf = np.where(matched_share >= MIN_MATCHED_SHARE, votes.argmax(1), 0).astype(np.int32)
         self._grow(of_leaf, leaves, new.lab, id_count)
         return of_leaf[leaves]
 
     def _nearest(self, new: LabelledFrame) -> list[LabelledFrame]:
         """Return the remembered frames with the greatest overlap, in order of their addition."""
-        if len(self._frames) <= MOST_FRAMES:
+        if len(self._frames) <= MAX_FRAMES:
             return self._frames
         points = SurfacePoints(new.frame)
         overlaps = [overlap(points, SurfacePoints(past.frame)) for past in self._frames]
-        best = np.argsort(-np.array(overlaps), kind="stable")[:MOST_FRAMES]
+        best = np.argsort(-np.array(overlaps), kind="stable")[:MAX_FRAMES]
         return [self._frames[k] for k in np.sort(best)]
 
     def _grow(
@@ -116,7 +116,7 @@ class GeometricTracker:
         from slgaussian.masks.merge import adjacency
 
         counts, bins = self._color_counts, self._color_counts.shape[1]
-        object_bins = counts >= BIN_SHARE * counts.sum(1, keepdims=True).clip(1)
+        object_bins = counts >= MIN_BIN_SHARE * counts.sum(1, keepdims=True).clip(1)
         keys = leaves.astype(np.int64) * bins + _color_bins(lab)
         leaf_colors = np.bincount(keys.ravel(), minlength=len(of_leaf) * bins)
         leaf_colors = leaf_colors.reshape(len(of_leaf), bins)
@@ -127,7 +127,7 @@ class GeometricTracker:
             front = (of_leaf[edges[:, 0]] == 0) & (of_leaf[edges[:, 1]] > 0)
             leaf, label = edges[front, 0], of_leaf[edges[front, 1]]
             similarity = (leaf_colors[leaf] * object_bins[label]).sum(1) / leaf_colors[leaf].sum(1)
-            wins = similarity >= COLOR_SHARE
+            wins = similarity >= MIN_COLOR_SHARE
             if not wins.any():
                 return
             border = np.zeros((len(of_leaf), id_count))

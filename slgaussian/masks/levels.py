@@ -14,7 +14,7 @@ import numpy as np
 
 from slgaussian.geometry import SeenView
 from slgaussian.labels import LabelMaps
-from slgaussian.language.wholes import LEAST_SHARE, Wholes
+from slgaussian.language.wholes import MIN_SHARE, Wholes
 from slgaussian.masks.merge import Cues, LeafSums, MergeTree, build_tree, joint_sums, leaf_sums
 from slgaussian.masks.segmentation import CUES
 
@@ -22,7 +22,7 @@ CUTS = ((Cues(), 0.4), (Cues(plane=0.25, fill=0.5, size_power=0.1), 0.8))
 """Tree and height of the cut of each level: regions of similar appearance and position, and compact
 ones. About 90 objects in two photographs of an office make 25 and 45 groups."""
 
-MOST_OBJECTS = 1000
+MAX_OBJECTS = 1000
 """Largest number of objects for which wholes are computed, as their table is quadratic in it."""
 
 
@@ -32,7 +32,7 @@ class ObjectGroups(NamedTuple):
     Attributes:
         levels: int32 [L, N]. Group of each object at each level of :data:`CUTS`, numbered 0, 1, ...
             in each level, in the order of the ids. A group is connected in some view.
-        wholes: Nodes of several trees, without crumbs; None with more than :data:`MOST_OBJECTS`
+        wholes: Nodes of several trees, without crumbs; None with more than :data:`MAX_OBJECTS`
             objects.
     """
 
@@ -58,7 +58,7 @@ def group_objects(frames: Sequence[SeenView], label_maps: LabelMaps) -> ObjectGr
     trees = [build_tree(joint, cues) for cues in CUES]
     cut = [(trees[CUES.index(cues)], height) for cues, height in CUTS]
     levels = [tree.places(tree.cut(height, len(ids))) for tree, height in cut]
-    wholes = _wholes(joint, trees, at_edge) if len(ids) <= MOST_OBJECTS else None
+    wholes = _wholes(joint, trees, at_edge) if len(ids) <= MAX_OBJECTS else None
     return ObjectGroups(np.stack(levels), wholes)
 
 
@@ -74,7 +74,7 @@ def _wholes(joint: LeafSums, trees: Sequence[MergeTree], at_edge: np.ndarray) ->
     # In order of the trees: the first nodes of the first one are the objects.
     order = np.argsort(first)
     first, standing = first[order], standing[order]
-    use = (np.arange(len(first)) < count) | (nodes[first] @ joint.means[:, 0] >= LEAST_SHARE)
+    use = (np.arange(len(first)) < count) | (nodes[first] @ joint.means[:, 0] >= MIN_SHARE)
     return Wholes(
         nodes[first[use]][count:],
         standing[use].astype(np.float32),

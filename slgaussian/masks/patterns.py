@@ -14,16 +14,16 @@ from scipy.sparse.csgraph import connected_components
 
 from slgaussian.masks.merge import adjacency, plane_gap, plane_sums
 
-ALIKE = 12.0
+COLOR_TOLERANCE = 12.0
 """CIELAB distance of median colours below which the colours of two elements are equal."""
-SIZE_RATIO = 2.5
+MAX_SIZE_RATIO = 2.5
 """Largest ratio of the areas of adjacent elements, except where an outline cuts one."""
-LARGEST = 0.03
+MAX_ELEMENT_SHARE = 0.03
 """Largest share of the image of an element."""
-FEWEST = 6
+MIN_ELEMENTS = 6
 """Smallest number of elements of a pattern. Four elements suffice for both colours to recur, but
 that happens by accident in clutter."""
-FLAT = 0.02
+PLANE_TOLERANCE = 0.02
 """Largest relative error of inverse depth under one plane for adjacent elements, which must lie on
 one surface. It allows the curvature of balls and pillars."""
 
@@ -42,7 +42,7 @@ def join_patterns(
         int32 [H, W]: Regions 0 .. M-1, M at most N, and -1 in the same places as before.
     """
     count = int(regions.max(initial=-1)) + 1
-    if count < FEWEST:
+    if count < MIN_ELEMENTS:
         return regions.copy()
     inside = regions >= 0
     index = regions[inside]
@@ -51,14 +51,14 @@ def join_patterns(
     pixels = lab[inside][np.argsort(index, kind="stable")]
     color = np.array([np.median(part, 0) for part in np.split(pixels, np.cumsum(size)[:-1])])
     contrast = np.linalg.norm(color[:, None] - color[None], axis=-1)
-    similar = contrast < ALIKE
+    similar = contrast < COLOR_TOLERANCE
 
     edges, borders = adjacency(regions, np.zeros(regions.shape, np.float32))
     planes = plane_sums(regions, depth, count)
     a, b = edges.T
-    usable = (np.maximum(size[a], size[b]) < LARGEST * regions.size) & ~similar[a, b]
-    usable[usable] = [plane_gap(planes[u], planes[v]) < FLAT for u, v in edges[usable]]
-    even = np.maximum(size[a], size[b]) < SIZE_RATIO * np.minimum(size[a], size[b])
+    usable = (np.maximum(size[a], size[b]) < MAX_ELEMENT_SHARE * regions.size) & ~similar[a, b]
+    usable[usable] = [plane_gap(planes[u], planes[v]) < PLANE_TOLERANCE for u, v in edges[usable]]
+    even = np.maximum(size[a], size[b]) < MAX_SIZE_RATIO * np.minimum(size[a], size[b])
 
     core = usable & even
     group = _chains(edges[core], (borders[:, 0] * contrast[a, b])[core], similar)
@@ -93,7 +93,7 @@ def _chains(edges: np.ndarray, weight: np.ndarray, similar: np.ndarray) -> np.nd
     for members in np.split(np.argsort(pattern), np.cumsum(np.bincount(pattern))[:-1]):
         # Both colours must recur: in "red, white, red" white does not.
         members = members[similar[np.ix_(members, members)].sum(1) >= 2]
-        if len(members) >= FEWEST and not similar[np.ix_(members, members)].all():
+        if len(members) >= MIN_ELEMENTS and not similar[np.ix_(members, members)].all():
             group[members] = count + pattern[members[0]]
     return group
 
@@ -108,7 +108,7 @@ def _take_ends(group: np.ndarray, edges: np.ndarray, similar: np.ndarray, size: 
         for new, member in ends[(group[ends[:, 0]] < count) & (group[ends[:, 1]] >= count)]:
             beyond = neighbours[member].indices
             twin = similar[new, beyond] & (group[beyond] == group[member])
-            if (twin & (size[new] < SIZE_RATIO * size[beyond])).any():
+            if (twin & (size[new] < MAX_SIZE_RATIO * size[beyond])).any():
                 joined[new] = group[member]
         if not joined:
             return

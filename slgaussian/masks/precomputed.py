@@ -11,13 +11,13 @@ import numpy as np
 from pydantic import PrivateAttr
 
 from slgaussian.errors import InputError
-from slgaussian.masks.configs import MAPS, PrecomputedConfig
+from slgaussian.masks.configs import MAP_SUFFIXES, PrecomputedConfig
 
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
 
-TOP = 2**31 - 1
-TOP_PNG = 2**16 - 1
+MAX_ID = 2**31 - 1
+MAX_PNG_ID = 2**16 - 1
 """The largest id, in any map and in a grey PNG."""
 
 
@@ -84,7 +84,7 @@ class Precomputed(PrecomputedConfig):
         assert self.folder is not None  # checked at construction
         folder, view = self.folder, Path(name)
         for base in dict.fromkeys((folder / view.with_suffix(""), folder / view.stem)):
-            files = [f for s in MAPS if (f := base.with_name(base.name + s)).is_file()]
+            files = [f for s in MAP_SUFFIXES if (f := base.with_name(base.name + s)).is_file()]
             if len(files) > 1:
                 raise InputError(f"{files[0]}: {files[1].name} is there too; remove one of them")
             if files:
@@ -122,7 +122,7 @@ def encode_ids(ids: np.ndarray) -> tuple[str, bytes]:
     from PIL import Image
 
     out = io.BytesIO()
-    if ids.max(initial=0) <= TOP_PNG:
+    if ids.max(initial=0) <= MAX_PNG_ID:
         Image.fromarray(ids.astype(np.uint16)).save(out, "PNG")
         return ".png", out.getvalue()
     np.save(out, ids)
@@ -146,9 +146,9 @@ def read_ids(file: Path) -> np.ndarray:
     if not np.issubdtype(ids.dtype, np.integer):
         raise InputError(f"{file}: found {ids.dtype}, expected whole numbers, as int32")
     low, high = int(ids.min()), int(ids.max())
-    if low < 0 or high > TOP:
+    if low < 0 or high > MAX_ID:
         raise InputError(
-            f"{file}: found ids from {low} to {high}, expected 0 for no object and 1 to {TOP}"
+            f"{file}: found ids from {low} to {high}, expected 0 for no object and 1 to {MAX_ID}"
         )
     return ids.astype(np.int32)
 

@@ -12,11 +12,11 @@ from slgaussian.masks import Proposals
 if TYPE_CHECKING:
     from slgaussian.geometry import SeenView
 
-HEIGHT = 0.2
+CUT_HEIGHT = 0.2
 """Height of the cut: contrast in units of a full border (0 to about 2), times the fourth root of
 the area share of the smaller region."""
 
-MOST = 90
+MAX_REGIONS = 90
 """Largest number of regions; the weakest borders are removed first."""
 
 
@@ -36,7 +36,7 @@ class Regions:
         from slgaussian.masks.segmentation import grow_tree
 
         tree = grow_tree(frame, region)
-        nodes = tree.cut(HEIGHT, MOST)
+        nodes = tree.cut(CUT_HEIGHT, MAX_REGIONS)
         masks = tree.labels(nodes) == np.arange(1, len(nodes) + 1)[:, None, None]
         top = max(float(tree.height.max(initial=0)), 1e-12)
         merged_at = np.append(tree.height / top, 1.0)[tree.parent]  # a root never merges: 1

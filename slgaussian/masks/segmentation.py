@@ -11,10 +11,10 @@ from slgaussian.geometry import SeenView
 from slgaussian.masks.merge import Cues, MergeTree, build_tree, leaf_sums
 from slgaussian.masks.patterns import join_patterns
 
-LEAF_REACH = 7
+LEAF_WINDOW = 7
 """Side in pixels of the window in which a minimum of the border strength seeds a leaf."""
 
-FINE = 0.12
+PATTERN_CUT_HEIGHT = 0.12
 """Height of the cut, far below that of objects, at which repeated patterns are detected."""
 
 CUES = (
@@ -39,7 +39,7 @@ def grow_tree(frame: SeenView, region: np.ndarray | None = None) -> MergeTree:
         packed = np.unique(leaves[region], return_inverse=True)[1]
         leaves[region] = packed.astype(np.int32)
     fine = build_tree(leaf_sums(lab, leaves, boundary, depth, texture=frame.texture))
-    elements = fine.labels(fine.cut(FINE, leaves.size)) - 1
+    elements = fine.labels(fine.cut(PATTERN_CUT_HEIGHT, leaves.size)) - 1
     joined = join_patterns(lab, elements, depth)
     return build_tree(leaf_sums(lab, joined, boundary, depth, texture=frame.texture))
 
@@ -47,5 +47,5 @@ def grow_tree(frame: SeenView, region: np.ndarray | None = None) -> MergeTree:
 def watershed_leaves(boundary: np.ndarray) -> np.ndarray:
     """Compute watershed basins of a border strength map [H, W]: leaves int32 [H, W], 0 .. N-1."""
     smooth = cv2.GaussianBlur(boundary, (0, 0), 1.0)
-    seeds, _ = ndimage.label(smooth == ndimage.minimum_filter(smooth, LEAF_REACH))
+    seeds, _ = ndimage.label(smooth == ndimage.minimum_filter(smooth, LEAF_WINDOW))
     return watershed(smooth, seeds).astype(np.int32) - 1

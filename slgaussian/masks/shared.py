@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 STRIDE = 3
 """Spacing of the lattice of pixels: a crumb still contains three."""
-COARSE = 4
+COARSE_STRIDE = 4
 """Spacing of the coarser lattice, in points of the finer one, that measures overlap."""
 AGREE_PIXELS = 4.0
 """Largest forward-backward reprojection error of corresponding pixels. With 2 and with 8, the
 geometric tracker matches fewer objects or pixels."""
-LOOK = 25.0
+MAX_COLOR_DISTANCE = 25.0
 """Largest CIELAB distance of corresponding pixels, after compensation of exposure."""
 
 
@@ -68,7 +68,7 @@ def match_points(
     gap = a.lab.reshape(-1, 3)[pixels[which]] - b.lab.reshape(-1, 3)[place]
     if len(which):
         gap -= np.median(gap, 0)  # compensates exposure and white balance
-    similar = np.linalg.norm(gap, axis=1) < LOOK
+    similar = np.linalg.norm(gap, axis=1) < MAX_COLOR_DISTANCE
     return which[similar], place[similar]
 
 
@@ -93,5 +93,5 @@ def reproject(
 
 def overlap(a: SurfacePoints, b: SurfacePoints) -> float:
     """Estimate the fraction of the surface in view ``a`` that is visible in ``b``."""
-    pixels = a.pixels(STRIDE * COARSE)
+    pixels = a.pixels(STRIDE * COARSE_STRIDE)
     return len(match_points(a, b, pixels)[0]) / max(len(pixels), 1)

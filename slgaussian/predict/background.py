@@ -15,22 +15,22 @@ from slgaussian.gaussians import Gaussians, rgb_to_sh
 from slgaussian.predict.unproject import THICKNESS
 from slgaussian.scene import Camera
 
-BLOCK = 4
+BLOCK_SIDE = 4
 """Side of the block of pixels that each of these Gaussians covers."""
 
-SPREAD = 0.5
+BLOCK_STD = 0.5
 """Standard deviation of such a Gaussian, in blocks."""
 
-MARGIN = 0.07
+MARGIN_SHARE = 0.07
 """Width of the extrapolated margin, as a share of the longer side of the image."""
 
-REACH = 12
-EDGE = 6.0
+MAX_BLOCKS = 12
+MIN_DEPTH_STEPS = 6.0
 """Largest number of blocks by which a surface is extrapolated behind a nearer one, and the smallest
 difference of their depths, in candidate steps. One step is about one pixel of parallax, and a block
 farther from the edge than the parallax is never disoccluded between the views."""
 
-BEHIND = 0.03
+OCCLUSION_TOLERANCE = 0.03
 """Relative depth by which a point must lie behind the surface of a view to count as occluded."""
 
 OPACITY_BEYOND = 0.6
@@ -72,7 +72,7 @@ def continue_surfaces(
         for j, camera_j in enumerate(cameras):
             if j != i:
                 unseen &= _is_unseen(means, camera_j, inverse_depths[j])
-        width = SPREAD * BLOCK * depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
+        width = BLOCK_STD * BLOCK_SIDE * depth / np.sqrt(camera.K[0, 0] * camera.K[1, 1])
         turn = Rotation.from_matrix(camera.c2w[:3, :3]).as_quat()[[3, 0, 1, 2]]
         scales = width[:, None] * (1, 1, THICKNESS)
         source = (i * camera.height + row) * camera.width + column
@@ -88,8 +88,10 @@ def continue_surfaces(
 def _blocks_beyond_borders(color: np.ndarray, inverse_depth: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return blocks around the image: their centres (x, y), nearest pixels, and colours."""
     H, W = inverse_depth.shape
-    blocks = int(np.ceil(MARGIN * max(H, W) / BLOCK))
-    x, y = ((np.arange(-blocks, size // BLOCK + 1 + blocks) + 0.5) * BLOCK for size in (W, H))
+    blocks = int(np.ceil(MARGIN_SHARE * max(H, W) / BLOCK_SIDE))
+    x, y = (
+        (np.arange(-blocks, size // BLOCK_SIDE + 1 + blocks) + 0.5) * BLOCK_SIDE for size in (W, H)
+    )
     x, y = (grid.ravel() for grid in np.meshgrid(x, y))
     outside = (x < 0) | (x > W) | (y < 0) | (y > H)
     centre = np.stack([x, y], 1)[outside]
@@ -101,16 +103,19 @@ def _blocks_behind_edges(
     color: np.ndarray, inverse_depth: np.ndarray, step: float
 ) -> tuple[np.ndarray, ...]:
     """Return blocks behind depth edges likewise, each with a pixel of the farther surface."""
-    H, W = (-(-size // BLOCK) for size in inverse_depth.shape)
-    ragged = [(0, -size % BLOCK) for size in inverse_depth.shape]
-    padded = np.pad(inverse_depth, ragged, "edge").reshape(H, BLOCK, W, BLOCK)
-    tiles = padded.transpose(0, 2, 1, 3).reshape(H, W, BLOCK * BLOCK)
+    H, W = (-(-size // BLOCK_SIDE) for size in inverse_depth.shape)
+    ragged = [(0, -size % BLOCK_SIDE) for size in inverse_depth.shape]
+    padded = np.pad(inverse_depth, ragged, "edge").reshape(H, BLOCK_SIDE, W, BLOCK_SIDE)
+    tiles = padded.transpose(0, 2, 1, 3).reshape(H, W, BLOCK_SIDE * BLOCK_SIDE)
     farthest = tiles.argmin(-1)
     rows, columns = np.arange(H)[:, None], np.arange(W)
     nearest, best = tiles.max(-1), tiles.min(-1)
-    best_row, best_column = rows * BLOCK + farthest // BLOCK, columns * BLOCK + farthest % BLOCK
+    best_row, best_column = (
+        rows * BLOCK_SIDE + farthest // BLOCK_SIDE,
+        columns * BLOCK_SIDE + farthest % BLOCK_SIDE,
+    )
     chosen, pixels = np.zeros((H, W), bool), np.zeros((H, W, 2), np.int64)
-    for ring in range(REACH):
+    for ring in range(MAX_BLOCKS):
         around = np.pad(np.stack([best, best_row, best_column]), ((0, 0), (1, 1), (1, 1)), "edge")
         for dy in range(3):
             for dx in range(3):
@@ -119,11 +124,11 @@ def _blocks_behind_edges(
                 best = np.where(farther, w, best)
                 best_row = np.where(farther, row, best_row)
                 best_column = np.where(farther, column, best_column)
-        new = ~chosen & (nearest - best > max(EDGE, BLOCK * ring) * step)
+        new = ~chosen & (nearest - best > max(MIN_DEPTH_STEPS, BLOCK_SIDE * ring) * step)
         chosen |= new
         pixels[new] = np.stack([best_column[new], best_row[new]], 1)
     y, x = np.nonzero(chosen)
-    centre = (np.stack([x, y], 1) + 0.5) * BLOCK
+    centre = (np.stack([x, y], 1) + 0.5) * BLOCK_SIDE
     pixel = np.minimum(pixels[y, x], np.array(inverse_depth.shape)[::-1] - 1)
     return centre, pixel, color[pixel[:, 1], pixel[:, 0]]
 
@@ -133,4 +138,4 @@ def _is_unseen(points: np.ndarray, camera: Camera, inverse_depth: np.ndarray) ->
     pixels, z = camera.project(points)
     inside = camera.shows(pixels, z)
     column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
-    return ~inside | (z * inverse_depth[row, column] > 1 + BEHIND)
+    return ~inside | (z * inverse_depth[row, column] > 1 + OCCLUSION_TOLERANCE)

@@ -19,7 +19,7 @@ from slgaussian.cameras.relative import Relative
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
 
-OUTSIDE = 60
+OUTSIDE_COST = 60
 """Cost of a candidate outside the source image: between a bad match and a good one."""
 
 RADIUS = 2
@@ -27,7 +27,7 @@ RADIUS = 2
 
 CENSUS_WEIGHT = 0.4
 
-BLOCK = 16
+BLOCK_ROWS = 16
 """Image rows of a work item, so that its slice of the volume stays in cache."""
 
 _SIDE = 2 * RADIUS + 1
@@ -53,8 +53,8 @@ def matching_costs(
 
     Returns:
         uint8 [S, H, W, D]: 0 is a perfect match and 100 an unrelated one, in both terms: ``(1 -
-            ZNCC) * 100`` and the share of differing census bits times 200. :data:`OUTSIDE` where a
-            candidate lands outside the source or behind it.
+            ZNCC) * 100`` and the share of differing census bits times 200. :data:`OUTSIDE_COST`
+            where a candidate lands outside the source or behind it.
     """
     # Kernels have pixel centres at integers: shift once here instead of for every pixel.
     centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
@@ -64,7 +64,7 @@ def matching_costs(
     for (src, relative), volume in zip(sources, volumes, strict=True):
         share(
             _matching_cost,
-            -(-len(volume) // BLOCK),
+            -(-len(volume) // BLOCK_ROWS),
             padded,
             _squares(src),
             (away @ relative.infinity @ centre).astype(np.float32),
@@ -101,7 +101,7 @@ def _combine(counter, costs, out):
                 count = 0
                 for s in range(S):
                     cost = np.int32(costs[s, y, x, d])
-                    if cost == OUTSIDE:
+                    if cost == OUTSIDE_COST:
                         continue
                     k = count
                     while k > 0 and sorted_costs[k - 1] > cost:
@@ -110,7 +110,7 @@ def _combine(counter, costs, out):
                     sorted_costs[k] = cost
                     count += 1
                 if count == 0:
-                    out[y, x, d] = OUTSIDE
+                    out[y, x, d] = OUTSIDE_COST
                     continue
                 half = min(count, (S + 1) // 2)
                 total = half // 2
@@ -212,11 +212,11 @@ def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, colu
 
 @kernel
 def _matching_cost(counter, wide, squares, A, e, inverse_depths, zncc_share, census_share, volume):
-    y0 = take(counter) * BLOCK
+    y0 = take(counter) * BLOCK_ROWS
     while y0 < len(volume):
-        part = volume[y0 : y0 + BLOCK]
+        part = volume[y0 : y0 + BLOCK_ROWS]
         _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y0, part)
-        y0 = take(counter) * BLOCK
+        y0 = take(counter) * BLOCK_ROWS
 
 
 @kernel
@@ -262,7 +262,7 @@ def _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y
             )  # fmt: skip
             visible = inside[y + RADIUS]
             for x in range(W):
-                cost[x] = cost[x] if visible[x] else np.uint8(OUTSIDE)
+                cost[x] = cost[x] if visible[x] else np.uint8(OUTSIDE_COST)
     for y in range(rows):
         for x in range(W):
             for d in range(D):

@@ -24,9 +24,9 @@ candidate steps."""
 
 MAX_PLANES = 8
 MIN_SUPPORT = 0.01
-SQUARES = (8, 16, 32)
-JUDGES = 4000
-REFITTED = 10
+SQUARE_SIDES = (8, 16, 32)
+SCORING_PIXELS = 4000
+REFITTED_PLANES = 10
 REFITS = 15
 """Largest number of planes; smallest share of answered pixels on one; sides in pixels of the
 squares that provide hypotheses; approximate number of pixels that score them; number of best
@@ -37,9 +37,9 @@ MEDIAN_COLOR = 40.0
 """Half the window of the weighted median, pixels, and the standard deviation of its colour weight
 (sum of absolute differences over RGB, 0 to 765)."""
 
-POTTS = 200
-VOTE_STEPS = 3
-FREE_SPACE = 30
+POTTS_COST = 200
+SATURATION_STEPS = 3
+FREE_SPACE_COST = 30
 """Cost of a change of plane label in a uniform part of the image; distance from a plane, in
 candidate steps, at which the cost of an answered pixel saturates (100); cost of an unanswered pixel
 on a plane that lies in the free space of another view."""
@@ -122,15 +122,17 @@ def fit_planes(inverse_depth: np.ndarray, keep: np.ndarray, tolerance: float) ->
         if len(rows) < fewest:
             break
         guesses = np.concatenate(
-            [_square_planes(rows, columns, inverse_depth, size) for size in SQUARES]
+            [_square_planes(rows, columns, inverse_depth, size) for size in SQUARE_SIDES]
         )
         if not len(guesses):
             break
-        stride = max(1, len(rows) // JUDGES)
+        stride = max(1, len(rows) // SCORING_PIXELS)
         judges = slice(stride // 2, None, stride)
         y, x = rows[judges], columns[judges]
         points, w = np.stack([x, y, np.ones(len(x))], 1), inverse_depth[y, x].astype(np.float64)
-        first = np.argsort(-_support(guesses, points, w, tolerance), kind="stable")[:REFITTED]
+        first = np.argsort(-_support(guesses, points, w, tolerance), kind="stable")[
+            :REFITTED_PLANES
+        ]
         refitted = _refit(guesses[first], points, w, tolerance)
         plane = refitted[_support(refitted, points, w, tolerance).argmax()]
         explained = left & (np.abs(_plane_depths(plane, *left.shape) - inverse_depth) < tolerance)
@@ -242,14 +244,14 @@ def fill_depth(
     y, x = np.indices(keep.shape)
     levels = np.stack([(a * x + b * y + c).clip(steps[0], steps[-1]) for a, b, c in planes])
     levels = levels.astype(np.float32)
-    off = np.minimum(np.abs(levels - inverse_depth) / (VOTE_STEPS * step), 1)
+    off = np.minimum(np.abs(levels - inverse_depth) / (SATURATION_STEPS * step), 1)
     votes = np.where(keep, 100 * off, 0).astype(np.uint8)
     for relative, source_depth in witnesses:
         for level, vote in zip(levels, votes, strict=True):
             verdict = cross_check(level, source_depth, relative, step)
-            vote[~keep & (verdict == IN_FRONT)] = FREE_SPACE
+            vote[~keep & (verdict == IN_FRONT)] = FREE_SPACE_COST
     votes = np.ascontiguousarray(votes.transpose(1, 2, 0))
-    label, _, _ = select_winners(aggregate(votes, guide, p1=POTTS, p2=POTTS))
+    label, _, _ = select_winners(aggregate(votes, guide, p1=POTTS_COST, p2=POTTS_COST))
     chosen = np.take_along_axis(levels, label[None].astype(np.int64), 0)[0]
     return np.where(keep, inverse_depth, chosen)
 

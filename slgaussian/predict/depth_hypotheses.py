@@ -15,8 +15,8 @@ MIN_CANDIDATES = 32
 MAX_DEPTH = 1e4
 """Farthest estimated depth in baselines, where even a long lens shows no parallax."""
 
-AGREEING = 3
-SPREAD = 0.9
+MIN_AGREEING = 3
+AGREEMENT_FACTOR = 0.9
 """Number of matches with inverse depths within this factor that establish a surface; fewer may be
 false matches."""
 
@@ -26,7 +26,7 @@ def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[fl
 
     Matches lie on texture and not on the nearest or farthest surface, so the range is wider than
     theirs: from half of the 2nd percentile to 1.25 times the 98th, or to 1.25 times the nearest
-    depth that :data:`AGREEING` matches share if that is greater, because near objects are often
+    depth that :data:`MIN_AGREEING` matches share if that is greater, because near objects are often
     small.
 
     Args:
@@ -36,8 +36,8 @@ def inverse_depth_range(inverse_depths: np.ndarray, baseline: float) -> tuple[fl
     low, high = np.percentile(inverse_depths, (2, 98))
     low = max(0.5 * low, 1 / (MAX_DEPTH * baseline))
     falling = np.sort(inverse_depths)[::-1]
-    first, last = falling[: 1 - AGREEING], falling[AGREEING - 1 :]
-    nearest = first[last >= SPREAD * first][:1].max(initial=high)
+    first, last = falling[: 1 - MIN_AGREEING], falling[MIN_AGREEING - 1 :]
+    nearest = first[last >= AGREEMENT_FACTOR * first][:1].max(initial=high)
     return float(low), float(max(1.25 * nearest, 2 * low))
 
 

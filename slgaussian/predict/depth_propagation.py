@@ -15,17 +15,17 @@ import numpy as np
 from slgaussian.predict.depth_completion import remove_speckles
 from slgaussian.predict.view_graph import Link
 
-SPECKLE = 1 / 1200
+MAX_SPECKLE_SHARE = 1 / 1200
 """Connected answered patches of at most this share of the image are removed as false matches."""
 
-ALIKE = 0.12
+COLOR_TOLERANCE = 0.12
 """Largest difference of smoothed colours, over RGB in [0, 1], at which a point of another view is
 accepted as the surface that this view shows, and not as a surface occluded by it."""
 
-SMOOTH = 5
+COLOR_FILTER_SIDE = 5
 """Side of the box filter of colours, pixels."""
 
-AROUND = 5
+MIN_NEIGHBOURS = 5
 """Number of propagated neighbours, of eight, from which a pixel between them is filled as well:
 points do not land on every pixel."""
 
@@ -73,7 +73,7 @@ def propagate_depth(
         images: V of float32 [H, W, 3]. RGB in [0, 1], with compensated exposure.
         links: V sequences of Link
     """
-    smooth = [cv2.blur(image, (SMOOTH, SMOOTH)) for image in images]
+    smooth = [cv2.blur(image, (COLOR_FILTER_SIDE, COLOR_FILTER_SIDE)) for image in images]
     result = []
     for i, view in enumerate(swept):
         landed = np.zeros(view.answered.shape, np.float32)
@@ -85,18 +85,20 @@ def propagate_depth(
             inside = (ratio > 1e-9) & (at >= 0).all(1) & (at < landed.shape[::-1]).all(1)
             column, row = at[inside].astype(np.int64).T
             off = smooth[link.source][y[inside], x[inside]] - smooth[i][row, column]
-            alike = np.abs(off).max(1) < np.float64(ALIKE)
+            alike = np.abs(off).max(1) < np.float64(COLOR_TOLERANCE)
             lent = (w[inside] / ratio[inside]).astype(np.float32)
             np.maximum.at(landed, (row[alike], column[alike]), lent[alike])
         landed = np.where(landed >= view.steps[0], landed, 0)
         around = cv2.boxFilter((landed > 0).astype(np.float32), -1, (3, 3), normalize=False)
-        between = (landed == 0) & (around >= AROUND - 0.5)
+        between = (landed == 0) & (around >= MIN_NEIGHBOURS - 0.5)
         landed = np.where(between, cv2.dilate(landed, np.ones((3, 3))), landed)
         if view.fixed is not None:
             landed[view.fixed] = 0
         inverse_depth = np.where(view.answered | (landed == 0), view.inverse_depth, landed)
         index = ((inverse_depth - view.steps[0]) / view.step).astype(np.float32)
         answered_or_lent = view.answered | (landed > 0)
-        answered = remove_speckles(index, answered_or_lent, int(SPECKLE * answered_or_lent.size))
+        answered = remove_speckles(
+            index, answered_or_lent, int(MAX_SPECKLE_SHARE * answered_or_lent.size)
+        )
         result.append(replace(view, inverse_depth=inverse_depth, answered=answered))
     return result

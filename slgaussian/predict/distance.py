@@ -13,14 +13,14 @@ import numpy as np
 from slgaussian.cameras.matches import LOWE_RATIO, Features, match, sift
 from slgaussian.cameras.relative import Relative
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
-from slgaussian.predict.pose_refinement import GATE
+from slgaussian.predict.pose_refinement import MAX_EPIPOLAR_DISTANCE
 from slgaussian.predict.view_graph import MIN_PARALLAX
 from slgaussian.scene import Camera
 
-ANCHORS = 4
+MIN_MATCHED_VIEWS = 4
 """Smallest number of matched views, if there are as many."""
 
-STRIDE = 20
+MAX_FRAME_STEP = 20
 """Largest number of frames between matched views: two thirds of a second of a published clip."""
 
 
@@ -38,7 +38,7 @@ def typical_depths(greys: Sequence[np.ndarray], cameras: Sequence[Camera]) -> np
         float64 [N]: Scene units; NaN everywhere if no two views have enough matches with parallax.
     """
     n = len(greys)
-    stride = min(max(n // ANCHORS, 1), STRIDE)
+    stride = min(max(n // MIN_MATCHED_VIEWS, 1), MAX_FRAME_STEP)
     features = cache(lambda view: sift(greys[view]))
     log_depths: dict[int, list[float]] = {}
     ahead = stride
@@ -71,7 +71,7 @@ def _median_depths(
     if not len(i):
         return None
     a, b = features_a.points[i], features_b.points[j]
-    gate = GATE * float(np.hypot(camera_a.height, camera_a.width))
+    gate = MAX_EPIPOLAR_DISTANCE * float(np.hypot(camera_a.height, camera_a.width))
     fits = np.abs(relative.epipolar_distance(a, b)) < gate
     a, b = a[fits], b[fits]
     near_a, near_b = relative.triangulate(a, b), relative.reversed().triangulate(b, a)

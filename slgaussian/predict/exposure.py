@@ -14,18 +14,18 @@ MIN_SAMPLES = 200
 MAX_SAMPLES = 20_000
 """Largest number of pixels per view that are compared, evenly spread."""
 
-DARK, BRIGHT = 8, 245
+MIN_VALUE, MAX_VALUE = 8, 245
 """Range of pixel values that are compared: darker ones are noise, brighter ones clipped."""
 
 MAX_GAIN = 2.0
 """Limit of the gain; larger estimates are errors."""
 
-USUAL = 0.03
+HUBER_THRESHOLD = 0.03
 """Huber threshold on log exposure: the usual variation of a camera. The influence of a view farther
 from its neighbourhood stays constant. One photograph of five with 0.7 times the light then costs
 0.2 dB in novel views, and 1.3 dB with a plain mean."""
 
-ROUNDS = 20
+ITERATIONS = 20
 """Iterations of reweighting; the last changes exposures by less than a thousandth."""
 
 
@@ -40,7 +40,7 @@ def color_gains(
     Log exposures are fitted by least squares to the median ratios over the answered pixels of a
     view and their projections in a linked one. Each view is brought to the mean exposure of its
     neighbourhood (:meth:`slgaussian.predict.view_graph.ViewGraph.closeness`), so that novel views
-    along a walk look like the photographs near them. The mean is robust (:data:`USUAL`).
+    along a walk look like the photographs near them. The mean is robust (:data:`HUBER_THRESHOLD`).
 
     Args:
         images: V of uint8 [H, W, 3]
@@ -59,7 +59,7 @@ def color_gains(
         inside = (ratio > 0) & (positions >= 0).all(1) & (positions < (W, H)).all(1)
         column, row = positions[inside].astype(np.int64).T
         pair = np.stack([here[inside], images[j][row, column]], 1)
-        fair = (pair.min((1, 2)) >= DARK) & (pair.max((1, 2)) <= BRIGHT)
+        fair = (pair.min((1, 2)) >= MIN_VALUE) & (pair.max((1, 2)) <= MAX_VALUE)
         if fair.sum() >= MIN_SAMPLES:
             logs = np.log(pair[fair].astype(np.float64))
             sign = np.zeros(len(images))
@@ -72,8 +72,8 @@ def color_gains(
     darker = np.linalg.lstsq(np.array(rows), np.array(ratios), rcond=None)[0]
     weights = graph.closeness()
     mean = weights @ darker
-    for _ in range(ROUNDS):  # Huber 1964
+    for _ in range(ITERATIONS):  # Huber 1964
         off = np.abs(darker - mean[:, None])
-        say = weights[..., None] * USUAL / np.maximum(off, USUAL)
+        say = weights[..., None] * HUBER_THRESHOLD / np.maximum(off, HUBER_THRESHOLD)
         mean = (say * darker).sum(1) / say.sum(1)
     return np.exp(darker - mean).clip(1 / MAX_GAIN, MAX_GAIN)

@@ -10,11 +10,11 @@ from slgaussian.cameras.relative import Relative
 from slgaussian.predict.depth_completion import AGREES, IN_FRONT, cross_check
 from slgaussian.predict.view_graph import Link, ViewGraph
 
-COPIES = 2
+MAX_COPIES = 2
 """Largest number of views that draw one surface. On a forward-facing capture of eight views one is
 0.3 dB worse, and all eight are 1 dB worse."""
 
-FEATHER = 16.0
+FEATHER_WIDTH = 16.0
 """Distance from the image border, pixels, over which the blending weight of a view rises to 1, so
 that no seam appears where its image ends."""
 
@@ -30,7 +30,7 @@ def select_drawn(
     With two views all pixels are selected. With more, a view without confirmed depth is skipped,
     and a guessed pixel is dropped where any view has confirmed a surface behind it. The first two
     views keep the rest. Every later view keeps the pixels of surfaces that earlier views draw less
-    than :data:`COPIES` times, unless they lie in front of confirmed depth of an earlier view
+    than :data:`MAX_COPIES` times, unless they lie in front of confirmed depth of an earlier view
     (guessed pixels: of drawn depth).
 
     Args:
@@ -58,7 +58,7 @@ def select_drawn(
             verdict = cross_check(depth, drawn, relatives[j], steps[i])
             keep[i] &= ~(guessed & (verdict == IN_FRONT))
             copies += verdict == AGREES
-        keep[i] &= copies < COPIES
+        keep[i] &= copies < MAX_COPIES
     return keep
 
 
@@ -70,9 +70,10 @@ def blend(
 ) -> list[np.ndarray]:
     """Blend the colours of every view with those of linked views that show the same surface.
 
-    The weight of a view falls off within :data:`FEATHER` of its border and is zero where its depth
-    disagrees. The nearest source has the same weight as the view itself; the weight of further
-    sources falls with the square of their distance, because specular surfaces look different.
+    The weight of a view falls off within :data:`FEATHER_WIDTH` of its border and is zero where its
+    depth disagrees. The nearest source has the same weight as the view itself; the weight of
+    further sources falls with the square of their distance, because specular surfaces look
+    different.
 
     Args:
         images: V of float32 [H, W, 3]
@@ -108,7 +109,7 @@ def blend(
 def _border_weight(u: np.ndarray, v: np.ndarray, width: int, height: int) -> np.ndarray:
     """Return the blending weight of a view at its pixels (u, v), float32."""
     inwards = np.minimum(np.minimum(u, width - u), np.minimum(v, height - v))
-    return np.minimum(inwards / FEATHER, 1).astype(np.float32)
+    return np.minimum(inwards / FEATHER_WIDTH, 1).astype(np.float32)
 
 
 def _sampled(image: np.ndarray, at: np.ndarray) -> np.ndarray:

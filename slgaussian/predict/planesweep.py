@@ -32,7 +32,7 @@ from slgaussian.predict.depth_hypotheses import (
     inverse_depth_range,
     visible_share,
 )
-from slgaussian.predict.depth_propagation import SPECKLE, SweptView, propagate_depth
+from slgaussian.predict.depth_propagation import MAX_SPECKLE_SHARE, SweptView, propagate_depth
 from slgaussian.predict.exposure import color_gains
 from slgaussian.predict.fusion import blend, select_drawn
 from slgaussian.predict.pose_refinement import anchor_cameras
@@ -153,7 +153,9 @@ def sweep(settings: PlaneSweep, sample: Sample, links: Sequence[Sequence[Link]])
             source_depth = results[link.source][0].inverse_depth
             verdict = cross_check(mine.inverse_depth, source_depth, link.relative, mine.step)
             agrees |= verdict == AGREES
-        answered = remove_speckles(index, agrees & mine.answered, int(SPECKLE * index.size))
+        answered = remove_speckles(
+            index, agrees & mine.answered, int(MAX_SPECKLE_SHARE * index.size)
+        )
         result.append(SweptView(mine.steps, mine.inverse_depth, answered))
     return result
 

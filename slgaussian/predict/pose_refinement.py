@@ -18,22 +18,22 @@ from slgaussian.cameras.relative import Relative
 from slgaussian.cameras.tracks import join_tracks, triangulate
 from slgaussian.scene import Camera
 
-TURN = np.radians(0.15)
-MOVE = 0.05
+ROTATION_STD = np.radians(0.15)
+CENTER_STD = 0.05
 """Assumed standard deviations of a given pose: of the rotation, radians, and of the centre, as a
 share of the distance to the nearest other view."""
 
 ITERATIONS, TOLERANCE = 30, 1e-5
 
-MIN_REFINE = 30
+MIN_REFINED_MATCHES = 30
 """Smallest number of matches near their epipolar lines for a refinement of the pose."""
 
-GATE = 0.02
+MAX_EPIPOLAR_DISTANCE = 0.02
 """Distance to the epipolar line, as a share of the image diagonal, beyond which a match is an
 outlier under the given pose: 0.02 allows about one degree of rotation at common focal lengths."""
 
-PRIOR_ROTATION = np.radians(0.3)
-PRIOR_DIRECTION = np.radians(5.0)
+RELATIVE_ROTATION_STD = np.radians(0.3)
+RELATIVE_DIRECTION_STD = np.radians(5.0)
 """Assumed standard deviations of a given relative pose. The direction of a short baseline is its
 least certain part."""
 
@@ -42,13 +42,13 @@ def refine(prior: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
     """Refine rotation and translation direction by the Sampson distance of matches.
 
     Robust least squares with the given pose as a prior. The baseline length does not change; with
-    fewer than :data:`MIN_REFINE` matches neither does the pose.
+    fewer than :data:`MIN_REFINED_MATCHES` matches neither does the pose.
 
     Args:
         prior: The given pose.
         ref, src: float64 [M, 2]. Matched pixels of the reference and the source.
     """
-    if len(ref) < MIN_REFINE:
+    if len(ref) < MIN_REFINED_MATCHES:
         return prior
     length = np.linalg.norm(prior.t)
     direction = prior.t / length
@@ -60,7 +60,7 @@ def refine(prior: Relative, ref: np.ndarray, src: np.ndarray) -> Relative:
         R = cv2.Rodrigues(step[:3])[0] @ prior.R
         return replace(prior, R=R, t=turned * (length / np.linalg.norm(turned)))
 
-    deviation = np.repeat([PRIOR_ROTATION, PRIOR_DIRECTION], [3, 2])
+    deviation = np.repeat([RELATIVE_ROTATION_STD, RELATIVE_DIRECTION_STD], [3, 2])
 
     def residuals(step: np.ndarray) -> np.ndarray:
         return np.concatenate([moved(step).epipolar_distance(ref, src), step / deviation])
@@ -119,7 +119,7 @@ def refine_cameras(
             xy=uv[in_front] * focals[tracks.view[in_front], None],
             focal_prior=focals,
             focal_sigma=np.zeros(count),
-            poses=PosePrior(R, centers, TURN, MOVE * nearest),
+            poses=PosePrior(R, centers, ROTATION_STD, CENTER_STD * nearest),
         ),
         iterations=ITERATIONS,
         tolerance=TOLERANCE,

@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.cameras.check import COARSE, agree
+from slgaussian.cameras.check import COARSE_DISTANCE, agree
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError
 from slgaussian.formats.depth_maps import DepthMap, known_depth, name_keys, read_geometry, read_map
 from slgaussian.formats.resampling import Window, sample_depth
 from slgaussian.gaussians import Gaussians
-from slgaussian.masks.configs import DEPTHS
+from slgaussian.masks.configs import DEPTH_SUFFIXES
 from slgaussian.predict.configs import PrecomputedGeometryConfig
 from slgaussian.predict.depth_completion import AGREES, BEHIND, IN_FRONT, UNSEEN, cross_check
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
@@ -33,28 +33,28 @@ from slgaussian.predict.planesweep import PlaneSweep, assemble, choose_steps, de
 from slgaussian.predict.view_graph import ViewGraph, link_views
 from slgaussian.scene import Camera, Sample, View
 
-FITS = 0.5
+MIN_EXPLAINED_SHARE = 0.5
 """Share of the matches whose reprojection error must be within
-:data:`slgaussian.cameras.check.COARSE`. Right readings reach 0.8 and more."""
+:data:`slgaussian.cameras.check.COARSE_DISTANCE`. Right readings reach 0.8 and more."""
 
-INFORMED = 0.85
-PARALLAX = 0.3
-"""The reprojection error must be below ``INFORMED`` times that of a constant depth, if the latter
-is above ``PARALLAX``: with less parallax nearly any depth fits."""
+MAX_ERROR_RATIO = 0.85
+MIN_PARALLAX = 0.3
+"""The reprojection error must be below ``MAX_ERROR_RATIO`` times that of a constant depth, if the
+latter is above ``MIN_PARALLAX``: with less parallax nearly any depth fits."""
 
-MUCH_BETTER = 0.9
+BETTER_ERROR_RATIO = 0.9
 """A less usual reading is chosen if its error is below this share of the error of the usual one."""
 
-MOVING = 1.0
+MIN_SCALE_PARALLAX = 1.0
 """Smallest parallax of a match, pixels, from which a scale is measured."""
 
-SAME_UNIT = 0.03
+UNIT_TOLERANCE = 0.03
 """Relative difference up to which a scale is rounded to a power of ten, as for millimetres."""
 
-LEVELS = 10
+CONFIDENCE_LEVELS = 10
 """Number of quantiles into which confidence is divided."""
 
-FRAMES = re.compile(r"_\d{4,}_\d{4,}$")
+FRAME_NUMBERS = re.compile(r"_\d{4,}_\d{4,}$")
 """Frame numbers at the end of the name of a sample of a place, as in ``hall_0003_0007``."""
 
 Matches = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
@@ -70,9 +70,9 @@ class PrecomputedGeometry(PrecomputedGeometryConfig):
     ``geometry`` is an NPZ with a map of every context view (:mod:`slgaussian.formats.depth_maps`),
     assigned by its array ``names`` or, without one, by the order of the views; or a folder with a
     file for each view, of the same name: for ``images/0013.jpg`` it is ``images/0013.png``,
-    or else ``0013.png``, or another of :data:`slgaussian.masks.configs.DEPTHS`, and confidence
-    ``0013_conf.png``. With several scenes, each may have a subfolder of its name; samples of one
-    place, such as ``hall_0003_0007``, share the subfolder of the place, ``hall``.
+    or else ``0013.png``, or another of :data:`slgaussian.masks.configs.DEPTH_SUFFIXES`, and
+    confidence ``0013_conf.png``. With several scenes, each may have a subfolder of its name;
+    samples of one place, such as ``hall_0003_0007``, share the subfolder of the place, ``hall``.
 
     Pixels without depth are completed like pixels that a sweep could not match. Pixels of a level
     of confidence that other views mostly contradict are marked as guessed.
@@ -113,7 +113,7 @@ def find_maps(place: Path, sample: Sample) -> list[DepthMap]:
         return _of_views(place, names)
     if not place.is_dir():
         raise InputError(f"{place}: is no folder and no .npz; give one of both")
-    folders = (place / name for name in (sample.scene, FRAMES.sub("", sample.scene)))
+    folders = (place / name for name in (sample.scene, FRAME_NUMBERS.sub("", sample.scene)))
     place = next((folder for folder in folders if folder.is_dir()), place)
     return [_find_map(place, name) for name in names]
 
@@ -131,7 +131,7 @@ def _of_views(file: Path, views: Sequence[str]) -> list[DepthMap]:
 def _find_map(folder: Path, view: str) -> DepthMap:
     for key in dict.fromkeys(name_keys(view)):
         files, beside = (
-            [file for suffix in DEPTHS if (file := folder / f"{name}{suffix}").is_file()]
+            [file for suffix in DEPTH_SUFFIXES if (file := folder / f"{name}{suffix}").is_file()]
             for name in (key, f"{key}_conf")
         )
         if len(files) > 1:
@@ -143,13 +143,13 @@ def _find_map(folder: Path, view: str) -> DepthMap:
             return DepthMap(str(files[0]), known_depth(read_map(files[0])), sure)
     raise InputError(
         f"{folder}: has no depth of view {view!r}; expected {Path(view).stem} with one of "
-        f"{', '.join(DEPTHS)}"
+        f"{', '.join(DEPTH_SUFFIXES)}"
     )
 
 
 def agreeing(views: Sequence[View], graph: MatchGraph) -> Matches:
     """Return the matches of each pair that fit a fundamental matrix, independent of the cameras."""
-    bound = COARSE * float(np.hypot(*views[0].grey.shape))
+    bound = COARSE_DISTANCE * float(np.hypot(*views[0].grey.shape))
     matches_of_pair = {}
     for pair in graph.matches:
         a, b = graph.points(*pair)
@@ -214,7 +214,7 @@ def z_at(depth: np.ndarray, at: np.ndarray) -> Depth:
 
 def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) -> Fitted:
     """Reproject matches by the z-depth of V views, with one scale or one a view if better."""
-    bound = COARSE * float(np.hypot(cameras[0].height, cameras[0].width))
+    bound = COARSE_DISTANCE * float(np.hypot(cameras[0].height, cameras[0].width))
     seen = []
     for (i, j), (p, q) in matches.items():
         for a, b, here, there in ((i, j, p, q), (j, i, q, p)):
@@ -226,7 +226,7 @@ def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) ->
     ratios: list[list[np.ndarray]] = [[] for _ in cameras]
     for a, relative, here, there, z in seen:
         inverse = relative.triangulate(here, there)
-        moves = inverse * relative.parallax(here) > MOVING
+        moves = inverse * relative.parallax(here) > MIN_SCALE_PARALLAX
         ratios[a].append(1 / (inverse[moves] * z[moves]))
     each = [np.concatenate([np.zeros(0), *own]) for own in ratios]
     whole = np.concatenate(each)
@@ -234,7 +234,7 @@ def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) ->
     if len(whole) >= MIN_MATCHES:
         common = float(np.median(whole))
         unit = float(10.0 ** np.round(np.log10(common)))
-        if abs(common / unit - 1) < SAME_UNIT:
+        if abs(common / unit - 1) < UNIT_TOLERANCE:
             common = unit
         tries.append((f"times {common:.4g}", ones * common))
         own = np.array([np.median(r) if len(r) >= MIN_MATCHES else common for r in each])
@@ -248,7 +248,7 @@ def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) ->
         errors = np.concatenate(off)
         if len(errors):
             error, share = float(np.minimum(errors, 1).mean()), float((errors < 1).mean())
-            if not best.count or error < MUCH_BETTER * best.error:
+            if not best.count or error < BETTER_ERROR_RATIO * best.error:
                 best = Fitted(error, share, len(errors), scales, scaling)
     return best
 
@@ -268,10 +268,10 @@ def choose_reading(
     """
     tried = [(reading, fit(*reading[1:], matches)) for reading in readings]
     least = min(fitted.error for _, fitted in tried)
-    chosen, fitted = next(one for one in tried if MUCH_BETTER * one[1].error <= least)
+    chosen, fitted = next(one for one in tried if BETTER_ERROR_RATIO * one[1].error <= least)
     blank = fit(chosen[1], [lambda points: np.ones(len(points))] * len(chosen[1]), matches)
-    misfit = blank.error > PARALLAX and fitted.error > INFORMED * blank.error
-    if fitted.count >= 2 * MIN_MATCHES and (fitted.share < FITS or misfit):
+    misfit = blank.error > MIN_PARALLAX and fitted.error > MAX_ERROR_RATIO * blank.error
+    if fitted.count >= 2 * MIN_MATCHES and (fitted.share < MIN_EXPLAINED_SHARE or misfit):
         raise InputError(
             f"{place}: depth does not fit the photographs: the best of {len(tried)} readings, "
             f"along z or the ray, takes {fitted.share:.0%} of {fitted.count} matches to where the "
@@ -393,11 +393,15 @@ def _low(
     if any(one is None for one in confidences) or not judged.any():
         return low
     sure = np.stack([one for one in confidences if one is not None])
-    levels = np.unique(np.quantile(sure[judged], np.arange(LEVELS) / LEVELS, method="nearest"))
+    levels = np.unique(
+        np.quantile(
+            sure[judged], np.arange(CONFIDENCE_LEVELS) / CONFIDENCE_LEVELS, method="nearest"
+        )
+    )
     level = np.searchsorted(levels, sure, side="right")
     for k in range(1, len(levels) + 1):
         at = judged & (level == k)
-        if agrees[at].mean() >= FITS:
+        if agrees[at].mean() >= MIN_EXPLAINED_SHARE:
             break
         low |= level <= k
     return low

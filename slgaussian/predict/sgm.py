@@ -11,7 +11,7 @@ import numpy as np
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.work_sharing import share, take
 
-_FAR = np.int16(20000)
+_INFINITE_COST = np.int16(20000)
 
 
 def aggregate(
@@ -58,7 +58,7 @@ def _sweep(cost, guide, jumps, p1, down, total):
     # Padding of one cell at both ends avoids a branch for the first and last candidate.
     start, along = np.empty(D + 2, np.int16), np.empty((2, D + 2), np.int16)
     across = np.empty((2, 3, W, D + 2), np.int16)
-    start[:], along[:], across[:] = _FAR, _FAR, _FAR
+    start[:], along[:], across[:] = _INFINITE_COST, _INFINITE_COST, _INFINITE_COST
     start[1 : D + 1] = 0
     least_across = np.zeros((2, 3, W), np.int16)
     for k in range(H):
@@ -93,7 +93,7 @@ def _sweep(cost, guide, jumps, p1, down, total):
 def _follow(previous, minimum, jump, p1, here, this, sums):
     """Extend a path by one pixel: write its costs, add them to ``sums``, return their minimum."""
     ceiling = np.int16(minimum + jump)
-    lowest = _FAR
+    lowest = _INFINITE_COST
     for d in range(here.shape[0]):
         side = np.int16(min(previous[d], previous[d + 2]) + p1)
         value = np.int16(min(min(previous[d + 1], side), ceiling) - minimum + here[d])

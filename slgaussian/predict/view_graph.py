@@ -12,30 +12,35 @@ from slgaussian.cameras.match_graph import MatchGraph, neighbours
 from slgaussian.cameras.relative import Relative
 from slgaussian.errors import InputError, listed
 from slgaussian.predict.depth_hypotheses import MIN_MATCHES
-from slgaussian.predict.pose_refinement import GATE, MIN_REFINE, refine, refine_cameras
+from slgaussian.predict.pose_refinement import (
+    MAX_EPIPOLAR_DISTANCE,
+    MIN_REFINED_MATCHES,
+    refine,
+    refine_cameras,
+)
 from slgaussian.scene import Camera, Sample, View
 
-INLIER = 2.0
+INLIER_DISTANCE = 2.0
 """Distance to the refined epipolar line, pixels, up to which a match counts for the range."""
 
 MIN_PARALLAX = 1.0
 """Smallest parallax of matches, pixels (90th percentile), at which two views count as separate
 viewpoints: the matches themselves have errors of a few tenths of a pixel."""
 
-SOURCES = 4
+MAX_SOURCES = 4
 """Largest number of source views of one reference view. On a walk and a forward-facing capture two
 and three sources are worse; memory is proportional to the number."""
 
-BELIEVED = 2
+UNMATCHED_LINKS = 2
 """Number of nearest views that a view without matches is linked with."""
 
-WELL_POSED = 0.0015
+WELL_POSED_DISTANCE = 0.0015
 """Median epipolar distance of matches, as a share of the image diagonal (a pixel of 540x360), up to
 which given poses are not refined. Below it, refinement fits noise, because a small rotation looks
 like a change of depth: it raises the depth error of an exact stereo rig from 1.7 to 2.1 %."""
 
 BEST_ANGLE = 5.0
-NARROW, BROAD = 2.0, 10.0
+NARROW_STD, BROAD_STD = 2.0, 10.0
 """Triangulation angle, degrees, with the greatest weight, and the standard deviations of the weight
 for narrower and wider angles (Yao et al. 2018, "MVSNet", section 4.1)."""
 
@@ -96,12 +101,16 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     matches, rejected = _verified_matches(views, graph)
     points = graph.keypoints
     cameras = [view.camera for view in views]
-    dense = {pair: indices for pair, indices in matches.items() if len(indices[0]) >= MIN_REFINE}
+    dense = {
+        pair: indices for pair, indices in matches.items() if len(indices[0]) >= MIN_REFINED_MATCHES
+    }
     off = [np.zeros(0)]
     for (i, j), (p, q) in dense.items():
         relative = Relative.between(cameras[i], cameras[j])
         off.append(np.abs(relative.epipolar_distance(points[i][p], points[j][q])))
-    if dense and np.median(np.concatenate(off)) > WELL_POSED * np.hypot(*views[0].grey.shape):
+    if dense and np.median(np.concatenate(off)) > WELL_POSED_DISTANCE * np.hypot(
+        *views[0].grey.shape
+    ):
         cameras = refine_cameras(cameras, points, dense)
     scored_links: list[list[tuple[float, Link]]] = [[] for _ in views]
     for (i, j), (p, q) in matches.items():
@@ -116,7 +125,7 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
                 "(slgaussian.predict.view_graph.select_usable)",
                 stacklevel=3,
             )
-        for i, j in neighbours(views, BELIEVED):
+        for i, j in neighbours(views, UNMATCHED_LINKS):
             if (i, j) not in rejected and alone & {i, j}:
                 _link(scored_links, cameras, i, j, np.zeros((0, 2)), np.zeros((0, 2)))
         alone = {i for i, sources in enumerate(scored_links) if not sources}
@@ -131,7 +140,7 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
             "overlap, or give near and far"
         )
     best = [sorted(sources, key=lambda scored: -scored[0]) for sources in scored_links]
-    return ViewGraph(cameras, [[link for _, link in sources[:SOURCES]] for sources in best])
+    return ViewGraph(cameras, [[link for _, link in sources[:MAX_SOURCES]] for sources in best])
 
 
 def select_usable(sample: Sample) -> tuple[Sample, MatchGraph, dict[str, str]]:
@@ -177,9 +186,11 @@ def _verified_matches(
         initial = Relative.between(views[i].camera, views[j].camera)
         p, q = graph.matches[i, j]
         a, b = graph.points(i, j)
-        possible = np.abs(initial.epipolar_distance(a, b)) < GATE * np.hypot(*views[i].grey.shape)
+        possible = np.abs(initial.epipolar_distance(a, b)) < MAX_EPIPOLAR_DISTANCE * np.hypot(
+            *views[i].grey.shape
+        )
         relative = refine(initial, a[possible], b[possible])
-        fits = possible & (np.abs(relative.epipolar_distance(a, b)) < INLIER)
+        fits = possible & (np.abs(relative.epipolar_distance(a, b)) < INLIER_DISTANCE)
         p, q, a, b = (array[fits] for array in (p, q, a, b))
         front = (relative.triangulate(a, b) > 0) & (relative.reversed().triangulate(b, a) > 0)
         if len(a) < MIN_MATCHES:
@@ -225,10 +236,10 @@ def _link(
     forth = Relative.between(cameras[i], cameras[j])
     back = forth.reversed()
     depth_a, depth_b = forth.triangulate(at_a, at_b), back.triangulate(at_b, at_a)
-    fits = np.abs(forth.epipolar_distance(at_a, at_b)) < INLIER
+    fits = np.abs(forth.epipolar_distance(at_a, at_b)) < INLIER_DISTANCE
     good = fits & (depth_a > 0) & (depth_b > 0)
     angle = np.degrees(np.arctan(depth_a * forth.parallax(at_a) / cameras[j].K[0, 0]))[good]
-    wide = np.where(angle < BEST_ANGLE, NARROW, BROAD)
+    wide = np.where(angle < BEST_ANGLE, NARROW_STD, BROAD_STD)
     worth = float(np.exp(-0.5 * ((angle - BEST_ANGLE) / wide) ** 2).sum())
     scored_links[i].append((worth, Link(j, forth, depth_a[good])))
     scored_links[j].append((worth, Link(i, back, depth_b[good])))

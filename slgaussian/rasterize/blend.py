@@ -11,10 +11,10 @@ from slgaussian.kernels.simd import LANES, vany, vexp2, vload, vstore, vsum, vwh
 from slgaussian.kernels.work_sharing import share, take
 from slgaussian.rasterize.project import MOMENTS
 from slgaussian.rasterize.tiles import (
-    ACROSS,
     BLOCK,
-    DOWN,
-    STRIP,
+    LANE_COLUMNS,
+    LANE_ROWS,
+    STRIP_TILES,
     TILE_BLOCKS,
     TILE_HEIGHT,
     Bins,
@@ -26,7 +26,7 @@ from slgaussian.rasterize.tiles import (
     tile_range,
 )
 
-PATIENCE = 8
+OPAQUE_TEST_INTERVAL = 8
 """Splats composited between two tests whether all pixels of a block are opaque."""
 
 
@@ -70,14 +70,14 @@ def _draw(counter, splats, boxes, values, bins, alpha_max, pass_min, image, alph
     channels += 1
     with_median = median.size > 0
     strip, tiles = take(counter), bins.across * bins.down
-    if strip * STRIP >= tiles:
+    if strip * STRIP_TILES >= tiles:
         return
     capacity = fullest(bins)
     work = make_workspace(capacity, channels - 1)
     sums = np.empty((channels + 3) * LANES, np.float32)
     alphas, middles = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
-    while strip * STRIP < tiles:
-        for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
+    while strip * STRIP_TILES < tiles:
+        for tile in range(strip * STRIP_TILES, min(tiles, (strip + 1) * STRIP_TILES)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
             for block in range(TILE_BLOCKS):
                 x0, y0 = corner_of(block, left, top)
@@ -133,14 +133,14 @@ def _draw_backward(
     channels += 1
     sums = MOMENTS + channels
     strip, tiles = take(counter), bins.across * bins.down
-    if strip * STRIP >= tiles:
+    if strip * STRIP_TILES >= tiles:
         return
     capacity = fullest(bins)
     work = make_workspace(capacity, channels - 1)
     totals = np.empty(capacity * sums * LANES, np.float32)
     upstream = np.empty((channels + 1) * LANES, np.float32)
-    while strip * STRIP < tiles:
-        for tile in range(strip * STRIP, min(tiles, (strip + 1) * STRIP)):
+    while strip * STRIP_TILES < tiles:
+        for tile in range(strip * STRIP_TILES, min(tiles, (strip + 1) * STRIP_TILES)):
             left, top = load_tile(tile, bins, splats, boxes, values, work)
             start = bins.starts[tile]
             n = bins.starts[tile + 1] - start
@@ -186,7 +186,7 @@ def blend_weights(block, work, alpha_max, pass_min):
     finished = max(pass_min, np.float32(1e-30))
     j, count = 0, work.counts[block]
     while j < count and vany(transmittance >= finished):
-        for now in range(j, min(j + PATIENCE, count)):
+        for now in range(j, min(j + OPAQUE_TEST_INTERVAL, count)):
             local = work.local[np.uint32(work.lists[first + now])]
             e, d = _offsets(left, top, local)
             power = local.power - e * e - d * d
@@ -197,7 +197,7 @@ def blend_weights(block, work, alpha_max, pass_min):
             vstore(work.weights, now * LANES, weight)
             transmittance = transmittance - weight
             accumulated = accumulated + weight
-        j = min(j + PATIENCE, count)
+        j = min(j + OPAQUE_TEST_INTERVAL, count)
     return j, transmittance, accumulated
 
 
@@ -213,9 +213,9 @@ def _offsets(left, top, local):
     """Return distances e and d of pixels: horizontal, from the splat's axis in their row, and
     vertical, from its centre, in units in which the Gaussian is ``2^-(e^2 + d^2)``.
     """
-    e = vload(ACROSS, 0) * local.root + (local.root * (left - local.x) - local.slant * top)
-    d = vload(DOWN, 0) * local.row_root + local.row_root * (top - local.y)
-    return e - vload(DOWN, 0) * local.slant, d
+    e = vload(LANE_COLUMNS, 0) * local.root + (local.root * (left - local.x) - local.slant * top)
+    d = vload(LANE_ROWS, 0) * local.row_root + local.row_root * (top - local.y)
+    return e - vload(LANE_ROWS, 0) * local.slant, d
 
 
 @kernel(inline="always")

@@ -25,11 +25,11 @@ from slgaussian.rasterize.api import Render, check_inputs
 from slgaussian.rasterize.render_settings import Settings
 from slgaussian.scene import Camera
 
-LEAST_ALPHA_MAX = 0.99
+MIN_ALPHA_MAX = 0.99
 """Smallest accepted ``alpha_max``, the constant of Kerbl et al. 2023, within 0.01 of gsplat's own
 0.999. A stronger clamp would be visible and is refused."""
 
-FAR = torch.finfo(torch.float32).max
+FAR_PLANE = torch.finfo(torch.float32).max
 """gsplat's far plane, at infinity: a camera's ``far`` is not used."""
 
 
@@ -43,7 +43,7 @@ def render(
     Raises:
         InputError: If the tensors are not on one CUDA device, gsplat is not installed or has no
             compiled kernels, or it does not support the request: the median depth, pixels with
-            skew, or an ``alpha_max`` below :data:`LEAST_ALPHA_MAX`.
+            skew, or an ``alpha_max`` below :data:`MIN_ALPHA_MAX`.
     """
     _check_possible(camera, settings, median)
     device = _one_device(gaussians, values)
@@ -75,7 +75,7 @@ def render(
         width=camera.width,
         height=camera.height,
         near_plane=settings.near,
-        far_plane=FAR,
+        far_plane=FAR_PLANE,
         eps2d=settings.low_pass,
         packed=False,
     )
@@ -94,10 +94,10 @@ def _check_possible(camera: Camera, settings: Settings, median: bool) -> None:
             f"camera K: found a skew of {camera.K[0, 1]:g} px, expected 0, as gsplat (backend "
             f"'cuda') has no skew; {instead}"
         )
-    if settings.alpha_max < LEAST_ALPHA_MAX:
+    if settings.alpha_max < MIN_ALPHA_MAX:
         raise InputError(
             f"rasterize settings alpha_max: found {settings.alpha_max}, expected "
-            f"{LEAST_ALPHA_MAX} or more, as gsplat (backend 'cuda') clamps to 0.999; {instead}"
+            f"{MIN_ALPHA_MAX} or more, as gsplat (backend 'cuda') clamps to 0.999; {instead}"
         )
 
 

@@ -25,10 +25,10 @@ from slgaussian.rasterize.picture import picture, seen_colors
 from slgaussian.rasterize.render_settings import PRESETS
 from slgaussian.scene import Camera
 
-GREY = 1 / 255
+GREY_LEVEL = 1 / 255
 """A grey level."""
 
-COLOUR, OPACITY, FEATURE = 16 * GREY, 0.1, 1 / 64
+MAX_COLOUR_RANGE, MAX_OPACITY_RANGE, MAX_FEATURE_RANGE = 16 * GREY_LEVEL, 0.1, 1 / 64
 """Largest range within a merged cell and its neighbours: of a colour, of opacity and of a semantic
 feature. With a looser range of colours more merges are undone: at 24 grey levels up to 0.05 more of
 the Gaussians remain, at 12 up to 0.02."""
@@ -36,40 +36,40 @@ the Gaussians remain, at 12 up to 0.02."""
 HALVINGS = 2
 """Number of 2x2 merges. A third leaves as many Gaussians and adds a tenth to the error."""
 
-APART = 6.0
+MAX_NEIGHBOUR_DISTANCE = 6.0
 """Distance of neighbours, in standard deviations of the wider one, above which a surface ends."""
 
-BENT = 2.0
+MAX_BEND = 2.0
 """Largest deviation of four neighbours from a parallelogram, in units of its shorter side. Depth
 noise is that large, and it is hardly visible along the line of sight."""
 
-BLOCK = 4
+BLOCK_SIDE = 4
 """Side of the blocks of pixels in which changes are measured."""
 
-LIMIT = 2 * GREY
+MAX_BLOCK_CHANGE = 2 * GREY_LEVEL
 """Mean change of a block above which its merges are undone."""
 
-MOST = GREY
+MAX_VIEW_CHANGE = GREY_LEVEL
 """Largest root mean square change of a context view."""
 
-AIM = 0.9
-"""Target of the change of a view above :data:`MOST`, as a share of it: undoing a block changes its
-neighbours as well."""
+TARGET_SHARE = 0.9
+"""Target of the change of a view above :data:`MAX_VIEW_CHANGE`, as a share of it: undoing a block
+changes its neighbours as well."""
 
-ROUNDS = 2
-"""Number of rounds in which the greatest changes of a view above :data:`MOST` are undone; after
-them all merges visible in the view are undone."""
+UNDO_ROUNDS = 2
+"""Number of rounds in which the greatest changes of a view above :data:`MAX_VIEW_CHANGE` are
+undone; after them all merges visible in the view are undone."""
 
-BEHIND = 0.1
+OCCLUSION_TOLERANCE = 0.1
 """Relative depth behind the visible surface beyond which a Gaussian counts as occluded. In wide
 scenes with many views, most Gaussians are occluded in most views."""
 
-REACH = 3.0
+EXTENT = 3.0
 """Visible extent of a Gaussian, in standard deviations."""
 
 LOW_PASS = PRESETS["fast"].low_pass
 
-VISIBLE = 0.5
+MIN_OPACITY = 0.5
 """Smallest opacity at which the mean colour is fully shown, as in renderings of fields."""
 
 
@@ -104,8 +104,8 @@ class Merged(NamedTuple):
 def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
     """Merge Gaussians of neighbouring pixels without visible change of the context views.
 
-    No view changes by more than a grey level (:data:`MOST`, see :class:`Change`). Where one would,
-    the merges in its blocks of greatest change are undone.
+    No view changes by more than a grey level (:data:`MAX_VIEW_CHANGE`, see :class:`Change`). Where
+    one would, the merges in its blocks of greatest change are undone.
 
     Args:
         gaussians: ``source`` has their pixels; only the first Gaussian of a pixel is merged. With
@@ -127,24 +127,25 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
         ndimage.maximum_filter(_blocks(np.where(depth > 0, depth, np.inf)).max((1, 3)), 3)
         for depth in drawn_depths
     ]
-    for attempt in range(ROUNDS + 2):
+    for attempt in range(UNDO_ROUNDS + 2):
         merged, into = _merge_cells(gaussians, rows, sizes)
         changes = [
             np.abs(_picture(merged, camera)[0] - original)
             for camera, original in zip(cameras, before, strict=True)
         ]
         squares = [np.square(change).mean(dtype=np.float64) for change in changes]
-        if attempt and max(squares) <= MOST**2:
+        if attempt and max(squares) <= MAX_VIEW_CHANGE**2:
             change = Change(
-                mean=float(np.mean([change.mean(dtype=np.float64) for change in changes])) / GREY,
-                rms=float(np.sqrt(max(squares))) / GREY,
-                greatest=max(float(change.max()) for change in changes) / GREY,
+                mean=float(np.mean([change.mean(dtype=np.float64) for change in changes]))
+                / GREY_LEVEL,
+                rms=float(np.sqrt(max(squares))) / GREY_LEVEL,
+                greatest=max(float(change.max()) for change in changes) / GREY_LEVEL,
             )
             return Merged(merged, into, change)
         over = [_blocks_to_restore(change) for change in changes]
-        if attempt == ROUNDS:
+        if attempt == UNDO_ROUNDS:
             # Include Gaussians behind surfaces, which may shine through.
-            for v in np.flatnonzero(np.array(squares) > MOST**2):
+            for v in np.flatnonzero(np.array(squares) > MAX_VIEW_CHANGE**2):
                 over[v], depths[v] = np.ones_like(over[v]), np.full_like(depths[v], np.inf)
         _restore_cells(sizes, levels, over, cameras, depths)
     return Merged(gaussians, np.arange(len(gaussians)), Change())
@@ -169,7 +170,7 @@ def _rows_of_pixels(source: np.ndarray, cameras: Sequence[Camera]) -> np.ndarray
 def _picture(gaussians: Gaussians, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     """Render colours float32 [H, W, 3] as a field does, and depth float32 [H, W]."""
     drawn = picture(gaussians, seen_colors(gaussians, camera), camera)
-    color = drawn.values / np.maximum(drawn.alpha, np.float32(VISIBLE))[..., None]
+    color = drawn.values / np.maximum(drawn.alpha, np.float32(MIN_OPACITY))[..., None]
     return color.clip(0, 1), drawn.depth
 
 
@@ -178,20 +179,20 @@ def _blocks_to_restore(change: np.ndarray) -> np.ndarray:
     means = _blocks(change.mean(2)).mean((1, 3))
     squares = _blocks(np.square(change).mean(2)).mean((1, 3))
     # Dilated by one block, as a merged Gaussian extends into the next.
-    over = ndimage.binary_dilation(means > LIMIT, np.ones((3, 3), bool))
+    over = ndimage.binary_dilation(means > MAX_BLOCK_CHANGE, np.ones((3, 3), bool))
     least_first = np.sort(squares, axis=None)
     sums = np.cumsum(least_first, dtype=np.float64)
-    if sums[-1] <= squares.size * MOST**2:
+    if sums[-1] <= squares.size * MAX_VIEW_CHANGE**2:
         return over
-    within = int(np.searchsorted(sums, squares.size * (AIM * MOST) ** 2))
+    within = int(np.searchsorted(sums, squares.size * (TARGET_SHARE * MAX_VIEW_CHANGE) ** 2))
     return over | (squares > least_first[max(within - 1, 0)])
 
 
 def _blocks(values: np.ndarray) -> np.ndarray:
-    """Split an image [H, W], padded by replication, into blocks [h, BLOCK, w, BLOCK]."""
+    """Split an image [H, W], padded by replication, into blocks [h, BLOCK_SIDE, w, BLOCK_SIDE]."""
     height, width = values.shape
-    padded = np.pad(values, ((0, -height % BLOCK), (0, -width % BLOCK)), "edge")
-    return padded.reshape(padded.shape[0] // BLOCK, BLOCK, -1, BLOCK)
+    padded = np.pad(values, ((0, -height % BLOCK_SIDE), (0, -width % BLOCK_SIDE)), "edge")
+    return padded.reshape(padded.shape[0] // BLOCK_SIDE, BLOCK_SIDE, -1, BLOCK_SIDE)
 
 
 class _Level(NamedTuple):
@@ -219,11 +220,12 @@ def _pixel_level(rows: np.ndarray, gaussians: Gaussians) -> _Level:
     """
     arrays, present = gaussians.to_arrays(), rows >= 0
     traits = [
-        arrays["sh"].reshape(len(gaussians), 3 * arrays["sh"].shape[1]) * (SH_C0 / COLOUR),
-        arrays["opacities"][:, None] / OPACITY,
+        arrays["sh"].reshape(len(gaussians), 3 * arrays["sh"].shape[1])
+        * (SH_C0 / MAX_COLOUR_RANGE),
+        arrays["opacities"][:, None] / MAX_OPACITY_RANGE,
     ]
     if "features" in arrays:
-        traits.append(arrays["features"] / FEATURE)
+        traits.append(arrays["features"] / MAX_FEATURE_RANGE)
 
     def image(table: np.ndarray) -> np.ndarray:
         out = np.zeros((*rows.shape, *table.shape[1:]), np.float32)
@@ -250,8 +252,8 @@ def _merge_level(level: _Level) -> _Level:
     )
     twist = np.square(a - b - c + d)
     wide, high, off = (v[..., 0] + v[..., 1] + v[..., 2] for v in (across, down, twist))
-    joined &= np.maximum(wide, high) <= np.square(reach * np.float32(APART))
-    joined &= off <= np.float32(BENT) ** 2 * np.minimum(wide, high)
+    joined &= np.maximum(wide, high) <= np.square(reach * np.float32(MAX_NEIGHBOUR_DISTANCE))
+    joined &= off <= np.float32(MAX_BEND) ** 2 * np.minimum(wide, high)
 
     def only(values: np.ndarray) -> np.ndarray:
         return np.where(joined.reshape(joined.shape + (1,) * (values.ndim - 3)), values, 0)
@@ -308,14 +310,16 @@ def _restore_cells(
         for blocks, block_depth, camera in zip(over, depths, cameras, strict=True):
             pixels, z = camera.project(level.means[v, y, x].astype(np.float64))
             # Gaussians beyond the border extend into the blocks at it.
-            wide = REACH * float(camera.K[0, 0]) * level.widest[v, y, x] / np.where(z > 0, z, 1)
-            beyond = (BLOCK + wide)[:, None]
+            wide = EXTENT * float(camera.K[0, 0]) * level.widest[v, y, x] / np.where(z > 0, z, 1)
+            beyond = (BLOCK_SIDE + wide)[:, None]
             inside = (z > 0) & (pixels >= -beyond).all(1)
             inside &= (pixels < (camera.width, camera.height) + beyond).all(1)
-            column, row = (np.where(inside[:, None], pixels, 0) // BLOCK).astype(np.int64).T
+            column, row = (np.where(inside[:, None], pixels, 0) // BLOCK_SIDE).astype(np.int64).T
             row, column = row.clip(0, blocks.shape[0] - 1), column.clip(0, blocks.shape[1] - 1)
             back[v, y, x] |= (
-                inside & blocks[row, column] & (z <= (1 + BEHIND) * block_depth[row, column])
+                inside
+                & blocks[row, column]
+                & (z <= (1 + OCCLUSION_TOLERANCE) * block_depth[row, column])
             )
         _mark(sizes, back, size, 1)
 

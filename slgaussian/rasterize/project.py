@@ -47,10 +47,10 @@ d, e d and d^2, in this order, where e is times root and d is dy times row_root.
 
 HALF_LOG2_E = 0.5 * math.log2(math.e)
 
-SHARE = 256 * LANES
+GAUSSIANS_PER_ITEM = 256 * LANES
 """Gaussians of a work item."""
 
-FAR = 1e15
+MAX_COORDINATE = 1e15
 """Bound of image coordinates, so that nothing overflows in float32."""
 
 
@@ -125,7 +125,7 @@ def project(
     """
     n = len(values)
     splats, boxes = np.empty((n, 8)), np.empty((n, 4), np.int32)
-    sensible = np.ones(-(-n // SHARE), np.bool_)
+    sensible = np.ones(-(-n // GAUSSIANS_PER_ITEM), np.bool_)
     share(_project, len(sensible), *geometry, values, eye, splats, boxes, sensible)
     return splats, boxes, bool(sensible.all())
 
@@ -139,8 +139,8 @@ def _project(counter, means, scales, quats, opacities, values, eye, splats, boxe
     outputs = np.empty(12 * LANES)
     part = take(counter)
     while part < len(sensible):
-        start = part * SHARE
-        for first in range(start, min(n, start + SHARE), LANES):
+        start = part * GAUSSIANS_PER_ITEM
+        for first in range(start, min(n, start + GAUSSIANS_PER_ITEM), LANES):
             count = min(LANES, n - first)
             for k in range(count):
                 for c in range(3):
@@ -223,10 +223,10 @@ def _project_vector(parameters, eye, outputs):
     # In variances; rounded, it may lack a millionth.
     reach = (power - cut) * (1.000001 / HALF_LOG2_E)
     inverse = 1.0 / yy
-    vstore(outputs, U * LANES, clamp(u, -FAR, FAR))
-    vstore(outputs, V * LANES, clamp(v, -FAR, FAR))
+    vstore(outputs, U * LANES, clamp(u, -MAX_COORDINATE, MAX_COORDINATE))
+    vstore(outputs, V * LANES, clamp(v, -MAX_COORDINATE, MAX_COORDINATE))
     vstore(outputs, ROOT * LANES, _root(HALF_LOG2_E * yy / wide))
-    vstore(outputs, SLOPE * LANES, clamp(xy * inverse, -FAR, FAR))
+    vstore(outputs, SLOPE * LANES, clamp(xy * inverse, -MAX_COORDINATE, MAX_COORDINATE))
     vstore(outputs, ROW_ROOT * LANES, _root(HALF_LOG2_E * inverse))
     vstore(outputs, POWER * LANES, power)
     vstore(outputs, CUT * LANES, cut)
@@ -272,7 +272,16 @@ def project_backward(
     """
     n, channels = len(splats), grads.shape[1] - MOMENTS - 1
     gradients = *map(np.zeros_like, geometry), np.zeros((n, channels), np.float32)
-    share(_project_backward, -(-n // SHARE), *geometry, eye, splats, firsts, grads, *gradients)
+    share(
+        _project_backward,
+        -(-n // GAUSSIANS_PER_ITEM),
+        *geometry,
+        eye,
+        splats,
+        firsts,
+        grads,
+        *gradients,
+    )
     return gradients
 
 
@@ -283,9 +292,9 @@ def _project_backward(
 ):  # fmt: skip
     n, channels, W = len(means), d_values.shape[1], eye.R
     m, dA, dR = np.empty(MOMENTS), np.empty((2, 3)), np.empty((3, 3))
-    start = take(counter) * SHARE
+    start = take(counter) * GAUSSIANS_PER_ITEM
     while start < n:
-        for i in range(start, min(n, start + SHARE)):
+        for i in range(start, min(n, start + GAUSSIANS_PER_ITEM)):
             if firsts[i] == firsts[i + 1]:
                 continue
             m[:], dA[:], dz = 0, 0, 0.0
@@ -346,7 +355,7 @@ def _project_backward(
             dz -= (dx * x + dy * y) / z
             for k in range(3):
                 d_means[i, k] = (dx * W[0, k] + dy * W[1, k]) / z + dz * W[2, k]
-        start = take(counter) * SHARE
+        start = take(counter) * GAUSSIANS_PER_ITEM
 
 
 # From here to the covariance, numbers are float64 scalars or vectors.

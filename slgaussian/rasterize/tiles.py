@@ -17,14 +17,14 @@ import numpy as np
 from slgaussian.kernels.jit import kernel
 from slgaussian.kernels.simd import LANES, lowest_bit, prefetch
 from slgaussian.kernels.work_sharing import share, take
-from slgaussian.rasterize.project import CUT, FAR, POWER, ROOT, ROW_ROOT, SLOPE, U, V, Z
+from slgaussian.rasterize.project import CUT, MAX_COORDINATE, POWER, ROOT, ROW_ROOT, SLOPE, U, V, Z
 
 BLOCK = 4
 """Side of a block in pixels; a block is one vector. Square blocks waste fewest lanes."""
 
 assert BLOCK * BLOCK == LANES
 
-ACROSS, DOWN = (np.float32(lane.ravel()) for lane in np.indices((BLOCK, BLOCK))[::-1])
+LANE_COLUMNS, LANE_ROWS = (np.float32(lane.ravel()) for lane in np.indices((BLOCK, BLOCK))[::-1])
 """Column and row of each lane in its block."""
 
 TILE_WIDTH, TILE_HEIGHT = 16, 32
@@ -36,23 +36,23 @@ TILE_BLOCKS = BLOCKS_ACROSS * TILE_HEIGHT // BLOCK
 
 assert TILE_BLOCKS == 32  # a bit of a uint32 each
 
-ROWS = np.uint64(sum(1 << BLOCKS_ACROSS * row for row in range(TILE_BLOCKS // BLOCKS_ACROSS)))
+ROW_STARTS = np.uint64(sum(1 << BLOCKS_ACROSS * row for row in range(TILE_BLOCKS // BLOCKS_ACROSS)))
 """Bit mask of the first block of each row of blocks."""
 
 PARTS = 16
 """Number of parts in which splats are counted and binned in parallel."""
 
-STRIP = 8
+STRIP_TILES = 8
 """Consecutive tiles of a work item, which share splats."""
 
-MOST_BITS = 11
+RADIX_BITS = 11
 """Bits of depth in one pass of the radix sort: most tiles need two passes, with eight bits three.
 """
 
-AHEAD = 12
+PREFETCH_DISTANCE = 12
 """Prefetch distance in splats."""
 
-LOCAL = np.dtype(
+LOCAL_SPLAT = np.dtype(
     [(name, np.float32) for name in ("x", "y", "root", "slant", "row_root", "power", "cut", "_")]
 )
 """A splat in its tile. Its centre is in pixels from the first of the tile's middle row: x where it
@@ -75,7 +75,7 @@ class Workspace(NamedTuple):
     Attributes:
         keys, more_keys: uint64 [n]. To sort, and to sort into: z in the upper half, the splat in
             the lower.
-        local: :data:`LOCAL` [n]. The splat in the tile's own pixels.
+        local: :data:`LOCAL_SPLAT` [n]. The splat in the tile's own pixels.
         reach: uint32 [n]. A bit for each block of the tile that the splat may touch.
         carried: float32 [n (C + 1) + LANES]. The values and z of each splat.
         lists: int32 [TILE_BLOCKS n]. Block b lists its splats, front to back, in ``lists[b n : b n
@@ -100,7 +100,7 @@ def make_workspace(n, channels):
     return Workspace(
         np.empty(n, np.uint64),
         np.empty(n, np.uint64),
-        np.empty(n, LOCAL),
+        np.empty(n, LOCAL_SPLAT),
         np.empty(n, np.uint32),
         np.zeros(n * (channels + 1) + LANES, np.float32),
         np.empty(TILE_BLOCKS * n, np.int32),
@@ -140,8 +140,8 @@ def _bin(counter, boxes, across, cursors, entries, write):
 
 
 def strips_of(bins: Bins) -> int:
-    """Return the number of work items of :data:`STRIP` tiles."""
-    return -(-bins.across * bins.down // STRIP)
+    """Return the number of work items of :data:`STRIP_TILES` tiles."""
+    return -(-bins.across * bins.down // STRIP_TILES)
 
 
 @kernel(inline="always")
@@ -194,14 +194,14 @@ def load_tile(tile, bins, splats, boxes, values, work):
     entries, local, reach, carried = bins.entries, work.local, work.reach, work.carried
     last = len(entries) - 1
     for k in range(n):
-        ahead = entries[min(start + k + AHEAD, last)]
+        ahead = entries[min(start + k + PREFETCH_DISTANCE, last)]
         prefetch(splats, ahead * splats.shape[1])
         prefetch(boxes, ahead * 4)
         prefetch(values, ahead * channels)
         i = np.uint32(entries[start + k])
         y = splats[i, V] - (top + TILE_HEIGHT // 2) - 0.5
         x = splats[i, U] - left - 0.5 - splats[i, SLOPE] * y
-        local[k].x = min(max(x, -FAR), FAR)
+        local[k].x = min(max(x, -MAX_COORDINATE), MAX_COORDINATE)
         local[k].y = y
         local[k].root = splats[i, ROOT]
         local[k].slant = splats[i, ROOT] * splats[i, SLOPE]
@@ -214,7 +214,7 @@ def load_tile(tile, bins, splats, boxes, values, work):
         down = (np.uint64(2) << np.uint64(y1 // BLOCK * BLOCKS_ACROSS + BLOCKS_ACROSS - 1)) - (
             np.uint64(1) << np.uint64(y0 * BLOCKS_ACROSS)
         )
-        reach[k] = np.uint64(across) * (down & ROWS)
+        reach[k] = np.uint64(across) * (down & ROW_STARTS)
         at = k * (channels + 1)
         for c in range(channels):
             carried[at + c] = values[i, c]
@@ -255,7 +255,7 @@ def _sort_by_depth(n, channels, nearest, farthest, work):
     bits = 0
     while (limits[1] - limits[0]) >> np.uint64(bits):
         bits += 1
-    passes = -(-bits // MOST_BITS)
+    passes = -(-bits // RADIX_BITS)
     width = np.uint64(-(-bits // max(passes, 1)))
     mask = (np.uint64(1) << width) - np.uint64(1)
     starts = np.zeros((passes, mask + 1), np.int32)

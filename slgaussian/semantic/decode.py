@@ -17,19 +17,19 @@ import numpy as np
 
 from slgaussian.errors import InputError
 from slgaussian.kernels.jit import kernel
-from slgaussian.labels import VISIBLE
+from slgaussian.labels import MIN_WEIGHT
 from slgaussian.language.bank import MemoryBank
 from slgaussian.language.nearest import distance, find, make_table, nearest_code
 
-CLOSE = 0.25
+MAX_CODE_DISTANCE = 0.25
 """Largest distance of a settled pixel from its code, as a fraction of the distance from that code
 to the next one. Without mixing, 0.5 would be safe."""
 
-AGREE = 4
+MIN_CLOSE_PIXELS = 4
 """Smallest number of pixels, of the 3x3 around a settled pixel and including it, that are close to
 its code. A line of mixtures that crosses a third code is mostly thinner."""
 
-REACH = 2
+SEARCH_RADIUS = 2
 """Unsettled pixels choose among the objects of settled pixels at most this many rows and columns
 away: 5x5 pixels."""
 
@@ -54,7 +54,7 @@ class Decoder:
             features: float32 [H, W, 4]. Rendered features: code times weight, and the weight.
 
         Returns:
-            ids: int32 [H, W]. Ids of the bank, 0 where the weight is below :data:`VISIBLE`.
+            ids: int32 [H, W]. Ids of the bank, 0 where the weight is below :data:`MIN_WEIGHT`.
             confidence: float32 [H, W]. In [0, 1]; approximates the blending weight of the object
                 minus that of the next one, ``1 - 2 s`` for a mixture with fraction s. At a settled
                 pixel it is the weight times ``1 - 2 d / g``, with ``d`` the distance to its code
@@ -93,7 +93,7 @@ class NearestCode:
         shape = features.shape[:2]
         ids, confidence = np.zeros(shape, np.int32), np.zeros(shape, np.float32)
         if len(self._ids):
-            visible = features[..., -1] >= VISIBLE
+            visible = features[..., -1] >= MIN_WEIGHT
             rendered = features[visible].astype(np.float64)
             nearest = nearest_code(rendered[:, :-1], self._codes)
             away = np.abs(rendered[:, :-1] - self._codes[nearest]).sum(1)
@@ -133,13 +133,13 @@ def _decode(features, codes, starts, members, gaps, table, ids, confidence):
     rows, lead = np.empty((height, width), np.int32), np.empty((height, width), np.float32)
     # Padded, so that the neighbourhood loops need no bounds checks.
     close = np.full((height + 2, width + 2), -1, np.int32)
-    agreed = np.full((height + 2 * REACH, width + 2 * REACH), -1, np.int32)
+    agreed = np.full((height + 2 * SEARCH_RADIUS, width + 2 * SEARCH_RADIUS), -1, np.int32)
     for v in range(height):
         _nearest(features[v], codes, starts, members, gaps, rows[v], close[v + 1], lead[v])
     for v in range(height):
-        _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + REACH])
+        _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + SEARCH_RADIUS])
     for v in range(height):
-        around = agreed[v : v + 2 * REACH + 1]
+        around = agreed[v : v + 2 * SEARCH_RADIUS + 1]
         _decode_row(features[v], codes, rows[v], lead[v], around, table, ids[v], confidence[v])
 
 
@@ -147,14 +147,14 @@ def _decode(features, codes, starts, members, gaps, table, ids, confidence):
 def _nearest(features, codes, starts, members, gaps, rows, close, lead):
     """Find the nearest code of each pixel of an image row, -1 where none is visible, and its lead.
 
-    ``close`` gets the code, one pixel to the right, where it is within :data:`CLOSE`.
+    ``close`` gets the code, one pixel to the right, where it is within :data:`MAX_CODE_DISTANCE`.
     """
     row, near = np.uint32(0), -1.0
     at_x, at_y, at_z, per_gap = 0.0, 0.0, 0.0, 0.0
     for u in range(len(rows)):
         weight = features[u, 3]
         rows[u] = -1
-        if weight < VISIBLE:
+        if weight < MIN_WEIGHT:
             continue
         x = np.float64(features[u, 0] / weight)  # divided in float32
         y = np.float64(features[u, 1] / weight)
@@ -168,7 +168,7 @@ def _nearest(features, codes, starts, members, gaps, rows, close, lead):
         fraction = d * per_gap
         rows[u] = row
         lead[u] = max(0.0, 1 - 2 * fraction)
-        if fraction <= CLOSE:
+        if fraction <= MAX_CODE_DISTANCE:
             close[u + 1] = row
 
 
@@ -180,22 +180,22 @@ def _mark_settled(above, close, below, agreed):
         agree = (above[u - 1] == row) + (above[u] == row) + (above[u + 1] == row)
         agree += (close[u - 1] == row) + (close[u + 1] == row)
         agree += (below[u - 1] == row) + (below[u] == row) + (below[u + 1] == row)
-        agreed[u - 1 + REACH] = row if agree + 1 >= AGREE else -1
+        agreed[u - 1 + SEARCH_RADIUS] = row if agree + 1 >= MIN_CLOSE_PIXELS else -1
 
 
 @kernel
 def _decode_row(features, codes, rows, leads, agreed, table, ids, confidence):
-    """Write ids and confidence of an image row; ``agreed`` is padded by :data:`REACH`."""
+    """Write ids and confidence of an image row; ``agreed`` is padded by :data:`SEARCH_RADIUS`."""
     for u in range(len(rows)):
         row = rows[u]
         if row < 0:
             continue
         weight, lead = features[u, 3], leads[u]
-        if agreed[REACH, u + REACH] < 0:
+        if agreed[SEARCH_RADIUS, u + SEARCH_RADIUS] < 0:
             x = np.float64(features[u, 0] / weight)
             y = np.float64(features[u, 1] / weight)
             z = np.float64(features[u, 2] / weight)
-            row, lead = _choose(x, y, z, codes, agreed[:, u : u + 2 * REACH + 1], row, lead)
+            row, lead = _choose(x, y, z, codes, agreed[:, u : u + 2 * SEARCH_RADIUS + 1], row, lead)
         ids[u] = table[row]
         confidence[u] = min(weight, np.float32(1)) * lead
 
@@ -207,8 +207,8 @@ def _choose(x, y, z, codes, agreed, row, lead):
     Ties go to the lowest row. Without a settled neighbour ``row`` and ``lead`` are returned.
     """
     best, second, chosen, last = np.inf, np.inf, np.int32(-1), np.int32(-1)
-    for v in range(2 * REACH + 1):
-        for u in range(2 * REACH + 1):
+    for v in range(2 * SEARCH_RADIUS + 1):
+        for u in range(2 * SEARCH_RADIUS + 1):
             rival = agreed[v, u]
             if rival in (last, chosen) or rival < 0:
                 continue

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from slgaussian.language.bank import MemoryBank
 
 
-REACH = 6.0
+MAX_MATCH_DISTANCE = 6.0
 """Largest distance of a match, in standard deviations of the pixel's Gaussian along its longest
 axis: two predictions of one surface are rarely nearer than 1, the next object is mostly farther."""
 
@@ -45,7 +45,7 @@ def fill_from_other_views(labels: np.ndarray, gaussians: Gaussians) -> np.ndarra
     """Copy labels int32 [V, H, W], and fill unlabelled pixels from the nearest of another view.
 
     A pixel's position is that of its first Gaussian; a pixel without Gaussians, or without one of
-    another view within :data:`REACH`, stays as it is.
+    another view within :data:`MAX_MATCH_DISTANCE`, stays as it is.
     """
     from scipy.spatial import cKDTree  # queries must not wait for its import
 
@@ -60,7 +60,7 @@ def fill_from_other_views(labels: np.ndarray, gaussians: Gaussians) -> np.ndarra
         inner, outer = np.flatnonzero((views == view) & unlabelled), np.flatnonzero(views != view)
         if len(outer) == 0:
             continue
-        reach = np.maximum(REACH * widths[firsts[inner]], 1e-12)
+        reach = np.maximum(MAX_MATCH_DISTANCE * widths[firsts[inner]], 1e-12)
         tree, queries = cKDTree(means[firsts[outer]]), means[firsts[inner]]
         distance, match = tree.query(queries, distance_upper_bound=reach.max(), workers=allotted())
         matched = distance < reach

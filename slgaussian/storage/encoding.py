@@ -19,7 +19,7 @@ import numpy as np
 
 from slgaussian.formats import strict_json
 from slgaussian.storage.provenance import provenance_metadata, with_provenance
-from slgaussian.storage.specs import ABOUT, Spec, load_spec, mismatch
+from slgaussian.storage.specs import METADATA_FILE, Spec, load_spec, mismatch
 from slgaussian.storage.tables import MAX_UNPACKED_BYTES, read_table
 
 if TYPE_CHECKING:  # a field is read without Arrow, which takes long to import
@@ -82,7 +82,7 @@ def encode_arrays(arrays: Mapping[str, np.ndarray], spec: Spec, digest: str = ""
         {**spec.about(sorted(arrays)), **provenance_metadata(digest)}, ensure_ascii=False
     )
     with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr(_member(ABOUT), metadata, zipfile.ZIP_DEFLATED, compresslevel=9)
+        archive.writestr(_member(METADATA_FILE), metadata, zipfile.ZIP_DEFLATED, compresslevel=9)
         for name in sorted(arrays):
             member = io.BytesIO()
             np.lib.format.write_array(member, arrays[name], allow_pickle=False)
@@ -147,11 +147,11 @@ def decode_npz(data: bytes) -> tuple[Arrays, dict[str, Any]]:
     # Not np.load, which takes a file that is no zip archive for a pickle.
     with np.lib.npyio.NpzFile(io.BytesIO(data), allow_pickle=False) as archive:
         members: dict[str, Any] = {name: archive[name] for name in archive.files}
-    metadata = strict_json.parse(members.pop(ABOUT, b"{}"))
+    metadata = strict_json.parse(members.pop(METADATA_FILE, b"{}"))
     if any(isinstance(array, bytes) for array in members.values()):
         raise ValueError("a member is not an array")
     if not isinstance(metadata, dict) or not isinstance(metadata.get("spec", ""), str):
-        raise ValueError(f"{ABOUT} names no spec")
+        raise ValueError(f"{METADATA_FILE} names no spec")
     return members, metadata
 
 
@@ -163,7 +163,7 @@ def read_metadata(data: bytes) -> dict[str, Any]:
     """
     if data[:4] != b"PAR1":
         with zipfile.ZipFile(io.BytesIO(data)) as members:
-            text = members.read(ABOUT) if ABOUT in members.namelist() else b"{}"
+            text = members.read(METADATA_FILE) if METADATA_FILE in members.namelist() else b"{}"
         parsed: dict[str, Any] = strict_json.parse(text)
         return parsed
     import pyarrow as pa

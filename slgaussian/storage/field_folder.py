@@ -29,21 +29,21 @@ from slgaussian.storage.store import is_digest
 FORMAT = 1
 """Version of the format of the folder. Folders without a version are older."""
 
-ABOUT = "field.json"
+FIELD_FILE = "field.json"
 FILES = {"gaussians": "gaussians.npz", "bank": "bank.npz", "objects": "objects.parquet"}
 """Names of the other files by data spec."""
 
 PHOTOGRAPHS = "photographs.json"
 """Optional file with paths and digests of the photographs, which the viewer page shows."""
 
-WHAT = (
+DESCRIPTION = (
     "A semantic field: 3D Gaussians that carry ID codes (gaussians.npz), the memory bank that says "
     "what the codes mean (bank.npz), and its objects (objects.parquet). Cameras are those of the "
     "context views: K in pixels, pixel centres at +0.5; c2w camera-to-world, OpenCV axes (x right, "
     "y down, z forward), scene units. Open it with slgaussian query, render or export, or with "
     "slgaussian.SemanticField.load."
 )
-AGAIN = "build the field again"
+REPAIR = "build the field again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class About:
         """Return the text of the file; ``places`` are the locations of the encoder's files."""
         content = {
             "format": FORMAT,
-            "what": WHAT,
+            "what": DESCRIPTION,
             "made_by": f"slgaussian {__version__}",
             "settings": json.loads(json.dumps(dict(self.settings), sort_keys=True)),
             "cameras": {name: _camera_json(camera) for name, camera in self.cameras.items()},
@@ -89,7 +89,7 @@ class About:
             if version != FORMAT:
                 stated = "none" if version is None else repr(version)[:40]
                 maker_text = f", made by {maker:.60}" if isinstance(maker, str) else ""
-                raise mismatch(file, "format", f"{stated}{maker_text}", f"{FORMAT}; {AGAIN}")
+                raise mismatch(file, "format", f"{stated}{maker_text}", f"{FORMAT}; {REPAIR}")
             cameras = {name: _camera_of(values) for name, values in content["cameras"].items()}
             settings, places = dict(content["settings"]), dict(content["places"])
             settings["encoder"], settings.get(settings["encoder"], {}).items()
@@ -99,7 +99,7 @@ class About:
             if not all(map(is_digest, digests.values())):
                 raise ValueError("a digest is not a SHA-256")
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
-            raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error
+            raise SpecError(f"{file}: damaged ({error}); {REPAIR}") from error
         return About(settings, cameras, digests), places
 
 
@@ -140,7 +140,7 @@ def write(
             fill(spec, draft / name)
         for name, data in (beside or {}).items():
             (draft / name).write_bytes(data)
-        (draft / ABOUT).write_text(text, "utf-8")
+        (draft / FIELD_FILE).write_text(text, "utf-8")
 
 
 def read_about(path: Path) -> tuple[About, dict[str, str]]:
@@ -149,11 +149,11 @@ def read_about(path: Path) -> tuple[About, dict[str, str]]:
     Raises:
         SpecError: If the file is missing, damaged, or has another version of the format.
     """
-    file = path / ABOUT
+    file = path / FIELD_FILE
     if not file.is_file():
         raise SpecError(
-            f"{path}: no {ABOUT} there, expected a folder that `slgaussian field` or a run (under "
-            "fields/ of its results) or SemanticField.save wrote"
+            f"{path}: no {FIELD_FILE} there, expected a folder that `slgaussian field` or a run "
+            "(under fields/ of its results) or SemanticField.save wrote"
         )
     return About.from_json(_content(file), str(file))
 
@@ -161,10 +161,12 @@ def read_about(path: Path) -> tuple[About, dict[str, str]]:
 def read_arrays(path: Path, spec: str, digest: str) -> Arrays:
     """Read the arrays of one file of a folder; SpecError if their digest is another one."""
     file, rules = path / FILES[spec], load_spec(spec)
-    arrays = decode_arrays(_content(file), rules, str(file), repair=AGAIN)
+    arrays = decode_arrays(_content(file), rules, str(file), repair=REPAIR)
     actual = arrays_digest(arrays)
     if actual != digest:
-        expected = f"{digest[:12]} by {ABOUT}: it was changed or belongs to another field; {AGAIN}"
+        expected = (
+            f"{digest[:12]} by {FIELD_FILE}: it was changed or belongs to another field; {REPAIR}"
+        )
         raise mismatch(str(file), "digest", f"content {actual[:12]}", expected)
     return arrays
 
@@ -173,7 +175,7 @@ def _content(file: Path) -> bytes:
     try:
         return file.read_bytes()
     except OSError as error:
-        raise SpecError(f"{file}: {error.strerror}; {AGAIN}") from error
+        raise SpecError(f"{file}: {error.strerror}; {REPAIR}") from error
 
 
 def describe_photographs(places: Mapping[str, str]) -> dict[str, bytes]:
@@ -203,10 +205,10 @@ def read_photographs(folder: Path) -> dict[str, tuple[Path, str]]:
         entries = strict_json.parse(file.read_bytes())["photographs"].items()
         return {name: (Path(place), str(digest)) for name, (place, digest) in entries}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SpecError(f"{file}: damaged ({error}); {AGAIN}") from error
+        raise SpecError(f"{file}: damaged ({error}); {REPAIR}") from error
 
 
-def check_target(path: Path, marker: str = ABOUT, kind: str = "a field") -> None:
+def check_target(path: Path, marker: str = FIELD_FILE, kind: str = "a field") -> None:
     """Create the parents of ``path`` and check that a field can be written there.
 
     Other kinds of folder are recognised by a file named ``marker``, and called ``kind`` in
@@ -227,7 +229,7 @@ def check_target(path: Path, marker: str = ABOUT, kind: str = "a field") -> None
         ) from error
 
 
-def check_free(path: Path, marker: str = ABOUT, kind: str = "a field") -> None:
+def check_free(path: Path, marker: str = FIELD_FILE, kind: str = "a field") -> None:
     """Raise :class:`InputError` if ``path`` exists, is not empty and is not ``kind``."""
     empty = path.is_dir() and not any(path.iterdir())
     if path.exists() and not (path / marker).is_file() and not empty:

@@ -16,7 +16,7 @@ from slgaussian.storage.specs import spec_names
 from slgaussian.storage.store import ArtifactStore, ref_of
 
 _UNFINISHED = re.compile(r".*/\.[^/]+\.tmp|\.probe-[0-9a-f]{32}")
-_OURS = {"", FOLDER, "digests", *spec_names()}
+_FOLDERS = {"", FOLDER, "digests", *spec_names()}
 
 
 @dataclass
@@ -73,7 +73,7 @@ def collect(
         for file in files:
             old = file.written < bound
             folder = file.uri.rpartition("/")[0].split("/")[0]
-            if _UNFINISHED.fullmatch(file.uri) and folder in _OURS:
+            if _UNFINISHED.fullmatch(file.uri) and folder in _FOLDERS:
                 garbage.unfinished += old
                 gone += [file] * old
             elif ref_of(file.uri) is None:

@@ -17,16 +17,18 @@ from slgaussian.extras import install_line
 if TYPE_CHECKING:
     from fsspec import AbstractFileSystem
 
-CONNECT, ANSWER = 10, 30
+CONNECT_TIMEOUT, READ_TIMEOUT = 10, 30
 """Timeouts of S3 in seconds: for the connection, and for the next bytes."""
 
-_LOGIN = re.compile(r"://[^/:@\s]*:(?!\d+(?:/|$))[^@\s]*@")  # a number after the colon is a port
-_QUERY = re.compile(
+_LOGIN_PATTERN = re.compile(
+    r"://[^/:@\s]*:(?!\d+(?:/|$))[^@\s]*@"
+)  # a number after the colon is a port
+_SECRET_PATTERN = re.compile(
     r"([?&;][^=&;\s]*(?:key|secret|token|password|signature|credential|sig)[^=&;\s]*=)[^&;\s]*",
     re.IGNORECASE,
 )
 
-_LOGINS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE"
+_CREDENTIALS = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE"
 
 
 def check_url(url: str | os.PathLike[str], name: str) -> None:
@@ -43,13 +45,13 @@ def check_url(url: str | os.PathLike[str], name: str) -> None:
     if redacted(text) != text:
         raise InputError(
             f"{name} {redacted(text)}: found credentials in the URL, expected none; take them out "
-            f"and set environment variables ({_LOGINS}, or those of its file system)"
+            f"and set environment variables ({_CREDENTIALS}, or those of its file system)"
         )
 
 
 def redacted(text: str) -> str:
     """Replace logins and keys in the URLs of a text by ``***``."""
-    return _QUERY.sub(r"\1***", _LOGIN.sub("://***@", text))
+    return _SECRET_PATTERN.sub(r"\1***", _LOGIN_PATTERN.sub("://***@", text))
 
 
 def open_file_system(url: str | os.PathLike[str], name: str) -> tuple[AbstractFileSystem, str]:
@@ -69,8 +71,8 @@ def open_file_system(url: str | os.PathLike[str], name: str) -> tuple[AbstractFi
     options: dict[str, Any] = {"use_listings_cache": False}
     if is_s3:
         options["config_kwargs"] = {
-            "connect_timeout": CONNECT,
-            "read_timeout": ANSWER,
+            "connect_timeout": CONNECT_TIMEOUT,
+            "read_timeout": READ_TIMEOUT,
             **fsspec.config.conf.get("s3", {}).get("config_kwargs", {}),
         }
     try:
@@ -109,5 +111,5 @@ def explain_error(error: Exception) -> str:
     message = redacted(" ".join(str(error).split())) or type(error).__name__
     return (
         f"{message}; check the network, the bucket (which is never made), its rights, "
-        f"AWS_ENDPOINT_URL and the credentials ({_LOGINS})"
+        f"AWS_ENDPOINT_URL and the credentials ({_CREDENTIALS})"
     )

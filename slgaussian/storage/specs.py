@@ -9,7 +9,7 @@ and ``[]`` for every item of a list.
 
 A spec has a version. Files contain its name, version and meaning, and the unit, bounds and meaning
 of each field, in Parquet as Arrow's metadata of fields and schema, in NPZ as a JSON member
-:data:`ABOUT`. :mod:`slgaussian.storage.provenance` adds the provenance.
+:data:`METADATA_FILE`. :mod:`slgaussian.storage.provenance` adds the provenance.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from slgaussian.errors import SpecError
 if TYPE_CHECKING:  # reading arrays does not need Arrow, whose import takes 0.1 s
     import pyarrow as pa
 
-ABOUT = "about.json"
+METADATA_FILE = "about.json"
 """Member of an ``.npz`` file with the metadata: spec, meaning of the arrays, provenance."""
 
 OWNER = "slgaussian"

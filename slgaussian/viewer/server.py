@@ -29,11 +29,11 @@ from slgaussian.errors import InputError, SLGaussianError
 from slgaussian.field import SemanticField
 from slgaussian.formats import strict_json
 from slgaussian.language.rules import Rules
-from slgaussian.language.wholes import LEAST_PIXELS
+from slgaussian.language.wholes import MIN_PIXELS
 from slgaussian.viewer.auth import Access, Guard
 from slgaussian.viewer.page.packed import morton_order
 
-MOST_BYTES = 2**16  # largest body of a request
+MAX_BODY_BYTES = 2**16  # largest body of a request
 
 HEADERS = {
     "Cache-Control": "no-store",
@@ -107,7 +107,7 @@ class LiveField:
             return {"text": text, "refused": str(error)}
         gaps, present = all_gaps[self._rows], ~np.isin(self.ids, list(self.field.removed))
         areas = np.zeros(len(all_gaps), int)
-        areas[self._rows[present]] = LEAST_PIXELS
+        areas[self._rows[present]] = MIN_PIXELS
         selected = reader.chosen([text], all_gaps[None], areas, Rules())[0, self._rows] & present
         fields = ("kind", "measurements", "named", "alone", "untold", "unknown")
         return {
@@ -187,8 +187,10 @@ def app(page: str, access: Access, live: LiveField) -> Starlette:
         body = b""
         async for chunk in request.stream():
             body += chunk
-            if len(body) > MOST_BYTES:
-                return JSONResponse({"error": f"found more than {MOST_BYTES} bytes"}, 413, HEADERS)
+            if len(body) > MAX_BODY_BYTES:
+                return JSONResponse(
+                    {"error": f"found more than {MAX_BODY_BYTES} bytes"}, 413, HEADERS
+                )
         try:
             return JSONResponse(await run_in_threadpool(locked, call, body), headers=HEADERS)
         except SLGaussianError as error:

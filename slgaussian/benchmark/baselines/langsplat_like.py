@@ -27,20 +27,20 @@ from slgaussian.benchmark.baselines.dense import DenseView, draw_picture
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import seed_for
-from slgaussian.kernels.threads import LARGE_THREADS, fixed
+from slgaussian.kernels.threads import LARGE_NETWORK_THREADS, fixed
+from slgaussian.labels import MIN_WEIGHT
 from slgaussian.rasterize import rasterize
 from slgaussian.scene import Camera
-from slgaussian.semantic.decode import VISIBLE
 
-DOWN, UP = (256, 128, 64, 32), (16, 32, 64, 128, 256, 256)
+ENCODER_WIDTHS, DECODER_WIDTHS = (256, 128, 64, 32), (16, 32, 64, 128, 256, 256)
 
-RATE, COSINE = 2e-3, 0.001
+LEARNING_RATE, COSINE_WEIGHT = 2e-3, 0.001
 """Learning rate of Adam, and weight of (1 - cosine) relative to the squared error."""
 
-BLOCK = 8192
+DECODER_BATCH = 8192
 """Number of codes decoded at a time."""
 
-MOST_NUMBERS = 2**26
+MAX_ELEMENTS = 2**26
 """Largest number of elements of an image of vectors, 256 MB in float32; a larger one is rendered at
 a half, a quarter ... of the resolution."""
 
@@ -85,7 +85,7 @@ class _Codes:
         gaussians, size = self.inputs.gaussians, np.array([camera.width, camera.height])
         picture = draw_picture(gaussians, camera)
         factor = 1
-        while size.prod() * self.inputs.bank.features.shape[2] > MOST_NUMBERS * factor**2:
+        while size.prod() * self.inputs.bank.features.shape[2] > MAX_ELEMENTS * factor**2:
             factor *= 2
         carried = torch.from_numpy(self.carried[gaussians.source.numpy()])
         small = camera.resized(*np.maximum(size // factor, 1).tolist())
@@ -95,7 +95,7 @@ class _Codes:
         vectors = self.network.decode(codes.reshape(-1, 3)).reshape(*codes.shape[:2], -1)
         # If most of a pixel's weight has no mask, its code is not valid.
         weight = cv2.resize(drawn[..., 3], size.tolist(), interpolation=cv2.INTER_LINEAR)
-        visible = weight >= VISIBLE
+        visible = weight >= MIN_WEIGHT
         return DenseView(picture.rgb, picture.depth, self.inputs.reader, visible, vectors)
 
 
@@ -113,8 +113,8 @@ class Autoencoder:
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
         """Return unit vectors float32 [P, C] of codes float32 [P, 3] of any length."""
-        with torch.inference_mode(), fixed(LARGE_THREADS):
-            blocks = torch.from_numpy(np.ascontiguousarray(codes)).split(BLOCK)
+        with torch.inference_mode(), fixed(LARGE_NETWORK_THREADS):
+            blocks = torch.from_numpy(np.ascontiguousarray(codes)).split(DECODER_BATCH)
             return torch.cat([F.normalize(self.up(block), dim=1) for block in blocks]).numpy()
 
 
@@ -129,14 +129,14 @@ def train_autoencoder(vectors: np.ndarray, seed: int, steps: int = 1000) -> Auto
     width = vectors.shape[1]
     with torch.random.fork_rng(devices=[]), fixed(1):
         torch.manual_seed(seed % 2**63)
-        down = _layers(width, [n for n in DOWN if n <= width], 3, normalised=True)
-        up = _layers(3, [n for n in UP if n <= width], width, normalised=False)
-        optimiser = torch.optim.Adam([*down.parameters(), *up.parameters()], lr=RATE)
+        down = _layers(width, [n for n in ENCODER_WIDTHS if n <= width], 3, normalised=True)
+        up = _layers(3, [n for n in DECODER_WIDTHS if n <= width], width, normalised=False)
+        optimiser = torch.optim.Adam([*down.parameters(), *up.parameters()], lr=LEARNING_RATE)
         wanted = torch.from_numpy(vectors)
         for _ in range(steps):
             decoded = F.normalize(up(F.normalize(down(wanted), dim=1)), dim=1)
             similarity = F.cosine_similarity(decoded, wanted, dim=1).mean()
-            loss = F.mse_loss(decoded, wanted) + COSINE * (1 - similarity)
+            loss = F.mse_loss(decoded, wanted) + COSINE_WEIGHT * (1 - similarity)
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

@@ -13,12 +13,11 @@ from slgaussian.benchmark.baselines.dense import Picture, draw_picture
 from slgaussian.benchmark.baselines.inputs import Inputs
 from slgaussian.field import FieldView
 from slgaussian.geometry import SeenView
-from slgaussian.labels import LabelMaps
+from slgaussian.labels import MIN_WEIGHT, LabelMaps
 from slgaussian.language.query import QueryResult
 from slgaussian.language.reader import TextReader
 from slgaussian.masks.flatten import flatten
 from slgaussian.scene import Camera, View
-from slgaussian.semantic.decode import VISIBLE
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class PictureView:
     def _view(self) -> FieldView:
         inputs, with_depth = self.scene.inputs, self.scene.with_depth
         alpha, depth = self.picture.alpha, self.depth
-        visible = alpha >= VISIBLE
+        visible = alpha >= MIN_WEIGHT
         view = SeenView(View("rendered", self.camera, self.rgb), depth if with_depth else None)
         proposals = inputs.proposer.propose(view, None if visible.all() else visible)
         ids = np.where(visible, flatten(proposals), 0).astype(np.int32)

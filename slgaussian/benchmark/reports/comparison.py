@@ -26,7 +26,7 @@ from slgaussian.storage.specs import load_spec
 
 Row = Mapping[str, Any]
 
-LISTED = 3
+MAX_LISTED = 3
 """Largest number of scenes with differing data that are listed by name."""
 
 SUMMARY = (
@@ -155,8 +155,8 @@ def differing_settings(manifests: Sequence[Mapping[str, Any]]) -> list[list[str]
     texts = []
     for by_scene in data:
         scenes = [scene for scene, content in first.items() if by_scene.get(scene) != content]
-        rest = f" and {len(scenes) - LISTED} more" if scenes[LISTED:] else ""
-        texts.append(", ".join(scenes[:LISTED]) + rest or "none")
+        rest = f" and {len(scenes) - MAX_LISTED} more" if scenes[MAX_LISTED:] else ""
+        texts.append(", ".join(scenes[:MAX_LISTED]) + rest or "none")
     lines.append(["data: missing or different scenes", *texts])
     return [line for line in lines if len(set(line[1:])) > 1]
 

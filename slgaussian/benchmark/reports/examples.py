@@ -10,24 +10,24 @@ import cv2
 import numpy as np
 
 from slgaussian.benchmark import pictures
-from slgaussian.benchmark.evaluate import ALONG_THE_WAY
+from slgaussian.benchmark.evaluate import RENDERED_VIEWPOINTS
 from slgaussian.benchmark.reports.model import Block, Card, Fold, Gallery, Picture, Section
-from slgaussian.benchmark.scores import GOOD, grouped, key_of
+from slgaussian.benchmark.scores import GOOD_IOU, grouped, key_of
 
 Row = Mapping[str, Any]
 Images = Mapping[str, np.ndarray]
 Key = tuple[str, str, str]
 
-NAMED_OBJECTS = 10
+MAX_CAPTIONS = 10
 """Largest number of captions in one picture."""
 
-LARGE, FONT_SIZE = 960, 24
+CAPTIONED_WIDTH, FONT_SIZE = 960, 24
 """Width of a picture with captions, and their font size, pixels."""
 
-SLIDER, ANSWER, SMALL = 800, 480, 360
+SLIDER_WIDTH, ANSWER_WIDTH, SCENE_WIDTH = 800, 480, 360
 """Widths of pictures of the slider, of answers, and in the section of a scene, pixels."""
 
-FAIR = 0.25
+POOR_IOU = 0.25
 """Smallest IoU of an answer that is not marked as poor."""
 
 VIEW_PICTURES = {
@@ -70,7 +70,7 @@ def answer_card(row: Row, images: Images, lost_by: str = "") -> Card:
     """Return an answer as a card; ``lost_by`` is the stage responsible for a miss."""
     query, chips = row["query"], []
     if row["iou"] is not None:
-        grade = "good" if row["iou"] >= GOOD else "fair" if row["iou"] >= FAIR else "poor"
+        grade = "good" if row["iou"] >= GOOD_IOU else "fair" if row["iou"] >= POOR_IOU else "poor"
         point = {None: "–", True: "✓", False: "✗"}[row["hit_mask"]]
         chips = [(f"IoU {row['iou']:.2f}", grade), (f"point {point}", "")]
     elif row["score"] is not None:
@@ -79,7 +79,7 @@ def answer_card(row: Row, images: Images, lost_by: str = "") -> Card:
         chips.append((f"lost by {lost_by}", "lost"))
     name = f"{row['frame']}/{query}"
     panels = [
-        Picture.of(images[f"{kind}/{name}"], ANSWER, caption, f"{caption} of {query}")
+        Picture.of(images[f"{kind}/{name}"], ANSWER_WIDTH, caption, f"{caption} of {query}")
         for kind, caption in (("mask", "prediction"), ("relevancy", "relevancy"))
     ]
     place = f"{row['scene']}, {row['frame']}"
@@ -101,22 +101,22 @@ def example_section(scene: Scene, rows: Sequence[Row], images: Images) -> Sectio
         frame, is_scored = answers[0]["frame"], answers[0]["iou"] is not None
         ground = images.get(f"photo/{frame}", images[f"render/{frame}"])
         masks, truth = scene.masks(), scene.truth().get(frame, {})
-        named = {row["query"]: row for row in answers[:NAMED_OBJECTS]}
+        named = {row["query"]: row for row in answers[:MAX_CAPTIONS]}
         captions = {q: f"{q} {row['iou']:.2f}" if is_scored else q for q, row in named.items()}
         predicted = {q: masks.get((row["protocol"], frame, q)) for q, row in named.items()}
         caption = f"predicted masks in {frame}" + ", with IoU" * is_scored
         picture = _draw_masks(ground, captions, predicted)
-        blocks.append(Gallery([Picture.of(picture, LARGE, caption)], "main"))
+        blocks.append(Gallery([Picture.of(picture, CAPTIONED_WIDTH, caption)], "main"))
         small |= {f"rendered {frame}": images[f"render/{frame}"]}
         if any(truth[query].any() for query in named if query in truth):
             small["ground truth"] = _draw_masks(ground, {query: query for query in named}, truth)
     if len(inputs) > 1:
         (start, start_image), (end, end_image) = list(inputs.items())[:2]
         steps = {f"context view {start}": start_image}
-        steps |= {f"rendered, {way}": images[f"render/{way}"] for way in ALONG_THE_WAY}
+        steps |= {f"rendered, {way}": images[f"render/{way}"] for way in RENDERED_VIEWPOINTS}
         steps[f"context view {end}"] = end_image
-        blocks.append(_gallery(steps, SLIDER, "walk"))
-    blocks.append(_gallery(small, ANSWER, "strip-of"))
+        blocks.append(_gallery(steps, SLIDER_WIDTH, "walk"))
+    blocks.append(_gallery(small, ANSWER_WIDTH, "strip-of"))
     return Section("Example", blocks, "example", scene.name, style="example")
 
 
@@ -128,9 +128,9 @@ def scene_fold(scene: Scene, id: str, images: Images) -> Fold:
             for kind, title in VIEW_PICTURES.items()
             if f"{kind}/{name}" in images
         }
-        for name in (*_frames(images, "input"), *_frames(images, "photo"), *ALONG_THE_WAY)
+        for name in (*_frames(images, "input"), *_frames(images, "photo"), *RENDERED_VIEWPOINTS)
     ]
-    return Fold(scene.name, [_gallery(row, SMALL, "grid tiles") for row in rows], id)
+    return Fold(scene.name, [_gallery(row, SCENE_WIDTH, "grid tiles") for row in rows], id)
 
 
 def _gallery(images: Images, width: int, layout: str) -> Gallery:
@@ -146,7 +146,7 @@ def _draw_masks(
     image: np.ndarray, captions: Mapping[str, str], masks: Mapping[str, np.ndarray | None]
 ) -> np.ndarray:
     """Return the enlarged view with the coloured and captioned mask of each query."""
-    size = LARGE, round(image.shape[0] * LARGE / image.shape[1])
+    size = CAPTIONED_WIDTH, round(image.shape[0] * CAPTIONED_WIDTH / image.shape[1])
     large = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)
     regions = [
         pictures.Region(caption, cv2.resize(mask.astype(np.float32), size) > 0.5, place)

@@ -22,7 +22,7 @@ Row = Mapping[str, Any]
 PROTOCOLS = ("slgaussian", "langsplat")
 """Protocols for the run's numbers; the paper does not name its protocol."""
 
-ABOUT = (
+INTRODUCTION = (
     "Each cell has the number printed in the paper (arXiv 2412.08331), and below it the number of "
     "this run, if it has the scenes and the method. Columns and rows have the paper's method names "
     "and those of the methods here. Methods called “like” are not the original programs. The paper "
@@ -63,7 +63,7 @@ def paper_section(
         for row in score_table(of_scene).to_pylist():
             scores[dataset, scene, *_score_key(row)] = row
     shown = [name for name in PROTOCOLS if any(key[3] == name for key in scores)]
-    blocks: list[Block] = [Prose(ABOUT)]
+    blocks: list[Block] = [Prose(INTRODUCTION)]
     for protocol in shown:
         for table in TABLES:
             used = {column.get("protocol", protocol) for column in table["columns"]}

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from slgaussian.benchmark.attribution import STAND_INS
+from slgaussian.benchmark.attribution import REPLACEMENTS
 from slgaussian.benchmark.baselines import ROWS, is_variant
 from slgaussian.benchmark.costs import Times
 from slgaussian.benchmark.evaluate import NOT_UNDERSTOOD
@@ -28,19 +28,19 @@ from slgaussian.benchmark.reports.score_tables import (
     scores_of,
 )
 from slgaussian.benchmark.reports.speed import speed_blocks
-from slgaussian.benchmark.scores import GOOD, grouped, key_of, of_first_protocol, score_table
+from slgaussian.benchmark.scores import GOOD_IOU, grouped, key_of, of_first_protocol, score_table
 
 Row = Mapping[str, Any]
 BySet = Mapping[str, tuple[Mapping[str, Mapping[str, float]], Sequence[Row]]]
 """Metrics by scene, and scores, of each data set."""
 
-PICTURED = 24
+MAX_PICTURED_SCENES = 24
 """Largest number of scenes with pictures, those with the worst answers; all are in the tables."""
 
-WORST, PER_SCENE = 8, 2
+MAX_WORST_ANSWERS, MAX_WORST_PER_SCENE = 8, 2
 """Number of answers with the lowest scores that are shown, and the maximum per scene of many."""
 
-LISTED = 3
+MAX_LISTED = 3
 """Largest number of scenes listed by name for one reason of being left out."""
 
 CARD_TERMS = model.terms(
@@ -183,11 +183,11 @@ def _picture_sections(
     The pictures of one scene are in memory at a time.
     """
     lost_by = {key_of(row): row["lost"] or "" for row in attribution}
-    per_scene = max(PER_SCENE, -(-WORST // (len(scenes) or 1)))
-    worst = examples.worst_answers(answers, WORST, per_scene)
+    per_scene = max(MAX_WORST_PER_SCENE, -(-MAX_WORST_ANSWERS // (len(scenes) or 1)))
+    worst = examples.worst_answers(answers, MAX_WORST_ANSWERS, per_scene)
     cards: dict[examples.Key, model.Card] = {}
     worst_first = sorted(scenes, key=lambda scene: scene.metrics.get("iou", 1.0))
-    pictured = {scene.name for scene in worst_first[:PICTURED]}
+    pictured = {scene.name for scene in worst_first[:MAX_PICTURED_SCENES]}
     example = examples.choose_example(scenes) if scenes else None
     sections, folds = [], {}
     for place, scene in enumerate(scenes):
@@ -225,8 +225,8 @@ def _failures_section(failures: Sequence[Mapping[str, str]]) -> model.Section:
     rows = []
     for (stage, reason), members in grouped(failures, "stage", "reason").items():
         names = [failure["scene"] for failure in members]
-        rest = [f"and {len(names) - LISTED} more"] if names[LISTED:] else []
-        rows.append(["; ".join([*names[:LISTED], *rest]), stage, reason])
+        rest = [f"and {len(names) - MAX_LISTED} more"] if names[MAX_LISTED:] else []
+        rows.append(["; ".join([*names[:MAX_LISTED], *rest]), stage, reason])
     heads = [model.Column(name, is_text=True) for name in ("Scene", "Stage", "Reason")]
     return model.Section("Left out", [model.Table(heads, rows)], "left-out", style="failed")
 
@@ -238,11 +238,11 @@ def _worst_section(
     blocks: list[model.Block] = []
     scored = [row for row in answers if row["iou"] is not None]
     for (dataset,), rows in grouped(scored, "dataset").items():
-        misses = sum(row["iou"] < GOOD or not row["hit_mask"] for row in rows)
+        misses = sum(row["iou"] < GOOD_IOU or not row["hit_mask"] for row in rows)
         text = (
             f"**{model.escape(dataset)}**: {misses} misses in {len(rows)} queries, by an IoU below "
         )
-        blocks.append(model.Prose(f"{text}{GOOD} or a point outside the labelled mask."))
+        blocks.append(model.Prose(f"{text}{GOOD_IOU} or a point outside the labelled mask."))
     blocks += [CARD_TERMS, model.Cards(worst)]
     if attribution:
         blocks += _attribution_blocks(attribution)
@@ -252,21 +252,21 @@ def _worst_section(
 def _attribution_blocks(attribution: Sequence[Row]) -> list[model.Block]:
     """List the causes of misses of each data set, and of all queries in the last row."""
     columns = [model.Column("Responsible stage", is_text=True), model.Column("Queries")]
-    columns += [model.Column(title, help) for title, help in STAND_INS.values()]
+    columns += [model.Column(title, help) for title, help in REPLACEMENTS.values()]
     blocks: list[model.Block] = []
     for (dataset,), queries in grouped(attribution, "dataset").items():
         by_stage = {stage or "no miss": rows for (stage,), rows in grouped(queries, "lost").items()}
         order = sorted(by_stage, key=lambda stage: (stage == "no miss", -len(by_stage[stage])))
         lines = []
         for stage, rows in ((stage, by_stage.get(stage, queries)) for stage in [*order, "all"]):
-            ious = ([row[n] for row in rows if row[n] is not None] for n in STAND_INS)
+            ious = ([row[n] for row in rows if row[n] is not None] for n in REPLACEMENTS)
             means = [model.number(float(np.mean(values)), 3) if values else None for values in ious]
             lines.append([stage, str(len(rows)), *means])
         title = f"Misses by responsible stage, {dataset}"
         blocks.append(model.Table(columns, lines, title, has_total=True))
     text = "Mean IoU if stages are replaced by ground truth one after the other, from left to "
     text += "right. The first replacement that turns a miss into a hit names the responsible stage."
-    stand_ins = {title: help for title, help in STAND_INS.values() if help}
+    stand_ins = {title: help for title, help in REPLACEMENTS.values() if help}
     return [*blocks, model.Prose(text), model.terms(stand_ins)]
 
 

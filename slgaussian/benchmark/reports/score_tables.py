@@ -12,7 +12,7 @@ import numpy as np
 
 from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.scores import Difference, differences, grouped, score_table
-from slgaussian.benchmark.statistics import LEAST, LEVEL, Comparison
+from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES, Comparison
 
 Row = Mapping[str, Any]
 
@@ -177,7 +177,7 @@ def difference_tables(
         scenes, places = max(g.samples for g in gains), max(g.independent_samples for g in gains)
         note = f"Common queries of {model.count_text(scenes, 'scene')}. "
         note += _describe_interval(scenes, places)
-        if places >= LEAST:
+        if places >= MIN_SAMPLES:
             note += " Green: significant gain; red: significant loss; not corrected for multiple "
             note += "comparisons (1 in 20 is significant by chance)."
         heads = ["Method", *(score.column for score in columns)]
@@ -190,8 +190,8 @@ def _describe_interval(scenes: int, places: int) -> str:
     if places == 1:
         return f"No interval for one {'scene' if scenes == 1 else 'place'}."
     unit = "scenes" if places == scenes else f"{places} places, and of scenes within each place"
-    rough = f"; unreliable below {LEAST}" if places < LEAST else ""
-    return f"Intervals: {LEVEL:.0%} bootstrap over {unit}{rough}."
+    rough = f"; unreliable below {MIN_SAMPLES}" if places < MIN_SAMPLES else ""
+    return f"Intervals: {CONFIDENCE_LEVEL:.0%} bootstrap over {unit}{rough}."
 
 
 def metrics_table(
@@ -238,14 +238,14 @@ def gain_cell(difference: Difference | None, score: Score) -> model.Cell:
 def comparison_cell(gain: Comparison, digits: int) -> model.Cell:
     """Format a gain with its interval and mark.
 
-    It is significant if its printed interval excludes 0, with :data:`LEAST` places or more.
+    It is significant if its printed interval excludes 0, with :data:`MIN_SAMPLES` places or more.
     """
     value, low, high = (
         round(bound, digits) + 0.0  # not -0.000
         for bound in (gain.difference, gain.low, gain.high)
     )
     mark = "better" if low > 0 else "worse" if high < 0 else "noise"
-    if gain.independent_samples < 2 or (gain.independent_samples < LEAST and mark != "noise"):
+    if gain.independent_samples < 2 or (gain.independent_samples < MIN_SAMPLES and mark != "noise"):
         mark = "few"
     return model.Cell(f"{value:+.{digits}f}", f"{low:+.{digits}f} to {high:+.{digits}f}", mark)
 

@@ -14,7 +14,7 @@ from slgaussian.benchmark.scores import of_first_protocol, score_table
 
 Row = Mapping[str, Any]
 
-COSTS = (
+COSTS_CAPTION = (
     "**Pareto front**: no other method has at least the same score in at most the same time. Times "
     "are medians over scenes of wall time on this machine; other scenes may have run at the same "
     "time. **Build**: from photographs to a field, which methods share. **Prepare**: additional "
@@ -22,7 +22,7 @@ COSTS = (
     "fields of their own, the time of the front is building plus query."
 )
 
-STAGES = (
+STAGES_CAPTION = (
     "**Per scene**: median; for baselines, median over methods and scenes. **Memory**: largest "
     "memory of the process until its end. Both were measured when the result was computed, "
     "possibly in an earlier run."
@@ -58,7 +58,7 @@ def speed_blocks(
         }
         blocks.append(_scores_by_cost(title, costs, scores, decibels))
     if len(blocks) > 1:
-        blocks.append(Prose(COSTS))
+        blocks.append(Prose(COSTS_CAPTION))
     blocks += [_paper_costs(cost, times) for cost in times.costs if cost.method == times.paper]
     if times.stages:
         blocks.append(_stages_table(times))
@@ -133,7 +133,7 @@ def _stages_table(times: Times) -> Table:
         seconds = number(cost.middle, 2), number(cost.seconds, 2)
         share = f"{100 * cost.seconds / total:.0f} %"
         rows.append([stage, *seconds, share, number(cost.peak, 0, 1e6)])
-    note = STAGES
+    note = STAGES_CAPTION
     if times.compiling >= 0.5:
         note += f" Compiling kernels, once per installation, took {times.compiling:.0f} s more."
     heads = ["Stage", "Per scene, s", "Total, s", "Share", "Memory, MB"]

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import rich.console
 import rich.table
 
-UNBOUNDED = 10_000
+UNBOUNDED_WIDTH = 10_000
 """Width of tables that are not wrapped."""
 
 
@@ -24,7 +24,7 @@ def table_text(rows: Iterable[Sequence[str]], sides: str = "<", wrap: bool = Tru
         table.add_column(title, justify="left" if side == "<" else "right")
     for cells in body:
         table.add_row(*cells)
-    width = None if wrap and sys.stdout.isatty() else UNBOUNDED
+    width = None if wrap and sys.stdout.isatty() else UNBOUNDED_WIDTH
     console = rich.console.Console(width=width, markup=False, emoji=False, highlight=False)
     with console.capture() as text:
         console.print(table)

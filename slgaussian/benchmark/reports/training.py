@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from slgaussian.benchmark.reports import model
 from slgaussian.benchmark.reports.score_tables import comparison_cell
 from slgaussian.benchmark.significance import clip_scores, gain
-from slgaussian.benchmark.statistics import LEAST, LEVEL
+from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES
 
-ABOUT = {
+LIFTING_DESCRIPTIONS = {
     "hard": "each Gaussian has the object of its own pixel; no network",
     "filled": "as hard, after pixels without an object took one from other views; no network",
     "branch": "the trained branch",
@@ -25,10 +25,10 @@ ABOUT = {
 }
 """Descriptions of the liftings."""
 
-METADATA = ("Date", "Creator", "Format", "Type")
+REMOVED_METADATA = ("Date", "Creator", "Format", "Type")
 """Metadata keys of Matplotlib that are removed from a picture."""
 
-SOFT, ACCENT = "#667085", "#0072B2"
+MUTED_COLOUR, ACCENT_COLOUR = "#667085", "#0072B2"
 
 STYLE = {
     "svg.hashsalt": "slgaussian",
@@ -41,7 +41,7 @@ STYLE = {
     "grid.color": "#eef0f4",
 }
 
-SMOOTH = 0.02
+SMOOTHING_SHARE = 0.02
 """Fraction of the steps over which the loss curve is averaged."""
 
 
@@ -58,15 +58,18 @@ def training_report(
             name,
             f"{np.mean(scores):.4f}",
             None if name == "branch" else comparison_cell(gain(judgements, name), 4),
-            ABOUT[name],
+            LIFTING_DESCRIPTIONS[name],
         ]
         for name, scores in clip_scores(judgements).items()
     ]
     heads = ["Lifting", "IoU", "Branch minus lifting", model.Column("", is_text=True)]
-    note = f"Intervals: {LEVEL:.0%} paired bootstrap over clips; unreliable below {LEAST} clips."
+    note = (
+        f"Intervals: {CONFIDENCE_LEVEL:.0%} paired bootstrap over clips; unreliable below "
+        f"{MIN_SAMPLES} clips."
+    )
     out = io.StringIO()
     with matplotlib.rc_context(STYLE):
-        _loss_curve(metrics).savefig(out, format="svg", metadata=dict.fromkeys(METADATA))
+        _loss_curve(metrics).savefig(out, format="svg", metadata=dict.fromkeys(REMOVED_METADATA))
     svg = re.sub(r"<!DOCTYPE[^>]*>\s*", "", out.getvalue(), flags=re.DOTALL)
     caption = "Loss of every step and its running mean; grey: learning rate"
     curve = model.Picture(model.data_uri(svg.encode(), "svg+xml"), caption, caption)
@@ -83,14 +86,16 @@ def _loss_curve(metrics: pa.Table) -> Figure:
     steps, loss = metrics["step"].to_numpy(), metrics["loss"].to_numpy()
     figure = Figure((7.4, 3.0), layout="constrained")
     axes = figure.subplots()
-    width = max(1, round(SMOOTH * len(steps)))
-    axes.plot(steps, loss, ".", ms=2, alpha=0.25, color=ACCENT)
-    axes.plot(steps[width - 1 :], np.convolve(loss, np.ones(width) / width, "valid"), color=ACCENT)
+    width = max(1, round(SMOOTHING_SHARE * len(steps)))
+    axes.plot(steps, loss, ".", ms=2, alpha=0.25, color=ACCENT_COLOUR)
+    axes.plot(
+        steps[width - 1 :], np.convolve(loss, np.ones(width) / width, "valid"), color=ACCENT_COLOUR
+    )
     if (loss > 0).any():
         axes.set_yscale("log")
     axes.set(xlabel="step", ylabel="loss")
     rate = axes.twinx()
-    rate.plot(steps, metrics["rate"].to_numpy(), color=SOFT, lw=1)
-    rate.set_ylabel("learning rate", color=SOFT)
+    rate.plot(steps, metrics["rate"].to_numpy(), color=MUTED_COLOUR, lw=1)
+    rate.set_ylabel("learning rate", color=MUTED_COLOUR)
     rate.set_ylim(0)
     return figure

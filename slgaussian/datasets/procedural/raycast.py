@@ -21,7 +21,7 @@ from slgaussian.kernels.work_sharing import share, take
 
 BOX, BALL, CYLINDER, CONE, RING = range(5)
 
-STEPS, TOUCH = 50_000, 1e-12
+MAX_STEPS, HIT_DISTANCE = 50_000, 1e-12
 """Largest number of steps along a ray to a torus, and the distance that counts as a hit."""
 
 
@@ -229,10 +229,10 @@ def _torus(ring, tube, origin, ray):
     length = math.sqrt(dot(ray, ray))
     d = (ray[0] / length, ray[1] / length, ray[2] / length)
     t, far = 0.0, ring + tube - dot(origin, d)
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         x, y, z = origin[0] + t * d[0], origin[1] + t * d[1], origin[2] + t * d[2]
         distance = math.hypot(math.hypot(x, y) - ring, z) - tube
-        if distance < TOUCH:
+        if distance < HIT_DISTANCE:
             return t / length
         t += distance
         if t > far:

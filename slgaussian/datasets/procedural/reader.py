@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from slgaussian.datasets.procedural import raycast
-from slgaussian.datasets.procedural.rooms import FOCUS, MOST_OBJECTS, Room, furnish
+from slgaussian.datasets.procedural.rooms import FOCUS, MAX_OBJECTS, Room, furnish
 from slgaussian.datasets.procedural.shading import photograph
 from slgaussian.errors import InputError
 from slgaussian.kernels.seeding import rng_for
@@ -53,7 +53,7 @@ def read(
         InputError: If an argument is out of range.
     """
     for option, value, low, high in (
-        ("objects", objects, 1, MOST_OBJECTS), ("views", views, 2, 1000),
+        ("objects", objects, 1, MAX_OBJECTS), ("views", views, 2, 1000),
         ("height", height, 16, 8192), ("width", width, 16, 8192),
         ("baseline", baseline, 0.01, 2.0), ("noise", noise, 0.0, 1.0),
         ("exposure", exposure, 0.0, 1.0),

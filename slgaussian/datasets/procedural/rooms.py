@@ -16,7 +16,7 @@ from slgaussian.datasets.procedural.textures import Material
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
-MOST_OBJECTS = 16
+MAX_OBJECTS = 16
 
 _FLOORS = ("wooden", "wooden", "grey", "beige", "marble", "gravel", "checked", "grey speckled")
 _WALLS = ("white", "grey", "beige", "yellow", "green", "blue", "pink", "brick")
@@ -24,8 +24,8 @@ _WALLS = ("white", "grey", "beige", "yellow", "green", "blue", "pink", "brick")
 _WIDTH, _BACK, _FRONT, _HEIGHT = 2.3, 1.7, -4.2, 2.7  # half width, y of the walls, height (metres)
 _STAGE = (1.55, -1.05, 1.25)  # objects stand in |x| < .., y between
 _GAP = 0.04
-_THICK = 0.012  # of a carpet
-_SEEN = 0.0035  # smallest fraction of each end view that an object must fill
+_CARPET_THICKNESS = 0.012  # of a carpet
+_MIN_VISIBLE_SHARE = 0.0035  # smallest fraction of each end view that an object must fill
 
 FOCUS = np.array([0.0, 0.15, 0.45])  # the point at which the cameras look
 
@@ -121,7 +121,7 @@ def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) ->
     for camera in cameras:
         _, index = raycast.cast(solids, camera.center, camera.rays())
         fraction = np.bincount(owners[index].ravel(), minlength=len(things) + 1) / index.size
-        if (fraction[fixed + 1 :] < _SEEN).any():
+        if (fraction[fixed + 1 :] < _MIN_VISIBLE_SHARE).any():
             return False
     return True
 
@@ -219,8 +219,8 @@ def _carpet(
     a, b, x, y, angle = rng.uniform(
         (0.75, 0.5, -0.35, -0.4, -0.2), (1.05, 0.7, 0.35, -0.2, 0.2)
     ).tolist()
-    ground.carpet = _Place((x, y), angle, (a, b), _THICK, ground.floor.circles)
-    solid = Solid(BOX, (a, b, _THICK / 2), (x, y, _THICK / 2), _turned(angle))
+    ground.carpet = _Place((x, y), angle, (a, b), _CARPET_THICKNESS, ground.floor.circles)
+    solid = Solid(BOX, (a, b, _CARPET_THICKNESS / 2), (x, y, _CARPET_THICKNESS / 2), _turned(angle))
     used_looks.add(("carpet", names.look(words)))
     return Thing(f"{words} carpet", replace(names.material(rng, words, 0.16), gloss=0.0), (solid,))
 
@@ -295,14 +295,14 @@ def _object(
         tube = scale * float(rng.uniform(0.2, 0.28))
         size, lift = (scale - tube, tube), tube
         if rng.random() >= 0.5:  # standing, its axis level and roughly towards the cameras
-            turn, lift = _turned(float(rng.uniform(-0.7, 0.7))) @ _QUARTER, scale
+            turn, lift = _turned(float(rng.uniform(-0.7, 0.7))) @ _QUARTER_TURN, scale
     solid = Solid(names.SHAPES[shape], tuple(size), (x, y, place.z + lift), turn)
     cell = {"striped": 0.3, "checked": 0.38, "dotted": 0.42}.get(words.split(" ")[-1], 1.0) * scale
     thing = Thing(f"{words} {shape}", names.material(rng, words, cell), (solid,))
     return thing, key, place, (x, y, scale), top
 
 
-_QUARTER = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rotates local z to -y
+_QUARTER_TURN = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # rotates local z to -y
 
 
 def _turned(angle: float) -> np.ndarray:

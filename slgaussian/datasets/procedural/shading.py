@@ -16,7 +16,7 @@ from slgaussian.scene import Camera
 SAMPLES = 2
 """Rays per pixel side; each of the SAMPLES**2 rays samples SAMPLES**2 points of the light."""
 
-_LIFT = 1e-5  # shadow rays start this far above the surface, in scene units
+_SHADOW_OFFSET = 1e-5  # shadow rays start this far above the surface, in scene units
 
 
 class Light(NamedTuple):
@@ -84,7 +84,7 @@ def _radiance(solids, casters, materials, light, eye, ray, sample):
     diffuse = light.ambient * (0.75 + 0.25 * nz + 0.06 * nx)
     shine = 0.0
     length = math.sqrt(dot(ray, ray))
-    lifted = (px + _LIFT * nx, py + _LIFT * ny, pz + _LIFT * nz)
+    lifted = (px + _SHADOW_OFFSET * nx, py + _SHADOW_OFFSET * ny, pz + _SHADOW_OFFSET * nz)
     n = SAMPLES
     for k in range(n * n):
         # The n^4 points of the lamp form one grid; each sub-pixel samples n^2 of them.

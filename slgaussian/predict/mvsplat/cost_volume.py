@@ -17,10 +17,10 @@ from slgaussian.scene import Camera
 MIN_DEPTH = np.float32(1e-3)
 """Lower bound of depth in the target view, against division by zero."""
 
-CHUNK = 1024
+CHUNK_PIXELS = 1024
 """Pixels warped at a time: their samples at all depths take 64 MB."""
 
-REORDERED = {"reassoc", "contract", "nsz"}
+FAST_MATH = {"reassoc", "contract", "nsz"}
 """Fast-math flags for sums, without those that assume away NaN and infinity."""
 
 
@@ -91,14 +91,14 @@ def warped_products(
     grid = torch.stack([x / z / (w - 1), y / z / (h - 1)], -1).mul_(2).sub_(1).clamp_(-3, 3)
     parts = []
     for places, features in zip(
-        grid.split(CHUNK), reference.view(h * w, channels).split(CHUNK), strict=True
+        grid.split(CHUNK_PIXELS), reference.view(h * w, channels).split(CHUNK_PIXELS), strict=True
     ):
         warped = F.grid_sample(target.permute(2, 0, 1)[None], places[None], align_corners=True)[0]
         parts.append(torch.einsum("pc,cpd->pd", features, warped))
     return torch.cat(parts).view(h, w, -1)
 
 
-@kernel(fastmath=REORDERED)
+@kernel(fastmath=FAST_MATH)
 def _add_products(counter, start, offset, reference, target, disparities, out):
     """Add to ``out`` [h, w, D] the inner products of a view [h, w, C] with another.
 
@@ -133,7 +133,7 @@ def _add_products(counter, start, offset, reference, target, disparities, out):
         row = take(counter)
 
 
-@kernel(inline="always", fastmath=REORDERED)
+@kernel(inline="always", fastmath=FAST_MATH)
 def _product(feature, target, row, column):
     """Return the inner product with a pixel of ``target``; 0 outside."""
     total = np.float32(0)

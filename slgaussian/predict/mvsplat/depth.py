@@ -17,19 +17,22 @@ FACTOR = 4
 CANDIDATES = 128
 """Number of disparities of the cost volume."""
 
-DETAIL = 32
+DETAIL_CHANNELS = 32
 """Channels of the U-Net at full resolution."""
 
 PARAMETERS = 2, 3, 4, 3 * 16
 """Raw channels of a Gaussian: offset, scale, rotation, and harmonics of degree 0 to 3."""
 
-PREDICTED = 25
+PREDICTED_HARMONICS = 25
 """Harmonics of a colour that the checkpoint predicts; no renderer evaluates the last nine."""
 
-COMPUTED = [*range(9), *(9 + PREDICTED * colour + k for colour in range(3) for k in range(16))]
+COMPUTED_CHANNELS = [
+    *range(9),
+    *(9 + PREDICTED_HARMONICS * colour + k for colour in range(3) for k in range(16)),
+]
 """Channels of the checkpoint's last layer that are :data:`PARAMETERS`."""
 
-STRIP, HALO = 64, 2
+STRIP_ROWS, HALO_ROWS = 64, 2
 """Image rows that the last layers process at a time, and rows around them that two 3x3 convolutions
 read. The activations are then small enough for the allocator to reuse memory; fresh memory costs
 more than many layers."""
@@ -69,16 +72,16 @@ class DepthPredictor(nn.Module):
             nn.Upsample(scale_factor=FACTOR, mode="bilinear", align_corners=True),
             Gelu(),
         )
-        self.proj_feature = conv(WIDTH, DETAIL)
+        self.proj_feature = conv(WIDTH, DETAIL_CHANNELS)
         self.refine_unet = nn.Sequential(
-            conv(DETAIL + 5, DETAIL),
-            nn.GroupNorm(4, DETAIL),
+            conv(DETAIL_CHANNELS + 5, DETAIL_CHANNELS),
+            nn.GroupNorm(4, DETAIL_CHANNELS),
             Gelu(),
-            UNet(DETAIL, levels=5, attention=(16,)),
+            UNet(DETAIL_CHANNELS, levels=5, attention=(16,)),
         )
-        raw = 9 + 3 * PREDICTED
-        self.to_gaussians = _two_layers(DETAIL + 3 + WIDTH, 2 * raw, raw)
-        self.to_disparity = _two_layers(DETAIL, 2 * DETAIL, 2)
+        raw = 9 + 3 * PREDICTED_HARMONICS
+        self.to_gaussians = _two_layers(DETAIL_CHANNELS + 3 + WIDTH, 2 * raw, raw)
+        self.to_disparity = _two_layers(DETAIL_CHANNELS, 2 * DETAIL_CHANNELS, 2)
 
     def forward(
         self,
@@ -102,11 +105,13 @@ class DepthPredictor(nn.Module):
         hints = torch.cat([coarse, certainty], 1).to(features.dtype)
         detail = self.refine_unet(torch.cat([images, self.proj_feature(features), hints], 1))
         strips = []
-        for top in range(0, images.shape[2], STRIP):
-            first = max(top - HALO, 0)
-            inputs = [x[:, :, first : top + STRIP + HALO] for x in (detail, images, features)]
+        for top in range(0, images.shape[2], STRIP_ROWS):
+            first = max(top - HALO_ROWS, 0)
+            inputs = [
+                x[:, :, first : top + STRIP_ROWS + HALO_ROWS] for x in (detail, images, features)
+            ]
             heads = self._heads(inputs[0], torch.cat(inputs, 1))
-            strips.append([head[:, top - first :][:, :STRIP] for head in heads])
+            strips.append([head[:, top - first :][:, :STRIP_ROWS] for head in heads])
         depth, raw = (torch.cat(parts, 1) for parts in zip(*strips, strict=True))
         disparity = (coarse[:, 0] + depth[..., 0]).clamp(disparities[0], disparities[-1])
         return Pixelwise(disparity, depth[..., 1].sigmoid(), raw)
@@ -119,12 +124,15 @@ class DepthPredictor(nn.Module):
         first, activation, last = self.to_gaussians
         assert isinstance(last, nn.Conv2d) and last.bias is not None
         # Zeros up to a multiple of 16: the convolution is twice as fast with whole vectors.
-        padding = -len(COMPUTED) % 16
-        weight = F.pad(last.weight[COMPUTED], (0, 0, 0, 0, 0, 0, 0, padding))
+        padding = -len(COMPUTED_CHANNELS) % 16
+        weight = F.pad(last.weight[COMPUTED_CHANNELS], (0, 0, 0, 0, 0, 0, 0, padding))
         raw = F.conv2d(
-            activation(first(x)), weight, F.pad(last.bias[COMPUTED], (0, padding)), padding=1
+            activation(first(x)),
+            weight,
+            F.pad(last.bias[COMPUTED_CHANNELS], (0, padding)),
+            padding=1,
         )
-        return depth.permute(0, 2, 3, 1), raw.permute(0, 2, 3, 1)[..., : len(COMPUTED)]
+        return depth.permute(0, 2, 3, 1), raw.permute(0, 2, 3, 1)[..., : len(COMPUTED_CHANNELS)]
 
     def _coarse(
         self, matched: torch.Tensor, correlation: torch.Tensor, disparities: torch.Tensor

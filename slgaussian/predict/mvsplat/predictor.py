@@ -27,7 +27,7 @@ from slgaussian.scene import Camera, Sample, View
 NEAR, FAR = 1.0, 100.0
 """Range of depths, in the units of the training scenes."""
 
-MULTIPLE = 16
+SIDE_MULTIPLE = 16
 """Image sides are cropped to multiples of this, for downsampling and two windows on each side."""
 
 NEAREST_DEPTH = 1.25
@@ -135,11 +135,11 @@ def estimate_near(views: Sequence[View], graph: MatchGraph | None = None) -> flo
 def _crop(scene: str, view: View) -> View:
     """Crop the centre of a view to sides that are multiples of 16."""
     camera = view.camera
-    height, width = (length - length % MULTIPLE for length in (camera.height, camera.width))
+    height, width = (length - length % SIDE_MULTIPLE for length in (camera.height, camera.width))
     if height == 0 or width == 0:
         raise InputError(
             f"scene {scene!r}: {view.name!r} is {camera.width}x{camera.height}, expected at least "
-            f"{MULTIPLE}x{MULTIPLE} pixels"
+            f"{SIDE_MULTIPLE}x{SIDE_MULTIPLE} pixels"
         )
     left, top = (camera.width - width) // 2, (camera.height - height) // 2
     image = view.image[top : top + height, left : left + width]

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import nn
 
 GROUPS = 8
-HEAD = 32
+HEAD_WIDTH = 32
 
 
 def conv(inputs: int, outputs: int, stride: int = 1) -> nn.Conv2d:
@@ -64,7 +64,7 @@ class ViewAttention(nn.Module):
         tokens = x.permute(0, 2, 3, 1).reshape(-1, width)
         qkv = F.linear(tokens, self.qkv.weight[..., 0], self.qkv.bias)
         # Each head has its own query, key and value side by side.
-        q, k, v = qkv.view(1, -1, width // HEAD, 3, HEAD).transpose(1, 2).unbind(3)
+        q, k, v = qkv.view(1, -1, width // HEAD_WIDTH, 3, HEAD_WIDTH).transpose(1, 2).unbind(3)
         values = F.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(-1, width)
         values = F.linear(values, self.proj_out.weight[..., 0], self.proj_out.bias)
         return self.norm(values.view(views, h, w, width).permute(0, 3, 1, 2)) + x

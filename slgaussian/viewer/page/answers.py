@@ -24,11 +24,11 @@ from slgaussian.language.confidence import (
 )
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.rules import Rules, unmeasured
-from slgaussian.language.vocabulary import NOUNS, load_vocabulary
-from slgaussian.language.wholes import LEAST_PIXELS
+from slgaussian.language.vocabulary import NOUN_FAMILIES, load_vocabulary
+from slgaussian.language.wholes import MIN_PIXELS
 from slgaussian.objects import words_for
 
-MOST_PAIR_ANSWERS = 2**20
+MAX_PAIR_ANSWERS = 2**20
 """Largest number of pairs of words times objects; if there are more, the page answers no pairs."""
 
 
@@ -65,7 +65,7 @@ def compute_answers(
         }
         for spelling, word in sorted(entries.items()):
             if word.weights:
-                kinds[word.name] = "thing" if word.family in NOUNS else "describing"
+                kinds[word.name] = "thing" if word.family in NOUN_FAMILIES else "describing"
                 spellings[spelling] = word.name
         spellings |= {name: name for name in kinds}
         things = sorted(word for word, kind in kinds.items() if kind == "thing")
@@ -75,7 +75,7 @@ def compute_answers(
             for word in describing
             for noun in (things if word in vocabulary.colours else vocabulary.naming)
         ]
-        if len(pairs) * len(ids) > MOST_PAIR_ANSWERS:
+        if len(pairs) * len(ids) > MAX_PAIR_ANSWERS:
             pairs = []
     else:
         kinds |= dict.fromkeys(words_for(field.encoder), "text")
@@ -99,7 +99,7 @@ def compute_answers(
     gaps, selected = np.zeros((2, len(texts), 0))
     if len(ids):
         reader, areas = field.reader, np.zeros(len(field.bank), int)
-        areas[rows] = LEAST_PIXELS
+        areas[rows] = MIN_PIXELS
         gaps = reader.gaps(texts, Rules())
         selected = reader.chosen(texts, gaps, areas, Rules())[:, rows]
         gaps = gaps[:, rows]

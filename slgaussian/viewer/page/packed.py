@@ -16,10 +16,10 @@ from slgaussian.errors import InputError
 from slgaussian.formats.spz import pack_quats
 from slgaussian.gaussians import SH_C0, Gaussians
 
-BLOCK = 256  # number of Gaussians whose means share a bounding box
+BLOCK_GAUSSIANS = 256  # number of Gaussians whose means share a bounding box
 
-MOST_THINGS = 2**16 - 1
-SMALLEST_SCALE = 1e-7
+MAX_OBJECTS = 2**16 - 1
+MIN_SCALE = 1e-7
 """Smallest scale that is stored, as a fraction of the largest; smaller ones are raised to it."""
 
 Layout = dict[str, tuple[str, int, int]]
@@ -45,13 +45,13 @@ def pack_gaussians(
     if not len(gaussians):
         raise InputError("there are no Gaussians to show, expected at least one")
     gaussians.check()
-    if things.max(initial=0) > MOST_THINGS:
-        raise InputError(f"found {things.max()} objects, expected at most {MOST_THINGS}")
+    if things.max(initial=0) > MAX_OBJECTS:
+        raise InputError(f"found {things.max()} objects, expected at most {MAX_OBJECTS}")
     arrays = gaussians.to_arrays()
     order = morton_order(arrays["means"])
     low, step, codes = _quantize_means(arrays["means"][order])
     scales = arrays["scales"][order]
-    logs = np.log(np.maximum(scales, max(SMALLEST_SCALE * float(scales.max()), 1e-30)))
+    logs = np.log(np.maximum(scales, max(MIN_SCALE * float(scales.max()), 1e-30)))
     first, span = float(logs.min()), float(logs.max() - logs.min())
     scale_codes = np.rint((logs - first) / max(span, 1e-12) * 1023).astype(np.uint32)
     rgb = (arrays["sh"][order, 0] * np.float32(SH_C0) + np.float32(0.5)).clip(0, 1)
@@ -97,9 +97,9 @@ def morton_order(means: np.ndarray) -> np.ndarray:
 
 def _quantize_means(means: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return corner [B, 3] and step [B, 3] of each block's box, and 16-bit codes [N, 3]."""
-    starts = np.arange(0, len(means), BLOCK)
+    starts = np.arange(0, len(means), BLOCK_GAUSSIANS)
     low = np.minimum.reduceat(means, starts)
     step = (np.maximum.reduceat(means, starts) - low) / np.float32(65535)
-    block = np.arange(len(means)) // BLOCK
+    block = np.arange(len(means)) // BLOCK_GAUSSIANS
     codes = np.rint((means - low[block]) / np.maximum(step[block], 1e-30)).clip(0, 65535)
     return low, step, codes.astype(np.uint32)

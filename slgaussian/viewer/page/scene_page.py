@@ -34,12 +34,12 @@ from slgaussian.language.rules import Rules
 from slgaussian.objects import SceneObject
 from slgaussian.scene import Camera
 from slgaussian.viewer.page.answers import compute_answers
-from slgaussian.viewer.page.packed import BLOCK, pack_gaussians
+from slgaussian.viewer.page.packed import BLOCK_GAUSSIANS, pack_gaussians
 
 SCRIPTS = ("data.js", "order.js", "draw.js", "eye.js", "pick.js", "words.js", "panel.js")
 """Files that are joined, in this order, to one script; ``live.js`` comes first in a live page."""
 
-THUMB = 360  # width of the thumbnails of views, in pixels
+THUMBNAIL_WIDTH = 360  # width of the thumbnails of views, in pixels
 
 SEVERAL_TEXTS = "Separate several texts with commas: each object gets the text that fits it best."
 
@@ -104,7 +104,7 @@ def scene_page(
         "touching": _touching(next(iter(looks.values())).ids, ids),
         "words_note": _words_note(answers, live),
         "temperature": Rules().temperature,
-        "block": BLOCK,
+        "block": BLOCK_GAUSSIANS,
         "layout": layout,
         "scale_logs": list(scale_logs),
         "maps": _base64(_colour_maps()),
@@ -149,7 +149,7 @@ def _view(
         "cy": cy,
         "c2w": camera.c2w.tolist(),
         "distance": float(np.median(positive)) if positive.size else 1.0,
-        "picture": "data:image/jpeg;base64," + _base64(encode_jpeg(picture, THUMB)),
+        "picture": "data:image/jpeg;base64," + _base64(encode_jpeg(picture, THUMBNAIL_WIDTH)),
     }
 
 
