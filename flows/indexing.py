@@ -87,7 +87,7 @@ def _surrounded(
     names, clip, unreadable = _look(scene)
     place = {view: i for i, view in enumerate(names)}
     out: dict[str, Any] = dict.fromkeys(frames, "nothing is labelled in it")
-    wanted, barred = {}, set()
+    targets, excluded = {}, set()
     for frame, categories in frames.items():
         try:
             view = scene.find(frame)
@@ -97,11 +97,11 @@ def _surrounded(
         if view in unreadable:
             out[frame] = unreadable[view]
             continue
-        barred.add(place[view])
+        excluded.add(place[view])
         if categories:
-            wanted[frame] = place[view]
-    around = surround(clip, list(wanted.values()), barred, rule)
-    for (frame, number), pair in zip(wanted.items(), around, strict=True):
+            targets[frame] = place[view]
+    around = surround(clip, list(targets.values()), excluded, rule)
+    for (frame, number), pair in zip(targets.items(), around, strict=True):
         if isinstance(pair, str):
             out[frame] = pair
             continue

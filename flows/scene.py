@@ -149,8 +149,8 @@ def chosen_baselines(names: Sequence[str]) -> dict[str, Row]:
                 f"against: found {name!r}, expected all, or of these: {'; '.join(ROWS)}"
                 f"{did_you_mean(name, ROWS)}"
             )
-    wanted = ROWS if "all" in names else names
-    return {name: row for name, row in ROWS.items() if name != FIELD_METHOD and name in wanted}
+    rows = ROWS if "all" in names else names
+    return {name: row for name, row in ROWS.items() if name != FIELD_METHOD and name in rows}
 
 
 def baseline_tasks(

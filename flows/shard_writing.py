@@ -52,11 +52,11 @@ def write_shards(
         DamagedError: If an artifact is damaged.
         OSError: If a file cannot be written.
     """
-    wanted = {item.name: item for item in finished}
+    by_name = {item.name: item for item in finished}
     before = _index(out)
     positions: dict[str, dict[str, Any]] = {}
     for shard, rows in before.items():
-        if _is_kept(out / shard, rows, wanted):
+        if _is_kept(out / shard, rows, by_name):
             positions |= {row["sample"]: {name: row[name] for name in POSITION} for row in rows}
     reused = {position["shard"] for position in positions.values()}
     for split in sorted({item.split for item in finished}):

@@ -301,11 +301,11 @@ class Sample:
         for view in self.context:
             h1, w1 = view.image.shape[:2]
             if (h1, w1) != (h0, w0):
-                least = min(h0, h1), min(w0, w1)
+                smallest = min(h0, h1), min(w0, w1)
                 raise InputError(
                     f"{name} is {w0}x{h0} and {view.name!r} is {w1}x{h1}; context views must have "
                     "one size; give one to bring them to, height first: "
-                    f"--size {least[0]}x{least[1]}, or size={least} in Python"
+                    f"--size {smallest[0]}x{smallest[1]}, or size={smallest} in Python"
                 )
         _check_views(self.scene, self.context)
 
@@ -386,10 +386,10 @@ class Scene:
                     f"scene {self.name!r}: {name!r} was left out when cameras were found "
                     f"({reason}); choose another view, or add photographs between it and the others"
                 )
-        few = ", ".join(list(self.cameras)[:4])
+        examples = ", ".join(list(self.cameras)[:4])
         raise InputError(
             f"scene {self.name!r}: no view {name!r} among the {len(self.cameras)} that have a "
-            f"camera, such as {few}; choose one of them, or add its camera"
+            f"camera, such as {examples}; choose one of them, or add its camera"
         )
 
     def sample(
@@ -445,28 +445,28 @@ class Scene:
     def _resized(self, names: Sequence[str], sizes: Sequence[Size]) -> Iterator[View]:
         """Read views one at a time, as photographs are large, and resize them."""
         cameras = [self.cameras[name] for name in names]
-        least = min(c.height for c in cameras), min(c.width for c in cameras)
+        smallest = min(c.height for c in cameras), min(c.width for c in cameras)
         for name, size in zip(names, sizes, strict=True):
             view = self.read(name)
-            yield view if size == "original" else view.resized(*_fit(*least, size))
+            yield view if size == "original" else view.resized(*_fit(*smallest, size))
 
 
 def _check_views(scene: str, views: Sequence[View]) -> None:
     """Raise InputError if all views share a position, or two are one picture with two poses."""
-    apart = False
+    has_baseline = False
     for a, b in combinations(views, 2):
         baseline = float(np.linalg.norm(a.camera.center - b.camera.center))
         size = max(np.abs(a.camera.center).max(), np.abs(b.camera.center).max(), 1e-12)
         if baseline <= 1e-9 * size:
             continue
-        apart = True
+        has_baseline = True
         blank = (a.image == a.image[0, 0]).all()
         if not blank and np.array_equal(a.image, b.image):
             raise InputError(
                 f"scene {scene!r}: {a.name!r} and {b.name!r} are the same picture, yet their "
                 "poses differ; one of the two photographs is the wrong file"
             )
-    if not apart:
+    if not has_baseline:
         raise InputError(
             f"scene {scene!r}: {views[0].name!r} and {views[1].name!r} were taken from the same "
             "position (no baseline), so depth cannot be found; choose two photographs taken some "
@@ -478,13 +478,13 @@ def _fit(height: int, width: int, size: Size) -> tuple[int, int]:
     """Compute the height and width of resized views, for a size other than "original"."""
     if not isinstance(size, str):
         return size
-    most = re.fullmatch(r"at most ([1-9]\d*)x([1-9]\d*)", size)
-    if most is None and size != "auto":
+    bound = re.fullmatch(r"at most ([1-9]\d*)x([1-9]\d*)", size)
+    if bound is None and size != "auto":
         raise InputError(
             f"size: found {size!r}, expected (height, width), 'at most 312x432', 'auto' or "
             "'original'"
         )
-    pixels = PAPER_PIXELS if most is None else int(most[1]) * int(most[2])
+    pixels = PAPER_PIXELS if bound is None else int(bound[1]) * int(bound[2])
     scale = min(1.0, (pixels / (height * width)) ** 0.5)
     return max(1, round(height * scale)), max(1, round(width * scale))
 

@@ -129,10 +129,10 @@ def _describe(answer: Mapping[str, Any], with_title: bool) -> str:
         best = ", ".join(
             f"{o['id']} ({o['relevancy']:.3f})" for o in answer["objects"][:MAX_PRINTED_OBJECTS]
         )
-        more = len(answer["objects"]) - MAX_PRINTED_OBJECTS
+        unlisted = len(answer["objects"]) - MAX_PRINTED_OBJECTS
         if answer["point"]:
             x, y = answer["point"]
-            rest = f" and {more} more" if more > 0 else ""
+            rest = f" and {unlisted} more" if unlisted > 0 else ""
             lines.append(f"objects  {best}{rest}; point x {x}, y {y}")
         elif answer["read_as"]:
             lines.append(f"most like it  {best}")

@@ -65,9 +65,9 @@ def _renderings() -> Iterator[HardCase]:
     rng, n = np.random.default_rng(0), 80
     z = rng.uniform(2, 6, n)
     at = (rng.uniform(-0.1, 1.1, (n, 2)) - 0.5) * (WIDTH, HEIGHT) / K[0, 0]
-    sight = np.column_stack([at, np.ones(n)])
+    rays = np.column_stack([at, np.ones(n)])
     cloud: dict[str, Any] = {
-        "means": sight * z[:, None],
+        "means": rays * z[:, None],
         "scales": rng.uniform(0.01, 0.3, (n, 3)),
         "quats": rng.normal(size=(n, 4)),
         "opacities": rng.uniform(size=n),
@@ -76,7 +76,7 @@ def _renderings() -> Iterator[HardCase]:
     on_edge = np.column_stack([np.cos(angle), 0 * angle, 0 * angle, np.sin(angle)])
     layers = {name: np.resize(array, (50 * n, *array.shape[1:])) for name, array in cloud.items()}
     layers |= {"scales": np.full((50 * n, 3), 9.0), "opacities": np.full(50 * n, 0.0015)}
-    discs = {"means": 3 * sight, "scales": [[1, 1e-6, 1]] * n, "quats": on_edge}
+    discs = {"means": 3 * rays, "scales": [[1, 1e-6, 1]] * n, "quats": on_edge}
     far = {"means": cloud["means"] * 4 + FAR_POSITION, "scales": cloud["scales"] * 4}
     inputs: dict[str, dict[str, Any]] = {
         "needles": {"scales": [[1, 1e-6, 1e-6]] * n},
@@ -130,10 +130,10 @@ def _unprojections() -> Iterator[HardCase]:
         black = np.zeros((HEIGHT, WIDTH, 3), np.float32)
         gaussians = unproject([camera], [black], [inverse.reshape(HEIGHT, WIDTH)], [ones])
         pixels, _ = camera.project(gaussians.means.double().numpy())
-        off = np.abs(pixels - np.indices((HEIGHT, WIDTH))[::-1].reshape(2, -1).T - 0.5).max()
+        deviation = np.abs(pixels - np.indices((HEIGHT, WIDTH))[::-1].reshape(2, -1).T - 0.5).max()
         # 1e-4, and the reprojection of half a float32 ulp a coordinate at the smallest depth.
         half = math.sqrt(3) * 2**-24 * centre[0] * K[0, 0] / depths[0]
-        yield HardCase("depth to Gaussians", case, "pixels", float(off), 1e-4 + float(half))
+        yield HardCase("depth to Gaussians", case, "pixels", float(deviation), 1e-4 + float(half))
 
 
 def _relevancies() -> Iterator[HardCase]:

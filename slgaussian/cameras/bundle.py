@@ -265,10 +265,10 @@ class _Problem:
         side[self.poses :] -= self.lens_prior * _off_prior(bundle)
         prior = np.diag(np.concatenate([np.zeros(self.poses), self.lens_prior]))
         if bundle.poses is not None:
-            off, slopes = bundle.poses.pull(bundle.R, bundle.t)
+            residuals, slopes = bundle.poses.pull(bundle.R, bundle.t)
             poses = columns[:, :6]
             prior[poses[:, :, None], poses[:, None, :]] = slopes.transpose(0, 2, 1) @ slopes
-            side[: self.poses] -= (off[:, None] @ slopes).ravel()
+            side[: self.poses] -= (residuals[:, None] @ slopes).ravel()
         return _Normal(
             H,
             side,

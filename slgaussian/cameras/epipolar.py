@@ -160,9 +160,9 @@ def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
     x, y = x[:MAX_MATCHES], y[:MAX_MATCHES]
     if len(x) < 8:
         return []
-    few = x[:COARSE_MATCHES], y[:COARSE_MATCHES]
-    rough = (_descended(start, *few, prior, 2) for start in _starts(x, y, prior))
-    ends = _unlike(_rated([end for end in rough if end is not None], *few), 1.0)
+    subset = x[:COARSE_MATCHES], y[:COARSE_MATCHES]
+    rough = (_descended(start, *subset, prior, 2) for start in _starts(x, y, prior))
+    ends = _unlike(_rated([end for end in rough if end is not None], *subset), 1.0)
     fine = (_descended(end, x, y, prior, 3) for end in ends[:FINE_STARTS])
     ends = _unlike(_rated([end for end in fine if end is not None], x, y), 3.0)
     return [_with_covariance(end, x, y, prior) for end in ends]

@@ -167,8 +167,8 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
     _all_placed(ordered, poses, placed)
     assert placed is not None
     bundle = placed.adjusted.bundle
-    back = np.argsort(placed.order)[np.argsort(order)]
-    R, t = bundle.R[back], bundle.t[back]
+    index_of = np.argsort(placed.order)[np.argsort(order)]
+    R, t = bundle.R[index_of], bundle.t[index_of]
     R = R @ R[0].T
     t = t - R @ t[0]
     distances = np.linalg.norm(t, axis=1)
@@ -180,12 +180,21 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
             "the unit of length; leave one out, or put it last"
         )
     pairs = {views: _checked(pose, placed, views, order) for views, pose in poses.items()}
-    sure = _confidence(ordered, placed, pairs)
-    lens = bundle.group[back]
+    probability = _confidence(ordered, placed, pairs)
+    lens = bundle.group[index_of]
     deviations = placed.adjusted.focal_deviations[lens]
-    doubt = "some photographs share little with the others" if sure < DOUBTFUL_CONFIDENCE else ""
+    doubt = (
+        "some photographs share little with the others" if probability < DOUBTFUL_CONFIDENCE else ""
+    )
     return _estimated_cameras(
-        described, R, t / scale, bundle.focals[lens], deviations, tuple(pairs.values()), sure, doubt
+        described,
+        R,
+        t / scale,
+        bundle.focals[lens],
+        deviations,
+        tuple(pairs.values()),
+        probability,
+        doubt,
     )
 
 
@@ -285,32 +294,32 @@ def _confidence(
         Unplaced: If it is below :data:`MIN_CONFIDENCE`.
     """
     adjusted = placed.adjusted
-    far = np.linalg.norm(adjusted.bundle.t, axis=1)
-    far /= far.max()
-    off = []
-    for view in range(1, len(far)):
-        turned, moved = adjusted.degrees(view)
+    distances = np.linalg.norm(adjusted.bundle.t, axis=1)
+    distances /= distances.max()
+    deviations = []
+    for view in range(1, len(distances)):
+        rotation, direction = adjusted.degrees(view)
         # The direction between two of several photographs at one position is arbitrary.
-        off += [turned, moved * far[view]]
-    worst = CORRELATED_MATCHES**0.5 * max(off)
+        deviations += [rotation, direction * distances[view]]
+    uncertainty = CORRELATED_MATCHES**0.5 * max(deviations)
     counts = np.bincount(adjusted.bundle.view)
-    sure = float(
+    probability = float(
         (1 - np.exp(-counts.min() / two_view.MIN_INLIERS))
-        * np.exp(-0.5 * (worst / two_view.REFUSED_UNCERTAINTY) ** 2)
+        * np.exp(-0.5 * (uncertainty / two_view.REFUSED_UNCERTAINTY) ** 2)
     )
-    backed = {view for views, pair in pairs.items() if pair.verdict != UNUSED for view in views}
-    if len(backed) < len(described):
-        sure *= UNSUPPORTED_FACTOR
-    if sure < MIN_CONFIDENCE:
-        fewest = int(counts.argmin())
-        name = described[placed.order[fewest]].photograph.name
+    supported = {view for views, pair in pairs.items() if pair.verdict != UNUSED for view in views}
+    if len(supported) < len(described):
+        probability *= UNSUPPORTED_FACTOR
+    if probability < MIN_CONFIDENCE:
+        weakest = int(counts.argmin())
+        name = described[placed.order[weakest]].photograph.name
         raise Unplaced(
             {
-                name: f"it shares too little with them ({counts[fewest]} points, which leave "
-                f"positions open by {worst:.0f} degrees)"
+                name: f"it shares too little with them ({counts[weakest]} points, which leave "
+                f"positions open by {uncertainty:.0f} degrees)"
             }
         )
-    return sure
+    return probability
 
 
 def _estimated_cameras(

@@ -217,8 +217,8 @@ class _Reconstruction:
             X[track[start]] = points
             local = (self.R[view] @ X[track, :, None])[..., 0] + self.t[view]
             front = local[:, 2] > 0
-            off = local[:, :2] / np.where(front, local[:, 2], 1)[:, None] - uv
-            error = np.linalg.norm(off, axis=1) * self.focals[self.group[view]]
+            residuals = local[:, :2] / np.where(front, local[:, 2], 1)[:, None] - uv
+            error = np.linalg.norm(residuals, axis=1) * self.focals[self.group[view]]
             error = np.where(front, error, 1e9)
             # Only the worst observation of a track is dropped at a time: it may bias the others.
             worst = np.repeat(np.maximum.reduceat(error, start), np.diff(start, append=len(mine)))
@@ -322,8 +322,8 @@ class _Reconstruction:
             uv, within = self._rays(mine), UNADJUSTED_ERROR_FACTOR * MAX_REPROJECTION_ERROR / focal
             for R, t in self._guesses(view, points, uv, within, minimum < MIN_INLIERS):
                 local = points @ R.T + t
-                off = local[:, :2] / np.where(local[:, 2:] > 0, local[:, 2:], 1) - uv
-                near = (np.linalg.norm(off, axis=1) < within) & (local[:, 2] > 0)
+                residuals = local[:, :2] / np.where(local[:, 2:] > 0, local[:, 2:], 1) - uv
+                near = (np.linalg.norm(residuals, axis=1) < within) & (local[:, 2] > 0)
                 if near.sum() > best_count:
                     best, best_count = (R, t, focal, near), int(near.sum())
         if best is None:

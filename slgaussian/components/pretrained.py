@@ -200,11 +200,11 @@ def find_model(model: str | Path, download: bool = True) -> ModelFiles:
         return _files_of_model(path)
     if path.is_file():
         return _checkpoint(path)
-    beside = [CONFIG, OPEN_CLIP_CONFIG, PREPROCESSOR, *TOKENIZER]
+    config_files = [CONFIG, OPEN_CLIP_CONFIG, PREPROCESSOR, *TOKENIZER]
     formats = [[WEIGHTS, INDEX, "model-*.safetensors"], *([name] for name in OPEN_CLIP_WEIGHTS)]
-    wanted = [beside + weights for weights in formats] if download else []
+    patterns = [config_files + weights for weights in formats] if download else []
     return _files_of_model(
-        _from_hub("model", model, wanted, f"one with {CONFIG} and {WEIGHTS}", _files_of_model)
+        _from_hub("model", model, patterns, f"one with {CONFIG} and {WEIGHTS}", _files_of_model)
     )
 
 
@@ -219,8 +219,8 @@ def find_tokenizer(place: str | Path, download: bool = True) -> Path:
         _tokenizer_files(folder)
         return folder
     expected = "one with tokenizer.json, or vocab.json and merges.txt"
-    wanted = [list(TOKENIZER)] if download else []
-    return _from_hub("tokenizer", place, wanted, expected, _tokenizer_files)
+    patterns = [list(TOKENIZER)] if download else []
+    return _from_hub("tokenizer", place, patterns, expected, _tokenizer_files)
 
 
 def _from_hub(
@@ -271,11 +271,11 @@ def model_digest(model: str | Path) -> str:
     Raises:
         InputError: As in :func:`find_model`.
     """
-    found = find_model(model)
-    beside = [found.folder / name for name in (PREPROCESSOR, *TOKENIZER)]
-    files = [*found.files, *(file for file in beside if file.is_file())]
+    model_files = find_model(model)
+    config_files = [model_files.folder / name for name in (PREPROCESSOR, *TOKENIZER)]
+    files = [*model_files.files, *(file for file in config_files if file.is_file())]
     # A checkpoint may have any file name.
-    return _digest({"checkpoint" if f == found.checkpoint else f.name: f for f in files})
+    return _digest({"checkpoint" if f == model_files.checkpoint else f.name: f for f in files})
 
 
 def tokenizer_digest(place: str | Path) -> str:

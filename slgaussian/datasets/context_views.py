@@ -60,8 +60,8 @@ def context_of(
     radii = np.linalg.norm(centers, axis=1).round(6)
 
     def distances(views: Sequence[int]) -> np.ndarray:
-        away = np.linalg.norm(centers[:, None] - centers[views], axis=-1)
-        return away.min(1, initial=np.inf)
+        to_views = np.linalg.norm(centers[:, None] - centers[views], axis=-1)
+        return to_views.min(1, initial=np.inf)
 
     free = (axes @ axes[[chosen[0], chosen[-1]]].T).max(1) >= np.cos(np.radians(MAX_AXIS_ANGLE))
     free &= distances(held_out) >= MIN_TARGET_DISTANCE

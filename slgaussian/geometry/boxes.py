@@ -47,19 +47,19 @@ def upright_box(points: np.ndarray, up: np.ndarray) -> Box:
     of the points lie inside at each end of each axis.
     """
     points = np.asarray(points, np.float64)[:: -(-len(points) // MAX_POINTS)]
-    away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    points = points[away <= MAX_RELATIVE_DISTANCE * np.median(away)]
+    distances = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    points = points[distances <= MAX_RELATIVE_DISTANCE * np.median(distances)]
     side = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     side /= np.linalg.norm(side)
     side_b = np.cross(up, side)
     ground = points @ np.stack([side, side_b]).T
     angles = np.arange(TESTED_ORIENTATIONS) * (np.pi / 2 / TESTED_ORIENTATIONS)
-    turned = np.stack([np.cos(angles), np.sin(angles)], 1)
-    along, across = ground @ turned.T, ground @ np.stack([-turned[:, 1], turned[:, 0]])
+    directions = np.stack([np.cos(angles), np.sin(angles)], 1)
+    along, across = ground @ directions.T, ground @ np.stack([-directions[:, 1], directions[:, 0]])
     ends = [TRIMMED_PERCENT, 100 - TRIMMED_PERCENT]
     extents = [np.ptp(np.percentile(axis, ends, axis=0), axis=0) for axis in (along, across)]
     area = np.prod(extents, 0)
-    best = turned[area.argmin()]
+    best = directions[area.argmin()]
     first = best[0] * side + best[1] * side_b
     axes = np.stack([first, np.cross(up, first), up])
     low, high = np.percentile(points @ axes.T, ends, axis=0)

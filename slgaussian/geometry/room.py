@@ -147,8 +147,8 @@ def _normals(camera: Camera, depth: np.ndarray, step: int = 1) -> np.ndarray:
     with np.errstate(invalid="ignore", divide="ignore"):
         normal /= np.sqrt((normal * normal).sum(0))
     eye = camera.c2w[:3, 3, None, None]
-    away = ((points[:, inner[0], inner[1]] - eye) * normal).sum(0) >= 0
-    np.negative(normal, out=normal, where=away)
+    facing_away = ((points[:, inner[0], inner[1]] - eye) * normal).sum(0) >= 0
+    np.negative(normal, out=normal, where=facing_away)
     out[first : first + len(middle), first : first + middle.shape[1]] = np.moveaxis(
         np.where(flat, normal, np.nan), 0, -1
     )

@@ -176,15 +176,15 @@ def build_bank(
         unions[:, labels > 0] = members[visible_groups][:, rows]
         # One call for both, so that the encoder processes the photograph once.
         regions = np.concatenate([masks, unions])
-        here = np.concatenate([visible, visible_groups])
+        all_visible = np.concatenate([visible, visible_groups])
         tasks = [partial(encoder.encode_regions, view.image, regions, around)]
         if classify is not None:
             tasks.append(partial(classify, view.image, regions))
         encoded, *scores = share_items(lambda task: task(), tasks)
-        features.append(_scattered(encoded.astype(np.float16), here))
+        features.append(_scattered(encoded.astype(np.float16), all_visible))
         if scores and scores[0] is not None:
             of_regions, of_photograph = scores[0]
-            classes.append(_scattered(of_regions, here))
+            classes.append(_scattered(of_regions, all_visible))
             photographs.append(of_photograph)
     nodes = np.stack(features, 1).astype(np.float32)
     return MemoryBank(

@@ -163,11 +163,11 @@ def _anneal(points, assignment, pairs, weights, movers, targets, randoms):
         if j == i:
             continue
         heat = start * TEMPERATURES[0] * (TEMPERATURES[1] / TEMPERATURES[0]) ** (step / len(movers))
-        most = _energy_of(i, j, pairs, codes, balls, np.inf) - heat * np.log(randoms[step])
+        limit = _energy_of(i, j, pairs, codes, balls, np.inf) - heat * np.log(randoms[step])
         _move(i, points[target], pairs, codes, balls)
         if j >= 0:
             _move(j, points[source], pairs, codes, balls)
-        if _energy_of(i, j, pairs, codes, balls, most) <= most:
+        if _energy_of(i, j, pairs, codes, balls, limit) <= limit:
             assignment[i], owners[target], owners[source] = target, i, j
             if j >= 0:
                 assignment[j] = source

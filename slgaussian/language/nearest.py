@@ -26,9 +26,9 @@ def make_table(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     middles = (np.arange(CELLS) + 0.5) / CELLS
     x, y, z = np.abs(middles[:, None] - codes.T[:, None])
-    apart = (x[:, None, None] + y[:, None] + z).reshape(CELLS**3, -1)
+    distances = (x[:, None, None] + y[:, None] + z).reshape(CELLS**3, -1)
     # A point of a cell is at most 3 / 2 of a cell from the middle, and distances differ by no more.
-    cells, members = np.nonzero(apart <= apart.min(1, keepdims=True) + 3 / CELLS + SLACK)
+    cells, members = np.nonzero(distances <= distances.min(1, keepdims=True) + 3 / CELLS + SLACK)
     starts = np.searchsorted(cells, np.arange(CELLS**3 + 1))
     return starts.astype(np.int32), members.astype(np.int32)
 

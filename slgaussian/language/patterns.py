@@ -66,8 +66,8 @@ def _around(mask: np.ndarray) -> np.ndarray | None:
     )
     y = y[:, None]
     spread = np.hypot(x, y)
-    away = spread[mask]
-    if away.min() < _MIN_HOLE_RADIUS * np.sqrt((away**2).mean()):
+    distances = spread[mask]
+    if distances.min() < _MIN_HOLE_RADIUS * np.sqrt((distances**2).mean()):
         return None
     empty = np.pad(~mask, 1, constant_values=True).view(np.uint8)
     _, holes = cv2.connectedComponents(empty, connectivity=4)

@@ -126,8 +126,8 @@ class QueryResult:
         mask, point = self.confidence
         if self.verdict == "not here":
             return f"probably not here: {point:.2f} that the best object is it"
-        sure = f"{mask:.2f} that the mask is right, {point:.2f} that the point is"
-        return f"{self.verdict}: {sure}{self.understood.alone}"
+        summary = f"{mask:.2f} that the mask is right, {point:.2f} that the point is"
+        return f"{self.verdict}: {summary}{self.understood.alone}"
 
     @property
     def point(self) -> tuple[int, int] | None:
@@ -173,14 +173,14 @@ def _answer(
     best = gaps[as_good].max(initial=-np.inf)
     as_good = as_good[gaps[as_good] >= min(NEAR_BEST_POINT * best, best)]
     scores = sigmoid(rules.temperature * gaps)
-    read, sure = reader.understood(text), None
+    read, probabilities = reader.understood(text), None
     if read.kind == "named":
         calibration, uncalibrated = None, ""
     if calibration is not None and not uncalibrated and len(ranked):
         parts = seen.parts(chosen & (gaps > -np.inf))
         at = signs(gaps[ranked], chosen[ranked], read.measurements, parts, read.named)
-        sure = calibration(at)
-    selection = ranked, as_good, chosen, sure, uncalibrated
+        probabilities = calibration(at)
+    selection = ranked, as_good, chosen, probabilities, uncalibrated
     return QueryResult(text, scores, read, reader.bank.ids, seen, *selection)
 
 

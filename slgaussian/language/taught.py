@@ -216,6 +216,6 @@ def _half(vectors: np.ndarray) -> np.ndarray:
 
 def _directions(vectors: np.ndarray, common: np.ndarray) -> np.ndarray:
     """Compute unit vectors float64 from ``common`` [C] to ``vectors`` [K, C]; zero if equal."""
-    away = vectors.astype(np.float64) - common
-    lengths = np.linalg.norm(away, axis=1, keepdims=True)
-    return away / np.where(lengths > 0, lengths, 1)
+    centred = vectors.astype(np.float64) - common
+    lengths = np.linalg.norm(centred, axis=1, keepdims=True)
+    return centred / np.where(lengths > 0, lengths, 1)

@@ -229,9 +229,13 @@ class Vocabulary:
         start = 0
         while start < len(spelled):
             word, length = self._phrase_at(spelled, start)
-            then = spelled[start + length : start + length + 1]
+            following = spelled[start + length : start + length + 1]
             noun = word is not None and word.family in NOUN_FAMILIES
-            if word is None or not self.relations.isdisjoint(left) or (not noun and then == ["of"]):
+            if (
+                word is None
+                or not self.relations.isdisjoint(left)
+                or (not noun and following == ["of"])
+            ):
                 left.append(spelled[start])
                 length = 1
             elif noun:

@@ -156,8 +156,8 @@ def joint_sums(views: Sequence[LeafSums]) -> LeafSums:
     leaves = np.stack([view.leaves for view in views])
     edges, borders = (np.concatenate([getattr(v, n) for v in views]) for n in ("edges", "borders"))
     means = np.mean([view.means for view in views], 0)
-    beside = (np.concatenate([getattr(v, n) for v in views], 1) for n in ("views", "boxes"))
-    return LeafSums(leaves, *_summed(edges, borders, len(means)), means, *beside)
+    columns = (np.concatenate([getattr(v, n) for v in views], 1) for n in ("views", "boxes"))
+    return LeafSums(leaves, *_summed(edges, borders, len(means)), means, *columns)
 
 
 def build_tree(sums: LeafSums, cues: Cues | None = None) -> MergeTree:

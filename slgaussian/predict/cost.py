@@ -58,7 +58,7 @@ def matching_costs(
     """
     # Kernels have pixel centres at integers: shift once here instead of for every pixel.
     centre = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
-    away = np.linalg.inv(centre)
+    inverse = np.linalg.inv(centre)
     volumes = np.empty((len(sources), *ref.shape, len(inverse_depths)), np.uint8)
     padded = np.pad(ref, RADIUS, mode="edge").astype(np.float32)
     for (src, relative), volume in zip(sources, volumes, strict=True):
@@ -67,8 +67,8 @@ def matching_costs(
             -(-len(volume) // BLOCK_ROWS),
             padded,
             _squares(src),
-            (away @ relative.infinity @ centre).astype(np.float32),
-            (away @ relative.epipole).astype(np.float32),
+            (inverse @ relative.infinity @ centre).astype(np.float32),
+            (inverse @ relative.epipole).astype(np.float32),
             inverse_depths.astype(np.float32),
             np.float32((1 - census_weight) * 100),
             np.float32(census_weight * 200 / (_SIDE**2 - 1)),

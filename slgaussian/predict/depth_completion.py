@@ -82,11 +82,11 @@ def _cross_check(counter, inverse_depth, source_depth, A, e, least_tolerance, ou
             j = math.floor((A[0, 0] * u + A[0, 1] * v + A[0, 2] + w * e[0]) / z)
             if not (0 <= i < source_depth.shape[0] and 0 <= j < source_depth.shape[1]):
                 continue
-            here, observed = w / z, float(source_depth[i, j])
-            if abs(here - observed) <= max(RELATIVE_TOLERANCE * here, least_tolerance):
+            inverse, observed = w / z, float(source_depth[i, j])
+            if abs(inverse - observed) <= max(RELATIVE_TOLERANCE * inverse, least_tolerance):
                 out[y, x] = AGREES
             else:
-                out[y, x] = IN_FRONT if here > observed else BEHIND
+                out[y, x] = IN_FRONT if inverse > observed else BEHIND
         y = take(counter)
 
 
@@ -202,8 +202,8 @@ def _support(planes, points, w, tolerance):
     for k in range(len(planes)):
         a, b, c = planes[k]
         for i in range(len(points)):
-            off = abs(a * points[i, 0] + b * points[i, 1] + c - w[i])
-            out[k] += 1 if off < tolerance else 0
+            residual = abs(a * points[i, 0] + b * points[i, 1] + c - w[i])
+            out[k] += 1 if residual < tolerance else 0
     return out
 
 
@@ -244,8 +244,8 @@ def fill_depth(
     y, x = np.indices(keep.shape)
     levels = np.stack([(a * x + b * y + c).clip(steps[0], steps[-1]) for a, b, c in planes])
     levels = levels.astype(np.float32)
-    off = np.minimum(np.abs(levels - inverse_depth) / (SATURATION_STEPS * step), 1)
-    votes = np.where(keep, 100 * off, 0).astype(np.uint8)
+    residual = np.minimum(np.abs(levels - inverse_depth) / (SATURATION_STEPS * step), 1)
+    votes = np.where(keep, 100 * residual, 0).astype(np.uint8)
     for relative, source_depth in witnesses:
         for level, vote in zip(levels, votes, strict=True):
             verdict = cross_check(level, source_depth, relative, step)

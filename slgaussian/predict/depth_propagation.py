@@ -84,8 +84,8 @@ def propagate_depth(
             at, ratio = link.relative.reversed().project(np.stack([x, y], 1) + 0.5, w)
             inside = (ratio > 1e-9) & (at >= 0).all(1) & (at < landed.shape[::-1]).all(1)
             column, row = at[inside].astype(np.int64).T
-            off = smooth[link.source][y[inside], x[inside]] - smooth[i][row, column]
-            alike = np.abs(off).max(1) < np.float64(COLOR_TOLERANCE)
+            difference = smooth[link.source][y[inside], x[inside]] - smooth[i][row, column]
+            alike = np.abs(difference).max(1) < np.float64(COLOR_TOLERANCE)
             lent = (w[inside] / ratio[inside]).astype(np.float32)
             np.maximum.at(landed, (row[alike], column[alike]), lent[alike])
         landed = np.where(landed >= view.steps[0], landed, 0)

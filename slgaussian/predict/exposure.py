@@ -53,12 +53,12 @@ def color_gains(
         y, x = np.nonzero(answered[i])
         spacing = max(1, len(y) // MAX_SAMPLES)
         y, x = y[::spacing], x[::spacing]
-        here = images[i][y, x]
+        values = images[i][y, x]
         positions, ratio = link.relative.project(np.stack([x, y], 1) + 0.5, inverse_depths[i][y, x])
         H, W = answered[j].shape
         inside = (ratio > 0) & (positions >= 0).all(1) & (positions < (W, H)).all(1)
         column, row = positions[inside].astype(np.int64).T
-        pair = np.stack([here[inside], images[j][row, column]], 1)
+        pair = np.stack([values[inside], images[j][row, column]], 1)
         fair = (pair.min((1, 2)) >= MIN_VALUE) & (pair.max((1, 2)) <= MAX_VALUE)
         if fair.sum() >= MIN_SAMPLES:
             logs = np.log(pair[fair].astype(np.float64))
@@ -73,7 +73,7 @@ def color_gains(
     weights = graph.closeness()
     mean = weights @ darker
     for _ in range(ITERATIONS):  # Huber 1964
-        off = np.abs(darker - mean[:, None])
-        say = weights[..., None] * HUBER_THRESHOLD / np.maximum(off, HUBER_THRESHOLD)
+        residuals = np.abs(darker - mean[:, None])
+        say = weights[..., None] * HUBER_THRESHOLD / np.maximum(residuals, HUBER_THRESHOLD)
         mean = (say * darker).sum(1) / say.sum(1)
     return np.exp(darker - mean).clip(1 / MAX_GAIN, MAX_GAIN)

@@ -139,8 +139,8 @@ def _find_map(folder: Path, view: str) -> DepthMap:
         if files and files[0].suffix == ".npz":
             return _of_views(files[0], [view])[0]
         if files:
-            sure = read_map(beside[0], byte=True) if beside else None
-            return DepthMap(str(files[0]), known_depth(read_map(files[0])), sure)
+            confidence = read_map(beside[0], byte=True) if beside else None
+            return DepthMap(str(files[0]), known_depth(read_map(files[0])), confidence)
     raise InputError(
         f"{folder}: has no depth of view {view!r}; expected {Path(view).stem} with one of "
         f"{', '.join(DEPTH_SUFFIXES)}"
@@ -267,8 +267,8 @@ def choose_reading(
             depth.
     """
     tried = [(reading, fit(*reading[1:], matches)) for reading in readings]
-    least = min(fitted.error for _, fitted in tried)
-    chosen, fitted = next(one for one in tried if BETTER_ERROR_RATIO * one[1].error <= least)
+    best_error = min(fitted.error for _, fitted in tried)
+    chosen, fitted = next(one for one in tried if BETTER_ERROR_RATIO * one[1].error <= best_error)
     blank = fit(chosen[1], [lambda points: np.ones(len(points))] * len(chosen[1]), matches)
     misfit = blank.error > MIN_PARALLAX and fitted.error > MAX_ERROR_RATIO * blank.error
     if fitted.count >= 2 * MIN_MATCHES and (fitted.share < MIN_EXPLAINED_SHARE or misfit):
@@ -311,7 +311,7 @@ def _read(
             "matches to where the other view shows them",
             stacklevel=4,
         )
-    views_depth, sure = [], []
+    views_depth, confidence = [], []
     for one, z, to_map, camera, scale in zip(maps, zs, at, cameras, fitted.scales, strict=True):
         same = z.shape == (camera.height, camera.width) and np.allclose(
             to_map, np.eye(3), atol=1e-9
@@ -324,8 +324,8 @@ def _read(
             axis.astype(np.int64).clip(0, size - 1)
             for axis, size in zip((y, x), one.depth.shape, strict=True)
         )
-        sure.append(None if one.confidence is None else one.confidence[np.ix_(row, column)])
-    return views_depth, sure
+        confidence.append(None if one.confidence is None else one.confidence[np.ix_(row, column)])
+    return views_depth, confidence
 
 
 def _ways(view: View, one: DepthMap) -> dict[str, np.ndarray]:
@@ -354,7 +354,7 @@ def _swept(
     inverse = [
         np.divide(1, z, out=np.ones(z.shape), where=z > 0).astype(np.float32) for z in depths
     ]
-    all_sparse = np.concatenate([link.sparse for own in links for link in own])
+    all_sparse = np.concatenate([link.sparse for of_view in links for link in of_view])
     steps = []
     for i, view in enumerate(sample.context):
         ends = np.percentile(inverse[i][given[i]], (0.1, 99.9)) if given[i].any() else []
@@ -368,8 +368,8 @@ def _swept(
         steps.append(choose_steps(settings, links[i], view.grey.shape, low, high)[1])
         inverse[i] = np.where(given[i], inverse[i], np.float32(steps[i].mean()))
     agrees, judged = np.zeros_like(given), np.zeros_like(given)
-    for i, own in enumerate(links):
-        for link in own:
+    for i, of_view in enumerate(links):
+        for link in of_view:
             step = steps[i][1] - steps[i][0]
             known, other = given[link.source], inverse[link.source]
             far, near = (
@@ -392,13 +392,13 @@ def _low(
     low = np.zeros_like(agrees)
     if any(one is None for one in confidences) or not judged.any():
         return low
-    sure = np.stack([one for one in confidences if one is not None])
+    confidence = np.stack([one for one in confidences if one is not None])
     levels = np.unique(
         np.quantile(
-            sure[judged], np.arange(CONFIDENCE_LEVELS) / CONFIDENCE_LEVELS, method="nearest"
+            confidence[judged], np.arange(CONFIDENCE_LEVELS) / CONFIDENCE_LEVELS, method="nearest"
         )
     )
-    level = np.searchsorted(levels, sure, side="right")
+    level = np.searchsorted(levels, confidence, side="right")
     for k in range(1, len(levels) + 1):
         at = judged & (level == k)
         if agrees[at].mean() >= MIN_EXPLAINED_SHARE:

@@ -67,24 +67,24 @@ def _sweep(cost, guide, jumps, p1, down, total):
         minimum = np.int16(0)
         for j in range(W):
             x, beside = (j, j - 1) if down else (W - 1 - j, W - j)
-            here, grey, sums = cost[y, x], np.int32(guide[y, x]), total[y, x]
+            pixel_cost, grey, sums = cost[y, x], np.int32(guide[y, x]), total[y, x]
             sums[:] = 0
             this, previous = along[j % 2], along[(j + 1) % 2]
             if j == 0:
-                minimum = _follow(start, np.int16(0), jumps[0], p1, here, this, sums)
+                minimum = _follow(start, np.int16(0), jumps[0], p1, pixel_cost, this, sums)
             else:
                 jump = jumps[abs(grey - np.int32(guide[y, beside]))]
-                minimum = _follow(previous, minimum, jump, p1, here, this, sums)
+                minimum = _follow(previous, minimum, jump, p1, pixel_cost, this, sums)
             for path in range(3):
                 from_x = x + path - 1
                 this = across[new, path, x]
                 if k == 0 or from_x < 0 or from_x >= W:
-                    lowest = _follow(start, np.int16(0), jumps[0], p1, here, this, sums)
+                    lowest = _follow(start, np.int16(0), jumps[0], p1, pixel_cost, this, sums)
                 else:
                     jump = jumps[abs(grey - np.int32(guide[before, from_x]))]
                     lowest = _follow(
                         across[old, path, from_x], least_across[old, path, from_x], jump, p1,
-                        here, this, sums,
+                        pixel_cost, this, sums,
                     )  # fmt: skip
                 least_across[new, path, x] = lowest
 

@@ -68,16 +68,16 @@ def _discs_of(camera: Camera, inverse_depth: np.ndarray) -> tuple[np.ndarray, ..
     depth, R = 1 / inverse_depth.ravel().astype(np.float64), camera.c2w[:3, :3]
     n = np.ascontiguousarray(normals(inverse_depth, camera.K).reshape(-1, 3).T)
     row, column = np.indices(inverse_depth.shape).reshape(2, -1) + 0.5
-    sight = _turned(np.linalg.inv(camera.K), np.stack([column, row, np.ones(len(depth))]))
-    means = camera.center[:, None] + depth * _turned(R, sight)
-    sight /= _length(sight)
-    across = np.cross(n, sight, axis=0)
+    rays = _turned(np.linalg.inv(camera.K), np.stack([column, row, np.ones(len(depth))]))
+    means = camera.center[:, None] + depth * _turned(R, rays)
+    rays /= _length(rays)
+    across = np.cross(n, rays, axis=0)
     # Where the surface faces the camera any axis in its plane will do.
     facing = _length(across) < 1e-6
     across[:, facing] = np.cross(n[:, facing], [[0.0], [1.0], [0.0]], axis=0)
     across /= _length(across)
     axes = np.stack([_turned(R, axis) for axis in (across, np.cross(n, across, axis=0), n)], 1)
-    cosine = np.where(facing, 1.0, np.abs((n * sight).sum(0)))
+    cosine = np.where(facing, 1.0, np.abs((n * rays).sum(0)))
     width = FOOTPRINT / np.sqrt(camera.K[0, 0] * camera.K[1, 1]) * depth
     scales = np.stack([width, width / np.maximum(cosine, MIN_COSINE), width * THICKNESS])
     quats = _quaternions(axes)
@@ -152,9 +152,9 @@ def _normals(values, K, radius, same):
             rest = centre - (x + 0.5) * du - (y + 0.5) * dv
             along = du * K[0, 0] + dv * K[1, 0] + rest * K[2, 0]
             down = du * K[0, 1] + dv * K[1, 1] + rest * K[2, 1]
-            away = du * K[0, 2] + dv * K[1, 2] + rest * K[2, 2]
-            length = math.sqrt(along * along + down * down + away * away)
+            offset = du * K[0, 2] + dv * K[1, 2] + rest * K[2, 2]
+            length = math.sqrt(along * along + down * down + offset * offset)
             out[y, x, 0] = -along / length
             out[y, x, 1] = -down / length
-            out[y, x, 2] = -away / length
+            out[y, x, 2] = -offset / length
     return out

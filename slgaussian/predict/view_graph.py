@@ -104,11 +104,11 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     dense = {
         pair: indices for pair, indices in matches.items() if len(indices[0]) >= MIN_REFINED_MATCHES
     }
-    off = [np.zeros(0)]
+    distances = [np.zeros(0)]
     for (i, j), (p, q) in dense.items():
         relative = Relative.between(cameras[i], cameras[j])
-        off.append(np.abs(relative.epipolar_distance(points[i][p], points[j][q])))
-    if dense and np.median(np.concatenate(off)) > WELL_POSED_DISTANCE * np.hypot(
+        distances.append(np.abs(relative.epipolar_distance(points[i][p], points[j][q])))
+    if dense and np.median(np.concatenate(distances)) > WELL_POSED_DISTANCE * np.hypot(
         *views[0].grey.shape
     ):
         cameras = refine_cameras(cameras, points, dense)

@@ -247,12 +247,12 @@ def _median_block(block, used, channels, work):
     median = vzero()
     transmittance = median + np.float32(1)
     for j in range(used):
-        after = transmittance - vload(work.weights, j * LANES)
+        remaining = transmittance - vload(work.weights, j * LANES)
         k = np.uint32(work.lists[first + j])
         z = work.carried[k * channels + channels - 1]
-        reached = (transmittance > np.float32(0.5)) & (after <= np.float32(0.5))
+        reached = (transmittance > np.float32(0.5)) & (remaining <= np.float32(0.5))
         median = vwhere(reached, z, median)
-        transmittance = after
+        transmittance = remaining
     return median
 
 

@@ -142,12 +142,12 @@ def merge(gaussians: Gaussians, cameras: Sequence[Camera]) -> Merged:
                 greatest=max(float(change.max()) for change in changes) / GREY_LEVEL,
             )
             return Merged(merged, into, change)
-        over = [_blocks_to_restore(change) for change in changes]
+        restored = [_blocks_to_restore(change) for change in changes]
         if attempt == UNDO_ROUNDS:
             # Include Gaussians behind surfaces, which may shine through.
             for v in np.flatnonzero(np.array(squares) > MAX_VIEW_CHANGE**2):
-                over[v], depths[v] = np.ones_like(over[v]), np.full_like(depths[v], np.inf)
-        _restore_cells(sizes, levels, over, cameras, depths)
+                restored[v], depths[v] = np.ones_like(restored[v]), np.full_like(depths[v], np.inf)
+        _restore_cells(sizes, levels, restored, cameras, depths)
     return Merged(gaussians, np.arange(len(gaussians)), Change())
 
 
@@ -179,13 +179,13 @@ def _blocks_to_restore(change: np.ndarray) -> np.ndarray:
     means = _blocks(change.mean(2)).mean((1, 3))
     squares = _blocks(np.square(change).mean(2)).mean((1, 3))
     # Dilated by one block, as a merged Gaussian extends into the next.
-    over = ndimage.binary_dilation(means > MAX_BLOCK_CHANGE, np.ones((3, 3), bool))
+    excessive = ndimage.binary_dilation(means > MAX_BLOCK_CHANGE, np.ones((3, 3), bool))
     least_first = np.sort(squares, axis=None)
     sums = np.cumsum(least_first, dtype=np.float64)
     if sums[-1] <= squares.size * MAX_VIEW_CHANGE**2:
-        return over
-    within = int(np.searchsorted(sums, squares.size * (TARGET_SHARE * MAX_VIEW_CHANGE) ** 2))
-    return over | (squares > least_first[max(within - 1, 0)])
+        return excessive
+    kept_blocks = int(np.searchsorted(sums, squares.size * (TARGET_SHARE * MAX_VIEW_CHANGE) ** 2))
+    return excessive | (squares > least_first[max(kept_blocks - 1, 0)])
 
 
 def _blocks(values: np.ndarray) -> np.ndarray:

@@ -96,9 +96,9 @@ class NearestCode:
             visible = features[..., -1] >= MIN_WEIGHT
             rendered = features[visible].astype(np.float64)
             nearest = nearest_code(rendered[:, :-1], self._codes)
-            away = np.abs(rendered[:, :-1] - self._codes[nearest]).sum(1)
+            distances = np.abs(rendered[:, :-1] - self._codes[nearest]).sum(1)
             ids[visible] = self._ids[nearest]
-            lead = np.maximum(0, 1 - 2 * away / self._gaps[nearest])
+            lead = np.maximum(0, 1 - 2 * distances / self._gaps[nearest])
             confidence[visible] = np.minimum(rendered[:, -1], 1) * lead
         return ids, confidence
 
@@ -118,9 +118,9 @@ def decoder_of(bank: MemoryBank, settings: Mapping[str, Any]) -> Decoder | Neare
 
 def _gaps(codes: np.ndarray) -> np.ndarray:
     """Compute the L1 distance from each code to the nearest other one, float64 [N]; inf if none."""
-    apart = np.array([np.abs(codes - code).sum(1) for code in codes]).reshape(2 * (len(codes),))
-    np.fill_diagonal(apart, np.inf)
-    return apart.min(1, initial=np.inf)
+    distances = np.array([np.abs(codes - code).sum(1) for code in codes]).reshape(2 * (len(codes),))
+    np.fill_diagonal(distances, np.inf)
+    return distances.min(1, initial=np.inf)
 
 
 # Single-threaded: an image takes 3 ms, and starting a second thread may cost more than it saves.

@@ -129,9 +129,9 @@ class Versions:
                     why,
                     facts,
                 )
-                now = self._current_number()
-                if promote and now != before:
-                    reason = f"{version_name(now)} came into use while it was trained; {why}"
+                current = self._current_number()
+                if promote and current != before:
+                    reason = f"{version_name(current)} came into use while it was trained; {why}"
                     version = replace(version, promoted=False, why=reason)
                 file = encode_table(_table(version), load_spec("versions"))
                 write_atomic(self._file(version.number), file)

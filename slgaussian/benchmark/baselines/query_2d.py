@@ -86,5 +86,5 @@ class PictureView:
         label_maps = LabelMaps(ids[None], np.ones((1, *ids.shape), np.float32))
         around = [inputs.geometry.room.place(self.camera, depth)] if with_depth else None
         bank = inputs.look_at([view], label_maps, around, with_depth)
-        sure = (ids > 0).astype(np.float32)
-        return FieldView(self.rgb, ids, sure, alpha, depth, inputs.field.changed(bank=bank))
+        confidence = (ids > 0).astype(np.float32)
+        return FieldView(self.rgb, ids, confidence, alpha, depth, inputs.field.changed(bank=bank))

@@ -121,6 +121,6 @@ def _look_at(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 def _encoded(light: np.ndarray) -> np.ndarray:
     """Encode linear light as sRGB in [0, 1] (IEC 61966-2-1) with soft highlight clipping."""
     knee = 0.8
-    over = np.maximum(light - knee, 0) / (1 - knee)
-    light = np.where(light > knee, knee + (1 - knee) * over / (1 + over), light)
+    excess = np.maximum(light - knee, 0) / (1 - knee)
+    light = np.where(light > knee, knee + (1 - knee) * excess / (1 + excess), light)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)

@@ -193,8 +193,8 @@ def _scene_note(field: SemanticField, gaussians: Gaussians, live: bool) -> str:
         sentences += [f"Warning: {warning}." for warning in warnings if warning]
     if gaussians.sh.shape[1] > 1:
         sentences.append("Colours do not change with the viewpoint here, but in the field they do.")
-    when = f", computed by slgaussian {__version__} when it wrote this file"
-    sentences.append(f"Answers are for whole objects{'' if live else when}.")
+    origin = f", computed by slgaussian {__version__} when it wrote this file"
+    sentences.append(f"Answers are for whole objects{'' if live else origin}.")
     return " ".join(sentences)
 
 
