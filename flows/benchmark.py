@@ -18,7 +18,14 @@ from prefect.states import State
 
 from flows.config import SceneSettings, Settings, check_names
 from flows.results import check_places, field_place, manifest, write_fields
-from flows.runners.batches import Failure, Outcome, SceneTask, map_scenes, map_shown, write_failures
+from flows.runners.batches import (
+    Failure,
+    Outcome,
+    SceneTask,
+    map_scenes,
+    map_with_progress,
+    write_failures,
+)
 from flows.runners.progress import Progress
 from flows.runners.session import (
     check_folder,
@@ -180,9 +187,9 @@ def _compute(
         ours = map_scenes([scene_task(config, scene) for scene in scenes], workers, progress)
     complete = [scene for scene in scenes if scene.name in ours.refs]
     tasks = baseline_tasks(config, complete, ours.refs)
-    answered = map_shown(tasks, workers, 1, "answers", verbose)
+    answered = map_with_progress(tasks, workers, 1, "answers", verbose)
     tasks, refused = sweep_tasks(variants, complete)
-    swept = map_shown(tasks, workers, SWEPT_STAGES, "settings", verbose)
+    swept = map_with_progress(tasks, workers, SWEPT_STAGES, "settings", verbose)
     rows = chosen_baselines(config.against)
     methods = rows | {variant.name: variant.row for variant in variants}
     further_refs = answered.refs | swept.refs
@@ -210,7 +217,7 @@ def _compute(
     if scored:
         arguments = scored, described, [asdict(failure) for failure in failures]
         last = SceneTask("all scenes", report, arguments, first="report")
-        outcome = map_shown([last], workers, 1, "report", verbose)
+        outcome = map_with_progress([last], workers, 1, "report", verbose)
         failures += outcome.failures
         computed.report = outcome.refs.get("all scenes", {}).get("report")
     return computed

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from flows.config import CorpusSettings
-from flows.runners.batches import Failure, Outcome, SceneTask, map_shown
+from flows.runners.batches import Failure, Outcome, SceneTask, map_with_progress
 from flows.runners.task_runners import Workers
 from flows.scenes import folder_of, seeds
 from slgaussian.datasets import colmap, re10k
@@ -145,7 +145,7 @@ def map_sources(
             for source in sources
             if isinstance(source.holds, str) == (unit == "chunks")
         ]
-        part = map_shown(tasks, workers, stages + extra, unit, verbose)
+        part = map_with_progress(tasks, workers, stages + extra, unit, verbose)
         outcome.refs |= part.refs
         outcome.failures += part.failures
     refs = {s.name: outcome.refs[s.name] for s in sources if s.name in outcome.refs}

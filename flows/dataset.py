@@ -18,7 +18,7 @@ from flows import corpus
 from flows.clip_sources import Clips, choose_samples, map_sources
 from flows.config import DatasetSettings
 from flows.data_card import write_card
-from flows.runners.batches import Failure, SceneTask, map_shown, write_failures
+from flows.runners.batches import Failure, SceneTask, map_with_progress, write_failures
 from flows.runners.session import completed, run_session, stages_to_refresh, writing
 from flows.runners.task_runners import open_workers
 from flows.shard_writing import Finished, write_shards
@@ -81,7 +81,7 @@ def _make(config: DatasetSettings, store: ArtifactStore, verbose: bool) -> Train
         clips = map_sources(config, workers, choose_samples, arguments, 2, verbose)
         places = Places()
         tasks = _sample_tasks(config, clips, store, places)
-        outcome = map_shown(tasks, workers, len(SAMPLES), "samples", verbose)
+        outcome = map_with_progress(tasks, workers, len(SAMPLES), "samples", verbose)
     failures = clips.failures + outcome.failures
     write_failures(config.out, failures)
     finished = _finish([outcome.refs[name] for name in sorted(outcome.refs)], places, config)

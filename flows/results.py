@@ -131,7 +131,7 @@ def manifest(
 
 def _described(row: Row) -> str:
     text = ", ".join(f"{name} {value}" for name, value in {**row.settings, **row.rules}.items())
-    name = f"{row.method} of {row.brought_by}" if row.brought_by else row.method
+    name = f"{row.method} of {row.package_identity}" if row.package_identity else row.method
     return f"{name} ({text})" if text else name
 
 

@@ -93,7 +93,7 @@ def scene_task(settings: Settings, scene: SceneSettings, variant: str = "") -> S
     return SceneTask(name, pipeline, arguments)
 
 
-def judged_at(size: Size) -> Size:
+def target_size(size: Size) -> Size:
     """Return the size of targets for views of ``size``.
 
     A given height and width crops the views, so it also applies to the targets.
@@ -114,7 +114,7 @@ def photographs(settings: Settings, scene: SceneSettings) -> Photographs:
         size,
         scene.near or settings.near,
         scene.far or settings.far,
-        judged=judged_at(size),
+        judged=target_size(size),
     )
 
 
@@ -165,7 +165,7 @@ def baseline_tasks(
         for name, row in chosen_baselines(settings.against).items():
             rules = Rules(**{**dict(scoring.rules), **row.rules})
             changed = replace(scoring, method=name, rules=rules, drawn=False)
-            baseline = row.method, dict(row.settings), row.brought_by
+            baseline = row.method, dict(row.settings), row.package_identity
             arguments = dict(refs[scene.name]), settings.built_by, changed, *baseline
             task_name = method_task_name(scene.name, name)
             scene_tasks.append(SceneTask(task_name, score_baseline, arguments, baselines.name))

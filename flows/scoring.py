@@ -11,7 +11,7 @@ from flows.benchmark import RUN_FILES, scenes_of
 from flows.config import SceneSettings, Settings
 from flows.indexing import label_places
 from flows.runners.session import check_folder
-from flows.scene import evaluation, judged_at, labels, photographs
+from flows.scene import evaluation, labels, photographs, target_size
 from flows.scenes import folder_of
 from slgaussian import datasets
 from slgaussian.benchmark.annotations import Truth, labelled_frames, read_truth
@@ -54,7 +54,7 @@ def score(settings: Settings, place: Path, protocols: Sequence[str], out: Path) 
                 f"protocol: {name!r} scores relevancies, which masks do not have; expected one of "
                 f"{', '.join(SCORABLE)}"
             )
-    if settings.size not in ("auto", judged_at(settings.size)):
+    if settings.size not in ("auto", target_size(settings.size)):
         raise InputError(
             f"size: found {settings.size!r}, expected HEIGHTxWIDTH, or nothing: all masks are "
             "scored at one size"
@@ -113,7 +113,7 @@ def _by_labels(settings: Settings) -> Iterator[JudgedScene]:
     for name, options, place in places:
         scene = datasets.load(format, data, **options)
         texts = {frame: of for frame, of in labelled_frames(root / place).items() if of}
-        views = scene.views(list(texts), judged_at(settings.size))
+        views = scene.views(list(texts), target_size(settings.size))
         masks: dict[str, Any] = {}
         boxes: dict[str, Any] = {}
         for view, of_frame in zip(views, texts.values(), strict=True):

@@ -170,7 +170,7 @@ def lift_field(
     Its settings record method, quality of the views and statistics. With ``method.keep`` "needed"
     its Gaussians are merged: code that needs one Gaussian per pixel must use the unmerged input.
     """
-    cameras = {view.name: _judged(view.camera, quality) for view in sample.context}
+    cameras = {view.name: _with_confidence(view.camera, quality) for view in sample.context}
     lifted = method.lifting.load()(gaussians, label_maps, bank)
     change = Change()
     if method.keep == "needed":
@@ -198,7 +198,7 @@ def lift_field(
     return SemanticField(lifted, bank, cameras, settings, method.encoder.places())
 
 
-def _judged(camera: Camera, quality: Quality) -> Camera:
+def _with_confidence(camera: Camera, quality: Quality) -> Camera:
     """Return a camera with the confidence that the scene gives it, if it was estimated."""
     if camera.estimated is None:
         return camera

@@ -47,10 +47,10 @@ def score(
     if masks.missing:
         notes.append(
             f"missing: {len(masks.missing)} of {masks.samples} samples have no mask and count as "
-            f"an empty one: {_few(list(dict.fromkeys(masks.missing)))}"
+            f"an empty one: {_first_names(list(dict.fromkeys(masks.missing)))}"
         )
     if masks.unused:
-        notes.append(f"not queried, left out: {_few(masks.unused)}")
+        notes.append(f"not queried, left out: {_first_names(masks.unused)}")
     for note in notes:
         typer.echo(note, err=True)
     typer.echo(f"{methods_text(rows)}\n{out}")
@@ -81,6 +81,6 @@ def compare(
         typer.echo(f"\npage: {out / 'compare.html'}")
 
 
-def _few(names: Sequence[str]) -> str:
+def _first_names(names: Sequence[str]) -> str:
     rest = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
     return ", ".join(names[:MAX_NAMED]) + rest

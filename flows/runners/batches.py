@@ -234,7 +234,7 @@ def map_scenes(scene_tasks: Iterable[SceneTask], workers: Workers, progress: Pro
     return outcome
 
 
-def map_shown(
+def map_with_progress(
     scene_tasks: Sequence[SceneTask], workers: Workers, stages: int, unit: str, verbose: bool
 ) -> Outcome:
     """Run :func:`map_scenes` with a progress display; do nothing without tasks."""

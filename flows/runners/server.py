@@ -121,7 +121,7 @@ def _lay_database(home: Path) -> bool:
     Prefect creates a database by hundreds of migrations, which take longer than the server's start.
     """
     place, cache = home / DATABASE, LocalCache.from_environment()
-    if not place.exists() and cache is not None and (cached := cache.get(_kept_at())):
+    if not place.exists() and cache is not None and (cached := cache.get(_database_cache())):
         digest, data = cached[:32], cached[32:]
         if hashlib.sha256(data).digest() != digest:
             return False
@@ -144,16 +144,16 @@ def _keep_database(home: Path) -> None:
     ):
         live.backup(copy)
         data = copy.serialize()
-        cache.put(_kept_at(), hashlib.sha256(data).digest() + data)
+        cache.put(_database_cache(), hashlib.sha256(data).digest() + data)
 
 
-def _kept_at() -> str:
+def _database_cache() -> str:
     return f"prefect/{version('prefect')}.db"
 
 
 def serve(inherited: int) -> None:
     """Serve on the inherited socket until standard input ends, as the server process."""
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
     import uvicorn
     from prefect.server.api.server import create_app
 
@@ -161,7 +161,7 @@ def serve(inherited: int) -> None:
     uvicorn.Server(config).run(sockets=[socket.socket(fileno=inherited)])
 
 
-def _leave_with_parent() -> None:
+def _exit_with_parent() -> None:
     sys.stdin.buffer.read()
     # Immediately: the database holds only history, and SQLite's log survives this.
     os._exit(0)

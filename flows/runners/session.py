@@ -50,7 +50,7 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
     """
     store = ArtifactStore(config.store)
     if deployment.id is not None:
-        threading.Thread(target=_leave_with_parent, args=(os.getppid(),), daemon=True).start()
+        threading.Thread(target=_exit_with_parent, args=(os.getppid(),), daemon=True).start()
     damaged: dict[str, str] = {}
     check_folder(config.out)
     with record_provenance(Provenance(command)):
@@ -72,7 +72,7 @@ def run_session(command: str, config: Any, work: Callable[[ArtifactStore], Resul
                 print(message, file=sys.stderr, flush=True)
 
 
-def _leave_with_parent(parent: int) -> None:
+def _exit_with_parent(parent: int) -> None:
     """End this process when the process that serves its deployment is gone."""
     while os.getppid() == parent:
         time.sleep(1)

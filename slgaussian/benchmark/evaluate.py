@@ -176,7 +176,7 @@ def evaluate(
             masks = dict.fromkeys(queries, np.zeros(view.rgb.shape[:2], bool))
             recorder.ask(view, seconds, frame, view.rgb, masks, {}, has_truth=False)
     if gaussians is not None:
-        recorder.look_at_depths(sample, gaussians)
+        recorder.evaluate_depths(sample, gaussians)
     if drawn:
         for context, ids in zip(sample.context, label_maps.labels, strict=True):
             recorder.pictures[f"input/{context.name}"] = context.image
@@ -238,7 +238,7 @@ class _Recorder:
         for name, value in values.items():
             self.measured[name].append(value)
 
-    def look_at_depths(self, sample: Sample, gaussians: Gaussians) -> None:
+    def evaluate_depths(self, sample: Sample, gaussians: Gaussians) -> None:
         """Score and draw the predicted depths of the context views."""
         depths = source_depths(gaussians, [view.camera for view in sample.context])
         views = list(zip(sample.context, depths, strict=True))

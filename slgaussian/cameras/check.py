@@ -227,7 +227,7 @@ def _scaled(factor: float, columns: int) -> Callable[[Camera, Camera], Pair]:
     return lambda a, b: (replace(a, K=scale * a.K), replace(b, K=scale * b.K))
 
 
-def _times(factor: float) -> str:
+def _factor_text(factor: float) -> str:
     return f"multiplied by {factor:.3g}" if factor > 1 else f"divided by {1 / factor:.3g}"
 
 
@@ -243,12 +243,12 @@ CORRECTIONS: dict[str, Callable[[Camera, Camera], Pair]] = {
     _INVERTED.format("OpenCV"): _posed(np.linalg.inv),
     _INVERTED.format("OpenGL"): _posed(lambda c2w: _FLIP_YZ @ np.linalg.inv(c2w) @ _FLIP_YZ),
     **{
-        f"if the focal length is {_times(factor)}": _scaled(factor, 2)
+        f"if the focal length is {_factor_text(factor)}": _scaled(factor, 2)
         for factor in (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2, 3, 4)
     },
     **{
-        f"if focal length and principal point are {_times(factor)}, as for a photograph of another "
-        "size": _scaled(factor, 3)
+        f"if focal length and principal point are {_factor_text(factor)}, as for a photograph of "
+        "another size": _scaled(factor, 3)
         for factor in (1 / 4, 1 / 2, 2, 4)
     },
 }

@@ -161,21 +161,21 @@ def solve(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> list[TwoViews]:
     if len(x) < 8:
         return []
     subset = x[:COARSE_MATCHES], y[:COARSE_MATCHES]
-    rough = (_descended(start, *subset, prior, 2) for start in _starts(x, y, prior))
-    ends = _unlike(_rated([end for end in rough if end is not None], *subset), 1.0)
-    fine = (_descended(end, x, y, prior, 3) for end in ends[:FINE_STARTS])
-    ends = _unlike(_rated([end for end in fine if end is not None], x, y), 3.0)
+    rough = (_optimise(start, *subset, prior, 2) for start in _starts(x, y, prior))
+    ends = _distinct_poses(_sorted_by_cost([end for end in rough if end is not None], *subset), 1.0)
+    fine = (_optimise(end, x, y, prior, 3) for end in ends[:FINE_STARTS])
+    ends = _distinct_poses(_sorted_by_cost([end for end in fine if end is not None], x, y), 3.0)
     return [_with_covariance(end, x, y, prior) for end in ends]
 
 
-def _rated(ends: list[TwoViews], x: np.ndarray, y: np.ndarray) -> list[TwoViews]:
+def _sorted_by_cost(ends: list[TwoViews], x: np.ndarray, y: np.ndarray) -> list[TwoViews]:
     """Recompute the costs with one scale of the loss, the smallest; sort by cost."""
     scale = min((end.scale for end in ends), default=INITIAL_SCALE)
     rated = [replace(end, cost=posterior(end, x, y, scale), scale=scale) for end in ends]
     return sorted(rated, key=lambda end: end.cost)
 
 
-def _unlike(ends: list[TwoViews], degrees: float) -> list[TwoViews]:
+def _distinct_poses(ends: list[TwoViews], degrees: float) -> list[TwoViews]:
     """Drop poses within ``degrees`` of an earlier one."""
     distinct: list[TwoViews] = []
     for end in ends:
@@ -225,7 +225,7 @@ def _two_views(
         yield TwoViews(np.array(pose.R), np.array(pose.t) / length, focals, moves)
 
 
-def _descended(
+def _optimise(
     start: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior, rounds: int
 ) -> TwoViews | None:
     """Optimise the posterior from ``start``; None if too few inliers remain."""
@@ -234,7 +234,7 @@ def _descended(
         inliers = views.inliers(x, y, MAX_DISTANCE)
         if inliers.sum() < 8:
             return None
-        views = _descent(views, x[inliers], y[inliers], prior)
+        views = _minimise_cauchy(views, x[inliers], y[inliers], prior)
         distance = np.abs(views.distance(x[inliers], y[inliers]))
         near = distance[distance < MAX_DISTANCE / 2]
         if not len(near):
@@ -244,7 +244,7 @@ def _descended(
     return views
 
 
-def _descent(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
+def _minimise_cauchy(views: TwoViews, x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> TwoViews:
     """Minimise the Cauchy loss by reweighted Levenberg-Marquardt (Holland and Welsch 1977)."""
 
     def cost(views: TwoViews) -> float:

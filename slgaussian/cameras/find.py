@@ -164,7 +164,7 @@ def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCa
         sigma,
         [_tie(views, pose) for views, pose in poses.items() if len(pose.i) >= two_view.MIN_INLIERS],
     )
-    _all_placed(ordered, poses, placed)
+    _require_all_placed(ordered, poses, placed)
     assert placed is not None
     bundle = placed.adjusted.bundle
     index_of = np.argsort(placed.order)[np.argsort(order)]
@@ -228,7 +228,7 @@ def _tie(views: tuple[int, int], pose: PairPose) -> Tie:
     return Tie(views, (pose.i, pose.j), xy, pose.views, angle, confidence(pose))
 
 
-def _all_placed(
+def _require_all_placed(
     described: Sequence[Described], poses: dict[tuple[int, int], PairPose], placed: Placed | None
 ) -> None:
     """Raise InputError if no photograph was placed, Unplaced if some were not."""
@@ -244,10 +244,10 @@ def _all_placed(
     names = [item.photograph.name for item in described]
     left = [k for k in range(len(described)) if k not in placed_views]
     if left:
-        raise Unplaced({names[k]: _why_unplaced(names[k], k, poses, placed_views) for k in left})
+        raise Unplaced({names[k]: _unplaced_reason(names[k], k, poses, placed_views) for k in left})
 
 
-def _why_unplaced(
+def _unplaced_reason(
     name: str, view: int, poses: Mapping[tuple[int, int], PairPose], placed_views: Set[int]
 ) -> str:
     """Return a clause: why a view is not placed, judged by its best pair with a placed view."""

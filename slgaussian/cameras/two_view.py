@@ -287,7 +287,7 @@ def _flaw_of_points(
     pose: PairPose, min_share: float, which: Callable[[float, float], float]
 ) -> tuple[str, str] | None:
     """Return a flaw in the distribution of the inliers, with advice; None if there is none."""
-    if which(_spread(pose.x, pose.first), _spread(pose.y, pose.second)) < min_share:
+    if which(_cover(pose.x, pose.first), _cover(pose.y, pose.second)) < min_share:
         return (
             "all points that both show lie in one small part of a photograph",
             "take photographs that share more of what they show",
@@ -316,7 +316,7 @@ def _repetition(pose: PairPose) -> float:
     return float(np.median(np.sqrt((2 - 2 * matched).clip(0) / (2 - 2 * second_best).clip(1e-9))))
 
 
-def _spread(points: np.ndarray, of: Described) -> float:
+def _cover(points: np.ndarray, of: Described) -> float:
     """Compute the fraction of the image that the convex hull of points [M, 2] covers."""
     height, width = of.photograph.image.shape[:2]
     return cv2.contourArea(cv2.convexHull(points.astype(np.float32))) / (height * width)

@@ -109,7 +109,7 @@ def choose(clip: Views, bounds: Bounds, targets: int = TARGETS) -> list[Pair]:
         if len(between) < targets or between.min() < bounds.min_overlap / 2:
             continue
         pair = _pair(clip, frames[[a, b]], shared[a, b], baselines[a, b], bounds)
-        pairs.append(replace(pair, targets=_part(frames[a : b + 1], targets)))
+        pairs.append(replace(pair, targets=_even_frames(frames[a : b + 1], targets)))
     if not pairs:
         upper = np.triu_indices_from(fits, 1)
         raise InputError(
@@ -253,7 +253,7 @@ def _pair(
     return Pair((first, second), (), float(overlap), float(baseline), depth, score)
 
 
-def _part(frames: np.ndarray, count: int) -> tuple[int, ...]:
+def _even_frames(frames: np.ndarray, count: int) -> tuple[int, ...]:
     """Return ``count`` frames near equal steps between the first and the last of ``frames``."""
     between = frames[1:-1]
     chosen: list[int] = []

@@ -56,7 +56,7 @@ def _floats(kind: types.Type) -> bool:
     return isinstance(kind, _Vector) and kind.dtype != types.boolean
 
 
-def _spread(context, builder, value, kind, target):
+def _broadcast(context, builder, value, kind, target):
     """Return ``value`` of type ``kind`` as a vector ``target``: vectors as is, scalars repeated."""
     if isinstance(kind, _Vector):
         return value
@@ -96,7 +96,7 @@ def _install(function, emit, applies, mask=False):
     def lower(context, builder, signature, args):
         target = next(kind for kind in signature.args if isinstance(kind, _Vector))
         left, right = (
-            _spread(context, builder, v, k, target)
+            _broadcast(context, builder, v, k, target)
             for v, k in zip(args, signature.args, strict=True)
         )
         return emit(builder, left, right)
@@ -208,7 +208,7 @@ def vwhere(typing, mask, a, b):
 
     def lower(context, builder, signature, args):
         left, right = (
-            _spread(context, builder, v, k, target)
+            _broadcast(context, builder, v, k, target)
             for v, k in zip(args[1:], signature.args[1:], strict=True)
         )
         return builder.select(args[0], left, right)

@@ -189,12 +189,12 @@ class Lexicon:
             measurements=len({name for word in reading.words for name in word.weights}),
             describing=sum(word.family not in NOUN_FAMILIES for word in reading.words),
             classes=reading.classes,
-            untold=_untold(reading, question, by_class),
+            untold=_refusal(reading, question, by_class),
             question=question,
         )
 
 
-def _untold(reading: Reading, question: str, by_class: bool) -> str:
+def _refusal(reading: Reading, question: str, by_class: bool) -> str:
     """Return the reason why a text cannot be answered; empty if it can."""
     if reading.unknown and not reading.noun:
         unknown = ", ".join(map(repr, reading.unknown[:MAX_LISTED]))[:100]

@@ -48,14 +48,14 @@ def measure(lab: np.ndarray, mask: np.ndarray) -> Pattern:
     inside = cv2.erode(np.pad(mask, 1).view(np.uint8), kernel)[1:-1, 1:-1].view(bool)
     if np.count_nonzero(inside) < 16:
         inside = mask
-    along, crossed, upright, roughness = _directions(lab, inside, _around(mask))
+    along, crossed, upright, roughness = _directions(lab, inside, _radial_rotation(mask))
     two_tone, contrast, second = _two_tones(lab, inside)
     minor = np.count_nonzero(second) / np.count_nonzero(inside)
     spots, fill = _spots(second)
     return Pattern(roughness, two_tone, contrast, minor, along, crossed, upright, spots, fill)
 
 
-def _around(mask: np.ndarray) -> np.ndarray | None:
+def _radial_rotation(mask: np.ndarray) -> np.ndarray | None:
     """Compute complex factors [h, w] that rotate doubled directions to be relative to the radius.
 
     Only for rings, whose pattern follows the hole; None if the centre is not an enclosed hole.

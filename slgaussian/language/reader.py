@@ -111,7 +111,7 @@ class BankReader(TextReader):
         gaps = np.empty((len(texts), len(self.bank)))
         known = []
         for k, text in enumerate(texts):
-            who = self._who(text)
+            who = self._answer_kind(text)
             if who == "named":
                 has_name = np.isin(self.bank.ids, self._called[spelled(text)])
                 gaps[k] = np.where(has_name, NAME_GAP, -NAME_GAP)
@@ -170,7 +170,7 @@ class BankReader(TextReader):
         best = gaps.max(1, where=areas > 0, initial=-np.inf, keepdims=True)
         chosen = near_best(gaps, best, rules.share)
         wholes, ranking = self.bank.wholes, getattr(self.encoder, "ranking", None)
-        ranked = [k for k, text in enumerate(texts) if self._who(text) == "known"]
+        ranked = [k for k, text in enumerate(texts) if self._answer_kind(text) == "known"]
         if ranked and wholes and ranking and not unmeasured(self.encoder, rules):
             known = [texts[k] for k in ranked]
             chosen[ranked] = self.candidates(known, gaps[ranked], areas, rules).best(ranking)
@@ -188,7 +188,7 @@ class BankReader(TextReader):
 
     def understood(self, text: str) -> Understood:
         """Return the reading of ``text``; InputError if neither encoder nor examples can use it."""
-        who = self._who(text)
+        who = self._answer_kind(text)
         if who == "known":
             return super().understood(text)
         try:
@@ -200,7 +200,7 @@ class BankReader(TextReader):
         examples = self.taught.examples(word) if who == "taught" else 0
         return Understood(word, (), {}, who, examples, instead_of)
 
-    def _who(self, text: str) -> str:
+    def _answer_kind(self, text: str) -> str:
         """Return the kind of answer: names take precedence over taught words, then the encoder."""
         if spelled(text) in self._called:
             return "named"

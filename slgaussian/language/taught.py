@@ -102,7 +102,7 @@ class TaughtWords:
         """
         word = normal(word)
         self.check_encoder(encoder)
-        examples, others = _half(feature[None]), _half(rivals)
+        examples, others = _half_precision(feature[None]), _half_precision(rivals)
         if word in self.lessons:
             examples = np.concatenate([self.lessons[word].examples, examples])
             others = np.concatenate([self.lessons[word].rivals, others])
@@ -209,7 +209,7 @@ def encoder_identity(settings: Mapping[str, Any]) -> str:
     return json.dumps({k: v for k, v in identity.items() if v is not None}, sort_keys=True)
 
 
-def _half(vectors: np.ndarray) -> np.ndarray:
+def _half_precision(vectors: np.ndarray) -> np.ndarray:
     """Round to half precision, so that saved words give the same answers."""
     return vectors.astype(np.float16).astype(np.float32)
 

@@ -96,7 +96,7 @@ class Vocabulary:
     negations: frozenset[str]
 
     @cached_property
-    def _longest(self) -> int:
+    def _max_phrase_length(self) -> int:
         """Number of spellings of the longest phrase."""
         return max(map(len, self.phrases))
 
@@ -124,7 +124,7 @@ class Vocabulary:
                 )
         self._check_one_thing(text, spelled)
         spelled, places = self._take_phrases(spelled)
-        end = self._end(spelled)
+        end = self._phrase_end(spelled)
         content = [s for s in spelled[:end] if s not in self.stop]
         looked_up = [(s, self._look_up(s)) for s in _join_names(content)]
         nouns = [
@@ -157,7 +157,7 @@ class Vocabulary:
 
     def _check_one_thing(self, text: str, spelled: Sequence[str]) -> None:
         """Raise InputError if "and" joins two objects."""
-        end, idle = self._end(spelled), self.stop.union(self.unseen)
+        end, idle = self._phrase_end(spelled), self.stop.union(self.unseen)
         for middle in (i for i in range(end) if spelled[i] == "and"):
             sides = spelled[:middle], spelled[middle + 1 : end]
             before, after = ([self._look_up(s) for s in side if s not in idle] for side in sides)
@@ -197,7 +197,7 @@ class Vocabulary:
                 return near[0]
         return None
 
-    def _end(self, spelled: Sequence[str]) -> int:
+    def _phrase_end(self, spelled: Sequence[str]) -> int:
         """Find the first word that describes another object: "on", or "left" before "of"."""
         for i, spelling in enumerate(spelled):
             if spelling in self.relations:
@@ -247,7 +247,7 @@ class Vocabulary:
 
     def _phrase_at(self, spelled: list[str], start: int) -> tuple[Word | None, int]:
         """Find the longest phrase, singular or plural, that begins at ``start``, and its length."""
-        for length in range(self._longest, 1, -1):
+        for length in range(self._max_phrase_length, 1, -1):
             *first, last = spelled[start : start + length]
             for form in _singulars(last):
                 if (*first, form) in self.phrases:

@@ -149,22 +149,22 @@ class Wholes:
 
         def recall(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
             fits = self._area * np.maximum(values, 0) * visible
-            return _times(sets, fits) / np.maximum(fits.sum(1, keepdims=True), 1e-12)
+            return _sum_members(sets, fits) / np.maximum(fits.sum(1, keepdims=True), 1e-12)
 
         def describe(sets: np.ndarray, numbers: np.ndarray, around: np.ndarray) -> np.ndarray:
             """Compute the features [Q, G, 13] of sets [1 or Q, G, N]."""
             size, outline, edge, agreement, standing = np.moveaxis(numbers, 2, 0)
-            mean = _times(sets, self._area * finite_gaps) / np.exp(size)
-            shared = _times(sets, near_visible)
+            mean = _sum_members(sets, self._area * finite_gaps) / np.exp(size)
+            shared = _sum_members(sets, near_visible)
             all_near = shared == near_visible.sum(1, keepdims=True)
             features: dict[str, np.ndarray] = {
                 "fit": np.maximum(mean / top, -2),
-                "around": np.maximum(_times(around, finite_gaps) / top, -2),
+                "around": np.maximum(_sum_members(around, finite_gaps) / top, -2),
                 "lead": mean,
                 "recall": recall(sets, finite_gaps),
-                "best": _times(sets, best),
-                "near_best": all_near & (shared == _times(sets, visible)),
-                "evidence": _times(sets, self._area * evidence) / np.exp(size),
+                "best": _sum_members(sets, best),
+                "near_best": all_near & (shared == _sum_members(sets, visible)),
+                "evidence": _sum_members(sets, self._area * evidence) / np.exp(size),
                 "evidence_recall": recall(sets, evidence),
                 "size": size,
                 "outline": outline,
@@ -178,12 +178,12 @@ class Wholes:
         sets, numbers, around = self._candidates
         near_sets = near.astype(np.float64)
         near_numbers = self._numbers(near_sets, np.zeros(len(near)))
-        near_around = self._around(near_sets)
+        near_around = self._neighbour_weights(near_sets)
         features = [
             describe(sets[None], numbers[None], around[None]),
             describe(near_sets[:, None], near_numbers[:, None], near_around[:, None]),
         ]
-        possible = _times(sets[None], np.where(visible, areas, 0)) >= MIN_PIXELS
+        possible = _sum_members(sets[None], np.where(visible, areas, 0)) >= MIN_PIXELS
         objects = np.broadcast_to(sets > 0, (len(gaps), *sets.shape))
         return Candidates(
             np.concatenate(features, 1),
@@ -196,7 +196,7 @@ class Wholes:
         return self.shares.mean(1, dtype=np.float64)
 
     @cached_property
-    def _beside(self) -> tuple[np.ndarray, np.ndarray]:
+    def _border_tables(self) -> tuple[np.ndarray, np.ndarray]:
         """Length and strength of the border of each pair of objects, float64 [N, N] each."""
         count = len(self.at_edge)
         tables = np.zeros((2, count, count))
@@ -210,13 +210,13 @@ class Wholes:
         sets = np.concatenate([np.eye(len(self.at_edge)), self.members])
         large = sets @ self._area >= MIN_SHARE
         sets = sets[large]
-        return sets, self._numbers(sets, self.standing[large]), self._around(sets)
+        return sets, self._numbers(sets, self.standing[large]), self._neighbour_weights(sets)
 
     def _numbers(self, sets: np.ndarray, standing: np.ndarray) -> np.ndarray:
         """Compute size, outline, edge, agreement and standing of sets [G, N]: float64 [G, 5]."""
-        length, strength = self._beside
+        length, strength = self._border_tables
         around, strong = (
-            np.einsum("gn,gn->g", table.sum(1) - _beside(sets, table), sets)
+            np.einsum("gn,gn->g", table.sum(1) - _sum_rows(sets, table), sets)
             for table in (length, strength)
         )
         at_edge, in_views = sets @ self.at_edge, sets @ self.shares
@@ -225,9 +225,9 @@ class Wholes:
         agreement = in_views.min(1) / np.maximum(in_views.max(1), 1e-12)
         return np.stack([size, outline, edge, agreement, standing], 1)
 
-    def _around(self, sets: np.ndarray) -> np.ndarray:
+    def _neighbour_weights(self, sets: np.ndarray) -> np.ndarray:
         """Weight the objects adjacent to sets by common border, normalised to sum 1: [G, N]."""
-        ring = _beside(sets, self._beside[0]) * (1 - sets)
+        ring = _sum_rows(sets, self._border_tables[0]) * (1 - sets)
         return ring / np.maximum(ring.sum(1, keepdims=True), 1e-9)
 
 
@@ -236,11 +236,11 @@ def near_best(gaps: np.ndarray, best: np.ndarray | float, share: float = NEAR_BE
     return np.asarray((gaps > 0) & (gaps >= share * best))
 
 
-def _times(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _sum_members(sets: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Sum ``values`` [Q, N] over sets [1 or Q, G, N]; not by BLAS, which varies with threads."""
     return np.asarray(np.einsum("qgn,qn->qg", sets, values))
 
 
-def _beside(sets: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Sum the rows of ``table`` [N, N] over sets [G, N], as :func:`_times`."""
+def _sum_rows(sets: np.ndarray, table: np.ndarray) -> np.ndarray:
+    """Sum the rows of ``table`` [N, N] over sets [G, N], as :func:`_sum_members`."""
     return np.asarray(np.einsum("gn,nm->gm", sets, table))

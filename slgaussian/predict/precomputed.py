@@ -288,7 +288,7 @@ def _read(
     if not any((one.depth > 0).any() for one in maps):
         raise InputError(f"{place}: its maps hold no depth; expected positive numbers")
     cameras = [view.camera for view in views]
-    ways = [_ways(view, one) for view, one in zip(views, maps, strict=True)]
+    ways = [_view_to_map(view, one) for view, one in zip(views, maps, strict=True)]
     readings: list[Reading] = []
     for way, ray in product(ways[0], (False, True)):
         at = [of_view.get(way, next(iter(of_view.values()))) for of_view in ways]
@@ -328,7 +328,7 @@ def _read(
     return views_depth, confidence
 
 
-def _ways(view: View, one: DepthMap) -> dict[str, np.ndarray]:
+def _view_to_map(view: View, one: DepthMap) -> dict[str, np.ndarray]:
     """From pixels of the view to those of its map; first what the file's intrinsics fit best."""
     part, camera = view.shown, view.camera
     x, y = (part.right - part.left) / camera.width, (part.bottom - part.top) / camera.height
@@ -380,12 +380,12 @@ def _swept(
             open_ = (far == BEHIND) & (near == IN_FRONT)
             judged[i] |= given[i] & (far != UNSEEN) & ~open_
             agrees[i] |= given[i] & ((far == AGREES) | open_)
-    low_confidence = _low(confidences, agrees, judged)
+    low_confidence = _low_confidence(confidences, agrees, judged)
     views = zip(steps, inverse, agrees & ~low_confidence, given, strict=True)
     return [SweptView(*view) for view in views], low_confidence
 
 
-def _low(
+def _low_confidence(
     confidences: Sequence[np.ndarray | None], agrees: np.ndarray, judged: np.ndarray
 ) -> np.ndarray:
     """Mask the lowest levels of confidence, of which other views contradict more than half."""

@@ -69,7 +69,7 @@ class Row:
         return load_method(self.method, **self.settings)
 
     @property
-    def brought_by(self) -> str:
+    def package_identity(self) -> str:
         """Return the identity of the package of an external method; empty for our methods."""
         return "" if self.method in METHODS else plugin_identity(GROUP, self.method)
 

@@ -97,7 +97,7 @@ def _attempt(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) 
         if candidate is None:
             continue
         thing, key, place, circle, top = candidate
-        if _all_seen([*things, thing], fixed, cameras):
+        if _all_visible([*things, thing], fixed, cameras):
             things.append(thing)
             used_looks.add(key)
             place.circles.append(circle)
@@ -114,7 +114,7 @@ def _attempt(rng: np.random.Generator, objects: int, cameras: Sequence[Camera]) 
     return Room(tuple(things), light)
 
 
-def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) -> bool:
+def _all_visible(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) -> bool:
     """Tell whether all objects after the first ``fixed`` are large enough in every image."""
     room = Room(tuple(things), Light(np.zeros(3), 0, 0, 1, 0))
     owners, solids = room.owners(), room.solids()
@@ -126,7 +126,7 @@ def _all_seen(things: Sequence[Thing], fixed: int, cameras: Sequence[Camera]) ->
     return True
 
 
-def _paler(material: Material) -> Material:
+def _desaturated(material: Material) -> Material:
     """Desaturate a material for walls, whose large areas would otherwise dominate the image."""
     if material.pattern == textures.BRICK:
         return material
@@ -149,8 +149,8 @@ def _shell(rng: np.random.Generator, used_looks: set[tuple[str, str]]) -> list[T
     return [
         Thing(f"{floor} floor", replace(tiles, gloss=0.03), (below,)),
         Thing("white ceiling", material(rng, "white", 1.0), (above,)),
-        Thing(f"{back} wall", _paler(material(rng, back, 0.9)), (ends[0],)),
-        Thing(f"{side} wall", _paler(material(rng, side, 0.9)), (*sides, ends[1])),
+        Thing(f"{back} wall", _desaturated(material(rng, back, 0.9)), (ends[0],)),
+        Thing(f"{side} wall", _desaturated(material(rng, side, 0.9)), (*sides, ends[1])),
     ]
 
 
