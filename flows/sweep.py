@@ -7,7 +7,7 @@ do not depend on a changed setting are read from the store.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -61,7 +61,7 @@ class Combination:
         if not scene.targets:
             raise InputError(f"scene {scene.name!r}: has no targets to compare numbers of views at")
         paths = [] if scene.path is None else [scene.path]
-        scene_data = datasets.load(scene.format, *paths, **scene.options)
+        scene_data = replace(datasets.load(scene.format, *paths, **scene.options), name=scene.name)
         context = context_views.context_of(scene_data, scene.context, scene.targets, self.views)
         return scene.model_copy(update={"context": list(context)})
 

@@ -192,9 +192,9 @@ def lift_field(
         "depths_tried": None if depths is None else depths.tried,
         "depths_possible": None if depths is None else depths.possible,
     }
-    if sample.found:
-        confidence = round(quality.camera_confidence(sample.found["confidence"]), 3)
-        settings["cameras"] = {**sample.found, "confidence": confidence}
+    if sample.estimation:
+        confidence = round(quality.camera_confidence(sample.estimation["confidence"]), 3)
+        settings["cameras"] = {**sample.estimation, "confidence": confidence}
     return SemanticField(lifted, bank, cameras, settings, method.encoder.places())
 
 

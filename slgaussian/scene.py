@@ -274,7 +274,7 @@ class Sample:
         context: tuple of View. Two or more photographs of the same size.
         targets: tuple of View. Held-out views, possibly none.
         phrases: mapping int -> str. Name of each ground-truth instance id, if known.
-        found: Estimation of the cameras, from
+        estimation: Estimation of the cameras, from
             :meth:`slgaussian.cameras.estimated.EstimatedCameras.as_json`; empty if they were given.
 
     Raises:
@@ -286,7 +286,7 @@ class Sample:
     context: tuple[View, ...]
     targets: tuple[View, ...] = ()
     phrases: Mapping[int, str] = field(default_factory=dict)
-    found: Mapping[str, Any] = field(default_factory=dict)
+    estimation: Mapping[str, Any] = field(default_factory=dict)
 
     __repr__ = short_repr
 
@@ -336,7 +336,7 @@ class Scene:
             set.
         read: callable str -> View. Reads and undistorts one view.
         phrases: mapping int -> str. Name of each ground-truth instance id, if known.
-        found: See :class:`Sample`.
+        estimation: See :class:`Sample`.
         sources: callable str -> sequence of Path. Returns the files of a view and its camera, by
             view name; some may not exist.
     """
@@ -345,7 +345,7 @@ class Scene:
     cameras: Mapping[str, Camera]
     read: Callable[[str], View]
     phrases: Mapping[int, str] = field(default_factory=dict)
-    found: Mapping[str, Any] = field(default_factory=dict)
+    estimation: Mapping[str, Any] = field(default_factory=dict)
     sources: Callable[[str], Sequence[Path]] = lambda name: ()
 
     __repr__ = short_repr
@@ -353,7 +353,7 @@ class Scene:
     @property
     def left_out(self) -> Mapping[str, str]:
         """Photographs without an estimated camera, with the reason."""
-        reasons = self.found.get("left_out")
+        reasons = self.estimation.get("left_out")
         return reasons if isinstance(reasons, dict) else {}
 
     def placed(self, names: Sequence[str]) -> list[str]:
@@ -432,7 +432,7 @@ class Scene:
             for view in self._resized(names, sizes)
         ]
         n = len(context)
-        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.found)
+        return Sample(self.name, tuple(views[:n]), tuple(views[n:]), self.phrases, self.estimation)
 
     def views(self, names: Sequence[str], size: Size = "auto") -> list[View]:
         """Read the named views and resize them, as :meth:`sample` does.

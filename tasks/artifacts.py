@@ -41,20 +41,20 @@ def sample_to_arrays(sample: Sample) -> Arrays:
     if sample.targets:
         targets = _views_to_arrays(sample.scene, sample.targets)
         arrays |= {TARGET + name: array for name, array in targets.items()}
-    if sample.found:
-        arrays["found"] = np.array(json.dumps(dict(sample.found), sort_keys=True))
+    if sample.estimation:
+        arrays["found"] = np.array(json.dumps(dict(sample.estimation), sort_keys=True))
     return arrays
 
 
 def sample_from_arrays(arrays: Arrays) -> Sample:
     """Inverse of :func:`sample_to_arrays`; a truth map without a known pixel becomes None."""
     ids, phrases = arrays["phrase_ids"].tolist(), arrays["phrases"].tolist()
-    found = json.loads(str(arrays["found"])) if "found" in arrays else {}
+    estimation = json.loads(str(arrays["found"])) if "found" in arrays else {}
     of_targets = {n.removeprefix(TARGET): a for n, a in arrays.items() if n.startswith(TARGET)}
     context = _views_from_arrays(arrays)
     targets = _views_from_arrays(of_targets) if of_targets else ()
     phrases_by_id = dict(zip(ids, phrases, strict=True))
-    return Sample(str(arrays["scene"]), context, targets, phrases_by_id, found)
+    return Sample(str(arrays["scene"]), context, targets, phrases_by_id, estimation)
 
 
 def _views_to_arrays(scene: str, views: Sequence[View]) -> Arrays:

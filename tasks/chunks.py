@@ -191,7 +191,7 @@ def packed(run: RunContext, source: PosedFolder | Room) -> ArtifactRef:
     scene = source.scene()
     errors: list[InputError] = []
     clip = re10k.clip_of(scene, errors.append)
-    unplaced = scene.found.get("left_out", {})
+    unplaced = scene.estimation.get("left_out", {})
     errors += [InputError(f"{name}: {reason}") for name, reason in unplaced.items()]
     bad = [left_out(source.name, error) for error in errors]
     data = np.frombuffer(re10k.encoded([clip]), np.uint8)

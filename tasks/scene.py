@@ -119,7 +119,7 @@ def ingest(run: RunContext, photographs: Photographs) -> ArtifactRef:
     sample, graph, useless = select_usable(photographs.read())
     if photographs.look() != photographs.inputs:
         raise InputError(f"{photographs.path}: {CHANGED_FILE}")
-    left_out = {**sample.found.get("left_out", {}), **useless}
+    left_out = {**sample.estimation.get("left_out", {}), **useless}
     matches = run.store.put("matches", graph.to_arrays())
     meta = {
         "cameras": describe_cameras(v.camera for v in (*sample.context, *sample.targets)),

@@ -236,9 +236,9 @@ def masks(
     typer.echo(f"labelling {views} with {', '.join(c.name for c in components)}", err=True)
     start = time.perf_counter()
     predicted = predict(sample, graph, components[0], method.seed, method.trust_cameras)
-    if sample.found:
-        confidence = predicted.quality.camera_confidence(sample.found["confidence"])
-        if doubt := camera_doubt({**sample.found, "confidence": confidence}):
+    if sample.estimation:
+        confidence = predicted.quality.camera_confidence(sample.estimation["confidence"])
+        if doubt := camera_doubt({**sample.estimation, "confidence": confidence}):
             typer.echo(f"warning: {doubt}", err=True)
     maps = associate(predicted.geometry.frames, proposing, tracking, method.replicas, method.votes)
     typer.echo(f"{len(maps.ids)} objects, {time.perf_counter() - start:.1f} s", err=True)

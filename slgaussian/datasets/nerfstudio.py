@@ -288,7 +288,7 @@ def read(path: str | Path) -> Scene:
     name = file.resolve().parent.name or "scene"
     views = {name: partial(frame.view, cameras[name]) for name, frame in frames.items()}
     open_named, sources = partial(read_view, views, file), partial(_sources, frames)
-    return Scene(name, cameras, open_named, found=estimation, sources=sources)
+    return Scene(name, cameras, open_named, estimation=estimation, sources=sources)
 
 
 def _sources(frames: Mapping[str, Frame], name: str) -> list[Path]:

@@ -164,7 +164,7 @@ def scene_of(
     views |= {view: partial(views[view], lens=lens) for view, lens in (lenses or {}).items()}
     sources = {view: [*files, photograph] for view, photograph in photographs.items()}
     read = partial(read_view, views, named_by)
-    return Scene(name, cameras, read, found=estimation or {}, sources=sources.__getitem__)
+    return Scene(name, cameras, read, estimation=estimation or {}, sources=sources.__getitem__)
 
 
 def read_view(views: Mapping[str, Callable[[], View]], named_by: str | Path, name: str) -> View:

@@ -74,7 +74,7 @@ def _in_memory(images: Sequence[Any]) -> Scene:
         pixels = rgb(upright(pictures[name], orientation_of(pictures[name])))
         return View(name, estimated.cameras[name], pixels)
 
-    return Scene("images", estimated.cameras, read_view, found=estimated.as_json())
+    return Scene("images", estimated.cameras, read_view, estimation=estimated.as_json())
 
 
 def read(path: Place | Sequence[Place], only: Sequence[str] | None = None) -> Scene:
