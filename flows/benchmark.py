@@ -195,15 +195,17 @@ def _compute(
     further_refs = answered.refs | swept.refs
     scored, answers = [], []
     for name in (scene.name for scene in complete):
-        refs, others = ours.refs[name], {}
+        refs, other_refs = ours.refs[name], {}
         answers.append((name, refs["benchmark"], _seconds_to_build(refs)))
         for method in methods:
             # Baselines answer from our field.
-            if found := further_refs.get(method_task_name(name, method)):
-                others[method] = found[baselines.name if method in rows else "benchmark"]
-                seconds = _seconds_to_build(refs if method in rows else found)
-                answers.append((name, others[method], seconds))
-        scored.append(Scored(name, refs["benchmark"], refs["truth"], refs["attribution"], others))
+            if method_refs := further_refs.get(method_task_name(name, method)):
+                other_refs[method] = method_refs[baselines.name if method in rows else "benchmark"]
+                seconds = _seconds_to_build(refs if method in rows else method_refs)
+                answers.append((name, other_refs[method], seconds))
+        scored.append(
+            Scored(name, refs["benchmark"], refs["truth"], refs["attribution"], other_refs)
+        )
     costs = {stage.name: _cost(stage, ours) for stage in STAGES}
     stages = [*STAGES, report]
     if rows:

@@ -74,10 +74,10 @@ def sources_of(texts: Sequence[str]) -> list[Source]:
         place, location = placed.groups() if placed else ("", text)
         for holds in _contents(location):
             source = Source(location, holds, place)
-            if (other := by_name.setdefault(source.name, source)) is not source:
+            if (earlier := by_name.setdefault(source.name, source)) is not source:
                 raise InputError(
                     f"{location}: its clip would be called {source.name!r}, as that of "
-                    f"{other.location} is; rename the folder, or leave one out"
+                    f"{earlier.location} is; rename the folder, or leave one out"
                 )
     return list(by_name.values())
 

@@ -73,7 +73,7 @@ def write_card(
     counts = Counter(rows["split"].to_pylist())
     splits = [split for split in SPLITS if counts[split]]
     places = count_text(len(rows["place"].unique()), "place")
-    asked = {
+    requested = {
         **settings.model_dump(mode="json", include=set(SETTINGS)),
         **dict(Bounds.of(settings)),
         "method": {key: value for key, value in settings.identity.items() if key != "lifting"},
@@ -91,6 +91,6 @@ def write_card(
         slgaussian=__version__,
         numpy=version("numpy"),
         torch=version("torch"),
-        settings=json.dumps(asked, indent=1),
+        settings=json.dumps(requested, indent=1),
     )
     write_atomic(out / CARD, text.encode())

@@ -139,8 +139,8 @@ def _sample_tasks(
             if row["clip"] in digests:
                 frames = {key: row[key] for key in ("sample", "clip", "context", "targets")}
                 method = config.built_by, config.trust_cameras
-                known = {**row, "cameras": cameras}
-                arguments = chunk, frames, framing, *method, known, config.images
+                measured = {**row, "cameras": cameras}
+                arguments = chunk, frames, framing, *method, measured, config.images
                 tasks.append(SceneTask(row["sample"], make_example, arguments, framed.name))
     return tasks
 

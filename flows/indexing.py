@@ -100,8 +100,8 @@ def _surrounded(
         excluded.add(place[view])
         if categories:
             targets[frame] = place[view]
-    around = surround(clip, list(targets.values()), excluded, rule)
-    for (frame, number), pair in zip(targets.items(), around, strict=True):
+    surrounding = surround(clip, list(targets.values()), excluded, rule)
+    for (frame, number), pair in zip(targets.items(), surrounding, strict=True):
         if isinstance(pair, str):
             out[frame] = pair
             continue

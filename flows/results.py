@@ -73,8 +73,8 @@ def write_fields(
         description, parts = about_field(store, fields[scene])
         folder, text = field_place(scene, out), description.to_json(places)
         files = {spec: folder / field_folder.FILES[spec] for spec in parts}
-        about = folder / field_folder.FIELD_FILE  # with the digests of the files
-        described = about.is_file() and about.read_bytes() == text.encode()
+        file = folder / field_folder.FIELD_FILE  # with the digests of the files
+        described = file.is_file() and file.read_bytes() == text.encode()
         # Where files are hard links, damage of the store is damage of the folder.
         if not described or not all(store.has_content(parts[k], f) for k, f in files.items()):
             field_folder.write(folder, text, lambda spec, at: store.link_or_copy(parts[spec], at))

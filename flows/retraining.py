@@ -149,10 +149,10 @@ def learn(
     versions = Versions(settings.models)
     history, incumbent = versions.all(), versions.current()
     lessons = parted(table, settings.held_out)
-    asked = settings.model_dump(mode="json", include=set(TRAINING_SETTINGS))
-    asked["lessons"] = {name: table_digest(side) for name, side in vars(lessons).items()}
+    requested = settings.model_dump(mode="json", include=set(TRAINING_SETTINGS))
+    requested["lessons"] = {name: table_digest(side) for name, side in vars(lessons).items()}
     used = version_name(0 if incumbent is None else incumbent.number)
-    if history and asked == history[-1].facts.get("asked"):
+    if history and requested == history[-1].facts.get("asked"):
         return Learnt(f"nothing new since version {history[-1].number}; {used} is in use", None)
     start, rivals = None, NO_NETWORK
     if incumbent is not None:
@@ -164,7 +164,7 @@ def learn(
     decision = gate(judgements, rivals)
     means = {name: float(np.mean(scores)) for name, scores in clip_scores(judgements).items()}
     scores = {"iou": means, "over hard": vars(gain(judgements, "hard"))}
-    facts = {"asked": asked, "counts": lessons.counts(), "scores": scores}
+    facts = {"asked": requested, "counts": lessons.counts(), "scores": scores}
     added = versions.add(trained.weights, facts, decision.better, decision.why, incumbent)
     if added.promoted:
         return Learnt(f"version {added.number} promoted: {added.why}", added)

@@ -47,8 +47,8 @@ class Combination:
     @property
     def row(self) -> Row:
         """Row in the table of methods."""
-        about = "the field, with other settings"
-        return Row(self.settings.method, about, dict(self.fields), {}, variant=True)
+        title = "the field, with other settings"
+        return Row(self.settings.method, title, dict(self.fields), {}, variant=True)
 
     def of(self, scene: SceneSettings) -> SceneSettings:
         """Return the scene with :attr:`views` context views.

@@ -152,8 +152,8 @@ def build_memory_bank(
     drawn = codes.load()(label_maps, rng_for(seed, sample.content, "codes"))
     grouped = entries == "groups" and len(label_maps.ids) > 0
     groups = group_objects(geometry.frames, label_maps) if grouped else (None, None)
-    around = geometry.surroundings
-    return build_bank(sample.context, label_maps, encoder.load(), drawn, around, *groups)
+    surroundings = geometry.surroundings
+    return build_bank(sample.context, label_maps, encoder.load(), drawn, surroundings, *groups)
 
 
 def lift_field(

@@ -57,8 +57,8 @@ def listed(groups: Iterable[Iterable[str]]) -> str:
     sorted_groups = [sorted(names) for names in groups]
     parts = []
     for names in sorted_groups[:_MAX_NAMED]:
-        more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
-        parts.append(", ".join(map(repr, names[:_MAX_NAMED])) + more)
+        suffix = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+        parts.append(", ".join(map(repr, names[:_MAX_NAMED])) + suffix)
     rest = sum(map(len, sorted_groups[_MAX_NAMED:]))
     return "; ".join([*parts, f"{rest} more"] if rest else parts)
 

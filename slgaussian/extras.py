@@ -16,7 +16,7 @@ def requirements(extra: str | None = None) -> list[Requirement]:
     """
     declared = [Requirement(line) for line in requires(PACKAGE) or []]
     if extra is None:
-        return [each for each in declared if each.marker is None]
+        return [requirement for requirement in declared if requirement.marker is None]
     return [r for r in declared if r.marker is not None and r.marker.evaluate({"extra": extra})]
 
 
@@ -26,7 +26,9 @@ def install_line(extra: str) -> str:
     It names the packages instead of ``slgaussian[extra]``, which the index may not have.
     """
     try:
-        needed = " ".join(f"'{each.name}{each.specifier}'" for each in requirements(extra))
+        needed = " ".join(
+            f"'{requirement.name}{requirement.specifier}'" for requirement in requirements(extra)
+        )
     except PackageNotFoundError:
         needed = f"'.[{extra}]'"
     return f"`pip install {needed}`"

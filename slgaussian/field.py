@@ -153,8 +153,10 @@ class SemanticField:
     def __repr__(self) -> str:
         scene, encoder = (self.settings.get(name) for name in ("scene", "encoder"))
         of = "" if scene is None else f"{scene!r}: "
-        held = f"{len(self.gaussians)} Gaussians, {len(self.bank)} objects"
-        return f"SemanticField({of}{held}, views {short(tuple(self.cameras))}, encoder {encoder!r})"
+        sizes = f"{len(self.gaussians)} Gaussians, {len(self.bank)} objects"
+        return (
+            f"SemanticField({of}{sizes}, views {short(tuple(self.cameras))}, encoder {encoder!r})"
+        )
 
     @cached_property
     def encoder(self) -> Encoder:
@@ -268,16 +270,16 @@ class SemanticField:
 
     def changed(self, **parts: Any) -> SemanticField:
         """Return the field with ``parts`` replaced; cached results that stay valid are shared."""
-        other = replace(self, **parts)
+        result = replace(self, **parts)
         valid = {"encoder"}
-        if other.gaussians is self.gaussians and other.bank is self.bank:
+        if result.gaussians is self.gaussians and result.bank is self.bank:
             valid |= {"_decoder", "_labels"}
-            if other.cameras is self.cameras:
+            if result.cameras is self.cameras:
                 valid |= {"_whole"}
-                if other.removed == self.removed:
+                if result.removed == self.removed:
                     valid |= {"gone", "drawn"}
-        other.__dict__.update({name: self.__dict__[name] for name in valid & self.__dict__.keys()})
-        return other
+        result.__dict__.update({name: self.__dict__[name] for name in valid & self.__dict__.keys()})
+        return result
 
     def teach(self, word: str, object_id: int) -> SemanticField:
         """Return the field with an object as an example of ``word``.

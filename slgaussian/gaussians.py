@@ -249,7 +249,7 @@ def source_depths(gaussians: Gaussians, cameras: Sequence[Camera]) -> np.ndarray
         column, row = pixels[inside].astype(np.int64).T
         np.minimum.at(nearest, (row, column), z[inside].astype(np.float32))
         # Points do not project to every pixel.
-        around = minimum_filter(nearest, 3)
-        filled = np.where(np.isfinite(nearest), nearest, around).ravel()
+        smallest = minimum_filter(nearest, 3)
+        filled = np.where(np.isfinite(nearest), nearest, smallest).ravel()
         depth[:] = np.where((depth == 0) & np.isfinite(filled), filled, depth)
     return depths.reshape(len(cameras), H, W)

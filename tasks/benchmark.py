@@ -197,7 +197,7 @@ def _report_scene(store: ArtifactStore, scored: Scored) -> Scene:
     return Scene(
         name=scored.scene,
         dataset=ours.dataset,
-        rows=[row for each in (ours, *baselines) for row in each.rows],
+        rows=[row for result in (ours, *baselines) for row in result.rows],
         metrics=ours.scene_metrics,
         pictures=lambda: decoded(pictures_of(store.get(scored.answer))),
         truth=lambda: truth_from_arrays(store.get(scored.truth)).masks,

@@ -68,8 +68,10 @@ def example(
         "confirmed": float(quality["confirmed"]),
         "explained": float(quality["explained"]),
     }
-    both = labels_to_arrays(context), labels_to_arrays(targets)
-    labels_of_all = {name: np.concatenate([maps[name] for maps in both]) for name in both[0]}
+    label_maps = labels_to_arrays(context), labels_to_arrays(targets)
+    labels_of_all = {
+        name: np.concatenate([maps[name] for maps in label_maps]) for name in label_maps[0]
+    }
     members = _images(views, images)
     arrays: dict[str, tuple[str, Arrays]] = {
         "geometry": ("example_geometry", _geometry(run, sample, gaussians)),

@@ -315,4 +315,4 @@ def words(
     explained = [(text, *vocabulary.explain(text)) for text in texts]
     for text, _, how in explained:
         typer.echo(f"{text}: {how}")
-    raise typer.Exit(0 if all(known for _, known, _ in explained) else 3)
+    raise typer.Exit(0 if all(is_known for _, is_known, _ in explained) else 3)

@@ -76,14 +76,14 @@ def list_(
     things = opened.inventory(accepted or None, **rules)
     largest = sorted(things, key=lambda thing: -thing.gaussians)
     listed = largest if show_all else largest[:MAX_LISTED]
-    sure = {} if as_json and out is None else _sure_words(opened, accepted, rules)
+    reliable = {} if as_json and out is None else _sure_words(opened, accepted, rules)
     if out is not None:
-        write_picture(out, _picture(field, opened, listed, sure))
+        write_picture(out, _picture(field, opened, listed, reliable))
     notes = [{"text": text, "refused": reason} for text, reason in refused.items()]
     if as_json:
         typer.echo("\n".join(map(json.dumps, [*map(_row, things), *notes])))
     else:
-        rows = [_cells(thing, sure.get(thing.id, [])) for thing in listed]
+        rows = [_cells(thing, reliable.get(thing.id, [])) for thing in listed]
         typer.echo(table_text([("object", "words", "clear", "size", "seen in"), *rows], "><><<"))
         if any(words.startswith("(") for _, words, *_ in rows):
             typer.echo("(in brackets: the word that fits best; a query for it is not sure)")
@@ -235,15 +235,15 @@ def extract(
         check_target(out)
     rules, opened = open_field(field, ctx)
     hits = find_objects(opened, text, rules)
-    alone = opened.dropped().only(id_ for id_, _ in hits)
-    if not len(alone.gaussians):
+    extracted = opened.dropped().only(id_ for id_, _ in hits)
+    if not len(extracted.gaussians):
         typer.echo(f"nothing found for {text!r}, so nothing is written")
         raise typer.Exit(3)
     if ply:
-        save_ply(alone.gaussians, out, alone.labels())
+        save_ply(extracted.gaussians, out, extracted.labels())
     else:
-        alone.save(out)
-    typer.echo(f"objects  {_listed(hits)}\n{len(alone.gaussians):,} Gaussians  {out}")
+        extracted.save(out)
+    typer.echo(f"objects  {_listed(hits)}\n{len(extracted.gaussians):,} Gaussians  {out}")
 
 
 def find_objects(field: SemanticField, text: str, rules: Mapping[str, Any]) -> Hits:
@@ -316,8 +316,8 @@ def _sure_words(
     return words
 
 
-def _cells(thing: SceneObject, sure: Sequence[str]) -> Sequence[str]:
-    words = ", ".join(sure) or ", ".join(f"({text})" for text, _ in thing.words[:1])
+def _cells(thing: SceneObject, reliable: Sequence[str]) -> Sequence[str]:
+    words = ", ".join(reliable) or ", ".join(f"({text})" for text, _ in thing.words[:1])
     if thing.name is not None:
         words = f"{thing.name!r}: {words}"
     size = "" if thing.box is None else " x ".join(f"{2 * x:.2f}" for x in thing.box.half_sizes)
@@ -328,7 +328,7 @@ def _picture(
     folder: Path,
     field: SemanticField,
     things: Sequence[SceneObject],
-    sure: Mapping[int, Sequence[str]],
+    reliable: Mapping[int, Sequence[str]],
 ) -> np.ndarray:
     """Draw each object in the view that shows most of it."""
     import numpy as np
@@ -344,6 +344,6 @@ def _picture(
     ids = np.array([thing.id for thing in things])
     boxes = field.bank.boxes[np.searchsorted(field.bank.ids, ids)]
     cuts = pictures.cut_out([v.rgb for v in views], [v.ids for v in views], ids, boxes)
-    names = (thing.name or next(iter(sure.get(thing.id, ())), "") for thing in things)
+    names = (thing.name or next(iter(reliable.get(thing.id, ())), "") for thing in things)
     titles = [f"{id_} {name}".strip() for id_, name in zip(ids, names, strict=True)]
     return pictures.contact_sheet(list(zip(titles, cuts, strict=True)), side=112, columns=8)

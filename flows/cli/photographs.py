@@ -176,6 +176,6 @@ def _keyframes(
 ) -> list[str]:
     """Choose ``count`` of the views, and print their names."""
     chosen = [names[k] for k in choose_keyframes([blur(look) for look in looks], count, cameras)]
-    some = ", ".join(chosen[:4]) + (", ..." if len(chosen) > 4 else "")
-    print(f"keyframes: {len(chosen)} of {len(names)} photographs, {some}", file=sys.stderr)
+    listed = ", ".join(chosen[:4]) + (", ..." if len(chosen) > 4 else "")
+    print(f"keyframes: {len(chosen)} of {len(names)} photographs, {listed}", file=sys.stderr)
     return chosen

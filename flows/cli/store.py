@@ -78,12 +78,12 @@ def gc(
         "records of other versions of the stages, or unreadable": garbage.records,
         "unfinished files": garbage.unfinished,
     }
-    some = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
-    size = f"; {decimal(garbage.bytes)}" if some else ""
-    typer.echo(f"{'removed' if yes else 'would be removed'}: {some or 'nothing'}{size}")
+    summary = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+    size = f"; {decimal(garbage.bytes)}" if summary else ""
+    typer.echo(f"{'removed' if yes else 'would be removed'}: {summary or 'nothing'}{size}")
     young = f", {garbage.young} others younger than {age:g} days" if garbage.young else ""
     typer.echo(f"stays: {garbage.kept} artifacts that are referred to{young}")
-    if some and not yes:
+    if summary and not yes:
         typer.echo("nothing was removed: give --yes to do it")
 
 

@@ -96,8 +96,12 @@ def attribute_errors(
             predicted, point = (np.zeros_like(mask), None) if hit is None else (hit.mask, hit.point)
             row: dict[str, Any] = common | {"frame": target.name, "query": query}
             row |= {"iou": metrics.iou(predicted, mask), "hit": metrics.point_in_mask(point, mask)}
-            whole = objects.spread(best_objects(objects, field.bank, mask))
-            judged = _cut(hit, objects, mask), _judge(whole, mask), _judge(drawn[..., column], mask)
+            best_mask = objects.spread(best_objects(objects, field.bank, mask))
+            judged = (
+                _cut(hit, objects, mask),
+                _judge(best_mask, mask),
+                _judge(drawn[..., column], mask),
+            )
             for stage, (iou, inside) in zip(STAGES, judged, strict=True):
                 row |= {f"{stage}_iou": iou, f"{stage}_hit": inside}
             row["lost"] = verdict(row)

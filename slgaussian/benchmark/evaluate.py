@@ -149,9 +149,9 @@ def evaluate(
     if texts := [*(text for masks in truth.masks.values() for text in masks), *queries]:
         # Answer a text untimed: then all that is computed once per scene is cached.
         view = field.render(sample.context[0].camera)
-        known = [text for text in dict.fromkeys(texts) if understands(view.reader, text)]
-        if known:
-            recorder.query(view, known[:1])
+        understood = [text for text in dict.fromkeys(texts) if understands(view.reader, text)]
+        if understood:
+            recorder.query(view, understood[:1])
     for target in sample.targets:
         view, seconds = _timed(field.render, target.camera)
         masks, boxes = (of.get(target.name, {}) for of in (truth.masks, truth.boxes))

@@ -133,7 +133,7 @@ def differences(rows: Iterable[Row], baseline: Iterable[Row]) -> list[Difference
     Raises:
         InputError: If one of them has a sample twice, for example samples of two methods.
     """
-    mine, theirs = (_by_sample(each) for each in (rows, baseline))
+    mine, theirs = (_by_sample(table) for table in (rows, baseline))
     pairs = [(mine[key], theirs[key]) for key in mine if key in theirs]
     gains = []
     groups = grouped(pairs, "dataset", "protocol", row_of=itemgetter(0))

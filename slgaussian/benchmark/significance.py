@@ -69,8 +69,8 @@ def gate(judgements: pa.Table, rivals: Mapping[str, str]) -> Verdict:
         return Verdict(False, f"worse than {hardest}: {numbers}")
     if comparison.low <= 0:
         return Verdict(False, f"no gain over {hardest} beyond noise: {numbers}")
-    others = " and ".join(name for name in gains if name != hardest)
-    rest = f"; and than {others}" if others else ""
+    other_names = " and ".join(name for name in gains if name != hardest)
+    rest = f"; and than {other_names}" if other_names else ""
     return Verdict(True, f"better than {hardest}: {numbers}{rest}")
 
 

@@ -315,11 +315,11 @@ class _Problem:
         size = max(_CHUNK // (3 * P), 1)
         for start in range(0, N, size):
             stop = min(start + size, N)
-            some = slice(*np.searchsorted(point, (start, stop)))
+            block = slice(*np.searchsorted(point, (start, stop)))
             W = np.zeros((stop - start, 3, P))
             # A view observes a point once, but several views may share a lens: these are summed.
             poses = W[:, :, : self.poses].reshape(stop - start, 3, -1, 6)
-            poses[point[some] - start, :, view[some]] = normal.between[some, :, :6]
+            poses[point[block] - start, :, view[block]] = normal.between[block, :, :6]
             lens = self.by_lens[start * G : stop * G] @ normal.between[:, :, 6]
             W[:, :, self.poses :] = lens.reshape(-1, G, 3).transpose(0, 2, 1)
             flat = W.reshape(-1, P)
@@ -329,14 +329,14 @@ class _Problem:
 
     def free(self, bundle: Bundle) -> np.ndarray:
         """Return an orthonormal basis [P, F] of the camera parameters without frame and scale."""
-        every = np.eye(self.poses + len(self.lens_free))
-        lenses = every[:, self.poses :][:, self.lens_free]
+        identity = np.eye(self.poses + len(self.lens_free))
+        lenses = identity[:, self.poses :][:, self.lens_free]
         if bundle.poses is not None:
-            return np.concatenate([every[:, : self.poses], lenses], 1)
+            return np.concatenate([identity[:, : self.poses], lenses], 1)
         # t[1] moves orthogonally to itself.
         across = np.linalg.svd(bundle.t[1:2])[2][1:]
-        second = every[:, 9:12] @ across.T
-        return np.concatenate([every[:, 6:9], second, every[:, 12 : self.poses], lenses], 1)
+        second = identity[:, 9:12] @ across.T
+        return np.concatenate([identity[:, 6:9], second, identity[:, 12 : self.poses], lenses], 1)
 
     def covariance(self, state: _State, normal: _Normal) -> np.ndarray:
         """Compute the covariance [P, P] of the cameras, with the noise level of the residuals.

@@ -113,11 +113,11 @@ def check_pairs(views: Sequence[View], graph: MatchGraph) -> list[PairCheck]:
     piece = {view: {view} for pair in checks for view in pair}
     selected = []
     for pair in sorted(checks, key=lambda p: (-checks[p].agreeing, -checks[p].matches, p)):
-        one, other = (piece[view] for view in pair)
-        if one is not other and (checks[pair].judged or 1 in (len(one), len(other))):
+        first, second = (piece[view] for view in pair)
+        if first is not second and (checks[pair].judged or 1 in (len(first), len(second))):
             selected.append(pair)
-            one |= other
-            piece |= dict.fromkeys(other, one)
+            first |= second
+            piece |= dict.fromkeys(second, first)
     return [checks[pair] for pair in sorted(selected)]
 
 
@@ -144,8 +144,8 @@ def check_pair(a: View, b: View, at_a: np.ndarray, at_b: np.ndarray) -> PairChec
         for advice, correct in CORRECTIONS.items()
     }
     best = max(counts, key=counts.__getitem__)
-    least = max(MIN_GAIN * max(uncorrected, 1), MIN_CORRECTED * finely, MIN_AGREEING / 2)
-    return replace(check, correction=best) if counts[best] >= least else check
+    min_explained = max(MIN_GAIN * max(uncorrected, 1), MIN_CORRECTED * finely, MIN_AGREEING / 2)
+    return replace(check, correction=best) if counts[best] >= min_explained else check
 
 
 def explained(

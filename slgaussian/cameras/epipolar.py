@@ -206,14 +206,16 @@ def _starts(x: np.ndarray, y: np.ndarray, prior: FocalPrior) -> Iterator[TwoView
         pose, _ = poselib.estimate_relative_pose(x, y, *lenses, RANSAC_OPTIONS)
         yield from _two_views(pose, focals, moves)
     if len(directions) == 1:
-        both, _ = poselib.estimate_shared_focal_relative_pose(x, y, np.zeros(2), RANSAC_OPTIONS)
-        log_focal = np.log(max(both.camera1.params[0], 1.0))
+        estimates, _ = poselib.estimate_shared_focal_relative_pose(
+            x, y, np.zeros(2), RANSAC_OPTIONS
+        )
+        log_focal = np.log(max(estimates.camera1.params[0], 1.0))
         moves = np.clip(
             (log_focal - prior.mean[:1]) / directions[:, 0],
             -MAX_FOCAL_DEVIATION,
             MAX_FOCAL_DEVIATION,
         )
-        yield from _two_views(both.pose, np.exp(prior.mean + moves @ directions), moves)
+        yield from _two_views(estimates.pose, np.exp(prior.mean + moves @ directions), moves)
 
 
 def _two_views(

@@ -132,10 +132,10 @@ def _find_two(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
         focals, deviations = focals[::-1], deviations[::-1]
     pair = replace(pose.estimate, views=(a.photograph.name, b.photograph.name))
     doubtful = pair.verdict == DOUBTFUL
-    sure = confidence(pose) * (DOUBTFUL_PAIR_FACTOR if doubtful else 1)
+    probability = confidence(pose) * (DOUBTFUL_PAIR_FACTOR if doubtful else 1)
     doubt = pair.said if doubtful else ""
     poses = np.stack([np.eye(3), R]), np.stack([np.zeros(3), t])
-    return _estimated_cameras(described, *poses, focals, deviations, (pair,), sure, doubt)
+    return _estimated_cameras(described, *poses, focals, deviations, (pair,), probability, doubt)
 
 
 def find_multi_view(described: Sequence[Described], solve: Solve) -> EstimatedCameras:
@@ -324,7 +324,7 @@ def _confidence(
 
 def _estimated_cameras(
     described: Sequence[Described], R: np.ndarray, t: np.ndarray, focals: np.ndarray,
-    deviations: np.ndarray, pairs: tuple[EstimatedPair, ...], sure: float, doubt: str,
+    deviations: np.ndarray, pairs: tuple[EstimatedPair, ...], probability: float, doubt: str,
 ) -> EstimatedCameras:  # fmt: skip
     """Return cameras of whole photographs from poses [V, 3, 3] and [V, 3], world to camera, focal
     lengths [V], pixels of the images, and deviations [V] of their logarithms."""
@@ -338,9 +338,9 @@ def _estimated_cameras(
         by_name[photograph.name] = focal
         cameras[photograph.name] = Camera(
             np.array([[f, 0, width / 2], [0, f, height / 2], [0, 0, 1]]), c2w, width, height,
-            estimated=Estimated((focal.low / f, focal.high / f), focal.source, sure),
+            estimated=Estimated((focal.low / f, focal.high / f), focal.source, probability),
         )  # fmt: skip
-    return EstimatedCameras(cameras, by_name, pairs, sure, doubt)
+    return EstimatedCameras(cameras, by_name, pairs, probability, doubt)
 
 
 def focal_of(pixels: float, deviation: float, photograph: Photograph) -> Focal:

@@ -265,9 +265,9 @@ class _Reconstruction:
         order = mine[np.lexsort((tracks.track[mine], -length, tracks.view[mine]))]
         per_view = np.bincount(tracks.view[mine])
         rank = np.arange(len(order)) - np.repeat(np.cumsum(per_view) - per_view, per_view)
-        wanted = np.zeros(tracks.count, bool)
-        wanted[tracks.track[order[rank < max_tracks]]] = True
-        mine = mine[wanted[tracks.track[mine]]]
+        selected = np.zeros(tracks.count, bool)
+        selected[tracks.track[order[rank < max_tracks]]] = True
+        mine = mine[selected[tracks.track[mine]]]
         if len(mine) < 4 * MIN_INLIERS:
             return None
         track_ids, point = np.unique(tracks.track[mine], return_inverse=True)

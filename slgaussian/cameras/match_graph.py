@@ -55,13 +55,13 @@ class MatchGraph:
     def to_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays by name, as specified in ``data_specs/matches.toml``."""
         counts = [len(first) for first, _ in self.matches.values()]
-        both = [np.stack(match, 1) for match in self.matches.values()]
+        indices = [np.stack(match, 1) for match in self.matches.values()]
         return {
             "keypoints": np.concatenate([np.zeros((0, 2)), *self.keypoints]),
             "view_ends": np.cumsum([len(points) for points in self.keypoints], dtype=np.int64),
             "pairs": np.array(list(self.matches), np.int32).reshape(-1, 2),
             "match_ends": np.cumsum(counts, dtype=np.int64),
-            "matches": np.concatenate([np.zeros((0, 2), int), *both]).astype(np.int32),
+            "matches": np.concatenate([np.zeros((0, 2), int), *indices]).astype(np.int32),
         }
 
     @staticmethod
@@ -71,7 +71,9 @@ class MatchGraph:
         matches = np.split(arrays["matches"], arrays["match_ends"][:-1])
         pairs = map(tuple, arrays["pairs"].tolist())
         split = zip(pairs, matches, strict=False)  # no pair: one empty part
-        return MatchGraph(keypoints, {pair: (both[:, 0], both[:, 1]) for pair, both in split})
+        return MatchGraph(
+            keypoints, {pair: (indices[:, 0], indices[:, 1]) for pair, indices in split}
+        )
 
 
 def neighbours(views: Sequence[View], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
@@ -85,11 +87,11 @@ def neighbours(views: Sequence[View], count: int = NEIGHBOURS) -> list[tuple[int
     distances = _distances(views)
     same_way = axes @ axes.T > np.cos(np.radians(MAX_AXIS_ANGLE))
     pairs = set()
-    for i, away in enumerate(distances):
-        candidates = np.flatnonzero((away > 0) & same_way[i])
+    for i, from_view in enumerate(distances):
+        candidates = np.flatnonzero((from_view > 0) & same_way[i])
         if not len(candidates):
-            candidates = np.flatnonzero(away)
-        nearest = candidates[np.argsort(away[candidates], kind="stable")][:count]
+            candidates = np.flatnonzero(from_view)
+        nearest = candidates[np.argsort(from_view[candidates], kind="stable")][:count]
         pairs |= {(min(i, int(j)), max(i, int(j))) for j in nearest}
     return sorted(pairs)
 

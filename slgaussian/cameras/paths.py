@@ -91,8 +91,8 @@ def orbit(cameras: Sequence[Camera], points: np.ndarray, n: int) -> list[Camera]
     cosines = axes @ axes.T
     cosines = cosines[cosines.clip(MIN_AXIS_COSINE).sum(1).argmax()]
     # If only two cameras are given and they look in different directions, both are used.
-    alike = cosines >= min(MIN_AXIS_COSINE, np.sort(cosines)[-2])
-    cameras = [camera for camera, used in zip(cameras, alike, strict=True) if used]
+    similar = cosines >= min(MIN_AXIS_COSINE, np.sort(cosines)[-2])
+    cameras = [camera for camera, used in zip(cameras, similar, strict=True) if used]
     centers = np.stack([camera.center for camera in cameras])
     start = cameras[int(np.linalg.norm(centers - centers.mean(0), axis=1).argmin())]
     middle = np.eye(4)

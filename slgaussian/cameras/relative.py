@@ -101,5 +101,5 @@ class Relative:
         a = mapped(ref, infinity[:, :2]) + infinity[:, 2]
         e = self.epipole
         slope = e[:2] - src * e[2]
-        wanted = src * a[:, 2:] - a[:, :2]
-        return (slope * wanted).sum(1) / np.maximum((slope**2).sum(1), 1e-12)
+        offset = src * a[:, 2:] - a[:, :2]
+        return (slope * offset).sum(1) / np.maximum((slope**2).sum(1), 1e-12)

@@ -52,8 +52,8 @@ def sharpen(
     warp = warp * (step * zoom)[:, None, None]
     fine = _level(step), _level(step * zoom)
     offsets = step[:, None, None] * grid
-    wanted = _normalise(_sampled(levels[0], fine[0], a.points[i], offsets), weight)
-    at, patches = initial.copy(), wanted
+    reference = _normalise(_sampled(levels[0], fine[0], a.points[i], offsets), weight)
+    at, patches = initial.copy(), reference
     side = 2 * PATCH_RADIUS + 1
     for _ in range(ITERATIONS):
         patches = _normalise(_sampled(levels[1], fine[1], at, grid @ warp.mT), weight)
@@ -64,11 +64,11 @@ def sharpen(
         hessian = weighed.mT @ jacobian
         damping = 1e-3 / 6 * np.trace(hessian, axis1=1, axis2=2) + 1e-9
         hessian += damping[:, None, None] * np.eye(6)
-        gradient = np.einsum("mnk,mn->mk", weighed, wanted - patches)
+        gradient = np.einsum("mnk,mn->mk", weighed, reference - patches)
         move = np.linalg.solve(hessian, gradient[..., None])[..., 0].clip(-1.5, 1.5)
         at = at + np.einsum("mij,mj->mi", warp, move[:, :2])
         warp = warp @ (np.eye(2) + move[:, 2:].reshape(-1, 2, 2).clip(-0.2, 0.2))
-    likeness = (weight * wanted * patches).sum(1)
+    likeness = (weight * reference * patches).sum(1)
     moved = np.linalg.norm(at - initial, axis=1)
     good = (likeness > MIN_CORRELATION) & (moved < MAX_SHIFT * np.maximum(b.scales[j], 1.0))
     return np.where(good[:, None], at, initial)

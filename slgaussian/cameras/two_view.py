@@ -174,7 +174,7 @@ class PairPose:
     def of(self, mask: np.ndarray) -> PairPose:
         """Return the pose with the inliers restricted to ``mask``, bool [M]."""
         estimate = replace(self.estimate, inliers=int(mask.sum()))
-        i, j, x, y = (all[mask] for all in (self.i, self.j, self.x, self.y))
+        i, j, x, y = (values[mask] for values in (self.i, self.j, self.x, self.y))
         return replace(self, i=i, j=j, x=x, y=y, estimate=estimate)
 
 
@@ -196,10 +196,10 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
     y = sharpen((a.grey, b.grey), a.features, b.features, i, j) - b.middle
     names = a.photograph.name, b.photograph.name
     estimate = EstimatedPair(names, len(i), 0, np.nan, np.nan, GOOD, "")
-    every = PairPose(a, b, None, i, j, x, y, estimate)
+    all_matches = PairPose(a, b, None, i, j, x, y, estimate)
     answers = solve(x, y, prior)
     if not answers:
-        return _refuse_few(every.of(np.zeros(len(i), bool)))
+        return _refuse_few(all_matches.of(np.zeros(len(i), bool)))
     best = answers[0]
     inlier = best.inliers(x, y, 3 * best.scale)
     count = int(inlier.sum())
@@ -211,9 +211,10 @@ def find_pair(a: Described, b: Described, prior: FocalPrior | None = None) -> Pa
         )
         # A shared crop or plane must fill one of the two photographs.
         return _refused(
-            every.of(flat), *(_flaw_of_points(every.of(flat), MIN_PLANAR_COVER, max) or degenerate)
+            all_matches.of(flat),
+            *(_flaw_of_points(all_matches.of(flat), MIN_PLANAR_COVER, max) or degenerate),
         )
-    pose = replace(every.of(inlier), views=best)
+    pose = replace(all_matches.of(inlier), views=best)
     if count < max(MIN_INLIERS, MIN_INLIER_SHARE * len(i)):
         return _refuse_few(pose)
     if (flaw := _flaw_of_points(pose, MIN_COVER, min)) is not None:
@@ -304,8 +305,8 @@ def _repetition(pose: PairPose) -> float:
     """Return the median over inliers of the distance to the match over the distance to the nearest
     other feature of the first photograph: near 1 for repeated patterns."""
     features = pose.first.features
-    some = slice(None, None, 1 + len(pose.i) // REPETITION_SAMPLES)
-    i, j = pose.i[some], pose.j[some]
+    sample = slice(None, None, 1 + len(pose.i) // REPETITION_SAMPLES)
+    i, j = pose.i[sample], pose.j[sample]
     descriptors = features.descriptors[i]
     matched = (descriptors * pose.second.features.descriptors[j]).sum(1)
     likeness = descriptors @ features.descriptors.T

@@ -101,8 +101,8 @@ def read(path: str | Path, images: str | None = None) -> Scene:
     files = {name: _file(path, folder, name) for name in sorted(poses)}
     lenses = {}
     for number, stored in stored_cameras.items():
-        taken = (file for name, file in files.items() if poses[name].camera == number)
-        lenses[number] = _lens(stored, next(filter(is_there, taken), None))
+        camera_files = (file for name, file in files.items() if poses[name].camera == number)
+        lenses[number] = _lens(stored, next(filter(is_there, camera_files), None))
     cameras, maps = {}, {}
     for name in files:
         K, size, lens = lenses[poses[name].camera]

@@ -47,7 +47,7 @@ def context_of(
     """
     names = list(scene.cameras)
     chosen, held_out = (
-        [names.index(scene.find(name)) for name in some] for some in (context, targets)
+        [names.index(scene.find(name)) for name in group] for group in (context, targets)
     )
     if count <= len(chosen):
         places = [round(i * (len(chosen) - 1) / (count - 1)) for i in range(count)]

@@ -86,8 +86,8 @@ def _cameras(
         raise InputError(f"{path}: has maps of {len(photos)} of the photographs, expected two")
     maps = [_Map(stored, number, photos[name]) for name, number in numbers.items()]
     first = maps[:TESTED_PHOTOGRAPHS]
-    matches, sizes = _matches([one.photo for one in first])
-    ways = max((one.placements() for one in first), key=len)
+    matches, sizes = _matches([entry.photo for entry in first])
+    ways = max((entry.placements() for entry in first), key=len)
     # Intrinsics of the map before those of the photograph, and square pixels before others.
     sources = sorted(product(ways, (True, False)), key=lambda s: (not s[1], first[0].stretch(*s)))
     usual = "world-to-camera" if stored.inverted else "camera-to-world"
@@ -96,17 +96,17 @@ def _cameras(
     problem: InputError | None = None
     for (way, of_map), pose, ray in product(sources, poses, (False, True)):
         try:
-            cameras = [one.camera(way, of_map, pose) for one in first]
+            cameras = [entry.camera(way, of_map, pose) for entry in first]
         except InputError as error:  # implausible intrinsics for this size
             problem = problem or error
             continue
         small = [camera.resized(*size) for camera, size in zip(cameras, sizes, strict=True)]
         depths = []
-        for one, camera in zip(first, small, strict=True):
+        for entry, camera in zip(first, small, strict=True):
             shrunk = np.diag(
-                [one.photo.width / camera.width, one.photo.height / camera.height, 1.0]
+                [entry.photo.width / camera.width, entry.photo.height / camera.height, 1.0]
             )
-            depth, at = stored.maps[one.number].depth, one.place(way) @ shrunk
+            depth, at = stored.maps[entry.number].depth, entry.place(way) @ shrunk
             z = precomputed.along_z(depth, at @ camera.K) if ray else depth
             depths.append(precomputed.z_at(z, at))
         readings.append(((way, of_map, pose), small, depths))
@@ -122,7 +122,7 @@ def _cameras(
             f"{fitted.share:.0%} of the matches to where the other view shows them",
             stacklevel=2,
         )
-    return {one.photo.name: one.camera(way, of_map, pose) for one in maps}
+    return {entry.photo.name: entry.camera(way, of_map, pose) for entry in maps}
 
 
 @dataclass(frozen=True, eq=False)

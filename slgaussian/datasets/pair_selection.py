@@ -142,8 +142,8 @@ def surround(
         return [f"{count} of {total} views are sharp, well exposed and not held out"] * len(targets)
     if np.isnan(clip.depths).any():
         return ["the views show no parallax that a depth could be found from"] * len(targets)
-    shown = [*usable, *targets]
-    sights = list(_sightings([clip.cameras[i] for i in shown], clip.depths[shown]))
+    visible = [*usable, *targets]
+    sights = list(_sightings([clip.cameras[i] for i in visible], clip.depths[visible]))
     overlap_matrix = np.stack([sight[:count].mean(-1) for sight in sights[:count]])
     shared, baselines, fits = _compare(clip, usable, overlap_matrix, rule)
     a, b = np.nonzero(np.triu(fits & (baselines > 0), 1))
@@ -169,8 +169,8 @@ def surround(
             continue
         values = scores * cover * (1 - 0.5 * aside / max(rule.max_aside, 1e-9))
         k = int(np.where(good, values, -1).argmax())
-        score, covered, apart = (float(measure[k]) for measure in (values, cover, aside))
-        pair = replace(pairs[k], targets=(target,), score=score, cover=covered, aside=apart)
+        score, covered, separation = (float(measure[k]) for measure in (values, cover, aside))
+        pair = replace(pairs[k], targets=(target,), score=score, cover=covered, aside=separation)
         chosen.append(pair)
     return chosen
 

@@ -44,7 +44,7 @@ class Places:
             if kind == CLIP
         }
 
-    def _join(self, one: tuple[int, str], other: tuple[int, str]) -> None:
-        self._joined.add(one)
-        self._joined.add(other)
-        self._joined.merge(one, other)
+    def _join(self, first: tuple[int, str], second: tuple[int, str]) -> None:
+        self._joined.add(first)
+        self._joined.add(second)
+        self._joined.merge(first, second)

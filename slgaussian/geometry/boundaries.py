@@ -135,12 +135,12 @@ def depth_boundary(depth: np.ndarray) -> np.ndarray:
     for axis in (0, 1):
         if inverse.shape[axis] <= 2 * reach:
             continue
-        before, here, after = (
+        before, center, after = (
             np.moveaxis(inverse, axis, 0)[part]
             for part in (np.s_[: -2 * reach], np.s_[reach:-reach], np.s_[2 * reach :])
         )
-        valid = (before > 0) & (here > 0) & (after > 0)
-        bend = np.abs(before + after - 2 * here) / np.maximum(here, 1e-12)
+        valid = (before > 0) & (center > 0) & (after > 0)
+        bend = np.abs(before + after - 2 * center) / np.maximum(center, 1e-12)
         inner = np.moveaxis(strength, axis, 0)[reach:-reach]
         np.maximum(inner, np.where(valid, bend, 0), out=inner)
     return np.clip(cv2.GaussianBlur(strength, (0, 0), 1.0), 0, 0.5)

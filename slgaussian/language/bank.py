@@ -78,9 +78,12 @@ class MemoryBank:
         if len(np.unique(self.codes, axis=0)) != n:
             raise InputError("memory bank codes: two objects share one code")
         _check_lengths("features: object", self.ids, self.features, self.present)
-        for one, other in (("levels", "group_features"), ("class_scores", "photograph_scores")):
-            if (getattr(self, one) is None) != (getattr(self, other) is None):
-                raise InputError(f"memory bank: {one} and {other} go together, found only one")
+        for name, companion in (
+            ("levels", "group_features"),
+            ("class_scores", "photograph_scores"),
+        ):
+            if (getattr(self, name) is None) != (getattr(self, companion) is None):
+                raise InputError(f"memory bank: {name} and {companion} go together, found only one")
         if self.levels is not None and self.group_features is not None:
             groups = len(self.group_features)
             single = self.levels == np.arange(n)

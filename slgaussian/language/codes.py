@@ -225,14 +225,14 @@ def _code_energy(c, codes, balls):
 
 
 @kernel
-def _energy_of(i, j, pairs, codes, balls, most):
+def _energy_of(i, j, pairs, codes, balls, limit):
     """Compute the energy that depends on the codes of i and j (-1: none); stop above ``most``."""
     total = _code_energy(i, codes, balls)
     if j >= 0:
         total += _code_energy(j, codes, balls)
     for e in range(len(pairs)):
         a, b = pairs[e]
-        if total > most:
+        if total > limit:
             break
         if a in (i, j) or b in (i, j):
             # Without the codes of i and j, which were counted above.

@@ -186,8 +186,8 @@ def _room(
     if around is None:
         return np.array([*out.values()])
     level, height = (
-        known[np.isfinite(known)]
-        for known in (around.level[window][inside], around.height[window][inside])
+        values[np.isfinite(values)]
+        for values in (around.level[window][inside], around.height[window][inside])
     )
     points = around.points[window][inside]
     points = points[np.isfinite(points[:, 0])]

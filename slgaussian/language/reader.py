@@ -71,8 +71,8 @@ class TextReader:
     def _encode(self, text: str) -> tuple[np.ndarray, Understood]:
         read = self.encoder.understand(text, self.by_class)
         # A text without a known word is encoded as a generic phrase.
-        asked = text if read.read_as or not read.untold else self.encoder.canonical[0]
-        return self.encoder.encode_text([asked])[0], read
+        phrase = text if read.read_as or not read.untold else self.encoder.canonical[0]
+        return self.encoder.encode_text([phrase])[0], read
 
 
 class BankReader(TextReader):
@@ -172,8 +172,8 @@ class BankReader(TextReader):
         wholes, ranking = self.bank.wholes, getattr(self.encoder, "ranking", None)
         ranked = [k for k, text in enumerate(texts) if self._answer_kind(text) == "known"]
         if ranked and wholes and ranking and not unmeasured(self.encoder, rules):
-            known = [texts[k] for k in ranked]
-            chosen[ranked] = self.candidates(known, gaps[ranked], areas, rules).best(ranking)
+            ranked_texts = [texts[k] for k in ranked]
+            chosen[ranked] = self.candidates(ranked_texts, gaps[ranked], areas, rules).best(ranking)
         return chosen
 
     def candidates(

@@ -98,9 +98,9 @@ class Scorer:
 def _soft_greatest(leads: np.ndarray, soft: float) -> np.ndarray:
     """Compute the soft maximum of leads [Q, N, J] over the last axis; -inf if all are -inf."""
     top = leads.max(2, initial=-np.inf, keepdims=True)
-    known = leads > -np.inf
-    above = np.where(known, leads, 0) - np.where(known.any(2, keepdims=True), top, 0)
-    weights = np.where(known, np.exp(above / soft), 0)
+    finite = leads > -np.inf
+    above = np.where(finite, leads, 0) - np.where(finite.any(2, keepdims=True), top, 0)
+    weights = np.where(finite, np.exp(above / soft), 0)
     # Average the deviation from the maximum, so that the result is exact for equal leads.
     deviation = (weights * above).sum(2) / np.maximum(weights.sum(2), 1)
     return top[..., 0] + deviation

@@ -120,7 +120,7 @@ class TaughtWords:
         if word not in self.lessons:
             words = ", ".join(map(repr, self)) or "none"
             raise InputError(f"{word!r}: is no taught word; those there are: {words}")
-        left = {other: lesson for other, lesson in self.lessons.items() if other != word}
+        left = {name: lesson for name, lesson in self.lessons.items() if name != word}
         return replace(self, lessons=left) if left else TaughtWords()
 
     def leads(self, word: str, looks: np.ndarray) -> np.ndarray:
@@ -146,10 +146,16 @@ class TaughtWords:
         none = np.zeros((0, width), np.float32)
         return {
             "encoder": np.array(self.encoder),
-            "words": np.array([word for word, one in lessons for _ in one.examples], np.str_),
-            "features": np.concatenate([none, *(one.examples for _, one in lessons)]).astype("f2"),
-            "rival_words": np.array([word for word, one in lessons for _ in one.rivals], np.str_),
-            "rivals": np.concatenate([none, *(one.rivals for _, one in lessons)]).astype("f2"),
+            "words": np.array([word for word, lesson in lessons for _ in lesson.examples], np.str_),
+            "features": np.concatenate([none, *(lesson.examples for _, lesson in lessons)]).astype(
+                "f2"
+            ),
+            "rival_words": np.array(
+                [word for word, lesson in lessons for _ in lesson.rivals], np.str_
+            ),
+            "rivals": np.concatenate([none, *(lesson.rivals for _, lesson in lessons)]).astype(
+                "f2"
+            ),
         }
 
     def to_bytes(self) -> bytes:

@@ -120,10 +120,10 @@ def votes_on(atoms: Atoms, points: Sequence[SurfacePoints]) -> np.ndarray:
         for voter in voters:
             which, place = match_points(points[view], points[voter], pixels)
             atom, voter_atom = view_atoms[which], atoms.maps[voter][place]
-            both = (atom >= 0) & (voter_atom >= 0)
-            rows.append(atom[both])
-            columns.append(atoms.region[voter_atom[both]])
-            weights.append(1 / area[atom[both]])
+            in_both = (atom >= 0) & (voter_atom >= 0)
+            rows.append(atom[in_both])
+            columns.append(atoms.region[voter_atom[in_both]])
+            weights.append(1 / area[atom[in_both]])
     voter_of = np.zeros(atoms.region.max(initial=0) + 1, np.int64)
     voter_of[atoms.region] = atoms.view
     atom, region, weight = map(np.concatenate, (rows, columns, weights))

@@ -58,9 +58,9 @@ def join_patterns(
     a, b = edges.T
     usable = (np.maximum(size[a], size[b]) < MAX_ELEMENT_SHARE * regions.size) & ~similar[a, b]
     usable[usable] = [plane_gap(planes[u], planes[v]) < PLANE_TOLERANCE for u, v in edges[usable]]
-    even = np.maximum(size[a], size[b]) < MAX_SIZE_RATIO * np.minimum(size[a], size[b])
+    similar_size = np.maximum(size[a], size[b]) < MAX_SIZE_RATIO * np.minimum(size[a], size[b])
 
-    core = usable & even
+    core = usable & similar_size
     group = _chains(edges[core], (borders[:, 0] * contrast[a, b])[core], similar)
     _take_ends(group, edges[usable], similar, size)
     joined = np.unique(group, return_inverse=True)[1].astype(np.int32)
@@ -80,9 +80,9 @@ def _chains(edges: np.ndarray, weight: np.ndarray, similar: np.ndarray) -> np.nd
     ends = np.concatenate([edges, edges[:, ::-1]])
     number = np.tile(np.arange(len(edges)), 2)
     for region in range(count):
-        here = np.flatnonzero(ends[:, 0] == region)
-        first, second = np.nonzero(similar[np.ix_(ends[here, 1], ends[here, 1])])
-        links.append(np.stack([number[here[first]], number[here[second]]]))
+        incident = np.flatnonzero(ends[:, 0] == region)
+        first, second = np.nonzero(similar[np.ix_(ends[incident, 1], ends[incident, 1])])
+        links.append(np.stack([number[incident[first]], number[incident[second]]]))
     chain = _components(np.concatenate(links, 1), len(edges))
     border = np.zeros((count, chain.max() + 1))
     for side in (0, 1):

@@ -184,7 +184,7 @@ def _census(rows, x):
 
 
 @kernel
-def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, columns, cost):
+def _row_cost(near, target_rows, total, deviation, bits, zncc_share, census_share, columns, cost):
     """Compute the costs of a row from rows ``near`` of the warped source and ``here`` of the
     reference, whose window sums, variances and census bits are given; ``columns`` is scratch."""
     W = cost.shape[0]
@@ -194,7 +194,7 @@ def _row_cost(near, here, total, deviation, bits, zncc_share, census_share, colu
         for j in range(_SIDE):
             s += near[j, x]
             q += near[j, x] * near[j, x]
-            p += near[j, x] * here[j, x]
+            p += near[j, x] * target_rows[j, x]
         sums[x], squares[x], products[x] = s, q, p
     for x in range(W):
         s = q = p = np.float32(0)
@@ -224,7 +224,7 @@ def _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y
     """Compute the costs of the rows of ``volume``, the first of which is row ``y0``."""
     H, W = squares.shape
     rows, _, D = volume.shape
-    here = wide[y0 : y0 + rows + 2 * RADIUS]
+    target_rows = wide[y0 : y0 + rows + 2 * RADIUS]
     total = np.zeros((rows, W), np.float32)
     deviation = np.zeros((rows, W), np.float32)
     bits = np.empty((rows, W), np.uint32)
@@ -233,15 +233,15 @@ def _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y
             s = q = np.float32(0)
             for j in range(_SIDE):
                 for i in range(_SIDE):
-                    s += here[y + j, x + i]
-                    q += here[y + j, x + i] ** 2
+                    s += target_rows[y + j, x + i]
+                    q += target_rows[y + j, x + i] ** 2
             total[y, x] = s
             deviation[y, x] = max(q + _FLOOR - s * s / _AREA, _FLOOR)
-            bits[y, x] = _census(here[y : y + _SIDE], x)
+            bits[y, x] = _census(target_rows[y : y + _SIDE], x)
     at = np.empty(W, np.int32)
     du = np.empty(W, np.float32)
     dv = np.empty(W, np.float32)
-    near = np.empty_like(here)
+    near = np.empty_like(target_rows)
     inside = np.empty((rows + 2 * RADIUS, W), np.bool_)
     columns = np.empty((3, W + 2 * RADIUS), np.float32)
     costs = np.empty((D, rows, W), np.uint8)
@@ -257,7 +257,7 @@ def _block_cost(wide, squares, A, e, inverse_depths, zncc_share, census_share, y
             window = slice(y, y + _SIDE)
             cost = costs[d, y]
             _row_cost(
-                near[window], here[window], total[y], deviation[y], bits[y],
+                near[window], target_rows[window], total[y], deviation[y], bits[y],
                 zncc_share, census_share, columns, cost,
             )  # fmt: skip
             visible = inside[y + RADIUS]

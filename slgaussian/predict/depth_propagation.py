@@ -85,12 +85,12 @@ def propagate_depth(
             inside = (ratio > 1e-9) & (at >= 0).all(1) & (at < landed.shape[::-1]).all(1)
             column, row = at[inside].astype(np.int64).T
             difference = smooth[link.source][y[inside], x[inside]] - smooth[i][row, column]
-            alike = np.abs(difference).max(1) < np.float64(COLOR_TOLERANCE)
+            similar = np.abs(difference).max(1) < np.float64(COLOR_TOLERANCE)
             lent = (w[inside] / ratio[inside]).astype(np.float32)
-            np.maximum.at(landed, (row[alike], column[alike]), lent[alike])
+            np.maximum.at(landed, (row[similar], column[similar]), lent[similar])
         landed = np.where(landed >= view.steps[0], landed, 0)
-        around = cv2.boxFilter((landed > 0).astype(np.float32), -1, (3, 3), normalize=False)
-        between = (landed == 0) & (around >= MIN_NEIGHBOURS - 0.5)
+        neighbours = cv2.boxFilter((landed > 0).astype(np.float32), -1, (3, 3), normalize=False)
+        between = (landed == 0) & (neighbours >= MIN_NEIGHBOURS - 0.5)
         landed = np.where(between, cv2.dilate(landed, np.ones((3, 3))), landed)
         if view.fixed is not None:
             landed[view.fixed] = 0

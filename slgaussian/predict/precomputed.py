@@ -130,7 +130,7 @@ def _of_views(file: Path, views: Sequence[str]) -> list[DepthMap]:
 
 def _find_map(folder: Path, view: str) -> DepthMap:
     for key in dict.fromkeys(name_keys(view)):
-        files, beside = (
+        files, confidence_files = (
             [file for suffix in DEPTH_SUFFIXES if (file := folder / f"{name}{suffix}").is_file()]
             for name in (key, f"{key}_conf")
         )
@@ -139,7 +139,7 @@ def _find_map(folder: Path, view: str) -> DepthMap:
         if files and files[0].suffix == ".npz":
             return _of_views(files[0], [view])[0]
         if files:
-            confidence = read_map(beside[0], byte=True) if beside else None
+            confidence = read_map(confidence_files[0], byte=True) if confidence_files else None
             return DepthMap(str(files[0]), known_depth(read_map(files[0])), confidence)
     raise InputError(
         f"{folder}: has no depth of view {view!r}; expected {Path(view).stem} with one of "
@@ -215,36 +215,36 @@ def z_at(depth: np.ndarray, at: np.ndarray) -> Depth:
 def fit(cameras: Sequence[Camera], depths: Sequence[Depth], matches: Matches) -> Fitted:
     """Reproject matches by the z-depth of V views, with one scale or one a view if better."""
     bound = COARSE_DISTANCE * float(np.hypot(cameras[0].height, cameras[0].width))
-    seen = []
+    measurements = []
     for (i, j), (p, q) in matches.items():
-        for a, b, here, there in ((i, j, p, q), (j, i, q, p)):
-            z = depths[a](here)
-            known = z > 0
+        for a, b, points, matched in ((i, j, p, q), (j, i, q, p)):
+            z = depths[a](points)
+            in_front = z > 0
             relative = Relative.between(cameras[a], cameras[b])
-            seen.append((a, relative, here[known], there[known], z[known]))
+            measurements.append((a, relative, points[in_front], matched[in_front], z[in_front]))
     ones = np.ones(len(cameras))
     ratios: list[list[np.ndarray]] = [[] for _ in cameras]
-    for a, relative, here, there, z in seen:
-        inverse = relative.triangulate(here, there)
-        moves = inverse * relative.parallax(here) > MIN_SCALE_PARALLAX
+    for a, relative, points, matched, z in measurements:
+        inverse = relative.triangulate(points, matched)
+        moves = inverse * relative.parallax(points) > MIN_SCALE_PARALLAX
         ratios[a].append(1 / (inverse[moves] * z[moves]))
-    each = [np.concatenate([np.zeros(0), *own]) for own in ratios]
-    whole = np.concatenate(each)
+    per_view = [np.concatenate([np.zeros(0), *of_view]) for of_view in ratios]
+    all_ratios = np.concatenate(per_view)
     tries = [("", ones)]
-    if len(whole) >= MIN_MATCHES:
-        common = float(np.median(whole))
+    if len(all_ratios) >= MIN_MATCHES:
+        common = float(np.median(all_ratios))
         unit = float(10.0 ** np.round(np.log10(common)))
         if abs(common / unit - 1) < UNIT_TOLERANCE:
             common = unit
         tries.append((f"times {common:.4g}", ones * common))
-        own = np.array([np.median(r) if len(r) >= MIN_MATCHES else common for r in each])
-        tries.append((f"times {own.min():.4g} to {own.max():.4g}, by view", own))
+        of_view = np.array([np.median(r) if len(r) >= MIN_MATCHES else common for r in per_view])
+        tries.append((f"times {of_view.min():.4g} to {of_view.max():.4g}, by view", of_view))
     best = Fitted(1.0, 0.0, 0, ones, "")
     for scaling, scales in tries:
         off = [np.zeros(0)]
-        for a, relative, here, there, z in seen:
-            at, ratio = relative.project(here, 1 / (scales[a] * z))
-            off.append(np.where(ratio > 0, np.linalg.norm(at - there, axis=-1), np.inf) / bound)
+        for a, relative, points, matched, z in measurements:
+            at, ratio = relative.project(points, 1 / (scales[a] * z))
+            off.append(np.where(ratio > 0, np.linalg.norm(at - matched, axis=-1), np.inf) / bound)
         errors = np.concatenate(off)
         if len(errors):
             error, share = float(np.minimum(errors, 1).mean()), float((errors < 1).mean())
@@ -285,16 +285,16 @@ def _read(
     place: Path, views: Sequence[View], maps: Sequence[DepthMap], matches: Matches
 ) -> tuple[list[np.ndarray], list[np.ndarray | None]]:
     """Return z-depth V of [H, W] in scene units, 0 where unknown, and confidence or None."""
-    if not any((one.depth > 0).any() for one in maps):
+    if not any((depth_map.depth > 0).any() for depth_map in maps):
         raise InputError(f"{place}: its maps hold no depth; expected positive numbers")
     cameras = [view.camera for view in views]
-    ways = [_view_to_map(view, one) for view, one in zip(views, maps, strict=True)]
+    ways = [_view_to_map(view, depth_map) for view, depth_map in zip(views, maps, strict=True)]
     readings: list[Reading] = []
     for way, ray in product(ways[0], (False, True)):
         at = [of_view.get(way, next(iter(of_view.values()))) for of_view in ways]
         zs = [
-            along_z(one.depth, to_map @ camera.K) if ray else one.depth
-            for one, to_map, camera in zip(maps, at, cameras, strict=True)
+            along_z(depth_map.depth, to_map @ camera.K) if ray else depth_map.depth
+            for depth_map, to_map, camera in zip(maps, at, cameras, strict=True)
         ]
         readings.append(((way, ray, at, zs), cameras, list(map(z_at, zs, at))))
     ((way, ray, at, zs), _, _), fitted = choose_reading(place, readings, matches)
@@ -312,7 +312,9 @@ def _read(
             stacklevel=4,
         )
     views_depth, confidence = [], []
-    for one, z, to_map, camera, scale in zip(maps, zs, at, cameras, fitted.scales, strict=True):
+    for depth_map, z, to_map, camera, scale in zip(
+        maps, zs, at, cameras, fitted.scales, strict=True
+    ):
         same = z.shape == (camera.height, camera.width) and np.allclose(
             to_map, np.eye(3), atol=1e-9
         )
@@ -322,21 +324,23 @@ def _read(
         views_depth.append(scale * z)
         row, column = (
             axis.astype(np.int64).clip(0, size - 1)
-            for axis, size in zip((y, x), one.depth.shape, strict=True)
+            for axis, size in zip((y, x), depth_map.depth.shape, strict=True)
         )
-        confidence.append(None if one.confidence is None else one.confidence[np.ix_(row, column)])
+        confidence.append(
+            None if depth_map.confidence is None else depth_map.confidence[np.ix_(row, column)]
+        )
     return views_depth, confidence
 
 
-def _view_to_map(view: View, one: DepthMap) -> dict[str, np.ndarray]:
+def _view_to_map(view: View, depth_map: DepthMap) -> dict[str, np.ndarray]:
     """From pixels of the view to those of its map; first what the file's intrinsics fit best."""
     part, camera = view.shown, view.camera
     x, y = (part.right - part.left) / camera.width, (part.bottom - part.top) / camera.height
     to_photo = np.array([[x, 0, part.left], [0, y, part.top], [0, 0, 1.0]])
-    height, width = one.depth.shape
+    height, width = depth_map.depth.shape
     ways = placements(width, height, (part.photo_width, part.photo_height))
     ways = {way: at @ to_photo for way, at in ways.items()}
-    K = one.K
+    K = depth_map.K
     if K is not None:
         ways = dict(sorted(ways.items(), key=lambda way: np.abs(way[1] @ camera.K - K).sum()))
     return ways
@@ -350,14 +354,14 @@ def _swept(
 ) -> tuple[list[SweptView], np.ndarray]:
     """Cross-check all depths, as after a sweep; also return a mask of low confidence [V, H, W]."""
     links, settings = linked.links, PlaneSweep()
-    given = np.array([depth > 0 for depth in depths])
+    has_depth = np.array([depth > 0 for depth in depths])
     inverse = [
         np.divide(1, z, out=np.ones(z.shape), where=z > 0).astype(np.float32) for z in depths
     ]
     all_sparse = np.concatenate([link.sparse for of_view in links for link in of_view])
     steps = []
     for i, view in enumerate(sample.context):
-        ends = np.percentile(inverse[i][given[i]], (0.1, 99.9)) if given[i].any() else []
+        ends = np.percentile(inverse[i][has_depth[i]], (0.1, 99.9)) if has_depth[i].any() else []
         try:
             low, high = depth_range(sample.scene, view, links[i], all_sparse)
         except InputError:  # too few matches
@@ -366,22 +370,24 @@ def _swept(
             low, high = 0.5 * ends[0], 1.25 * ends[1]
         low, high = min([low, *ends]), max([high, *ends])
         steps.append(choose_steps(settings, links[i], view.grey.shape, low, high)[1])
-        inverse[i] = np.where(given[i], inverse[i], np.float32(steps[i].mean()))
-    agrees, judged = np.zeros_like(given), np.zeros_like(given)
+        inverse[i] = np.where(has_depth[i], inverse[i], np.float32(steps[i].mean()))
+    agrees, judged = np.zeros_like(has_depth), np.zeros_like(has_depth)
     for i, of_view in enumerate(links):
         for link in of_view:
             step = steps[i][1] - steps[i][0]
-            known, other = given[link.source], inverse[link.source]
+            has_source, source_inverse = has_depth[link.source], inverse[link.source]
             far, near = (
-                cross_check(inverse[i], np.where(known, other, blank), link.relative, step)
+                cross_check(
+                    inverse[i], np.where(has_source, source_inverse, blank), link.relative, step
+                )
                 for blank in (np.float32(np.inf), np.float32(0))
             )
             # Where the other view has no depth, the pixel may still agree.
             open_ = (far == BEHIND) & (near == IN_FRONT)
-            judged[i] |= given[i] & (far != UNSEEN) & ~open_
-            agrees[i] |= given[i] & ((far == AGREES) | open_)
+            judged[i] |= has_depth[i] & (far != UNSEEN) & ~open_
+            agrees[i] |= has_depth[i] & ((far == AGREES) | open_)
     low_confidence = _low_confidence(confidences, agrees, judged)
-    views = zip(steps, inverse, agrees & ~low_confidence, given, strict=True)
+    views = zip(steps, inverse, agrees & ~low_confidence, has_depth, strict=True)
     return [SweptView(*view) for view in views], low_confidence
 
 
@@ -390,9 +396,9 @@ def _low_confidence(
 ) -> np.ndarray:
     """Mask the lowest levels of confidence, of which other views contradict more than half."""
     low = np.zeros_like(agrees)
-    if any(one is None for one in confidences) or not judged.any():
+    if any(level_map is None for level_map in confidences) or not judged.any():
         return low
-    confidence = np.stack([one for one in confidences if one is not None])
+    confidence = np.stack([level_map for level_map in confidences if level_map is not None])
     levels = np.unique(
         np.quantile(
             confidence[judged], np.arange(CONFIDENCE_LEVELS) / CONFIDENCE_LEVELS, method="nearest"

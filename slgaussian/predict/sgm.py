@@ -66,14 +66,14 @@ def _sweep(cost, guide, jumps, p1, down, total):
         new, old = k % 2, (k + 1) % 2
         minimum = np.int16(0)
         for j in range(W):
-            x, beside = (j, j - 1) if down else (W - 1 - j, W - j)
+            x, neighbour = (j, j - 1) if down else (W - 1 - j, W - j)
             pixel_cost, grey, sums = cost[y, x], np.int32(guide[y, x]), total[y, x]
             sums[:] = 0
             this, previous = along[j % 2], along[(j + 1) % 2]
             if j == 0:
                 minimum = _follow(start, np.int16(0), jumps[0], p1, pixel_cost, this, sums)
             else:
-                jump = jumps[abs(grey - np.int32(guide[y, beside]))]
+                jump = jumps[abs(grey - np.int32(guide[y, neighbour]))]
                 minimum = _follow(previous, minimum, jump, p1, pixel_cost, this, sums)
             for path in range(3):
                 from_x = x + path - 1
@@ -90,13 +90,13 @@ def _sweep(cost, guide, jumps, p1, down, total):
 
 
 @kernel(inline="always")
-def _follow(previous, minimum, jump, p1, here, this, sums):
+def _follow(previous, minimum, jump, p1, pixel_cost, this, sums):
     """Extend a path by one pixel: write its costs, add them to ``sums``, return their minimum."""
     ceiling = np.int16(minimum + jump)
     lowest = _INFINITE_COST
-    for d in range(here.shape[0]):
+    for d in range(pixel_cost.shape[0]):
         side = np.int16(min(previous[d], previous[d + 2]) + p1)
-        value = np.int16(min(min(previous[d + 1], side), ceiling) - minimum + here[d])
+        value = np.int16(min(min(previous[d + 1], side), ceiling) - minimum + pixel_cost[d])
         this[d + 1] = value
         lowest = min(lowest, value)
         sums[d] = np.uint16(sums[d] + np.uint16(value))

@@ -115,10 +115,10 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
     scored_links: list[list[tuple[float, Link]]] = [[] for _ in views]
     for (i, j), (p, q) in matches.items():
         _link(scored_links, cameras, i, j, points[i][p], points[j][q])
-    alone = {i for i, sources in enumerate(scored_links) if not sources}
+    unlinked = {i for i, sources in enumerate(scored_links) if not sources}
     if ranged or matches:
-        if alone and len(views) > 2:
-            names = listed([[views[i].name for i in sorted(alone)]])
+        if unlinked and len(views) > 2:
+            names = listed([[views[i].name for i in sorted(unlinked)]])
             warnings.warn(
                 f"{names}: fewer than {MIN_MATCHES} matches with any other view tell the depth, "
                 "which the given poses alone must find; leave out what shows another place "
@@ -126,16 +126,16 @@ def link_views(views: Sequence[View], graph: MatchGraph, ranged: bool) -> ViewGr
                 stacklevel=3,
             )
         for i, j in neighbours(views, UNMATCHED_LINKS):
-            if (i, j) not in rejected and alone & {i, j}:
+            if (i, j) not in rejected and unlinked & {i, j}:
                 _link(scored_links, cameras, i, j, np.zeros((0, 2)), np.zeros((0, 2)))
-        alone = {i for i, sources in enumerate(scored_links) if not sources}
+        unlinked = {i for i, sources in enumerate(scored_links) if not sources}
     for pair, reason in rejected.items():
-        if alone & {*pair}:
+        if unlinked & {*pair}:
             raise InputError(reason)
-    if alone:
+    if unlinked:
         raise InputError(
             "views do not overlap or have too little texture: "
-            f"{listed([views[i].name] for i in sorted(alone))} has fewer than {MIN_MATCHES} "
+            f"{listed([views[i].name] for i in sorted(unlinked))} has fewer than {MIN_MATCHES} "
             "matches with any other; leave out what shows something else, choose views that "
             "overlap, or give near and far"
         )
@@ -207,17 +207,17 @@ def _rejection_reason(
     a: View, b: View, relative: Relative, at_a: np.ndarray, at_b: np.ndarray, front: np.ndarray
 ) -> str | None:
     """Return why the matches of two views determine no depth, None if they do."""
-    both = f"{a.name!r} and {b.name!r}"
+    names = f"{a.name!r} and {b.name!r}"
     motion = np.abs(relative.triangulate(at_a, at_b)) * relative.parallax(at_a)
     if np.percentile(motion, 90) < MIN_PARALLAX:
         return (
-            f"{both} were taken from almost the same place: their {len(at_a)} matches show "
+            f"{names} were taken from almost the same place: their {len(at_a)} matches show "
             f"{np.median(motion):.2g} pixels of parallax, but depth takes "
             f"{MIN_PARALLAX:g} or more; choose photographs taken farther apart"
         )
     if front.mean() < 0.5:
         return (
-            f"{both}: by their poses, {(~front).sum()} of their {len(at_a)} matches lie "
+            f"{names}: by their poses, {(~front).sum()} of their {len(at_a)} matches lie "
             "behind the cameras; check that no two photographs are exchanged, and that "
             "poses are camera-to-world and follow the axes of their file format"
         )

@@ -66,8 +66,8 @@ def render(
     )
     pixels = torch.stack([u, v], -1).reshape(-1, 2).to(mean)
     images, alphas, depths, medians = [], [], [], []
-    for some in pixels.split(max(1, PAIRS_AT_ONCE // max(1, len(order)))):
-        d = some[:, None] - mean
+    for batch in pixels.split(max(1, PAIRS_AT_ONCE // max(1, len(order)))):
+        d = batch[:, None] - mean
         power = -0.5 * torch.einsum("pni,nij,pnj->pn", d, precision, d)
         alpha = (opacity * torch.exp(power)).clamp_max(settings.alpha_max)
         passed = torch.cumprod(1 - alpha, -1)

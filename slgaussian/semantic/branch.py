@@ -150,8 +150,8 @@ def features_of(branch: Branch, images: torch.Tensor, source: torch.Tensor) -> t
 def save_branch(branch: Branch, trained: Mapping[str, Any] | None = None) -> bytes:
     """Encode weights, architecture and provenance (JSON data) as bytes of a safetensors file."""
     tensors = {name: t.detach().contiguous() for name, t in branch.state_dict().items()}
-    about = {} if trained is None else {"trained": dict(trained)}
-    statement = {"architecture": asdict(branch.architecture), **about}
+    metadata = {} if trained is None else {"trained": dict(trained)}
+    statement = {"architecture": asdict(branch.architecture), **metadata}
     # One entry only: safetensors writes several in an order that differs from run to run.
     note = {"slgaussian": json.dumps(statement, sort_keys=True)}
     return safetensors.torch.save(dict(sorted(tensors.items())), note)

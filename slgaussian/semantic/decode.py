@@ -139,8 +139,8 @@ def _decode(features, codes, starts, members, gaps, table, ids, confidence):
     for v in range(height):
         _mark_settled(close[v], close[v + 1], close[v + 2], agreed[v + SEARCH_RADIUS])
     for v in range(height):
-        around = agreed[v : v + 2 * SEARCH_RADIUS + 1]
-        _decode_row(features[v], codes, rows[v], lead[v], around, table, ids[v], confidence[v])
+        window = agreed[v : v + 2 * SEARCH_RADIUS + 1]
+        _decode_row(features[v], codes, rows[v], lead[v], window, table, ids[v], confidence[v])
 
 
 @kernel

@@ -154,8 +154,12 @@ def train(
             )
         branch.load_state_dict(start.state_dict())
     start_digest = hashlib.sha256(save_branch(branch)).hexdigest()
-    about = {"architecture": asdict(architecture), "lessons": len(lessons), "start": start_digest}
-    run = dict(settings) | about
+    metadata = {
+        "architecture": asdict(architecture),
+        "lessons": len(lessons),
+        "start": start_digest,
+    }
+    run = dict(settings) | metadata
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -62,9 +62,9 @@ def paper_section(
         of_scene = [r for r in published if (r["dataset"], r["scene"]) == (dataset, scene)]
         for row in score_table(of_scene).to_pylist():
             scores[dataset, scene, *_score_key(row)] = row
-    shown = [name for name in PROTOCOLS if any(key[3] == name for key in scores)]
+    protocols = [name for name in PROTOCOLS if any(key[3] == name for key in scores)]
     blocks: list[Block] = [Prose(INTRODUCTION)]
-    for protocol in shown:
+    for protocol in protocols:
         for table in TABLES:
             used = {column.get("protocol", protocol) for column in table["columns"]}
             settings = {
@@ -74,7 +74,7 @@ def paper_section(
             }
             notes = [f"This run: {escape('; '.join(sorted(settings)))}."]
             blocks.append(_table(table, scores, protocol, ours, notes))
-    return Section("The paper's tables", blocks, "paper") if shown else None
+    return Section("The paper's tables", blocks, "paper") if protocols else None
 
 
 def _score_key(score: Row) -> tuple[str, str, str]:

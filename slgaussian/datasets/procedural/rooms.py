@@ -202,8 +202,8 @@ class _Ground:
                     return None
                 # The carpet shares the circles of the floor: it only raises objects on it.
                 place = self.carpet if edge < 0 else self.floor
-        taken = any(math.hypot(x - a, y - b) < r + radius + _GAP for a, b, r in place.circles)
-        return None if taken else (x, y, place)
+        occupied = any(math.hypot(x - a, y - b) < r + radius + _GAP for a, b, r in place.circles)
+        return None if occupied else (x, y, place)
 
 
 def _carpet(

@@ -178,9 +178,9 @@ def _surface(kind, size, point, normal, cell, rows):
         return _fit(x, size[0], cell), _fit(y, size[1], cell)
     turn, radius = 0.5 + math.atan2(y, x) / (2 * math.pi), size[0]
     if kind == RING:
-        around = math.atan2(z, math.hypot(x, y) - radius) / (2 * math.pi) + 0.5
+        tube_angle = math.atan2(z, math.hypot(x, y) - radius) / (2 * math.pi) + 0.5
         along = turn * _even(2 * math.pi * radius / cell)
-        return along, around * _even(2 * math.pi * size[1] / cell)
+        return along, tube_angle * _even(2 * math.pi * size[1] / cell)
     if (kind == CYLINDER and abs(normal[2]) > 0.5) or (kind == CONE and normal[2] < -0.5):
         return _fit(x, radius, cell), _fit(y, radius, cell)
     count = _even(2 * math.pi * radius / cell)

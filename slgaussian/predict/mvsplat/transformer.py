@@ -78,8 +78,8 @@ class Block(nn.Module):
         """Update features [V, h, w, C] in ``count`` x ``count`` windows."""
         views, h, w, _ = x.shape
         itself = torch.arange(views, device=x.device)[:, None]
-        others = [[j for j in range(views) if j != i] for i in range(views)]
-        attended = torch.tensor(others, device=x.device)
+        other_views = [[j for j in range(views) if j != i] for i in range(views)]
+        attended = torch.tensor(other_views, device=x.device)
         within = parts(h, w, count, shifted, 1, x.device)
         between = parts(h, w, count, shifted, views - 1, x.device)
         return self.cross_attn_ffn(self.self_attn(x, x, itself, within), x, attended, between)

@@ -79,15 +79,15 @@ def compute_answers(
             pairs = []
     else:
         kinds |= dict.fromkeys(words_for(field.encoder), "text")
-    about: dict[str, Any] = {
+    data: dict[str, Any] = {
         "pairs": bool(pairs),
         "calibration": _curves(field.encoder.calibration),
         "uncalibrated": unmeasured(field.encoder, Rules()),
     }
     if live:
         empty = {name: list[Any]() for name in ("texts", "skipped", "measurements", "named")}
-        about |= {**empty, "words": kinds, "spellings": {}}
-        return about, np.zeros((0, len(ids)), np.float32), np.zeros((0, len(ids)), bool)
+        data |= {**empty, "words": kinds, "spellings": {}}
+        return data, np.zeros((0, len(ids)), np.float32), np.zeros((0, len(ids)), bool)
     for text in extra:
         if untold := field.reader.understood(text).untold:
             raise InputError(f"text {text!r}: {untold}")
@@ -104,10 +104,10 @@ def compute_answers(
         selected = reader.chosen(texts, gaps, areas, Rules())[:, rows]
         gaps = gaps[:, rows]
     readings = [field.reader.understood(text) for text in texts]
-    about |= {"texts": texts, "words": kinds, "spellings": spellings, "skipped": skipped}
-    about["measurements"] = [reading.measurements for reading in readings]
-    about["named"] = [round(reading.named, 3) for reading in readings]
-    return about, gaps.astype(np.float32), selected > 0
+    data |= {"texts": texts, "words": kinds, "spellings": spellings, "skipped": skipped}
+    data["measurements"] = [reading.measurements for reading in readings]
+    data["named"] = [round(reading.named, 3) for reading in readings]
+    return data, gaps.astype(np.float32), selected > 0
 
 
 def _curves(calibration: Calibration | None) -> dict[str, Any] | None:
