@@ -226,7 +226,7 @@ def _code_energy(c, codes, balls):
 
 @kernel
 def _energy_of(i, j, pairs, codes, balls, limit):
-    """Compute the energy that depends on the codes of i and j (-1: none); stop above ``most``."""
+    """Compute the energy that depends on the codes of i and j (-1: none); stop above ``limit``."""
     total = _code_energy(i, codes, balls)
     if j >= 0:
         total += _code_energy(j, codes, balls)

@@ -185,7 +185,7 @@ def _census(rows, x):
 
 @kernel
 def _row_cost(near, target_rows, total, deviation, bits, zncc_share, census_share, columns, cost):
-    """Compute the costs of a row from rows ``near`` of the warped source and ``here`` of the
+    """Compute the costs of a row from rows ``near`` of the warped source and ``target_rows`` of the
     reference, whose window sums, variances and census bits are given; ``columns`` is scratch."""
     W = cost.shape[0]
     sums, squares, products = columns[0], columns[1], columns[2]
