@@ -97,7 +97,7 @@ def make_photographs(folder: Path) -> None:
     frames[1] |= {"depth_file_path": "b_depth.npy", "depth_unit_scale_factor": 0.01}
     frames[2] |= {"camera_model": "OPENCV_FISHEYE", "k1": 0.01}
     said = {"focal": [0.9, 1.1], "source": "EXIF", "confidence": 0.5, "up": [0, -1, 0]}
-    frames[3] |= {nerfstudio.OWN: {"estimated": said, "near": 0.5, "far": 9.0}}
+    frames[3] |= {nerfstudio.EXTENSION_KEY: {"estimated": said, "near": 0.5, "far": 9.0}}
     meta = {"w": W, "h": H, "fl_x": 20.0, "fl_y": 21.0, "cx": 12.0, "cy": 8.0, "frames": frames}
     (folder / "transforms.json").write_text(json.dumps(meta))
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from slgaussian.benchmark import attribution
 from slgaussian.benchmark.annotations import Truth
-from slgaussian.benchmark.attribution import BEYOND, STAGES, attribute_errors, verdict
+from slgaussian.benchmark.attribution import STAGES, UNFIXABLE, attribute_errors, verdict
 from slgaussian.benchmark.evaluate import EvaluationSettings
 from slgaussian.components.method import Method
 from slgaussian.labels import LabelMaps
@@ -125,7 +125,7 @@ def test_wrong_depth_is_mended_by_nothing(room):
     things = [row for row in rows.values() if room.truth["view_01"][row["query"]].sum() < 700]
     assert len(things) >= 5
     for row in things:
-        assert row["masks_iou"] < 0.5 and row["lost"] == BEYOND
+        assert row["masks_iou"] < 0.5 and row["lost"] == UNFIXABLE
 
 
 def test_what_something_hides_is_not_carried_back():
@@ -191,7 +191,7 @@ def test_whole_things_are_as_many_as_the_truth_has_parts():
 def test_verdicts_follow_the_order_of_the_stages():
     row = {"iou": 0.4, "hit": True}
     row |= {f"{name}_iou": 0.4 for name in STAGES} | {f"{name}_hit": True for name in STAGES}
-    assert verdict(row) == BEYOND
+    assert verdict(row) == UNFIXABLE
     for stage in reversed(STAGES):
         row[f"{stage}_iou"] = 0.5
         assert verdict(row) == stage

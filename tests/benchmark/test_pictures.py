@@ -53,14 +53,14 @@ def test_relevancy_is_stretched_to_what_occurs(photo):
 def test_drawing_leaves_the_picture_it_is_given_alone(photo):
     before, mask = photo.copy(), np.zeros((60, 80), bool)
     mask[20:40, 30:50] = True
-    outlined = pictures.draw_outline(photo, mask, pictures.TRUE)
+    outlined = pictures.draw_outline(photo, mask, pictures.TRUE_COLOUR)
     pointed = pictures.draw_point(photo, (40, 30))
     assert np.array_equal(photo, before)
     # The outline runs along the mask: nothing changes deep inside or far away.
     assert (outlined != photo).any(-1)[20, 30:50].all()
     assert np.array_equal(outlined[27:33, 37:43], photo[27:33, 37:43])
     assert np.array_equal(outlined[:10], photo[:10])
-    assert pointed[30, 40].tolist() == list(pictures.POINT)
+    assert pointed[30, 40].tolist() == list(pictures.POINT_COLOUR)
     assert pictures.draw_point(photo, None) is photo
 
 

@@ -12,7 +12,7 @@ from slgaussian.benchmark.scores import (
     scene_means,
     score_table,
 )
-from slgaussian.benchmark.statistics import LEAST, LEVEL, compare, resample_counts
+from slgaussian.benchmark.statistics import CONFIDENCE_LEVEL, MIN_SAMPLES, compare, resample_counts
 from slgaussian.errors import InputError
 from slgaussian.storage.specs import load_spec
 
@@ -61,9 +61,9 @@ def test_one_scene_has_no_interval_and_few_have_a_rough_one():
     assert score(rows)["low"] is None and score(rows)["note"] == ONE_PLACE
     few = score(ious(a=[0.1], b=[0.9]))
     assert (few["low"], few["high"], few["note"]) == (0.1, 0.9, FEW_PLACES)
-    row = score(ious(**{f"s{k}": [k / 10] for k in range(LEAST)}))
+    row = score(ious(**{f"s{k}": [k / 10] for k in range(MIN_SAMPLES)}))
     assert row["note"] == "" and row["low"] < row["value"] < row["high"]
-    assert row["level"] == LEVEL
+    assert row["level"] == CONFIDENCE_LEVEL
 
 
 def test_every_scene_of_a_drawn_place_counts_alike():

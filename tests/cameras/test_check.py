@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as arrays
 
 from slgaussian import datasets
 from slgaussian.build import predict
-from slgaussian.cameras.check import COARSE, agree, angles, check_pairs, explained, refuse
+from slgaussian.cameras.check import COARSE_DISTANCE, agree, angles, check_pairs, explained, refuse
 from slgaussian.cameras.match_graph import MatchGraph
 from slgaussian.components.method import Method
 from slgaussian.errors import InputError
@@ -183,4 +183,4 @@ def test_true_cameras_explain_every_match_whatever_the_world_and_its_scale(spin,
     true = np.degrees(np.arccos(np.clip((rays[0] * rays[1]).sum(1), -1, 1)))
     np.testing.assert_allclose(angles(a, b, at_a, at_b), true, atol=1e-5)
     # Of 6,000 seeds three explain 0.9 or more, at most 0.95.
-    assert not explained(*swapped, at_a, at_b, COARSE * 500).all()
+    assert not explained(*swapped, at_a, at_b, COARSE_DISTANCE * 500).all()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from slgaussian.cameras.estimated import EstimatedCameras
-from slgaussian.cameras.find import MODEL, OPTIMISM, find_cameras, focal_of
+from slgaussian.cameras.find import FOCAL_STD_FACTOR, FOCAL_STD_FLOOR, find_cameras, focal_of
 from slgaussian.cameras.two_view import Photograph
 from slgaussian.errors import InputError
 
@@ -81,6 +81,6 @@ def test_each_photograph_has_its_own_lens_whatever_the_order():
 
 @pytest.mark.parametrize("deviation", [0.0, 0.05])
 def test_interval_is_wider_than_that_of_the_matches(deviation):
-    wide = np.hypot(OPTIMISM * deviation, MODEL)
+    wide = np.hypot(FOCAL_STD_FACTOR * deviation, FOCAL_STD_FLOOR)
     focal = focal_of(400, deviation, room()[0])
     assert focal.high / 400 == 400 / focal.low == pytest.approx(np.exp(1.645 * wide))

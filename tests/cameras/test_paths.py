@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian.cameras.paths import ROUND, between, orbit
+from slgaussian.cameras.paths import MIN_AXIS_RATIO, between, orbit
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera
 
@@ -114,7 +114,9 @@ def test_a_turn_of_two_stays_by_the_baseline_and_aims_at_one_point(baseline, lif
         offset = one.center - (a + b) / 2
         along = offset @ axis
         across = np.linalg.norm(offset - along * axis)
-        assert (along / half) ** 2 + (across / (ROUND * half)) ** 2 == pytest.approx(1, abs=1e-6)
+        assert (along / half) ** 2 + (across / (MIN_AXIS_RATIO * half)) ** 2 == pytest.approx(
+            1, abs=1e-6
+        )
         rotation = one.c2w[:3, :3]
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
     # All axes meet in the point nearest to them, at the depth of points that are there to see.

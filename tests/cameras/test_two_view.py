@@ -8,16 +8,16 @@ from slgaussian.cameras.estimated import DOUBTFUL, GOOD, UNUSED
 from slgaussian.cameras.two_view import Described, find_pair
 
 CASES = [
-    (UNUSED, {"SHARE": 2.0}, "too few points are found"),
-    (UNUSED, {"SMALL": 1.1}, "one small part"),
-    (UNUSED, {"BLUNT": 0.0}, "leave the position open by"),
-    (UNUSED, {"UNSURE": 1.1}, "different positions of the cameras"),
+    (UNUSED, {"MIN_INLIER_SHARE": 2.0}, "too few points are found"),
+    (UNUSED, {"MIN_COVER": 1.1}, "one small part"),
+    (UNUSED, {"REFUSED_UNCERTAINTY": 0.0}, "leave the position open by"),
+    (UNUSED, {"REFUSED_PROBABILITY": 1.1}, "different positions of the cameras"),
     (UNUSED, {"REPETITION_LIMIT": -1.0}, "a pattern that repeats"),
-    (UNUSED, {"MOSTLY": -1.0, "SURE": 1.1}, "different positions"),
-    (DOUBTFUL, {"SHARP": 0.0}, "leave the position open by"),
-    (DOUBTFUL, {"SURE": 1.1}, "another position of the cameras"),
-    (DOUBTFUL, {"ENLARGED": 0.5}, "times as large in one"),
-    (DOUBTFUL, {"LEAST": None}, "matches agree"),
+    (UNUSED, {"MAX_HOMOGRAPHY_SHARE": -1.0, "DOUBTFUL_PROBABILITY": 1.1}, "different positions"),
+    (DOUBTFUL, {"DOUBTFUL_UNCERTAINTY": 0.0}, "leave the position open by"),
+    (DOUBTFUL, {"DOUBTFUL_PROBABILITY": 1.1}, "another position of the cameras"),
+    (DOUBTFUL, {"ZOOM_RATIO": 0.5}, "times as large in one"),
+    (DOUBTFUL, {"MIN_INLIERS": None}, "matches agree"),
 ]
 
 

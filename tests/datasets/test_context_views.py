@@ -5,7 +5,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from slgaussian.datasets.context_views import APART, BEYOND, TURNED, WITHIN, context_of
+from slgaussian.datasets.context_views import (
+    MAX_AXIS_ANGLE,
+    MIN_INNER_DISTANCE,
+    MIN_OUTER_DISTANCE,
+    MIN_TARGET_DISTANCE,
+    context_of,
+)
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, Scene, View
 
@@ -36,15 +42,15 @@ def test_gaps_are_halved_and_targets_their_neighbours_and_the_unreadable_are_nev
     assert context_of(scene, ["20", "60"], ["30"], 3) == ("20", "60", "40")
     assert context_of(scene, ["20", "60"], [], 5)[3:] == ("30", "50")
     chosen = context_of(scene, ["20", "60"], ["40", "50"], 8)
-    assert min(abs(float(a) - b) for a in chosen[2:] for b in (40, 50)) >= APART * 40
+    assert min(abs(float(a) - b) for a in chosen[2:] for b in (40, 50)) >= MIN_TARGET_DISTANCE * 40
     assert chosen[2] in ("36", "44")
     third = context_of(walk(range(101), unreadable=("40",)), ["20", "60"], [], 3)[2]
     assert third in ("39", "41")
 
 
 def test_views_that_look_elsewhere_are_not_taken():
-    cameras = {"a": camera(0), "b": camera(1), "away": camera(0.5, turned=TURNED + 1)}
-    cameras |= {"aside": camera(0.4, turned=TURNED - 1)}
+    cameras = {"a": camera(0), "b": camera(1), "away": camera(0.5, turned=MAX_AXIS_ANGLE + 1)}
+    cameras |= {"aside": camera(0.4, turned=MAX_AXIS_ANGLE - 1)}
     blank = np.zeros((16, 24, 3), np.uint8)
     scene = Scene("turning", cameras, lambda name: View(name, cameras[name], blank))
     assert context_of(scene, ["a", "b"], [], 3)[2] == "aside"
@@ -69,5 +75,5 @@ def test_a_smaller_number_is_part_of_a_larger_one_and_all_are_apart(places, coun
     for k, name in enumerate(chosen[2:], 2):
         gap = min(abs(int(name) - int(other)) for other in chosen[:k])
         between = min(first, last) <= int(name) <= max(first, last)
-        assert gap / unit >= (WITHIN if between else BEYOND) - 1e-6
-        assert abs(int(name) - target) / unit >= APART - 1e-6
+        assert gap / unit >= (MIN_INNER_DISTANCE if between else MIN_OUTER_DISTANCE) - 1e-6
+        assert abs(int(name) - target) / unit >= MIN_TARGET_DISTANCE - 1e-6

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from slgaussian import datasets
-from slgaussian.datasets.npz import FLIP
+from slgaussian.datasets.npz import FLIP_YZ
 from slgaussian.datasets.recognise import posed_scene
 from slgaussian.errors import InputError
 from slgaussian.scene import Camera, View
@@ -62,7 +62,7 @@ def layouts(room: list[View], name: str) -> tuple[str, dict[str, np.ndarray]]:
         "dust3r": ("", {**seen_by_network(room, 512, 288, cover=True), "poses": c2w}),
         "letter-boxed": ("of padded", {**boxed, "extrinsics": w2c}),
         "inverted": ("camera-to-world in OpenCV's", {**seen, "extrinsics": c2w}),
-        "opengl": ("in OpenGL's axes", {**seen, "poses": c2w @ FLIP}),
+        "opengl": ("in OpenGL's axes", {**seen, "poses": c2w @ FLIP_YZ}),
         "stored": ("as of stored", {**seen, "extrinsics": w2c, "intrinsics": stacked(room, "K")}),
     }[name]
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slgaussian.datasets.shards import END, key_of, pack, unpack
+from slgaussian.datasets.shards import END_OF_ARCHIVE, key_of, pack, unpack
 
 ENDINGS = st.from_regex(r"[a-z][a-z0-9_]{0,20}(\.[a-z]{3,4})?", fullmatch=True)
 MEMBERS = st.dictionaries(ENDINGS, st.binary(max_size=2000), min_size=1, max_size=4)
@@ -20,7 +20,7 @@ def test_what_is_packed_is_unpacked_and_read_by_tarfile(samples):
     for name, members in samples.items():
         assert unpack(parts[name]) == members
         assert len(parts[name]) % tarfile.BLOCKSIZE == 0
-    with tarfile.open(fileobj=io.BytesIO(b"".join(parts.values()) + END)) as archive:
+    with tarfile.open(fileobj=io.BytesIO(b"".join(parts.values()) + END_OF_ARCHIVE)) as archive:
         found = {about.name: archive.extractfile(about).read() for about in archive}
     assert found == {f"{key_of(n)}.{e}": d for n, own in samples.items() for e, d in own.items()}
 

@@ -64,9 +64,12 @@ def test_a_folder_is_a_scene_of_upright_photographs(folder, pair, asked):
     assert scene.name == "photos" and list(scene.cameras) == ["a.png", "b.png"]
     for name, picture in zip(scene.cameras, pair, strict=True):
         np.testing.assert_array_equal(scene.read(name).image, picture)
-    assert scene.found["confidence"] == 0.75 and scene.found["pairs"][0]["angle"] is None
+    assert scene.estimation["confidence"] == 0.75 and scene.estimation["pairs"][0]["angle"] is None
     sample = scene.sample(["a", "b"], size=(100, 150))
-    assert sample.found == scene.found and sample.resized(50, 75).found == scene.found
+    assert (
+        sample.estimation == scene.estimation
+        and sample.resized(50, 75).estimation == scene.estimation
+    )
     for view in sample.context:
         assert view.camera.estimated == Estimated((0.9, 1.1), "guess", 0.75)
     files, _ = datasets.inputs("photographs", folder, ["a.png"])
@@ -147,4 +150,4 @@ def test_an_ordinary_pair_with_the_real_finder(tmp_path):
     np.testing.assert_allclose(first.c2w, np.eye(4), atol=1e-9)
     assert np.linalg.norm(second.center) == pytest.approx(1)
     assert second.center[0] > 0.9  # to the right, as the second photograph was taken
-    assert first.estimated is not None and sample.found["focals"].keys() == {"a.jpg", "b.jpg"}
+    assert first.estimated is not None and sample.estimation["focals"].keys() == {"a.jpg", "b.jpg"}

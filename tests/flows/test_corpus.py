@@ -218,7 +218,7 @@ NAMES = ("view_00", "view_01", "view_02")
 
 
 def test_scenes_become_clips_of_chunks(clips, tmp_path, monkeypatch):
-    monkeypatch.setattr(clip_sources, "ARC", {"views": 2, "height": 36, "width": 64})
+    monkeypatch.setattr(clip_sources, "ROOM_OPTIONS", {"views": 2, "height": 36, "width": 64})
     re10k.write(tmp_path / "chunks", [clips[0]])
     for name, seed in (("kitchen", 1), ("hall", 2), ("bad", 3)):
         save_photographs(tmp_path / name, names=NAMES, seed=seed)

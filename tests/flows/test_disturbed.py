@@ -58,7 +58,7 @@ def test_a_bucket_whose_server_has_a_bad_day(
     weather = BadWeather(s3_server, 0.2, hang=1.5)
     monkeypatch.setenv("AWS_ENDPOINT_URL", weather.url)
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
-    monkeypatch.setattr(remote, "ANSWER", 1)
+    monkeypatch.setattr(remote, "READ_TIMEOUT", 1)
     s3fs.S3FileSystem.clear_instance_cache()
     try:
         store = ArtifactStore(f"{bucket}/slg")

@@ -38,7 +38,7 @@ def test_what_is_in_a_field_is_listed(walls, ask, slg, monkeypatch):
     status, rows = ask("objects", "list", walls, "blue", "red wall")
     assert status == 0 and [row["id"] for row in rows] == [RED, BLUE]
     assert [row["words"][0] for row in rows] == ["red wall", "blue"]
-    monkeypatch.setattr(objects, "LARGEST", 1)
+    monkeypatch.setattr(objects, "MAX_LISTED", 1)
     for words, count in (([], 1), (["--all"], 2)):
         status, out, _ = slg("objects", "list", walls, "yellow", *words)
         assert status == 0 and out.count("(yellow") == count

@@ -44,10 +44,10 @@ def test_who_reads_an_answer_reads_the_same(
     assert (answer["point"] is None) == (answer["pixels"] == 0) == (not hit.shown)
     assert ("for 'floor' alone" in hit.summary) == (hit.unknown == ("quixotic",))
     # The last panel: what is drawn, and its caption.
-    bold = pictures.draw_outline(view.rgb, hit.mask, pictures.PREDICTED)
+    bold = pictures.draw_outline(view.rgb, hit.mask, pictures.PREDICTED_COLOUR)
     where = {
         "found": pictures.draw_point(bold, hit.point),
-        "not sure": pictures.draw_dashed(view.rgb, hit.mask, pictures.PREDICTED),
+        "not sure": pictures.draw_dashed(view.rgb, hit.mask, pictures.PREDICTED_COLOUR),
     }.get(verdict, view.rgb)
     panels = [("", view.rgb), ("", view.rgb), (hit.summary, where)]
     width = view.rgb.shape[1] + 12

@@ -156,7 +156,7 @@ def test_an_error_of_a_worker_is_told_and_is_no_death(kind, runner, tmp_path):
 
 @needs_dask
 def test_a_server_that_is_no_scheduler_is_not_waited_for_for_ever(tmp_path, monkeypatch):
-    monkeypatch.setattr(task_runners, "CONNECT", 0.5)
+    monkeypatch.setattr(task_runners, "CONNECT_TIMEOUT", 0.5)
     message = "no Dask scheduler answers at"
     for port, reason in ((free_port(), "refused"), (0, "refused"), (99999, "out of range")):
         with pytest.raises(InputError, match=f"{message}.*{reason}"):
@@ -168,7 +168,7 @@ def test_a_server_that_is_no_scheduler_is_not_waited_for_for_ever(tmp_path, monk
 
 @needs_dask
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(tmp_path, monkeypatch):
-    monkeypatch.setattr(task_runners, "PATIENCE", 0.5)
+    monkeypatch.setattr(task_runners, "FIRST_TASK_TIMEOUT", 0.5)
     message = "no worker of dask://.* accepted work within"
     with dask_cluster(workers=0) as runner, pytest.raises(InputError, match=message):
         run_tiny(ArtifactStore(tmp_path), {}, runner=runner)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from slgaussian.datasets.procedural import reader
-from slgaussian.geometry.room import LEVEL, find_room
+from slgaussian.geometry.room import LEVEL_TOLERANCE, find_room
 from slgaussian.scene import Camera, Estimated
 from tests.cameras.rendered_rooms import RenderedRoom, looking, pinhole
 
@@ -56,7 +56,7 @@ def test_axes_and_unit_of_the_poses_do_not_matter(room, turn, scale):
     changed = [moved(camera, turn, shift, scale) for camera in cameras]
     result = find_room(changed, [depth * np.float32(scale) for depth in depths])
     # A world axis so near to up is taken for it.
-    assume(np.abs(turn[:, 2]).max() < np.cos(np.radians(LEVEL / 2)))
+    assume(np.abs(turn[:, 2]).max() < np.cos(np.radians(LEVEL_TOLERANCE / 2)))
     # Measured: 0.08 degrees, heights off by 0.004.
     assert np.degrees(np.arccos(min(1, result.up @ turn[:, 2]))) < 0.2
     plain = find_room(cameras, depths)
@@ -67,7 +67,7 @@ def test_axes_and_unit_of_the_poses_do_not_matter(room, turn, scale):
 
 def test_a_world_axis_near_up_is_taken_for_it(room):
     cameras, depths = room
-    turn = Rotation.from_euler("x", LEVEL / 4, degrees=True).as_matrix()
+    turn = Rotation.from_euler("x", LEVEL_TOLERANCE / 4, degrees=True).as_matrix()
     changed = [moved(camera, turn, np.zeros(3), 1) for camera in cameras]
     np.testing.assert_array_equal(find_room(changed, depths).up, [0, 0, 1])
 

@@ -54,14 +54,14 @@ def sizes():
 
 
 @pytest.mark.usefixtures("sizes")
-@pytest.mark.parametrize("waste", [0, threads.LARGE])
+@pytest.mark.parametrize("waste", [0, threads.LARGE_NETWORK])
 def test_a_network_says_the_same_bytes_with_any_number_of_threads(waste):
     network, result = Small(waste), []
     x = torch.randn(2, 10, 64, 64, generator=torch.Generator().manual_seed(1))
     for count in (1, 2, 3, 8):
         torch.set_num_threads(count)
         with torch.inference_mode(), threads.inside(network):
-            assert torch.get_num_threads() == (threads.LARGE_THREADS if waste else 1)
+            assert torch.get_num_threads() == (threads.LARGE_NETWORK_THREADS if waste else 1)
             result.append(network(x))
         assert torch.get_num_threads() == count
     assert all(torch.equal(result[0], second) for second in result)

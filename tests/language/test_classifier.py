@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from slgaussian.errors import InputError
 from slgaussian.formats import tensorfile
 from slgaussian.language import classifier, configs, lite0
-from slgaussian.language.classifier import STEP, evidence, quantised
+from slgaussian.language.classifier import LOG_STEP, evidence, quantised
 from slgaussian.language.vocabulary import noun_classes
 
 needs_weights = pytest.mark.skipif(
@@ -43,7 +43,7 @@ def test_evidence_is_the_log_of_how_much_likelier_the_classes_are():
     lead = evidence(*stored, (4, 9))
     sums = [np.exp(x[..., [4, 9]]).sum(-1) for x in (regions, photographs)]
     assert lead.shape == (2, 3)
-    assert np.allclose(lead, np.log(sums[0] / sums[1]), atol=STEP)
+    assert np.allclose(lead, np.log(sums[0] / sums[1]), atol=LOG_STEP)
 
 
 class Convolution(nn.Conv2d):

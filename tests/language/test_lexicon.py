@@ -33,7 +33,7 @@ from slgaussian.geometry.room import Surroundings
 from slgaussian.language import colours
 from slgaussian.language.colours import ColourNames
 from slgaussian.language.descriptors import Descriptors
-from slgaussian.language.vocabulary import NOUNS, load_vocabulary
+from slgaussian.language.vocabulary import NOUN_FAMILIES, load_vocabulary
 
 VOCABULARY = load_vocabulary()
 
@@ -76,7 +76,7 @@ def test_no_spelling_has_two_roles():
         roles += family
     assert [spelling for spelling, count in Counter(roles).items() if count > 1] == []
     assert named == set(), "things are told by nouns"
-    assert {*nouns, "class"} == NOUNS
+    assert {*nouns, "class"} == NOUN_FAMILIES
 
 
 def test_every_word_of_the_procedural_scenes_is_known(lexicon):
@@ -269,7 +269,9 @@ def test_memberships_are_those_of_plain_distances(names):
     nearest = np.stack(
         [((lab[:, None] - points) ** 2).sum(-1).min(1) for points in names._points], 1
     )
-    closeness = np.exp((nearest.min(1, keepdims=True) - nearest) / (2 * colours.SOFTNESS**2))
+    closeness = np.exp(
+        (nearest.min(1, keepdims=True) - nearest) / (2 * colours.TRANSITION_WIDTH**2)
+    )
     plain = closeness / closeness.sum(1, keepdims=True)
     # Distances of up to 1e5 in float32 over 50: noise up to about 1e-4.
     np.testing.assert_allclose(names(rgb), plain, atol=3e-4)

@@ -11,7 +11,12 @@ from slgaussian.language.objectmap import ObjectMap
 from slgaussian.language.query import ask
 from slgaussian.language.reader import BankReader
 from slgaussian.language.rules import Rules
-from slgaussian.language.taught import EVEN, SCALE, TaughtWords, encoder_identity
+from slgaussian.language.taught import (
+    BOUNDARY_LIKENESS,
+    COSINE_SCALE,
+    TaughtWords,
+    encoder_identity,
+)
 from slgaussian.storage.encoding import encode_arrays
 from slgaussian.storage.specs import load_spec
 from tests.language.drawn import BLUE, GREEN, GREY, RED, ball, bank_of, box, cone, photograph
@@ -101,8 +106,10 @@ def test_an_example_leads_all(lessons, seed):
         words = words.with_example("fox", unit(number)[0], unit(200, 7), THIS)
     looks = np.concatenate([unit(seed + 300, 5), unit(9)]).astype(np.float64)
     leads = words.leads("fox", looks)
-    assert leads.argmax() == 5 and leads[5] == pytest.approx(SCALE * (1 - EVEN), abs=1e-4)
-    assert (leads >= -2 * SCALE).all()
+    assert leads.argmax() == 5 and leads[5] == pytest.approx(
+        COSINE_SCALE * (1 - BOUNDARY_LIKENESS), abs=1e-4
+    )
+    assert (leads >= -2 * COSINE_SCALE).all()
 
 
 def test_an_example_given_again_is_there_once_and_no_rival():

@@ -7,11 +7,11 @@ import pytest
 
 from slgaussian.language.lexicon import Lexicon
 from slgaussian.language.wholes import (
-    EVIDENCE,
-    LEAST_BEST,
-    LEAST_PIXELS,
-    LEAST_SHARE,
-    UNSEEN,
+    EVIDENCE_BOUNDS,
+    MIN_BEST_GAP,
+    MIN_PIXELS,
+    MIN_SHARE,
+    UNSEEN_GAP,
     Ranking,
     Wholes,
     near_best,
@@ -103,22 +103,22 @@ def plainly(wholes, gaps, evidence, areas, ranking):
     share = wholes.shares.astype(float)
     size = share.mean(1)
     visible = {i for i in range(n) if areas[i] > 0 and gaps[i] > -np.inf}
-    top = max([gaps[i] for i in visible] + [LEAST_BEST])
+    top = max([gaps[i] for i in visible] + [MIN_BEST_GAP])
     alike = {i for i in range(n) if gaps[i] > 0 and gaps[i] >= 0.6 * top}
-    gap = [g if g > -np.inf else UNSEEN for g in gaps]
+    gap = [g if g > -np.inf else UNSEEN_GAP for g in gaps]
     nodes = [{i} for i in range(n)] + [set(np.flatnonzero(row)) for row in wholes.members]
     candidates = [
         (node, float(stands))
         for node, stands in zip(nodes, wholes.standing, strict=True)
-        if sum(size[i] for i in node) >= LEAST_SHARE
-        and sum(areas[i] for i in node & visible) >= LEAST_PIXELS
+        if sum(size[i] for i in node) >= MIN_SHARE
+        and sum(areas[i] for i in node & visible) >= MIN_PIXELS
     ]
     if alike & visible:
         candidates.append((alike, 0.0))
     sums = dict(zip(map(tuple, wholes.borders.tolist()), wholes.border_sums.tolist(), strict=True))
     best_place = max(visible, key=lambda i: (gaps[i], -i), default=None)
     evidence = np.where(np.isnan(evidence), 0, evidence) * share
-    ev = np.clip(evidence.sum(1) / np.maximum(share.sum(1), 1e-12), *EVIDENCE)
+    ev = np.clip(evidence.sum(1) / np.maximum(share.sum(1), 1e-12), *EVIDENCE_BOUNDS)
     best, best_score = set(), -np.inf
     for node, stands in candidates:
         area = sum(size[i] for i in node)

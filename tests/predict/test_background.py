@@ -79,7 +79,7 @@ def test_a_view_goes_on_beyond_its_border():
     ("most", "step", "reach"), [(1, STEP, 1), (2, STEP, 2), (12, STEP, 3), (12, 0.035, 2)]
 )
 def test_the_wall_goes_on_behind_a_box_as_far_as_parallax_shows_it(most, step, reach, monkeypatch):
-    monkeypatch.setattr(background, "REACH", most)
+    monkeypatch.setattr(background, "MAX_BLOCKS", most)
     walls, colors = scene(CAMERAS[:1], True)
     splats = continue_surfaces(CAMERAS[:1], colors, walls, [step])
     pixels, z = CAMERAS[0].project(splats.means.numpy().astype(np.float64))

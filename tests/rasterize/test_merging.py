@@ -10,7 +10,7 @@ from slgaussian.errors import InputError
 from slgaussian.gaussians import Gaussians
 from slgaussian.predict.unproject import unproject
 from slgaussian.rasterize import rasterize
-from slgaussian.rasterize.merging import MOST, merge
+from slgaussian.rasterize.merging import MAX_VIEW_CHANGE, merge
 from slgaussian.scene import Camera
 from tests.kernel_threads import kernels_on
 from tests.rasterize.hard_cases import camera
@@ -74,7 +74,7 @@ def test_the_change_is_measured_and_bounded(levels):
     rms = max(np.sqrt((c.astype(np.float64) ** 2).mean()) for c in changes)
     measured = merged.change.mean, merged.change.rms, merged.change.greatest
     assert measured == pytest.approx((np.mean(changes), rms, np.max(changes)), rel=1e-4)
-    assert merged.change.rms <= MOST / GREY
+    assert merged.change.rms <= MAX_VIEW_CHANGE / GREY
 
 
 def test_what_shows_is_taken_back():
@@ -113,7 +113,7 @@ def of_three_views(z: float, colour, depth: float, light: float, others=None):
 def test_what_one_view_shows_too_much_of_is_taken_back_and_no_more(z, colour, depth, light):
     merged = merge(*of_three_views(z, colour, depth, light))
     assert len(merged.gaussians) < 0.9 * 3 * H * W
-    assert 0.5 < merged.change.rms <= MOST / GREY
+    assert 0.5 < merged.change.rms <= MAX_VIEW_CHANGE / GREY
 
 
 def test_what_is_behind_something_does_not_show():

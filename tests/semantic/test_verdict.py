@@ -4,7 +4,7 @@ import pyarrow as pa
 import pytest
 
 from slgaussian.benchmark.significance import clip_scores, gain, gate, regression
-from slgaussian.benchmark.statistics import LEAST
+from slgaussian.benchmark.statistics import MIN_SAMPLES
 from slgaussian.storage.specs import load_spec
 
 
@@ -42,7 +42,7 @@ def test_a_gain_within_noise_is_none():
 def test_few_clips_never_are_enough():
     few, enough = (
         gate(judged({"branch": [0.9] * n, "hard": [0.1] * n}, list("abcdefgh"[:n])), {"hard": "it"})
-        for n in (LEAST - 1, LEAST)
+        for n in (MIN_SAMPLES - 1, MIN_SAMPLES)
     )
     assert not few.better and few.why.startswith("too few clips to tell it from it")
     assert enough.better

@@ -30,7 +30,7 @@ def weather(bucket, s3_server, monkeypatch):
         return own, ArtifactStore(f"{bucket}/slg")
 
     monkeypatch.setenv("SLGAUSSIAN_CACHE_SIZE", "0")
-    monkeypatch.setattr(remote, "ANSWER", 2)
+    monkeypatch.setattr(remote, "READ_TIMEOUT", 2)
     yield begin
     for own in made:
         own.close()

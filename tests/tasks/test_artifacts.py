@@ -60,10 +60,12 @@ def test_cameras_that_were_found_say_so_in_the_store_too(sample, store):
     message = Estimated((0.9, 1.2), "EXIF", 0.8)
     left, right = sample.context
     camera = replace(left.camera, estimated=message)
-    partly = replace(sample, context=(replace(left, camera=camera), right), found={"k1": {"a": 0}})
+    partly = replace(
+        sample, context=(replace(left, camera=camera), right), estimation={"k1": {"a": 0}}
+    )
     back = sample_from_arrays(through(store, "sample", sample_to_arrays(partly)))
     assert [view.camera.estimated for view in back.context] == [message, None]
-    assert back.found == {"k1": {"a": 0}}
+    assert back.estimation == {"k1": {"a": 0}}
     assert not {"estimated", "found"} & sample_to_arrays(sample).keys()
 
 

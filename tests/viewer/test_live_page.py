@@ -20,7 +20,7 @@ from slgaussian.language.rules import Rules
 from slgaussian.viewer.auth import Access, listen
 from slgaussian.viewer.page.packed import morton_order
 from slgaussian.viewer.page.scene_page import scene_page
-from slgaussian.viewer.server import MOST_BYTES, LiveField, app
+from slgaussian.viewer.server import MAX_BODY_BYTES, LiveField, app
 from tests.flows.command import run
 from tests.flows.command import said as command_said
 from tests.square import BLUE, GREEN, RED, YELLOW, square_field
@@ -106,7 +106,7 @@ def test_what_cannot_be_done_is_one_sentence_and_changes_nothing(client, name, b
 
 
 def test_a_request_of_many_bytes_is_refused(client):
-    assert client.post("/api/query", content=b" " * (MOST_BYTES + 1)).status_code == 413
+    assert client.post("/api/query", content=b" " * (MAX_BODY_BYTES + 1)).status_code == 413
     assert client.post("/api/query", content=b"{").status_code == 400
 
 

@@ -81,7 +81,7 @@ def test_every_row_finds_a_plainly_coloured_thing(name, view_of, room):
 
 
 def test_vectors_that_take_much_memory_are_rendered_smaller(answering, room, monkeypatch):
-    method, most = answering("langsplat-like"), "langsplat_like.MOST_NUMBERS"
+    method, most = answering("langsplat-like"), "langsplat_like.MAX_ELEMENTS"
     camera = room.sample.targets[0].camera
     numbers = method.render(camera).vectors.size
     for share, shape in ((1, (104, 144)), (4, (52, 72)), (5, (26, 36))):

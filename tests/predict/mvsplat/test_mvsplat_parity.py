@@ -17,7 +17,7 @@ import torch
 
 from slgaussian.gaussians import Gaussians, rotation_matrices
 from slgaussian.predict.mvsplat import adapter
-from slgaussian.predict.mvsplat.depth import COMPUTED
+from slgaussian.predict.mvsplat.depth import COMPUTED_CHANNELS
 from slgaussian.rasterize import harmonics
 from tests.predict.textured_planes import camera
 from tests.rasterize.test_harmonics import scipy_basis
@@ -73,7 +73,7 @@ def result(network, reference, cameras) -> dict[str, np.ndarray]:
     )
     # Of 84 and 25 numbers ours leaves out those that nothing draws.
     raw = torch.full((count, 84), torch.nan)
-    raw[:, COMPUTED] = message.raw.reshape(count, -1)
+    raw[:, COMPUTED_CHANNELS] = message.raw.reshape(count, -1)
     # And ours are coefficients of another basis.
     cycled = torch.from_numpy(harmonics.rotation_matrix(adapter.CYCLE)).float()
     sh = torch.full((count, 3, 25), torch.nan)

@@ -81,7 +81,7 @@ def test_strips_leave_no_seams(network, monkeypatch):
     predict = partial(network.depth_predictor, *inputs, cost_volume.spread(1.0, 100.0, 128))
     with torch.no_grad():
         whole = predict()
-        monkeypatch.setattr("slgaussian.predict.mvsplat.depth.STRIP", 20)
+        monkeypatch.setattr("slgaussian.predict.mvsplat.depth.STRIP_ROWS", 20)
         strips = predict()
     for first, second in zip(whole, strips, strict=True):
         torch.testing.assert_close(first, second, rtol=0, atol=5e-6)
